@@ -1,0 +1,1 @@
+"""Equations of motion from one Lagrangian, and propagators made from them."""

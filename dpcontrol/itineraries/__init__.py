@@ -1,0 +1,1 @@
+"""Walks over connections and the orbits that shadow them."""

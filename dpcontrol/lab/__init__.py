@@ -1,0 +1,1 @@
+"""The simulated bench: plant, sensors, drive, loop."""

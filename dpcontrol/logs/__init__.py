@@ -1,0 +1,1 @@
+"""The MCAP log: message layout, writer, reader."""

@@ -1,0 +1,1 @@
+"""Direct collocation: references a bench can follow."""

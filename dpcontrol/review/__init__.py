@@ -1,0 +1,1 @@
+"""Score, Rerun recording and pictures of a log."""

@@ -1,0 +1,1 @@
+"""Itinerary and model files; plans and runs made from them."""

@@ -1,0 +1,1 @@
+"""Equilibria, Lyapunov orbits, their tubes, cuts and connections."""
