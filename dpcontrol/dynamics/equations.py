@@ -1,0 +1,153 @@
+"""State-space equations of one level of a model: ẋ = f(x, u; p), symbolically and as numpy functions.
+
+State order: free positions, their velocities, then position and velocity of what is prescribed (the cart). The
+free part is the prefix at every level, so zeroing what a level adds gives back the level below.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.lagrangian import Mechanics
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Equations:
+    """One level's equations as casadi SX: state (N,), inputs (m,), parameters (p,), rate = f (N,)."""
+
+    state: ca.SX
+    inputs: ca.SX
+    parameters: ca.SX
+    rate: ca.SX
+    hamiltonian: ca.SX
+    momentum: ca.SX
+    mass_matrix: ca.SX
+
+    @property
+    def dimension(self) -> int:
+        """Length of the state."""
+        return self.state.shape[0]
+
+    @property
+    def input_count(self) -> int:
+        """Number of inputs (0 without a cart)."""
+        return self.inputs.shape[0]
+
+    def function(self) -> ca.Function:
+        """Return the casadi function (state, inputs, parameters) -> rate."""
+        return ca.Function("rate", [self.state, self.inputs, self.parameters], [self.rate])
+
+    def discrete_step(self, step: float) -> ca.Function:
+        """Return (state, inputs, parameters) -> (next state, ∂next/∂state, ∂next/∂inputs) over `step` seconds.
+
+        One classical Runge-Kutta step of order 4 with the inputs held; at 1 ms its error is 2e-8 (scaled),
+        far below an encoder count.
+        """
+        f = self.function()
+        x, u, p = self.state, self.inputs, self.parameters
+        k1 = f(x, u, p)
+        k2 = f(x + step / 2 * k1, u, p)
+        k3 = f(x + step / 2 * k2, u, p)
+        k4 = f(x + step * k3, u, p)
+        following = x + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        outputs = [following, ca.jacobian(following, x), ca.jacobian(following, u)]
+        return ca.Function("step", [x, u, p], [ca.densify(o) for o in ca.cse(outputs)], {"cse": True})
+
+
+def state_equations(parts: Mechanics, *, with_cart: bool) -> Equations:
+    """Write a mechanical system as first-order equations.
+
+    With `with_cart` the prescribed coordinates and their velocities follow the free ones in the state and their
+    accelerations are the inputs; without, the prescribed coordinates rest at zero and there is no input.
+    """
+    n = parts.free_acceleration.shape[0]
+    m = parts.acceleration.shape[0]
+    q, v = parts.position, parts.velocity
+    if with_cart:
+        state = ca.vertcat(q[:n], v[:n], q[n:], v[n:])
+        rate = ca.vertcat(v[:n], parts.free_acceleration, v[n:], parts.acceleration)
+        inputs = parts.acceleration
+        extra = [parts.hamiltonian, parts.momentum, parts.mass_matrix]
+    else:
+        state = ca.vertcat(q[:n], v[:n])
+        still = [q[n:], v[n:], parts.acceleration]
+        zero = [ca.SX.zeros(m)] * 3
+        bodies = [parts.free_acceleration, parts.hamiltonian, parts.momentum, parts.mass_matrix]
+        acceleration, *extra = ca.substitute(bodies, still, zero) if m else bodies
+        rate = ca.vertcat(v[:n], acceleration)
+        inputs = ca.SX.zeros(0)
+    symbols = ca.SX.sym("x", state.shape[0])
+    controls = ca.SX.sym("u", inputs.shape[0])
+    old = [state[i] for i in range(state.shape[0])] + [inputs[i] for i in range(inputs.shape[0])]
+    new = [symbols[i] for i in range(state.shape[0])] + [controls[i] for i in range(inputs.shape[0])]
+    rate, hamiltonian, momentum, mass_matrix = ca.substitute([rate, *extra], old, new)
+    return Equations(symbols, controls, parts.parameters, ca.cse(rate), hamiltonian, momentum, mass_matrix)
+
+
+@dataclass(frozen=True)
+class NumericEquations:
+    """Equations with numbers for parameters (p,): numpy in, numpy out, many states at once.
+
+    States are (N,) or (K, N); results follow with the same leading shape. Inputs are taken as zero.
+    """
+
+    equations: Equations
+    parameters: Array
+
+    @cached_property
+    def _functions(self) -> dict[str, ca.Function]:
+        e = self.equations
+        still = ca.substitute(e.rate, e.inputs, ca.SX.zeros(e.input_count)) if e.input_count else e.rate
+        expressions = {
+            "rate": still,
+            "jacobian": ca.densify(ca.vec(ca.jacobian(still, e.state).T)),
+            "hamiltonian": e.hamiltonian,
+            "gradient": ca.densify(ca.gradient(e.hamiltonian, e.state)),
+            "momentum": e.momentum,
+            "momentum_jacobian": ca.densify(ca.vec(ca.jacobian(e.momentum, e.state).T)),
+            "mass": ca.densify(ca.vec(e.mass_matrix.T)),
+        }
+        return {
+            name: ca.Function(name, [e.state, e.parameters], [value]) for name, value in expressions.items()
+        }
+
+    def _call(self, name: str, states: Array) -> Array:
+        x = np.asarray(states, dtype=float)
+        out = np.array(self._functions[name](x.reshape(-1, x.shape[-1]).T, self.parameters)).T
+        return out.reshape(*x.shape[:-1], -1)
+
+    def rate(self, states: Array) -> Array:
+        """Return f(x), shape of `states`."""
+        return self._call("rate", states)
+
+    def jacobian(self, states: Array) -> Array:
+        """Return ∂f/∂x, (…, N, N)."""
+        n = self.equations.dimension
+        return self._call("jacobian", states).reshape(*np.shape(states)[:-1], n, n)
+
+    def hamiltonian(self, states: Array) -> Array:
+        """Return the energy H of the free coordinates in J, (…)."""
+        return self._call("hamiltonian", states)[..., 0]
+
+    def gradient(self, states: Array) -> Array:
+        """Return ∂H/∂x, (…, N)."""
+        return self._call("gradient", states)
+
+    def momentum(self, states: Array) -> Array:
+        """Return the canonical momenta of the free coordinates, (…, n)."""
+        return self._call("momentum", states)
+
+    def momentum_jacobian(self, states: Array) -> Array:
+        """Return ∂p/∂x, (…, n, N)."""
+        n = self.equations.dimension
+        return self._call("momentum_jacobian", states).reshape(*np.shape(states)[:-1], -1, n)
+
+    def mass_matrix(self, states: Array) -> Array:
+        """Return the mass matrix of the free coordinates, (…, n, n)."""
+        n = self.equations.momentum.shape[0]
+        return self._call("mass", states).reshape(*np.shape(states)[:-1], n, n)

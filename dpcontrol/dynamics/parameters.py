@@ -1,0 +1,120 @@
+"""Parameters of a planar chain of arms on a cart, physical and base.
+
+The physical parameters (masses, centres, lengths, inertias) enter the equations only through the base
+parameters
+
+    M_ii = J_i + m_i a_i² + (m_{i+1} + … + m_n) l_i²
+    M_ij = (m_j a_j + (m_{j+1} + … + m_n) l_j) l_i        for j > i
+    S_i  = m_i a_i + (m_{i+1} + … + m_n) l_i,             G_i = g S_i
+
+so that T = ½ Σ M_ij cos(θ_i-θ_j) ω_i ω_j and V = -Σ G_i cos θ_i; S_i couples arm i to the cart. This form has a
+third of the instructions of the form from positions.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ArmChainParameters:
+    """Physical parameters of n arms, inner arm first; SI units.
+
+    mass (n,) kg; centre_of_mass (n,) m from the arm's joint; length (n,) m, the last for pictures only;
+    inertia (n,) kg m² about the centre of mass; gravity m/s²; viscous (n,) N m s/rad in each joint, on the
+    relative rate.
+    """
+
+    mass: tuple[float, ...]
+    centre_of_mass: tuple[float, ...]
+    length: tuple[float, ...]
+    inertia: tuple[float, ...]
+    gravity: float
+    viscous: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        """Refuse what is no pendulum.
+
+        Raises:
+            InputError: names the parameter, its value and what is allowed.
+        """
+        count = len(self.mass)
+        if count < 1:
+            raise InputError("mass = []: a chain has at least one arm")
+        columns = {  # name: (values, whether zero is allowed)
+            "mass": (self.mass, False),
+            "centre_of_mass": (self.centre_of_mass, False),
+            "length": (self.length, False),
+            "inertia": (self.inertia, True),
+            "viscous": (self.viscous, True),
+            "acceleration": ((self.gravity,), False),
+        }
+        for name, (values, zero_allowed) in columns.items():
+            if name != "acceleration" and len(values) != count:
+                raise InputError(
+                    f"{name} has {len(values)} values but mass has {count}; give one for each arm"
+                )
+            for value in values:
+                if not np.isfinite(value) or value < 0 or (value == 0 and not zero_allowed):
+                    allowed = "zero or positive" if zero_allowed else "positive"
+                    raise InputError(f"{name} = {value!r}: must be a finite number, {allowed}")
+
+    @property
+    def count(self) -> int:
+        """Number of arms."""
+        return len(self.mass)
+
+    def named(self) -> dict[str, tuple[float, str]]:
+        """Return {name: (value, unit)} with the field's short names: m1, a1, l1, J1, g, k1 …"""
+        units = (("m", "mass", "kg"), ("a", "centre_of_mass", "m"), ("l", "length", "m"),
+                 ("J", "inertia", "kg m^2"))  # fmt: skip
+        out: dict[str, tuple[float, str]] = {}
+        for letter, field, unit in units:
+            for i, value in enumerate(getattr(self, field)):
+                out[f"{letter}{i + 1}"] = (value, unit)
+        out["g"] = (self.gravity, "m/s^2")
+        for i, value in enumerate(self.viscous):
+            out[f"k{i + 1}"] = (value, "N m s/rad")
+        return out
+
+    def base(self) -> Array:
+        """Return the base parameters (n(n+1)/2 + 3n,): M row by row for j >= i, then G, S, viscous."""
+        m, a, l, j = (np.asarray(v) for v in (self.mass, self.centre_of_mass, self.length, self.inertia))
+        n = self.count
+        beyond = np.array([m[i + 1 :].sum() for i in range(n)])
+        coupling = m * a + beyond * l
+        inertia = [
+            j[i] + m[i] * a[i] ** 2 + beyond[i] * l[i] ** 2 if i == k else coupling[k] * l[i]
+            for i in range(n)
+            for k in range(i, n)
+        ]
+        return np.concatenate([inertia, self.gravity * coupling, coupling, np.asarray(self.viscous)])
+
+    def frictionless(self) -> "ArmChainParameters":
+        """Return the same arms without friction."""
+        return replace(self, viscous=(0.0,) * self.count)
+
+    def mismatched(self, fraction: float, random: np.random.Generator) -> "ArmChainParameters":
+        """Return a chain whose parameters differ from these: what the plant may be when this is the model.
+
+        Each mass, centre, length and inertia is multiplied by an independent uniform 1 ± fraction; each
+        friction coefficient by 1 ± 5 fraction, but never below zero.
+        """
+
+        def vary(values: tuple[float, ...], by: float) -> tuple[float, ...]:
+            factors = np.maximum(1 + random.uniform(-by, by, len(values)), 0.0)
+            return tuple(float(v) for v in np.asarray(values) * factors)
+
+        return replace(
+            self,
+            mass=vary(self.mass, fraction),
+            centre_of_mass=vary(self.centre_of_mass, fraction),
+            length=vary(self.length, fraction),
+            inertia=vary(self.inertia, fraction),
+            viscous=vary(self.viscous, 5 * fraction),
+        )
