@@ -1,0 +1,166 @@
+"""What a log holds: topics, joint names, the control message's fields, the modes.
+
+One tick is one block of bytes: the MCAP message records of all topics at loop rate, one after the other, as a
+numpy structured type. Writer and reader share it, so that neither handles single messages.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.logs import cdr, schemas
+
+MEASURED = "/joint_states"
+ESTIMATE = "/estimate/joint_states"
+REFERENCE = "/reference/joint_states"
+TRUTH = "/truth/joint_states"
+CONTROL = "/control"
+TRANSFORMS = "/tf"
+ROBOT = "/robot_description"
+GHOST = "/reference/robot_description"
+EVENTS = "/rosout"
+
+TRANSFORM_RATE = 50.0
+"""Rate of /tf in Hz: enough for the eye, a twentieth of the loop's."""
+
+LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
+"""Levels of an event, with their numbers in rcl_interfaces/Log."""
+
+LAYOUT_RECORD = "dpcontrol.layout"
+RUN_RECORD = "dpcontrol.run"
+"""Names of the two metadata records: the layout (ours) and whatever the caller passed."""
+
+MESSAGE_OPCODE = 5
+_RECORD_HEADER = [
+    ("opcode", "u1"),
+    ("length", "<u8"),
+    ("channel", "<u2"),
+    ("sequence", "<u4"),
+    ("log_time", "<u8"),
+    ("publish_time", "<u8"),
+]
+RECORD_HEADER = np.dtype(_RECORD_HEADER)
+"""An MCAP message record up to its data: packed, little-endian (MCAP specification, "Message")."""
+
+
+class Mode(IntEnum):
+    """What the controller was doing in a tick: the field `mode` of /control."""
+
+    IDLE = 0
+    """Not started: the command is zero."""
+    TRACKING = 1
+    """Following a time-varying reference."""
+    HOLDING = 2
+    """Stabilising an orbit or an equilibrium."""
+    PULSING = 3
+    """Within a pulse of OGY control."""
+    SATURATED = 4
+    """As tracking or holding, the command cut at a limit."""
+    STOPPED = 5
+    """Ended as planned: the command is zero."""
+    ABORTED = 6
+    """Stopped by the supervisor: a limit was passed or the estimate was lost."""
+
+
+_CONTROL_HEAD = ("command", "feedforward", "feedback", "applied", "saturated", "nis", "mode")
+
+
+def joint_names(arms: int, *, has_cart: bool) -> tuple[str, ...]:
+    """Return `arm_1 … arm_n` and, where there is one, `cart`."""
+    return tuple(f"arm_{i + 1}" for i in range(arms)) + (("cart",) if has_cart else ())
+
+
+def control_fields(arms: int, *, has_cart: bool) -> tuple[str, ...]:
+    """Return the names of /control's float64 fields in order.
+
+    `command`, `feedforward`, `feedback` and `applied` are cart accelerations in m/s²: the controller's sum and
+    its two parts before limits, and what the drive was given. `saturated` is 0 or 1, `nis` the normalised
+    innovation squared (nan in a tick without a measurement), `mode` a number of `Mode`. `sigma_1 …` are the
+    standard deviations of the estimate in state order, in rad, rad/s, m and m/s.
+    """
+    size = 2 * arms + (2 if has_cart else 0)
+    return (*_CONTROL_HEAD, *(f"sigma_{i + 1}" for i in range(size)))
+
+
+def joint_order(arms: int, *, has_cart: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return where positions and velocities of the joints, in the order of their names, stand in a state."""
+    positions = list(range(arms)) + ([2 * arms] if has_cart else [])
+    velocities = list(range(arms, 2 * arms)) + ([2 * arms + 1] if has_cart else [])
+    return np.array(positions), np.array(velocities)
+
+
+@dataclass(frozen=True)
+class TickLayout:
+    """The messages of one tick, in the order in which they are written.
+
+    Attributes:
+        arms: number of arms.
+        has_cart: whether the pivot is on a cart.
+        has_truth: whether the plant's true state is logged.
+    """
+
+    arms: int
+    has_cart: bool
+    has_truth: bool
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the joints."""
+        return joint_names(self.arms, has_cart=self.has_cart)
+
+    @cached_property
+    def fields(self) -> tuple[str, ...]:
+        """Names of the control message's fields."""
+        return control_fields(self.arms, has_cart=self.has_cart)
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """Topics that carry a whole state."""
+        return (ESTIMATE, REFERENCE, TRUTH) if self.has_truth else (ESTIMATE, REFERENCE)
+
+    @cached_property
+    def messages(self) -> dict[str, cdr.MessageLayout]:
+        """The layout of each topic's message, in order of writing."""
+        state = cdr.joint_state(self.names, velocities=True)
+        measured = cdr.joint_state(self.names, velocities=False)
+        control = cdr.doubles(len(self.fields))
+        return {MEASURED: measured, **dict.fromkeys(self.states, state), CONTROL: control}
+
+    @cached_property
+    def schemas(self) -> dict[str, tuple[str, bytes]]:
+        """Name and definition of each topic's message."""
+        control = schemas.control_schema(self.fields)
+        return {topic: control if topic == CONTROL else schemas.JOINT_STATE for topic in self.messages}
+
+
+def message_type(layout: cdr.MessageLayout) -> np.dtype:
+    """Return the structured type of a message record that holds `layout`."""
+    names, formats, offsets = [], [], []
+    for name, kind in _RECORD_HEADER:
+        names.append(name)
+        formats.append(kind)
+        offsets.append(RECORD_HEADER.fields[name][1])  # type: ignore[index]
+    for name, (kind, offset) in layout.fields.items():
+        names.append(name)
+        formats.append(kind)
+        offsets.append(RECORD_HEADER.itemsize + offset)
+    return np.dtype(
+        {
+            "names": names,
+            "formats": formats,
+            "offsets": offsets,
+            "itemsize": RECORD_HEADER.itemsize + len(layout.template),
+        }
+    )
+
+
+def message_template(layout: cdr.MessageLayout, channel: int) -> bytes:
+    """Return a message record for `layout` on `channel`, its times and numbers zero."""
+    header = np.zeros(1, RECORD_HEADER)
+    header["opcode"] = MESSAGE_OPCODE
+    header["length"] = RECORD_HEADER.itemsize - 9 + len(layout.template)
+    header["channel"] = channel
+    return header.tobytes() + layout.template

@@ -1,0 +1,177 @@
+"""The pendulum as a URDF, and the poses of its links, for viewers of ROS 2 logs.
+
+The plane of motion is x to the right and z up, seen along +y. A joint's coordinate is the arm's *absolute* angle
+from hanging, counter-clockwise: at each elbow a link turns back by the inner arm's angle (a mimic joint with
+multiplier -1), so that the next arm hangs at zero. Source: the URDF specification (joint, mimic, origin).
+"""
+
+from collections.abc import Sequence
+from xml.sax.saxutils import quoteattr
+
+import numpy as np
+from numpy.typing import NDArray
+
+WORLD = "world"
+_THICKNESS = 0.012
+_INK = {
+    "robot": {
+        "track": "0.45 0.45 0.47 1",
+        "cart": "0.20 0.22 0.26 1",
+        "arm": "0.10 0.42 0.72 1",
+        "tip": "0.90 0.45 0.10 1",
+    },
+    "ghost": dict.fromkeys(("track", "cart", "arm", "tip"), "0.6 0.6 0.6 0.35"),
+}
+
+
+def frames(arms: int, *, has_cart: bool, prefix: str = "") -> tuple[tuple[str, str], ...]:
+    """Return (parent, child) of every frame that moves, in the order of `poses`, after `world` to the base."""
+    base = f"{prefix}base"
+    found = [(WORLD, base)]
+    last = base
+    if has_cart:
+        found.append((base, f"{prefix}cart_link"))
+        last = f"{prefix}cart_link"
+    for i in range(1, arms + 1):
+        found.append((last, f"{prefix}arm_{i}_link"))
+        if i < arms:
+            found.append((f"{prefix}arm_{i}_link", f"{prefix}elbow_{i}_link"))
+            last = f"{prefix}elbow_{i}_link"
+    return tuple(found)
+
+
+def poses(states: NDArray[np.float64], *, arm_lengths: Sequence[float], has_cart: bool) -> NDArray[np.float64]:
+    """Return the pose of each of `frames` in its parent.
+
+    Args:
+        states: (K, 2n+2), or (K, 2n) without a cart; rad, rad/s, m, m/s.
+        arm_lengths: (n,), m.
+        has_cart: whether the pivot is on a cart.
+
+    Returns:
+        (K, F, 7): x, y, z in m and the quaternion's x, y, z, w.
+    """
+    arms = len(arm_lengths)
+    rows = [_still(len(states))]
+    if has_cart:
+        cart = _still(len(states))
+        cart[:, 0] = states[:, 2 * arms]
+        rows.append(cart)
+    for i in range(arms):
+        rows.append(_turned(states[:, i]))
+        if i < arms - 1:
+            elbow = _turned(-states[:, i])
+            elbow[:, 2] = -arm_lengths[i]
+            rows.append(elbow)
+    return np.stack(rows, axis=1)
+
+
+def _still(count: int) -> NDArray[np.float64]:
+    pose = np.zeros((count, 7))
+    pose[:, 6] = 1.0
+    return pose
+
+
+def _turned(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+    # Counter-clockwise with x right and z up is a turn about -y.
+    pose = np.zeros((len(angle), 7))
+    pose[:, 4] = -np.sin(angle / 2)
+    pose[:, 6] = np.cos(angle / 2)
+    return pose
+
+
+def robot_description(
+    arm_lengths: Sequence[float],
+    *,
+    has_cart: bool = True,
+    limits: tuple[float, float, float] | None = None,
+    prefix: str = "",
+    ghost: bool = False,
+) -> str:
+    """Return the URDF of the pendulum.
+
+    Args:
+        arm_lengths: (n,) in m, pivot to elbow, elbow to elbow, last elbow to tip.
+        has_cart: whether the pivot is on a cart; then the base is a track.
+        limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s².
+        prefix: put before the name of every link and joint.
+        ghost: draw it grey and half transparent, and without the track.
+    """
+    reach, speed = (limits[0], limits[1]) if limits else (max(sum(arm_lengths), 0.1), 3.0)
+    ink = _INK["ghost" if ghost else "robot"]
+    # The ghost swings just behind the robot; in one plane the two would flicker.
+    depth = 1.5 * _THICKNESS if ghost else 0.0
+    names = [
+        (child.removeprefix(prefix), child)
+        for _, child in frames(len(arm_lengths), has_cart=has_cart, prefix=prefix)
+    ]
+    lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr('reference' if ghost else 'pendulum')}>"]
+    lines += [
+        f'  <material name="{prefix}{part}"><color rgba="{colour}"/></material>' for part, colour in ink.items()
+    ]
+    for name, link in names:
+        lines.append(f"  <link name={quoteattr(link)}>")
+        lines += _visuals(name, arm_lengths, depth=depth, reach=reach, prefix=prefix, track=has_cart and not ghost)
+        lines.append("  </link>")
+    lines += _joints(arm_lengths, has_cart=has_cart, prefix=prefix, reach=reach, speed=speed)
+    return "\n".join([*lines, "</robot>"]) + "\n"
+
+
+def _visuals(
+    name: str, arm_lengths: Sequence[float], *, depth: float, reach: float, prefix: str, track: bool
+) -> list[str]:
+    def box(size: tuple[float, float, float], at: tuple[float, float, float], part: str) -> str:
+        return _visual(f'<box size="{size[0]:g} {size[1]:g} {size[2]:g}"/>', (at[0], at[1] + depth, at[2]), part)
+
+    def disc(radius: float, at: tuple[float, float, float], part: str) -> str:
+        shape = f'<cylinder radius="{radius:g}" length="{1.4 * _THICKNESS:g}"/>'
+        return _visual(shape, (at[0], at[1] + depth, at[2]), part, turn="1.5707963 0 0")
+
+    def _visual(shape: str, at: tuple[float, float, float], part: str, *, turn: str = "0 0 0") -> str:
+        return (
+            f'    <visual><origin xyz="{at[0]:g} {at[1]:g} {at[2]:g}" rpy="{turn}"/><geometry>{shape}</geometry>'
+            f'<material name="{prefix}{part}"/></visual>'
+        )
+
+    wide = 0.06
+    if name == "base" and track:
+        stop = (_THICKNESS, wide, 0.03)
+        return [
+            box((2 * reach + 0.1, wide, 0.01), (0, 0.06, -0.02), "track"),
+            box(stop, (-reach - 0.05, 0.06, 0), "track"),
+            box(stop, (reach + 0.05, 0.06, 0), "track"),
+        ]
+    if name == "cart_link":
+        return [box((0.1, wide, 0.03), (0, 0.06, 0), "cart"), disc(0.6 * _THICKNESS, (0, 0.02, 0), "cart")]
+    if name.startswith("arm_"):
+        i = int(name.split("_")[1]) - 1
+        length = arm_lengths[i]
+        # Each arm swings in front of the last, as on the rig, and so is drawn whole.
+        y = -1.6 * _THICKNESS * i
+        return [
+            box((1.6 * _THICKNESS, _THICKNESS, length), (0, y, -length / 2), "arm"),
+            disc(1.3 * _THICKNESS, (0, y, 0), "cart"),
+            disc(1.3 * _THICKNESS, (0, y, -length), "tip" if i == len(arm_lengths) - 1 else "cart"),
+        ]
+    return []
+
+
+def _joints(arm_lengths: Sequence[float], *, has_cart: bool, prefix: str, reach: float, speed: float) -> list[str]:
+    lines = []
+    axis = '<axis xyz="0 -1 0"/>'
+    for parent, child in frames(len(arm_lengths), has_cart=has_cart, prefix=prefix)[1:]:
+        name = child.removeprefix(prefix).removesuffix("_link")
+        ends = f"<parent link={quoteattr(parent)}/><child link={quoteattr(child)}/>"
+        if name == "cart":
+            body = (
+                f'<axis xyz="1 0 0"/><limit lower="{-reach:g}" upper="{reach:g}" velocity="{speed:g}" effort="0"/>'
+            )
+            lines.append(f'  <joint name="{prefix}cart" type="prismatic">{ends}{body}</joint>')
+        elif name.startswith("arm_"):
+            lines.append(f'  <joint name="{prefix}{name}" type="continuous">{ends}{axis}</joint>')
+        else:
+            i = int(name.split("_")[1])
+            origin = f'<origin xyz="0 0 {-arm_lengths[i - 1]:g}" rpy="0 0 0"/>'
+            mimic = f'<mimic joint="{prefix}arm_{i}" multiplier="-1" offset="0"/>'
+            lines.append(f'  <joint name="{prefix}{name}" type="continuous">{ends}{origin}{axis}{mimic}</joint>')
+    return lines

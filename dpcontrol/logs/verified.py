@@ -1,0 +1,192 @@
+"""Read an MCAP file's records, and believe none before the checksums agree.
+
+Indexes and single chunks are not enough: an index can point elsewhere and two chunks can change places without any
+checksum of their own failing. So the file is walked from front to back, and the checksum of the whole data section
+and that of the summary are compared first. Source: the MCAP format specification, version 0.
+"""
+
+import struct
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import NoReturn
+
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
+from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs.container import MAGIC
+
+_HEAD = struct.Struct("<BQ")
+_AGAIN = "make it again with `dpcontrol run`"
+MALFORMED = (
+    McapError,
+    CRCValidationError,
+    zstandard.ZstdError,
+    struct.error,
+    ValueError,
+    RuntimeError,
+    OverflowError,
+    MemoryError,
+    LookupError,
+)
+"""What parsing a record that is not as specified may raise (lz4 raises RuntimeError)."""
+
+
+@dataclass(frozen=True)
+class VerifiedFile:
+    """The records of an MCAP file whose checksums agree.
+
+    Attributes:
+        library: the program that wrote it.
+        metadata: text by name, by the record's name.
+        attachments: content by name.
+        schemas, channels: by number; those found within chunks are added while `contents` runs.
+        chunks: the chunks' records, still packed.
+        has_checksum: whether the data section carried one.
+    """
+
+    path: Path
+    library: str
+    metadata: dict[str, dict[str, str]]
+    attachments: dict[str, bytes]
+    schemas: dict[int, Schema]
+    channels: dict[int, Channel]
+    chunks: tuple[memoryview, ...]
+    has_checksum: bool
+
+    def contents(self) -> Iterator[bytes]:
+        """Yield each chunk's records, unpacked and checked.
+
+        Raises:
+            InputError: a chunk does not unpack, or not to what its checksum says.
+        """
+        for chunk in self.chunks:
+            try:
+                stream, size = get_chunk_data_stream(Chunk.read(_stream(chunk)), validate_crc=True)
+                yield stream.read(size)
+            except MALFORMED as error:
+                damaged(self.path, f"a chunk does not unpack: {error}", cause=error)
+
+
+def damaged(path: Path, reason: str, *, cause: BaseException | None = None) -> NoReturn:
+    """Raise the InputError for a file whose bytes are not those that were written."""
+    raise InputError(f"{path} is damaged ({reason}); copy it again from its source or {_AGAIN}") from cause
+
+
+def _stream(body: memoryview | bytes) -> ReadDataStream:
+    return ReadDataStream(BytesIO(body))
+
+
+def _content(path: Path) -> bytes:
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError as error:
+        raise InputError(f"there is no log {path}; check the name or {_AGAIN}") from error
+    except OSError as error:
+        raise InputError(
+            f"cannot read {path}: {error.strerror or error}; give the path of a .mcap file"
+        ) from error
+    if not data:
+        raise InputError(f"{path} is empty; {_AGAIN}")
+    if not (data.startswith(MAGIC) or MAGIC.startswith(data)):
+        raise InputError(
+            f"{path} is not an MCAP file (it begins with {data[:8]!r}); give a log of `dpcontrol run`"
+        )
+    return data
+
+
+def _walk(path: Path, data: bytes) -> list[tuple[int, int, int]]:
+    """Return opcode, start and end of the body of each record up to the footer."""
+    found: list[tuple[int, int, int]] = []
+    place = len(MAGIC)
+    while place + _HEAD.size <= len(data):
+        opcode, length = _HEAD.unpack_from(data, place)
+        end = place + _HEAD.size + length
+        if end > len(data) or opcode == 0:
+            break
+        found.append((opcode, place + _HEAD.size, end))
+        place = end
+        if opcode == Opcode.FOOTER:
+            break
+    whole = bool(found) and found[-1][0] == Opcode.FOOTER and data[place:] == MAGIC
+    if whole and any(opcode == Opcode.DATA_END for opcode, _, _ in found):
+        return found
+    if data.endswith(MAGIC) and len(data) > len(MAGIC):
+        damaged(path, f"its records do not follow one another at byte {place}")
+    ends = [
+        struct.unpack_from("<Q", data, start + 8)[0]
+        for opcode, start, end in found
+        if opcode == Opcode.CHUNK and end - start >= 16
+    ]
+    moment = f"at {max(ends) / 1e9:.3f} s" if ends else "before its first tick"
+    raise InputError(f"{path} is cut off {moment}: the run was interrupted or the copy is incomplete; {_AGAIN}")
+
+
+def _check(path: Path, data: bytes, records: list[tuple[int, int, int]]) -> bool:
+    """Compare both checksums; return whether the data section had one."""
+    start, end = next((start, end) for opcode, start, end in records if opcode == Opcode.DATA_END)
+    footer_start, footer_end = records[-1][1:]
+    if end - start < 4 or footer_end - footer_start < 20:
+        damaged(path, "its closing records are too short")
+    (stored,) = struct.unpack_from("<I", data, start)
+    computed = zlib.crc32(memoryview(data)[: start - _HEAD.size])
+    if stored and stored != computed:
+        damaged(path, f"the checksum of its data is {computed:#010x} instead of {stored:#010x}")
+    summary, _, summary_crc = struct.unpack_from("<QQI", data, footer_start)
+    computed = zlib.crc32(memoryview(data)[summary or footer_start - _HEAD.size : footer_start + 16])
+    if summary_crc and summary_crc != computed:
+        damaged(path, f"the checksum of its summary is {computed:#010x} instead of {summary_crc:#010x}")
+    return bool(stored)
+
+
+def open_verified(path: Path) -> VerifiedFile:
+    """Read `path` and compare its checksums.
+
+    Raises:
+        InputError: there is no such file, or it is empty, no MCAP file, cut off or damaged.
+    """
+    data = _content(path)
+    records = _walk(path, data)
+    has_checksum = _check(path, data, records)
+    view = memoryview(data)
+    file = VerifiedFile(path, "", {}, {}, {}, {}, (), has_checksum)
+    library, chunks = "", []
+    try:
+        for opcode, start, end in records:
+            body = view[start:end]
+            if opcode == Opcode.DATA_END:
+                break
+            if opcode == Opcode.HEADER:
+                library = Header.read(_stream(body)).library
+            elif opcode == Opcode.METADATA:
+                record = Metadata.read(_stream(body))
+                file.metadata[record.name] = record.metadata
+            elif opcode == Opcode.ATTACHMENT:
+                attachment = Attachment.read(_stream(body))
+                file.attachments[attachment.name] = attachment.data
+            elif opcode == Opcode.CHUNK:
+                chunks.append(body)
+            else:
+                note_channel(file, opcode, body)
+    except MALFORMED as error:
+        damaged(path, f"a record does not read: {error}", cause=error)
+    return VerifiedFile(
+        path, library, file.metadata, file.attachments, file.schemas, file.channels, tuple(chunks), has_checksum
+    )
+
+
+def note_channel(file: VerifiedFile, opcode: int, body: memoryview | bytes) -> None:
+    """Take up a schema or channel record; any other is passed over."""
+    if opcode == Opcode.SCHEMA:
+        schema = Schema.read(_stream(body))
+        file.schemas[schema.id] = schema
+    elif opcode == Opcode.CHANNEL:
+        channel = Channel.read(_stream(body))
+        file.channels[channel.id] = channel

@@ -1,0 +1,219 @@
+"""What is written is read back, by our reader and by the public ROS 2 decoder."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from log_samples import ATTACHMENTS, METADATA, open_writer, sample, tick_all, write_sample
+from mcap.reader import make_reader
+from mcap_ros2.reader import read_ros2_messages
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs import LogWriter, control_fields, read_log
+from dpcontrol.logs.urdf import frames, poses, robot_description
+
+NANOSECOND = 1e-9
+POSE_TOLERANCE = 1e-12
+"""Poses are products of a few rotations in double precision."""
+
+SHAPES = [
+    {"arms": 2, "has_cart": True, "has_truth": True},
+    {"arms": 2, "has_cart": True, "has_truth": False},
+    {"arms": 2, "has_cart": False, "has_truth": True},
+    {"arms": 1, "has_cart": True, "has_truth": True},
+    {"arms": 3, "has_cart": True, "has_truth": False},
+]
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_every_array_is_read_back_bit_for_bit(tmp_path: Path, shape: dict) -> None:
+    run = sample(**shape)
+    log = read_log(write_sample(tmp_path / "run.mcap", run))
+    np.testing.assert_array_equal(log.measured, run.measured)
+    np.testing.assert_array_equal(log.estimate, run.estimate)
+    np.testing.assert_array_equal(log.reference, run.reference)
+    if run.truth is None:
+        assert log.truth is None
+    else:
+        np.testing.assert_array_equal(log.truth, run.truth)
+    names = control_fields(shape["arms"], has_cart=shape["has_cart"])
+    np.testing.assert_array_equal(np.column_stack([log.control[name] for name in names]), run.control)
+    np.testing.assert_allclose(log.time, run.time, atol=NANOSECOND)
+    assert log.arm_lengths == run.arm_lengths
+    assert log.has_cart == run.has_cart
+    assert log.limits == (0.9, 3.0, 30.0)
+
+
+def test_events_metadata_and_attachments_are_read_back(tmp_path: Path) -> None:
+    log = read_log(write_sample(tmp_path / "run.mcap", sample()))
+    assert [tuple(event) for event in log.events] == [
+        (0.0, "info", "loop", "started"),
+        (0.1, "warn", "drive", "command cut at 5 m/s²"),
+        (0.249, "error", "supervisor", "ended"),
+    ]
+    assert METADATA.items() <= log.metadata.items()
+    assert log.attachments == ATTACHMENTS
+
+
+def test_the_public_decoder_reads_every_topic_as_it_was_written(tmp_path: Path) -> None:
+    run = sample()
+    path = write_sample(tmp_path / "run.mcap", run)
+    found: dict[str, list] = {}
+    for message in read_ros2_messages(str(path)):
+        found.setdefault(message.channel.topic, []).append(message)
+    assert run.truth is not None
+    states = {"/estimate": run.estimate, "/reference": run.reference, "/truth": run.truth}
+    assert len(found["/joint_states"]) == len(run.time)
+    for k, message in enumerate(found["/joint_states"]):
+        assert message.log_time_ns == round(run.time[k] * 1e9)
+        assert message.ros_msg.name == ["arm_1", "arm_2", "cart"]
+        assert message.ros_msg.position == run.measured[k].tolist()
+        assert len(message.ros_msg.velocity) == 0
+    for prefix, state in states.items():
+        for k, message in enumerate(found[f"{prefix}/joint_states"]):
+            joint = message.ros_msg
+            assert joint.header.stamp.sec * 10**9 + joint.header.stamp.nanosec == message.log_time_ns
+            assert list(joint.position) == state[k, [0, 1, 4]].tolist()
+            assert list(joint.velocity) == state[k, [2, 3, 5]].tolist()
+    names = control_fields(2, has_cart=True)
+    rows = [[getattr(message.ros_msg, name) for name in names] for message in found["/control"]]
+    np.testing.assert_array_equal(rows, run.control)
+    assert [message.ros_msg.msg for message in found["/rosout"]] == ["started", "command cut at 5 m/s²", "ended"]
+    assert [message.ros_msg.level for message in found["/rosout"]] == [20, 30, 40]
+    for topic in ("/robot_description", "/reference/robot_description"):
+        assert ElementTree.fromstring(found[topic][0].ros_msg.data).tag == "robot"
+
+
+def test_transforms_come_at_fifty_hertz_and_place_the_tip_where_the_angles_say(tmp_path: Path) -> None:
+    run = sample()
+    path = write_sample(tmp_path / "run.mcap", run)
+    messages = list(read_ros2_messages(str(path), topics=["/tf"]))
+    assert [message.log_time_ns for message in messages] == [k * 20_000_000 for k in range(13)]
+    for message, k in zip(messages, range(0, 250, 20), strict=True):
+        chain = {item.child_frame_id: item for item in message.ros_msg.transforms}
+        for prefix, states in (("", run.truth), ("reference/", run.reference)):
+            assert states is not None
+            inner, outer, cart = states[k, 0], states[k, 1], states[k, 4]
+            place, turn = _compose(chain, f"{prefix}arm_2_link")
+            tip = place + turn @ [0, 0, -run.arm_lengths[1]]
+            first, second = run.arm_lengths
+            expected = [
+                cart + first * np.sin(inner) + second * np.sin(outer),
+                0,
+                -first * np.cos(inner) - second * np.cos(outer),
+            ]
+            np.testing.assert_allclose(tip, expected, atol=POSE_TOLERANCE)
+
+
+def _compose(chain: dict, frame: str) -> tuple[np.ndarray, np.ndarray]:
+    if frame == "world":
+        return np.zeros(3), np.eye(3)
+    item = chain[frame]
+    place, turn = _compose(chain, item.header.frame_id)
+    move, q = item.transform.translation, item.transform.rotation
+    x, y, z, w = q.x, q.y, q.z, q.w
+    matrix = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return place + turn @ [move.x, move.y, move.z], turn @ matrix
+
+
+@pytest.mark.parametrize("arms", [1, 2, 3])
+def test_the_urdf_turns_back_at_each_elbow_so_that_coordinates_are_absolute(arms: int) -> None:
+    lengths = [0.2] * arms
+    root = ElementTree.fromstring(robot_description(lengths, has_cart=True, limits=(0.9, 3.0, 30.0)))
+    mimics = {joint.get("name"): joint.find("mimic") for joint in root.findall("joint")}
+    for i in range(1, arms):
+        mimic = mimics[f"elbow_{i}"]
+        assert mimic is not None
+        assert (mimic.get("joint"), mimic.get("multiplier")) == (f"arm_{i}", "-1")
+    links = {link.get("name") for link in root.findall("link")}
+    assert links == {child for _, child in frames(arms, has_cart=True)}
+    assert poses(np.zeros((4, 2 * arms + 2)), arm_lengths=lengths, has_cart=True).shape == (4, len(links), 7)
+
+
+def test_attachments_and_metadata_stand_before_the_first_message(tmp_path: Path) -> None:
+    path = write_sample(tmp_path / "run.mcap", sample())
+    with path.open("rb") as stream:
+        summary = make_reader(stream, validate_crcs=True).get_summary()
+    assert summary is not None
+    first = min(index.chunk_start_offset for index in summary.chunk_indexes)
+    assert max(index.offset for index in summary.attachment_indexes) < first
+    assert max(index.offset for index in summary.metadata_indexes) < first
+    assert summary.statistics is not None
+    assert summary.statistics.message_count == 5 * 250 + 13 + 3 + 2
+
+
+def test_a_long_log_reads_and_writes_fast_enough(tmp_path: Path) -> None:
+    run = sample(10_000)
+    begin = time.perf_counter()
+    path = write_sample(tmp_path / "run.mcap", run)
+    wrote = time.perf_counter() - begin
+    begin = time.perf_counter()
+    read_log(path)
+    read = time.perf_counter() - begin
+    # Aims: 20 µs a tick and 5 s for 600,000 ticks; ten times as much leaves room for a busy machine.
+    assert wrote < 10_000 * 200e-6
+    assert read < 10_000 * 80e-6
+    assert path.stat().st_size < 6_000_000
+
+
+def test_an_exception_keeps_the_partial_file_and_no_log(tmp_path: Path) -> None:
+    run = sample()
+    broken = replace(run, estimate=[*run.estimate[:130], None])
+    with pytest.raises(TypeError), open_writer(tmp_path / "run.mcap", run) as log:
+        tick_all(log, broken)
+    assert not (tmp_path / "run.mcap").exists()
+    with pytest.raises(InputError, match=r"cut off at 0\.129 s"):
+        read_log(tmp_path / "run.mcap.partial")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills a process by SIGKILL")
+def test_a_killed_run_loses_at_most_a_chunk(tmp_path: Path) -> None:
+    program = (
+        "import sys, time; sys.path.insert(0, sys.argv[2]); import log_samples as s; from pathlib import Path\n"
+        "run = s.sample(); log = s.open_writer(Path(sys.argv[1]), run).__enter__()\n"
+        "s.tick_all(log, run, upto=215); print('ready', flush=True); time.sleep(60)\n"
+    )
+    arguments = [sys.executable, "-c", program, str(tmp_path / "run.mcap"), str(Path(__file__).parent)]
+    with subprocess.Popen(arguments, stdout=subprocess.PIPE) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == b"ready\n"
+        child.send_signal(signal.SIGKILL)
+    with pytest.raises(InputError, match=r"cut off at 0\.199 s"):
+        read_log(tmp_path / "run.mcap.partial")
+
+
+def test_an_unwritable_place_is_an_input_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for path in (tmp_path / "file" / "run.mcap", tmp_path):
+        with pytest.raises(InputError, match="cannot write"), open_writer(path, sample()):
+            pass
+
+
+def test_a_tick_that_does_not_fit_is_refused(tmp_path: Path) -> None:
+    run = sample(3)
+    bare = replace(run, truth=None)
+    narrow = replace(run, control=run.control[:, :5])
+    backward = replace(run, time=run.time[::-1])
+    with pytest.raises(ValueError, match=r"control \(13,\)"), open_writer(tmp_path / "a.mcap", run) as log:
+        tick_all(log, narrow)
+    with pytest.raises(ValueError, match="after one at"), open_writer(tmp_path / "b.mcap", run) as log:
+        tick_all(log, backward)
+    with open_writer(tmp_path / "c.mcap", run) as log:
+        tick_all(log, bare, upto=1)
+        with pytest.raises(ValueError, match="every tick"):
+            tick_all(log, run)
+    with pytest.raises(ValueError, match="positive rate"):
+        LogWriter(tmp_path / "d.mcap", arm_lengths=(), rate_hz=1000.0)
