@@ -1,1 +1,1 @@
-"""Direct collocation: references a bench can follow."""
+"""References: what the bench shall do, from direct collocation with friction, cart and limits."""

@@ -1,0 +1,142 @@
+"""References on disk: one .npz file, readable with numpy alone (`numpy.load(path)`).
+
+Keys, all float64 unless said otherwise:
+
+    header   JSON text (a 0-d string array): {"format": "dpcontrol-reference", "version": 1, "method": "radau-5",
+             "status": text, "converged": bool, "limits": {"position", "velocity", "acceleration"},
+             "numbers": {the result's figures by name}, "notes": {what the caller stored}}
+    mesh     (N+1,)        interval ends, s
+    points   (K,)          collocation points of an interval scaled to 0 … 1
+    states   (N, K+1, nx)  at the interval's start and its points: angles, rates, cart position, cart velocity
+    inputs   (N, K, nu)    at the points: cart acceleration, m/s²
+    extra_*  any shape     arrays the caller stored, by name
+
+The state on an interval is the polynomial through its K+1 values, the input the one through its K values.
+"""
+
+import json
+import zipfile
+import zlib
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import whole_file
+from dpcontrol.references.method import method_named
+from dpcontrol.references.problem import Limits
+from dpcontrol.references.reference import Reference
+
+Array = NDArray[np.float64]
+
+FORMAT = "dpcontrol-reference"
+VERSION = 1
+_EXTRA = "extra_"
+_NUMBERS = (
+    "max_error_between_nodes",
+    "constraint_violation",
+    "max_cart_position",
+    "max_cart_velocity",
+    "max_cart_acceleration",
+    "rms_cart_acceleration",
+    "iterations",
+    "solve_seconds",
+)
+
+
+def save_reference(path: Path, reference: Reference) -> None:
+    """Write `reference` to `path` (whole, or not at all) in the layout above.
+
+    Raises:
+        InputError: the file cannot be written, or the notes are not JSON.
+    """
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "method": reference.method.name,
+        "status": reference.status,
+        "converged": reference.converged,
+        "limits": reference.limits.named(),
+        # JSON has no infinity: null stands for a figure that was not measured.
+        "numbers": {name: value if np.isfinite(value := getattr(reference, name)) else None for name in _NUMBERS},
+        "notes": dict(reference.notes),
+    }
+    try:
+        text = json.dumps(header, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"cannot write {path}: the notes are not plain JSON ({error})") from error
+    arrays: dict[str, Any] = {_EXTRA + name: array for name, array in reference.extra.items()}
+    with whole_file(Path(path), suffix=".npz") as temporary:
+        np.savez(
+            temporary,
+            header=np.array(text),
+            mesh=reference.mesh,
+            points=reference.method.points,
+            states=reference.states,
+            inputs=reference.inputs,
+            **arrays,
+        )
+
+
+def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
+    """Make a reference of a file's parts; any of the raised errors means that the file is not one."""
+    if header["format"] != FORMAT:
+        raise ValueError(f"its format is {header['format']!r}")
+    if header["version"] != VERSION:
+        raise ValueError(f"its version is {header['version']!r}, this program reads version {VERSION}")
+    method = method_named(header["method"])
+    mesh, states, inputs = (np.asarray(arrays[k], dtype=float) for k in ("mesh", "states", "inputs"))
+    intervals, count = len(mesh) - 1, len(method.points)
+    if not np.allclose(arrays["points"], method.points, rtol=0, atol=1e-12):
+        raise ValueError(f"its points are not those of {method.name}")
+    if intervals < 1 or not (np.diff(mesh) > 0).all():
+        raise ValueError("its mesh does not rise")
+    if states.shape[:2] != (intervals, count + 1) or inputs.shape[:2] != (intervals, count):
+        raise ValueError(f"states {states.shape} and inputs {inputs.shape} do not fit its mesh")
+    if states.ndim != 3 or inputs.ndim != 3 or not (np.isfinite(states).all() and np.isfinite(inputs).all()):
+        raise ValueError("its states or inputs are not finite")
+    numbers = {k: np.inf if header["numbers"][k] is None else header["numbers"][k] for k in _NUMBERS}
+    return Reference(
+        mesh=mesh,
+        method=method,
+        states=states,
+        inputs=inputs,
+        limits=Limits(**header["limits"]),
+        status=str(header["status"]),
+        converged=bool(header["converged"]),
+        extra=MappingProxyType({k[len(_EXTRA) :]: v for k, v in arrays.items() if k.startswith(_EXTRA)}),
+        notes=MappingProxyType(dict(header["notes"])),
+        **numbers,
+    )
+
+
+def load_reference(path: Path) -> Reference:
+    """Read what `save_reference` wrote.
+
+    Raises:
+        InputError: there is no such file, or it is damaged or not a reference; says which.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        header = json.loads(str(arrays.pop("header")))
+        return _checked(header, arrays)
+    except FileNotFoundError as error:
+        raise InputError(f"there is no reference {path}; plan the itinerary first") from error
+    except (
+        OSError,
+        ValueError,
+        TypeError,
+        KeyError,
+        AttributeError,
+        EOFError,
+        IndexError,
+        InputError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
+        raise InputError(f"{path} is not a reference of dpcontrol, or is damaged: {reason}; plan again") from error

@@ -1,0 +1,92 @@
+"""How wrong a transcribed trajectory is between its nodes, and how far it passes a limit there.
+
+Error: a propagator at machine precision restarts at each interval's start under the interval's own input
+polynomial; the largest scaled difference from the state's polynomial on a dense grid counts. Limits: the extrema
+of the polynomials of cart position, velocity and acceleration, from the roots of their derivatives.
+Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
+from dpcontrol.references.method import Method, interpolation_matrix
+from dpcontrol.references.problem import Limits, ReferenceProblem, state_scale
+from dpcontrol.references.transcription import Trajectory
+
+Array = NDArray[np.float64]
+
+DENSE = 21
+"""Places per interval where the error is looked at: four per piece between the nodes of five points."""
+
+
+def power_coefficients(points: Array, values: Array) -> Array:
+    """Return coefficients (…, K) in powers of τ of the polynomials through `values` (…, K) at `points` (K,)."""
+    powers = points[:, None] ** np.arange(len(points))
+    return np.linalg.solve(powers, np.moveaxis(values, -1, 0).reshape(len(points), -1)).T.reshape(values.shape)
+
+
+def error_between_nodes(
+    problem: ReferenceProblem,
+    trajectory: Trajectory,
+    *,
+    method: Method,
+    propagator: PolynomialInputPropagator | None = None,
+) -> Array:
+    """Return the largest scaled error in each interval, (N,); infinite where the propagation fails.
+
+    propagator: one of the problem's equations with inputs of degree K - 1, to spare its compilation.
+    """
+    if propagator is None:
+        propagator = interval_propagator(problem, method)
+    scale = state_scale(problem.equations.dimension, problem.limits)
+    tau = np.linspace(0.0, 1.0, DENSE)
+    lengths = np.diff(trajectory.mesh)
+    dense = np.einsum("dk,ikn->idn", interpolation_matrix(method.support, tau), trajectory.states)
+    coefficients = power_coefficients(method.points, trajectory.inputs[..., 0])
+    coefficients = coefficients / lengths[:, None] ** np.arange(len(method.points))
+    errors = np.full(len(lengths), np.inf)
+    for i, length in enumerate(lengths):
+        try:
+            exact = propagator.sample(dense[i, 0], coefficients[i], tau * length)
+        except ArithmeticError:
+            continue
+        errors[i] = np.abs((exact - dense[i]) / scale).max()
+    return np.where(np.isfinite(errors), errors, np.inf)
+
+
+def interval_propagator(problem: ReferenceProblem, method: Method) -> PolynomialInputPropagator:
+    """Return the propagator for intervals of `method`, compiled when first used."""
+    return PolynomialInputPropagator(problem.equations, problem.parameters, degree=len(method.points) - 1)
+
+
+def largest_on_intervals(points: Array, values: Array, *, above: float) -> float:
+    """Return the largest |polynomial| on 0 ≤ τ ≤ 1 over all intervals, exactly where it exceeds `above`.
+
+    values (N, K) at `points` (K,).
+    """
+    tau = np.linspace(0.0, 1.0, DENSE)
+    sampled = np.abs(values @ interpolation_matrix(points, tau).T).max(1)
+    largest = float(sampled.max())
+    for i in np.flatnonzero(sampled > above):
+        curve = np.polynomial.Polynomial(power_coefficients(points, values[i]))
+        roots = curve.deriv().roots()
+        inside = roots.real[(abs(roots.imag) < 1e-9) & (roots.real > 0) & (roots.real < 1)]
+        if inside.size:
+            largest = max(largest, float(np.abs(curve(inside)).max()))
+    return largest
+
+
+def largest_values(trajectory: Trajectory, *, method: Method, limits: Limits) -> dict[str, float]:
+    """Return the largest |position|, |velocity| and |acceleration| of the cart, between nodes too."""
+    curves = {
+        "position": (method.support, trajectory.states[..., -2]),
+        "velocity": (method.support, trajectory.states[..., -1]),
+        "acceleration": (method.points, trajectory.inputs[..., 0]),
+    }
+    bounds = limits.named()
+    # A curve that stays below nine tenths of its bound on the dense grid does not pass it in between.
+    return {
+        name: largest_on_intervals(points, values, above=0.9 * bounds[name])
+        for name, (points, values) in curves.items()
+    }

@@ -1,0 +1,188 @@
+"""A reference from a shadowing orbit: solve, measure between the nodes, refine or tighten, solve again.
+
+Each round solves the program of `dpcontrol.references.transcription` on the present mesh, from the round before.
+Then intervals whose error between nodes exceeds the tolerance are split, and a limit that a polynomial passes
+between nodes is tightened by as much, until neither is needed.
+Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.references.errors import (
+    error_between_nodes,
+    interval_propagator,
+    largest_values,
+)
+from dpcontrol.references.method import Method, interpolation_matrix, method_named
+from dpcontrol.references.problem import LIMIT_UNITS, Limits, ReferenceProblem, ReferenceSettings
+from dpcontrol.references.reference import Reference
+from dpcontrol.references.transcription import Solved, Trajectory, first_trajectory, solve
+
+Array = NDArray[np.float64]
+
+LIMIT_SLACK = 1e-10
+"""How far a limit may be passed between nodes: rounding of the polynomials, a tenth of what is promised."""
+_ACCEPTED = 0.8
+_AIMED = 0.4
+"""Shares of the tolerance: accepted, and aimed at in splitting; another dense grid may find a little more."""
+_MOST_PIECES = 4
+_UNLIMITED = Limits(1e3, 1e3, 1e5)
+
+
+def split_mesh(mesh: Array, errors: Array, *, tolerance: float, order: int) -> Array:
+    """Return `mesh` (N+1,) with the intervals split whose error (N,) exceeds `tolerance`.
+
+    The error of an interval falls as its length to the power `order`; at most four pieces at a time.
+    """
+    ratio = np.maximum(errors / (_AIMED * tolerance), 1e-300)
+    pieces = np.ceil(np.minimum(ratio, 1e30) ** (1 / order)).astype(int)
+    pieces = np.where(errors > _ACCEPTED * tolerance, np.clip(pieces, 2, _MOST_PIECES), 1)
+    parts = [np.linspace(a, b, n + 1)[:-1] for a, b, n in zip(mesh[:-1], mesh[1:], pieces, strict=True)]
+    return np.concatenate([*parts, mesh[-1:]])
+
+
+def on_mesh(trajectory: Trajectory, mesh: Array, *, method: Method) -> Trajectory:
+    """Return `trajectory` evaluated on another mesh of the same span."""
+    times = mesh[:-1, None] + np.diff(mesh)[:, None] * method.support
+    # Points belong to the interval that holds the middle of their own, also at shared ends.
+    middle = (mesh[:-1] + mesh[1:]) / 2
+    index = np.searchsorted(trajectory.mesh, middle, side="right") - 1
+    tau = (times - trajectory.mesh[index][:, None]) / np.diff(trajectory.mesh)[index][:, None]
+    shape = tau.shape
+    at_states = interpolation_matrix(method.support, tau.ravel()).reshape(*shape, -1)
+    at_inputs = interpolation_matrix(method.points, tau[:, 1:].ravel()).reshape(shape[0], shape[1] - 1, -1)
+    return Trajectory(
+        mesh,
+        np.einsum("ikj,ijn->ikn", at_states, trajectory.states[index]),
+        np.einsum("ikj,ijn->ikn", at_inputs, trajectory.inputs[index]),
+    )
+
+
+def _tightened(limits: Limits, asked: Limits, largest: dict[str, float]) -> Limits | None:
+    """Return limits for the nodes that pull the polynomials inside `asked`, or None if they are inside."""
+    changes = {}
+    for name, bound in asked.named().items():
+        over = largest[name] - bound
+        if over > LIMIT_SLACK:
+            changes[name] = max(limits.named()[name] - 1.2 * over - LIMIT_SLACK, 0.5 * bound)
+    return replace(limits, **changes) if changes else None
+
+
+def _wanting(problem: ReferenceProblem, method: Method, *, settings: ReferenceSettings, first: Trajectory) -> str:
+    """Say which limits a solution without limits would pass, and by how much."""
+    free = solve(problem, method, settings=settings, first=first, limits=_UNLIMITED)
+    if not free.succeeded:
+        return (
+            "without limits it finds nothing either: check that the guess is an orbit of the same arms, or "
+            "lower the friction"
+        )
+    largest = largest_values(free.trajectory, method=method, limits=problem.limits)
+    passed = [
+        f"cart {name} of {largest[name]:.4g} {LIMIT_UNITS[name]} where {bound:.4g} is allowed"
+        for name, bound in problem.limits.named().items()
+        if largest[name] > bound
+    ]
+    if not passed:
+        return "the limits are not the reason, for without them the same motion is found; use shorter intervals"
+    return f"without limits it takes a {' and a '.join(passed)}; widen the limit or choose a gentler itinerary"
+
+
+def _reference(
+    solved: Solved, *, problem: ReferenceProblem, method: Method, status: str, converged: bool, error: float,
+    iterations: int, seconds: float,
+) -> Reference:  # fmt: skip
+    trajectory = solved.trajectory
+    lengths = np.diff(trajectory.mesh)
+    square = (trajectory.inputs[..., 0] ** 2) @ method.weights
+    largest = largest_values(trajectory, method=method, limits=problem.limits)
+    return Reference(
+        mesh=trajectory.mesh,
+        method=method,
+        states=trajectory.states,
+        inputs=trajectory.inputs,
+        limits=problem.limits,
+        status=status,
+        converged=converged,
+        max_error_between_nodes=error,
+        constraint_violation=solved.violation,
+        max_cart_position=largest["position"],
+        max_cart_velocity=largest["velocity"],
+        max_cart_acceleration=largest["acceleration"],
+        rms_cart_acceleration=float(np.sqrt(square @ lengths / lengths.sum())),
+        iterations=iterations,
+        solve_seconds=seconds,
+    )
+
+
+def find_reference(
+    problem: ReferenceProblem, settings: ReferenceSettings, *, progress: Progress = no_progress
+) -> Reference:
+    """Find the reference nearest to the guess that friction, cart and limits allow.
+
+    It starts on the guess's first state and ends on its last (within `end_tolerance`), cart at rest in the
+    middle both times. Ending on the orbit itself costs up to 1.6 times the effort of a free end, but whatever
+    holds the orbit afterwards starts without an error, and the last period shows the orbit.
+
+    Returns:
+        A reference; where `converged` is false it must not be used, and `status` says why and what to try.
+
+    Raises:
+        InputError: the guess has the wrong shape or is not finite, or a setting is impossible.
+    """
+    method = method_named(settings.method)
+    count = max(int(np.ceil(problem.duration / settings.interval - 1e-9)), 1)
+    mesh = np.linspace(0.0, problem.duration, count + 1)
+    first = first_trajectory(problem, method, mesh)
+    limits, propagator = problem.limits, interval_propagator(problem, method)
+    iterations, seconds = 0, 0.0
+
+    def result(solved: Solved, status: str, *, converged: bool, error: float = np.inf) -> Reference:
+        return _reference(
+            solved, problem=problem, method=method, status=status, converged=converged, error=error,
+            iterations=iterations, seconds=seconds,
+        )  # fmt: skip
+
+    for round_number in range(settings.rounds):
+        progress(f"reference, {len(first.mesh) - 1} intervals", round_number / settings.rounds)
+        solved = solve(problem, method, settings=settings, first=first, limits=limits)
+        iterations += solved.iterations
+        seconds += solved.seconds
+        if not solved.succeeded:
+            start = first_trajectory(problem, method, first.mesh)
+            why = _wanting(problem, method, settings=settings, first=start)
+            held = replace(solved, trajectory=first)
+            return result(
+                held, f"no reference: the solver stopped with {solved.outcome!r}; {why}", converged=False
+            )
+        errors = error_between_nodes(problem, solved.trajectory, method=method, propagator=propagator)
+        worst = float(errors.max())
+        largest = largest_values(solved.trajectory, method=method, limits=problem.limits)
+        tighter = _tightened(limits, problem.limits, largest)
+        if worst <= _ACCEPTED * settings.tolerance and tighter is None:
+            progress("reference", 1.0)
+            return result(
+                solved,
+                f"converged in {iterations} iterations; error between nodes {worst:.1e} on "
+                f"{len(errors)} intervals",
+                converged=True,
+                error=worst,
+            )
+        finer = split_mesh(solved.trajectory.mesh, errors, tolerance=settings.tolerance, order=len(method.points))
+        first = on_mesh(solved.trajectory, finer, method=method)
+        limits = tighter or limits
+    passed = ", ".join(
+        f"cart {name} passes its limit by {largest[name] - bound:.1e} {LIMIT_UNITS[name]}"
+        for name, bound in problem.limits.named().items()
+        if largest[name] > bound + LIMIT_SLACK
+    )
+    return result(
+        solved,
+        f"not converged in {settings.rounds} rounds: error between nodes {worst:.1e} where "
+        f"{settings.tolerance:.1e} is asked{'; ' + passed if passed else ''}; start with a shorter interval or allow more rounds",
+        converged=False,
+        error=worst,
+    )
