@@ -112,9 +112,7 @@ class NumericEquations:
             "momentum_jacobian": ca.densify(ca.vec(ca.jacobian(e.momentum, e.state).T)),
             "mass": ca.densify(ca.vec(e.mass_matrix.T)),
         }
-        return {
-            name: ca.Function(name, [e.state, e.parameters], [value]) for name, value in expressions.items()
-        }
+        return {name: ca.Function(name, [e.state, e.parameters], [value]) for name, value in expressions.items()}
 
     def _call(self, name: str, states: Array) -> Array:
         x = np.asarray(states, dtype=float)

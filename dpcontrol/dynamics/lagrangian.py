@@ -58,9 +58,7 @@ def solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:
 Energy = Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
 
 
-def mechanics(
-    lagrangian: Energy, dissipation: Energy, *, free: int, prescribed: int, parameters: ca.SX
-) -> Mechanics:
+def mechanics(lagrangian: Energy, dissipation: Energy, *, free: int, prescribed: int, parameters: ca.SX) -> Mechanics:
     """Derive the equations of motion of a system with `free` + `prescribed` coordinates.
 
     lagrangian and dissipation map (position, velocity, parameters) to a scalar.

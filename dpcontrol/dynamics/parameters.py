@@ -56,9 +56,7 @@ class ArmChainParameters:
         }
         for name, (values, zero_allowed) in columns.items():
             if name != "acceleration" and len(values) != count:
-                raise InputError(
-                    f"{name} has {len(values)} values but mass has {count}; give one for each arm"
-                )
+                raise InputError(f"{name} has {len(values)} values but mass has {count}; give one for each arm")
             for value in values:
                 if not np.isfinite(value) or value < 0 or (value == 0 and not zero_allowed):
                     allowed = "zero or positive" if zero_allowed else "positive"
@@ -84,12 +82,12 @@ class ArmChainParameters:
 
     def base(self) -> Array:
         """Return the base parameters (n(n+1)/2 + 3n,): M row by row for j >= i, then G, S, viscous."""
-        m, a, l, j = (np.asarray(v) for v in (self.mass, self.centre_of_mass, self.length, self.inertia))
+        m, a, joint, j = (np.asarray(v) for v in (self.mass, self.centre_of_mass, self.length, self.inertia))
         n = self.count
         beyond = np.array([m[i + 1 :].sum() for i in range(n)])
-        coupling = m * a + beyond * l
+        coupling = m * a + beyond * joint
         inertia = [
-            j[i] + m[i] * a[i] ** 2 + beyond[i] * l[i] ** 2 if i == k else coupling[k] * l[i]
+            j[i] + m[i] * a[i] ** 2 + beyond[i] * joint[i] ** 2 if i == k else coupling[k] * joint[i]
             for i in range(n)
             for k in range(i, n)
         ]

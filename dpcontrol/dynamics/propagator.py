@@ -77,9 +77,7 @@ class Propagator:
 
     def _compile(self, system: Any, **options: Any) -> Any:
         # compact_mode compiles ten times faster and runs at most two times slower.
-        return hy.taylor_adaptive(
-            system, [0.0] * self.equations.dimension, compact_mode=True, time=0.0, **options
-        )
+        return hy.taylor_adaptive(system, [0.0] * self.equations.dimension, compact_mode=True, time=0.0, **options)
 
     @cached_property
     def _plain(self) -> Any:
@@ -92,9 +90,7 @@ class Propagator:
     def _with_section(self, section: Section) -> Any:
         if section not in self._sections:
             states = [state for state, _ in self._system]
-            height: Any = sum(
-                (n * x for n, x in zip(section.normal, states, strict=True) if n), hy.expression(0.0)
-            )
+            height: Any = sum((n * x for n, x in zip(section.normal, states, strict=True) if n), hy.expression(0.0))
             if section.offset:
                 height = height - section.offset
             event = height if section.period is None else hy.sin(height * (np.pi / section.period))
@@ -160,9 +156,7 @@ class Propagator:
         states = np.array(result[-1])
         return states if np.size(times) == len(states) else states[1:]
 
-    def crossing(
-        self, state: ArrayLike, section: Section, *, longest: float, hit: int = 1
-    ) -> Crossing | None:
+    def crossing(self, state: ArrayLike, section: Section, *, longest: float, hit: int = 1) -> Crossing | None:
         """Return the `hit`-th crossing of the section within `longest` seconds (negative: backward), or None."""
         integrator = self._with_section(section)
         self._start(integrator, state, None)
@@ -177,3 +171,21 @@ class Propagator:
                 seen += 1
                 if seen == hit:
                     return Crossing(integrator.state.copy(), float(integrator.time))
+
+    def sample_with_stm(self, state: ArrayLike, times: ArrayLike) -> tuple[Array, Array]:
+        """Return states (K, N) and state-transition matrices (K, N, N) at monotonic `times` (K,) from zero.
+
+        Raises:
+            ArithmeticError: the state became infinite or undefined.
+        """
+        integrator = self._variational
+        n = self.equations.dimension
+        states, matrices = [], []
+        self._start(integrator, state, None)
+        for time in np.asarray(times, dtype=float):
+            outcome = integrator.propagate_until(float(time))[0]
+            if outcome != hy.taylor_outcome.time_limit:
+                raise ArithmeticError(f"propagation stopped at t = {integrator.time:g} s: {outcome}")
+            states.append(integrator.state[:n].copy())
+            matrices.append(integrator.state[n:].reshape(n, n).copy())
+        return np.array(states).reshape(-1, n), np.array(matrices).reshape(-1, n, n)

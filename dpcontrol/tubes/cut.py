@@ -1,0 +1,271 @@
+"""The cut of a tube: the curve in which an unstable manifold first (n-th) meets a Poincaré section.
+
+The curve is sampled over the phase of its seeds and refined by chord length in (q, p/p₀) until neighbouring
+points are close. Where it cannot be refined the curve is open: a trajectory grazes the section (its crossing
+jumps), or never arrives in the time allowed. Open ends are found by bisection and reported, never bridged.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.propagator import Section
+from dpcontrol.dynamics.system import System, momentum_scale
+from dpcontrol.tubes.manifold import UnstableManifold
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class CutSettings:
+    """How a tube is cut. chord: in (q, p/p₀); longest: periods of the orbit a trajectory may take."""
+
+    first_phases: int = 100
+    chord: float = 0.05
+    smallest_phase_step: float = 1e-9
+    longest: float = 12.0
+    most_points: int = 20_000
+
+
+@dataclass(frozen=True)
+class OpenEnd:
+    """Phases between which a cut is open, and why."""
+
+    branch: int
+    phase_interval: tuple[float, float]
+    reason: str
+
+
+@dataclass(frozen=True)
+class Piece:
+    """One connected piece of a cut.
+
+    phases (K,) increasing, not wrapped; points (K, 2) are (q, p/p₀), q continuous; states (K, N) lifted; times
+    (K,) s of flight; direction: sign of the crossing. closed: the last point continues to the first.
+    """
+
+    branch: int
+    phases: Array
+    points: Array
+    states: Array
+    times: Array
+    direction: int
+    closed: bool
+
+
+@dataclass(frozen=True)
+class Cut:
+    """All pieces in which both branches of a tube meet a section, and where they are open."""
+
+    section: Section
+    hit: int
+    pieces: tuple[Piece, ...]
+    open_ends: tuple[OpenEnd, ...]
+    trajectories: int
+    status: str
+
+
+def section_points(system: System, section: Section, states: Array) -> Array:
+    """Return (q, p/p₀), (…, 2), of states (…, N) on a section."""
+    states = np.asarray(states, dtype=float)
+    q = states @ np.asarray(section.position)
+    p = system.numeric.momentum(states) @ np.asarray(section.momentum)
+    return np.stack([q, p / momentum_scale(system, section)], axis=-1)
+
+
+@dataclass(frozen=True)
+class _Sample:
+    """One phase's trajectory: None where it never arrives."""
+
+    phase: float
+    state: Array | None
+    time: float
+    direction: int
+    point: Array | None
+    normal_rate: float
+
+
+class _Sampler:
+    """Flies seeds of one branch to the section."""
+
+    def __init__(
+        self, manifold: UnstableManifold, section: Section, hit: int, branch: int, settings: CutSettings
+    ) -> None:
+        self.manifold, self.section, self.hit, self.branch = manifold, section, hit, branch
+        self.settings = settings
+        self.scale = momentum_scale(manifold.orbit.system, section)
+
+    def fly(self, phases: Array) -> list[_Sample]:
+        system = self.manifold.orbit.system
+        seeds, _ = self.manifold.seeds(phases, self.branch)
+        longest = self.settings.longest * self.manifold.orbit.period
+        crossings = [system.propagator.crossing(seed, self.section, longest=longest, hit=self.hit) for seed in seeds]
+        arrived = [c for c in crossings if c is not None]
+        if not arrived:
+            return [_Sample(float(p), None, np.inf, 0, None, 0.0) for p in phases]
+        states = np.array([c.state for c in arrived])
+        normal = system.numeric.rate(states) @ np.asarray(self.section.normal)
+        q = states @ np.asarray(self.section.position)
+        p = system.numeric.momentum(states) @ np.asarray(self.section.momentum) / self.scale
+        out, k = [], 0
+        for phase, c in zip(phases, crossings, strict=True):
+            if c is None:
+                out.append(_Sample(float(phase), None, np.inf, 0, None, 0.0))
+            else:
+                point = np.array([q[k], p[k]])
+                rate = float(normal[k])
+                out.append(_Sample(float(phase), c.state, c.time, int(np.sign(rate)), point, rate))
+                k += 1
+        return out
+
+
+def _continuous(a: _Sample, b: _Sample, limit: float) -> bool:
+    """Whether two neighbouring samples are near each other on one curve."""
+    if a.point is None or b.point is None or a.direction != b.direction:
+        return False
+    return bool(np.linalg.norm(a.point - b.point) <= limit)
+
+
+def _refined(sampler: _Sampler, start: float) -> tuple[list[_Sample], bool]:
+    """Sample one period from phase `start`, halving until chords are short or phases indistinguishable."""
+    settings = sampler.settings
+    samples = sampler.fly(start + np.arange(settings.first_phases + 1) / settings.first_phases)
+    while len(samples) < settings.most_points:
+        wide = [
+            k
+            for k in range(len(samples) - 1)
+            if not (samples[k].point is None and samples[k + 1].point is None)
+            and samples[k + 1].phase - samples[k].phase > settings.smallest_phase_step
+            and not _continuous(samples[k], samples[k + 1], settings.chord)
+        ]
+        if not wide:
+            return samples, True
+        middles = sampler.fly(np.array([(samples[k].phase + samples[k + 1].phase) / 2 for k in wide]))
+        merged, fresh = [], dict(zip(wide, middles, strict=True))
+        for k, sample in enumerate(samples):
+            merged.append(sample)
+            if k in fresh:
+                merged.append(fresh[k])
+        samples = merged
+    return samples, False
+
+
+def _reason(a: _Sample, b: _Sample, hit: int) -> str:
+    """Say why the curve is open between two indistinguishable phases."""
+    if a.point is None or b.point is None:
+        return (
+            f"trajectories on one side do not arrive at crossing {hit} in the time allowed; they stay near an "
+            "orbit or librate"
+        )
+    slow = min(abs(a.normal_rate), abs(b.normal_rate))
+    return f"grazes the section: crossing {hit} jumps where the normal rate falls to {slow:.1e} rad/s"
+
+
+def _pieces(samples: list[_Sample], sampler: _Sampler) -> tuple[list[Piece], list[OpenEnd]]:
+    """Split refined samples into connected pieces and the gaps between them."""
+    settings = sampler.settings
+    joins = [_continuous(a, b, settings.chord) for a, b in pairwise(samples)]
+    gaps: list[OpenEnd] = []
+    runs: list[list[_Sample]] = [[]]
+    never: list[float] = []
+    for k, sample in enumerate(samples):
+        if sample.point is None:
+            never.append(sample.phase)
+        else:
+            runs[-1].append(sample)
+        if k < len(joins) and not joins[k]:
+            following = samples[k + 1]
+            both_missing = sample.point is None and following.point is None
+            if not both_missing:
+                if runs[-1]:
+                    runs.append([])
+                if sample.point is not None and following.point is not None:
+                    interval = (sample.phase % 1, following.phase % 1)
+                    gaps.append(OpenEnd(sampler.branch, interval, _reason(sample, following, sampler.hit)))
+            if following.point is not None and never:
+                gaps.append(_never(never, sampler))
+                never = []
+    if never:
+        gaps.append(_never(never, sampler))
+    runs = [run for run in runs if len(run) > 1]
+    closed = all(joins) and bool(runs)
+    if not closed and len(runs) > 1 and samples[-1].point is not None and samples[0].point is not None:
+        # Phases are a circle: the last run continues into the first.
+        head, tail = runs[0], runs[-1]
+        if head[0].phase == samples[0].phase and tail[-1].phase == samples[-1].phase:
+            shifted = [_Sample(s.phase + 1, s.state, s.time, s.direction, s.point, s.normal_rate) for s in head[1:]]
+            runs = [*runs[1:-1], tail + shifted]
+    return [_piece(run, sampler.branch, closed) for run in runs], gaps
+
+
+def _never(phases: list[float], sampler: _Sampler) -> OpenEnd:
+    reason = (
+        f"never arrives: {len(phases)} phases do not reach crossing {sampler.hit} of {sampler.section.name} within "
+        f"{sampler.settings.longest:g} periods"
+    )
+    return OpenEnd(sampler.branch, (phases[0] % 1, phases[-1] % 1), reason)
+
+
+def _piece(run: list[_Sample], branch: int, closed: bool) -> Piece:
+    return Piece(
+        branch=branch,
+        phases=np.array([s.phase for s in run]),
+        points=np.array([s.point for s in run]),
+        states=np.array([s.state for s in run]),
+        times=np.array([s.time for s in run]),
+        direction=run[0].direction,
+        closed=closed,
+    )
+
+
+def _mirrored(manifold: UnstableManifold, section: Section, piece: Piece) -> Piece:
+    """Return the other branch's piece by the symmetry S about the saddle."""
+    assert manifold.half_turn is not None
+    system, centre = manifold.orbit.system, manifold.orbit.centre
+    symmetry = manifold.half_turn[0]
+    states = (piece.states - centre) @ symmetry.T + centre
+    turned = np.asarray(section.normal) @ symmetry @ np.asarray(section.normal)
+    return Piece(
+        branch=-piece.branch,
+        phases=piece.phases + 0.5,
+        points=section_points(system, section, states),
+        states=states,
+        times=piece.times,
+        direction=piece.direction * int(np.sign(turned)),
+        closed=piece.closed,
+    )
+
+
+def tube_cut(manifold: UnstableManifold, section: Section, *, hit: int = 1, settings: CutSettings | None = None) -> Cut:
+    """Cut both branches of an unstable tube at the `hit`-th crossing of a section."""
+    settings = settings or CutSettings()
+    pieces: list[Piece] = []
+    gaps: list[OpenEnd] = []
+    flown, resolved = 0, True
+    branches = (1,) if manifold.branches_are_mirrored else (1, -1)
+    for branch in branches:
+        sampler = _Sampler(manifold, section, hit, branch, settings)
+        samples, fine = _refined(sampler, 0.0)
+        resolved &= fine
+        flown += len(samples)
+        found, open_ends = _pieces(samples, sampler)
+        pieces += found
+        gaps += open_ends
+        if manifold.branches_are_mirrored:
+            pieces += [_mirrored(manifold, section, piece) for piece in found]
+            gaps += [
+                OpenEnd(-g.branch, ((g.phase_interval[0] + 0.5) % 1, (g.phase_interval[1] + 0.5) % 1), g.reason)
+                for g in open_ends
+            ]
+    if not pieces:
+        status = (
+            f"no trajectory of the tube reaches crossing {hit} of {section.name} within {settings.longest:g} "
+            "periods; allow more time or another energy"
+        )
+    elif not resolved:
+        status = f"not resolved: {settings.most_points} points leave chords over {settings.chord:g}; allow more"
+    else:
+        status = f"resolved to chords of {settings.chord:g} by {flown} trajectories"
+    return Cut(section, hit, tuple(pieces), tuple(gaps), flown, status)

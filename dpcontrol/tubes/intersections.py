@@ -1,0 +1,213 @@
+"""Where an unstable and a stable tube's cuts meet on a section.
+
+The stable tube is the unstable one turned around by a reverser. The cuts' polylines give first guesses, also where
+they only nearly touch; Newton's method on (phase_u, phase_s) with the variational equations solves
+P(W^u(phase_u)) = P(W^s(phase_s)) in the section's coordinates (q, p/p₀). No window, no count is given beforehand.
+
+Source: Koon, Lo, Marsden, Ross, Heteroclinic connections between periodic orbits and resonance transitions in
+celestial mechanics (2000), section 4; Kaheman et al. (2023), section 3.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.propagator import Section
+from dpcontrol.dynamics.system import System, momentum_scale
+from dpcontrol.tubes.cut import Cut, CutSettings, Piece, section_points
+from dpcontrol.tubes.manifold import UnstableManifold
+from dpcontrol.tubes.plane_curves import near_touches, polyline_crossings
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ConnectionSettings:
+    """distance: of seeds from their orbits, scaled (truncation falls as its cube, rounding grows as its inverse).
+
+    accept: largest gap between the two tubes' arrivals that the search takes for a connection before it is refined;
+    lead: periods of each orbit, and segments: nodes per period, in the multiple-shooting refinement; near: scaled
+    distance at which a connection is said to have joined its orbit.
+    """
+
+    distance: float = 1e-4
+    cut: CutSettings = field(default_factory=CutSettings)
+    newton_iterations: int = 12
+    accept: float = 1e-9
+    same: float = 1e-7
+    lead: float = 1.0
+    segments: int = 8
+    near: float = 1e-3
+
+
+@dataclass(frozen=True)
+class TubeSide:
+    """One tube as it arrives at the section: the manifold, the reverser for a stable tube, hit and branch."""
+
+    manifold: UnstableManifold
+    section: Section
+    stable: bool
+    hit: int
+    branch: int
+    longest: float
+
+    def turned(self, states: Array) -> Array:
+        """Map states (…, N) of the unstable tube to this tube: themselves, or turned around in time."""
+        if not self.stable:
+            return states
+        reverser, centre = self.manifold.orbit.system.reversers[0], self.manifold.orbit.centre
+        return (states - centre) @ reverser.T + centre
+
+    def arrive(self, phase: float) -> tuple[Array, Array, float] | None:
+        """Fly the seed at `phase`; return (state, ∂state/∂phase on the section, seconds), or None."""
+        system = self.manifold.orbit.system
+        seeds, slopes = self.manifold.seeds(np.array([phase]), self.branch)
+        crossing = system.propagator.crossing(seeds[0], self.section, longest=self.longest, hit=self.hit)
+        if crossing is None:
+            return None
+        _, stm = system.propagator.flow_with_stm(seeds[0], crossing.time)
+        slope, rate = stm @ slopes[0], system.numeric.rate(crossing.state)
+        normal = np.asarray(self.section.normal)
+        slope = slope - rate * (normal @ slope) / (normal @ rate)
+        if self.stable:
+            slope = system.reversers[0] @ slope
+        return self.turned(crossing.state), slope, crossing.time
+
+
+@dataclass(frozen=True)
+class Intersection:
+    """Where two cuts meet: phases and branches of the seeds, states on the section, whole turns, tangents, times."""
+
+    sides: tuple[TubeSide, TubeSide]
+    phases: Array
+    states: tuple[Array, Array]
+    turns: Array
+    tangents: Array
+    times: tuple[float, float]
+
+
+def _turned_piece(system: System, side: TubeSide, piece: Piece) -> Piece:
+    """Return a piece of the stable tube's cut from the unstable tube's."""
+    states = side.turned(piece.states)
+    normal = system.numeric.rate(states[:1])[0] @ np.asarray(side.section.normal)
+    return replace(
+        piece,
+        states=states,
+        points=section_points(system, side.section, states),
+        direction=int(np.sign(normal)),
+    )
+
+
+def intersect_cuts(
+    system: System,
+    section: Section,
+    manifolds: tuple[UnstableManifold, UnstableManifold],
+    cuts: tuple[Cut, Cut],
+    settings: ConnectionSettings,
+) -> tuple[list[Intersection], int]:
+    """Intersect the pieces of two cuts; return distinct intersections and the number that did not converge.
+
+    Where a symmetry exchanges the branches, only one branch of the unstable tube is searched.
+    """
+    found: list[Intersection] = []
+    failed = 0
+    mirrored = all(m.branches_are_mirrored for m in manifolds)
+
+    def side(which: int, piece: Piece) -> TubeSide:
+        longest = 2 * settings.cut.longest * manifolds[which].orbit.period
+        return TubeSide(manifolds[which], section, which == 1, cuts[which].hit, piece.branch, longest)
+
+    for u_piece in cuts[0].pieces:
+        if mirrored and u_piece.branch < 0:
+            continue
+        for base_piece in cuts[1].pieces:
+            sides = (side(0, u_piece), side(1, base_piece))
+            s_piece = _turned_piece(system, sides[1], base_piece)
+            if s_piece.direction != u_piece.direction:
+                continue
+            here: list[Intersection] = []
+            for guess, sure in _guesses(system, section, u_piece, s_piece, settings):
+                solution = _newton(system, sides, guess, settings)
+                if solution is None:
+                    failed += int(sure)
+                elif not any(_same(system, solution, other, settings.same) for other in here):
+                    here.append(solution)
+            found += here
+    return found, failed
+
+
+def _guesses(
+    system: System, section: Section, u: Piece, s: Piece, settings: ConnectionSettings
+) -> list[tuple[Array, bool]]:
+    """Return guesses (phase_u, phase_s) and whether the polylines really cross there."""
+    coordinate = int(np.argmax(np.abs(section.position)))
+    period = float(system.periods[coordinate])
+    guesses: list[tuple[Array, bool]] = []
+    shifts = [0.0]
+    if np.isfinite(period):
+        low = np.floor((u.points[:, 0].min() - s.points[:, 0].max()) / period)
+        high = np.ceil((u.points[:, 0].max() - s.points[:, 0].min()) / period)
+        shifts = [k * period for k in range(int(low), int(high) + 1)]
+    for shift in shifts:
+        moved = s.points + np.array([shift, 0.0])
+        crossings = polyline_crossings(u.points, moved)
+        # A near touch within two segments of a crossing is that crossing.
+        touches = [
+            (i, j)
+            for i, j in near_touches(u.points, moved, within=settings.cut.chord)
+            if not any(abs(i - a) < 2 and abs(j - b) < 2 for a, b in crossings)
+        ]
+        for pairs, sure in ((crossings, True), (touches, False)):
+            for i, j in pairs:
+                phase_u = np.interp(i, np.arange(len(u.phases)), u.phases)
+                phase_s = np.interp(j, np.arange(len(s.phases)), s.phases)
+                guesses.append((np.array([phase_u, phase_s]), sure))
+    return guesses
+
+
+def _gap(system: System, first: Array, second: Array) -> tuple[Array, Array]:
+    """Return (state gap with whole turns removed (N,), whole turns (N,))."""
+    difference = first - second
+    turns = system.nearest_turns(difference)
+    lengths = np.where(np.isfinite(system.periods), system.periods, 0.0)
+    return difference - turns * lengths, turns
+
+
+def _newton(
+    system: System, sides: tuple[TubeSide, TubeSide], guess: Array, settings: ConnectionSettings
+) -> Intersection | None:
+    """Solve for the two phases; None where Newton leaves the neighbourhood or does not converge."""
+    section = sides[0].section
+    scale = momentum_scale(system, section)
+    position, along = np.asarray(section.position), np.asarray(section.momentum)
+    phases, best = guess.copy(), None
+    smallest = np.inf
+    for _ in range(settings.newton_iterations):
+        forward, backward = sides[0].arrive(float(phases[0])), sides[1].arrive(float(phases[1]))
+        if forward is None or backward is None:
+            return None
+        (xu, du, tu), (xs, ds, ts) = forward, backward
+        gap, turns = _gap(system, xu, xs)
+        tangents = np.array(
+            [[position @ d, along @ (system.numeric.momentum_jacobian(x) @ d) / scale] for x, d in ((xu, du), (xs, ds))]
+        ).T
+        residual = float(np.abs(gap).max())
+        if residual < smallest:
+            smallest, best = residual, Intersection(sides, phases.copy(), (xu, xs), turns, tangents, (tu, ts))
+        if smallest < settings.accept:
+            return best
+        points = section_points(system, section, np.array([xu, xu - gap]))
+        matrix = np.column_stack([tangents[:, 0], -tangents[:, 1]])
+        step = np.linalg.lstsq(matrix, points[0] - points[1], rcond=1e-12)[0]
+        # A step of more than a few hundredths of a phase would leave the guess's neighbourhood.
+        longest = float(np.max(np.abs(step)))
+        phases = phases - step * min(1.0, 0.05 / longest if longest else 1.0)
+        if np.max(np.abs(phases - guess)) > 0.2:
+            return None
+    return None
+
+
+def _same(system: System, first: Intersection, second: Intersection, tolerance: float) -> bool:
+    """Whether two solutions are one orbit: the same point of the torus."""
+    return bool(system.scaled_distance(first.states[0], second.states[0]) < tolerance)
