@@ -1,1 +1,1 @@
-"""Controllers and estimators."""
+"""Controllers and estimators: what the loop asks at every tick."""

@@ -1,1 +1,1 @@
-"""The simulated bench: plant, sensors, drive, loop."""
+"""The simulated bench: plant, sensors, drive, and the loop that closes them."""

@@ -1,0 +1,201 @@
+"""The extended Kalman filter on positions, as pure functions of an estimate.
+
+    predict:  x⁻ = F(x, u),  P⁻ = A P Aᵀ + Q(x)         update:  y = wrap(z - H x⁻),  S = H P⁻ Hᵀ + R,
+    K = P⁻ Hᵀ S⁻¹,  x = x⁻ + K y,  P = (I - K H) P⁻ (I - K H)ᵀ + K R Kᵀ,  NIS = yᵀ S⁻¹ y
+
+Measured are the angles and the cart's position. The encoders are relative and their counts are summed, so the
+noise of angle i contains that of all before it. Q stands for wrong parameters, whose effect is a share of the
+acceleration: an arm at rest has little, a swinging one much.
+Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 5.4, 10.3.
+"""
+
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
+from numpy.typing import NDArray
+
+from dpcontrol.control.sampled import SampledModel
+from dpcontrol.foundation.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """What is believed: state (N,), covariance (N, N); innovation (m,) and nis of the last update (nan before)."""
+
+    state: Array
+    covariance: Array
+    innovation: Array
+    nis: float = float("nan")
+
+    @property
+    def standard_deviations(self) -> Array:
+        """Return the square roots of the covariance's diagonal, (N,)."""
+        return np.sqrt(self.covariance.diagonal())
+
+
+@dataclass(frozen=True)
+class EkfSettings:
+    """Noise that the filter assumes.
+
+    parameter_error: share by which accelerations may be wrong, and correlation_time s for which such an error
+    lasts: Q's density is 2 · time · (share · acceleration)². rate_noise rad/s/√s and cart_noise m/s/√s: floors.
+    first_angle rad, first_rate rad/s, first_cart m: standard deviations at the start (the cart's velocity: m/s).
+    """
+
+    parameter_error: float = 0.01
+    correlation_time: float = 0.02
+    rate_noise: float = 0.03
+    cart_noise: float = 1e-3
+    first_angle: float = 0.05
+    first_rate: float = 0.1
+    first_cart: float = 1e-3
+
+    def __post_init__(self) -> None:
+        """Refuse what is no standard deviation.
+
+        Raises:
+            InputError: names the setting, its value and what is allowed.
+        """
+        for name, value in vars(self).items():
+            low = 0.0 if name == "parameter_error" else np.finfo(float).tiny
+            if not np.isfinite(value) or value < low:
+                raise InputError(f"estimator: {name} = {value!r}: must be a positive, finite number")
+
+
+def encoder_noise(arms: int, *, counts: int, cart_resolution: float) -> Array:
+    """Return R (n+1, n+1): quantised relative encoders of `counts` per turn, summed; cart resolution in m.
+
+    Rounding to a step of q has the variance q²/12; cov(angle_i, angle_j) = (min(i, j) + 1) q²/12.
+    """
+    q = 2 * np.pi / counts
+    index = np.arange(arms)
+    noise = np.zeros((arms + 1, arms + 1))
+    noise[:arms, :arms] = (np.minimum.outer(index, index) + 1) * q**2 / 12
+    noise[arms, arms] = cart_resolution**2 / 12
+    return noise
+
+
+class _Filter(ExtendedKalmanFilter):
+    """filterpy's filter with the nonlinear prediction; it keeps its state as a column (N, 1)."""
+
+    following: Array
+
+    def predict_x(self, u: Any = 0) -> None:
+        self.x = self.following[:, None]
+
+
+class Ekf:
+    """An extended Kalman filter for one sampled model. Its methods do not change what they are given.
+
+    noise (n+1, n+1): of the measured positions. Not to be shared between threads: scratch space is reused.
+
+    Raises:
+        InputError: the noise has the wrong shape or is no covariance.
+    """
+
+    def __init__(self, model: SampledModel, settings: EkfSettings, *, noise: Array) -> None:
+        m, n = model.arms + 1, model.dimension
+        if np.shape(noise) != (m, m):
+            raise InputError(f"measurement noise has shape {np.shape(noise)}: {model.arms} arms need ({m}, {m})")
+        if not np.isfinite(noise).all() or np.linalg.eigvalsh(noise).min() <= 0:
+            raise InputError("measurement noise must be a positive definite covariance")
+        self.model = model
+        self.settings = settings
+        self._filter = _Filter(n, m)
+        self._filter.R = np.array(noise, dtype=float)
+        self._filter.Q = np.zeros((n, n))
+        self._observed = np.eye(n)[model.position_indices]
+        self._arms = model.arms
+        period = model.period
+        floors = np.array([settings.rate_noise] * model.arms + [settings.cart_noise]) ** 2
+        self._floor = floors
+        share = np.array([settings.parameter_error] * model.arms + [0.0])
+        # From (rate change in a period)² to the density of the noise.
+        self._share = 2 * settings.correlation_time * (share / period) ** 2
+        self._positions = model.position_indices
+        self._rates = np.array([*range(model.arms, 2 * model.arms), n - 1])
+        self._powers = (period, period**2 / 2, period**3 / 3)
+
+    def first(self, state: Array) -> Estimate:
+        """Return the estimate before any measurement: `state` (N,) with the settings' standard deviations."""
+        n, arms, s = self.model.dimension, self._arms, self.settings
+        x = np.array(state, dtype=float)
+        if x.shape != (n,):
+            raise InputError(f"state has shape {x.shape}: the filter's model needs ({n},)")
+        sigma = [s.first_angle] * arms + [s.first_rate] * arms + [s.first_cart] * 2
+        return Estimate(x, np.diag(np.square(sigma)), np.zeros(arms + 1))
+
+    def predict(self, estimate: Estimate, command: float) -> Estimate:
+        """Return the estimate one period later, the cart having accelerated by `command` m/s².
+
+        Raises:
+            InputError: the estimate's shapes do not fit the model.
+        """
+        x = estimate.state
+        n = self.model.dimension
+        if x.shape != (n,) or estimate.covariance.shape != (n, n):
+            raise InputError(
+                f"estimate has shapes {x.shape} and {estimate.covariance.shape}: the filter's model needs "
+                f"({n},) and ({n}, {n})"
+            )
+        following, jacobian = self.model.step_with_jacobian(x, command)
+        inner = self._filter
+        change = following[self._rates] - x[self._rates]
+        density = self._floor + self._share * change * change
+        q, (first, second, third) = inner.Q, self._powers
+        p, v = self._positions, self._rates
+        q[v, v] = density * first
+        q[p, v] = q[v, p] = density * second
+        q[p, p] = density * third
+        inner.P = estimate.covariance
+        inner.F = jacobian
+        inner.following = following.copy()
+        inner.predict()
+        return Estimate(inner.following, inner.P, estimate.innovation, estimate.nis)
+
+    def _residual(self, measured: Array, predicted: Array) -> Array:
+        y = measured - predicted
+        angles = y[: self._arms]
+        if abs(angles).max() > np.pi:
+            angles -= 2 * np.pi * np.round(angles / (2 * np.pi))
+        return y
+
+    def update(self, estimate: Estimate, measured: Array) -> Estimate:
+        """Return the estimate after the positions `measured` (n+1,): angles in rad, cart in m.
+
+        Raises:
+            InputError: the measurement or the estimate has the wrong shape.
+        """
+        n, m = self.model.dimension, self._arms + 1
+        z = np.asarray(measured, dtype=float)
+        if z.shape != (m,) or estimate.state.shape != (n,):
+            raise InputError(
+                f"measurement has shape {z.shape} and state {estimate.state.shape}: the filter needs ({m},) and "
+                f"({n},)"
+            )
+        inner = self._filter
+        inner.x = estimate.state[:, None]
+        inner.P = estimate.covariance
+        inner.update(z[:, None], self._jacobian, self._observe, residual=self._residual)
+        y = inner.y[:, 0]
+        return Estimate(inner.x[:, 0], inner.P, y, float(y @ inner.SI @ y))
+
+    def _jacobian(self, _: Array) -> Array:
+        return self._observed
+
+    def _observe(self, state: Array) -> Array:
+        return state[self._positions]
+
+
+@cache
+def nis_band(measurements: int, *, share: float = 0.95) -> tuple[float, float]:
+    """Return the interval that holds `share` of the NIS of a consistent filter: chi-square, two-sided."""
+    from scipy.stats import chi2
+
+    low, high = chi2.ppf([(1 - share) / 2, (1 + share) / 2], measurements)
+    return float(low), float(high)

@@ -1,0 +1,107 @@
+"""The model between two ticks: one step of the equations with the input held, and its Jacobians.
+
+    x_{k+1} = F(x_k, u_k),   A = ∂F/∂x,   B = ∂F/∂u        (classical Runge-Kutta, order 4)
+
+The casadi function is called through its buffers, without a copy: 2 µs a step in place of 16 µs.
+"""
+
+from collections.abc import Iterable
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.equations import Equations
+from dpcontrol.foundation.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+class SampledModel:
+    """The equations of the cart level over `period` s, with base parameters (p,).
+
+    Not to be shared between threads: the buffers are reused from call to call.
+
+    Raises:
+        InputError: the period is not positive, the parameters are too few or many, or there is no single input.
+    """
+
+    def __init__(self, equations: Equations, parameters: Array, *, period: float) -> None:
+        if not np.isfinite(period) or period <= 0:
+            raise InputError(f"period = {period!r}: must be a positive, finite number of seconds")
+        if equations.input_count != 1:
+            raise InputError(f"the equations have {equations.input_count} inputs: the loop needs the cart level")
+        if np.shape(parameters) != (equations.parameters.shape[0],):
+            raise InputError(
+                f"parameters have shape {np.shape(parameters)}: the equations take "
+                f"({equations.parameters.shape[0]},)"
+            )
+        self.equations = equations
+        self.parameters = np.array(parameters, dtype=float)
+        self.period = period
+
+    @property
+    def dimension(self) -> int:
+        """Length of the state."""
+        return self.equations.dimension
+
+    @property
+    def arms(self) -> int:
+        """Number of arms."""
+        return (self.dimension - 2) // 2
+
+    @cached_property
+    def position_indices(self) -> Array:
+        """Return where the measured positions stand in a state: the angles, then the cart."""
+        return np.array([*range(self.arms), 2 * self.arms])
+
+    @cached_property
+    def _function(self) -> Any:
+        return self.equations.discrete_step(self.period)
+
+    @cached_property
+    def _buffers(self) -> tuple[Any, Any, Array, Array, Array, Array, Array]:
+        n = self.dimension
+        buffer, trigger = self._function.buffer()
+        x, u, following = np.zeros(n), np.zeros(1), np.zeros(n)
+        # casadi writes matrices column by column, so these hold the transposes.
+        state_jacobian, input_jacobian = np.zeros((n, n)), np.zeros((1, n))
+        for k, array in enumerate((x, u, self.parameters)):
+            buffer.set_arg(k, memoryview(array))
+        for k, array in enumerate((following, state_jacobian, input_jacobian)):
+            buffer.set_res(k, memoryview(array))
+        # The buffer object must live as long as the trigger.
+        return buffer, trigger, x, u, following, state_jacobian.T, input_jacobian.T
+
+    def step(self, state: Array, command: float) -> Array:
+        """Return the state (N,) one period later, with the cart's acceleration `command` held, m/s²."""
+        _, trigger, x, u, following, _, _ = self._buffers
+        x[:] = state
+        u[0] = command
+        trigger()
+        return following.copy()
+
+    def step_with_jacobian(self, state: Array, command: float) -> tuple[Array, Array]:
+        """Return the state one period later and A (N, N); both are overwritten by the next call."""
+        _, trigger, x, u, following, jacobian, _ = self._buffers
+        x[:] = state
+        u[0] = command
+        trigger()
+        return following, jacobian
+
+    def ahead(self, state: Array, commands: Iterable[float]) -> Array:
+        """Return the state (N,) after the commands that are already on their way, one per period.
+
+        This compensates the delay: a new command is computed for the state at which it will act.
+        """
+        for command in commands:
+            state = self.step(state, command)
+        return state
+
+    def linearised(self, states: Array, commands: Array) -> tuple[Array, Array]:
+        """Return A (K, N, N) and B (K, N) at `states` (K, N) and `commands` (K,)."""
+        count, n = np.shape(states)
+        parameters = np.repeat(self.parameters[:, None], count, axis=1)
+        _, a, b = self._function.map(count)(states.T, np.asarray(commands)[None, :], parameters)
+        return np.array(a).T.reshape(count, n, n).transpose(0, 2, 1), np.array(b).T.reshape(count, n)

@@ -1,0 +1,174 @@
+"""Controllers that follow a reference: its input alone, or with time-varying linear-quadratic feedback.
+
+    minimise Σ_k e_kᵀ Q e_k + r v_k² + e_Nᵀ P e_N,      e_{k+1} = A_k e_k + B_k v_k
+    K_k = (r + B_kᵀ P_{k+1} B_k)⁻¹ B_kᵀ P_{k+1} A_k,     u_k = u*(t_k) + K_k (x*(t_k) - x̂_k)
+
+e: the state's distance from the reference x*, v: the input's from u*, A and B along the reference.
+Source: Anderson & Moore, Optimal Control: Linear Quadratic Methods, sections 2.4 and 4.1.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.control.sampled import SampledModel
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.references.problem import ANGLE_SCALE, CART_VELOCITY_SCALE, RATE_SCALE
+from dpcontrol.references.reference import Reference
+
+Array = NDArray[np.float64]
+
+
+class Controller(Protocol):
+    """What the loop asks for a command."""
+
+    kind: str
+    reference_states: Array
+    """Where the plant should be at each tick, (K+1, N)."""
+
+    def command(self, tick: int, state: Array) -> tuple[float, float]:
+        """Return feedforward and feedback in m/s² for the period from `tick`, at estimated `state` (N,)."""
+        ...
+
+
+@dataclass(frozen=True)
+class FeedforwardSettings:
+    """The reference's input alone: shows that a correct reference is not enough."""
+
+    kind: str = "feedforward"
+
+
+@dataclass(frozen=True)
+class TvlqrSettings:
+    """Weights per second of the squared errors, each scaled: angles by π, rates by 10 rad/s, the cart's velocity
+    by 3 m/s; the cart's position by 1 m and the effort by 1 m/s².
+    """
+
+    kind: str = "tvlqr"
+    angle: float = 1000.0
+    rate: float = 100.0
+    position: float = 100.0
+    velocity: float = 10.0
+    effort: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse weights without a solution.
+
+        Raises:
+            InputError: names the weight, its value and what is allowed.
+        """
+        for name in ("angle", "rate", "position", "velocity", "effort"):
+            value = getattr(self, name)
+            allowed = "positive" if name in ("position", "effort") else "zero or positive"
+            if not np.isfinite(value) or value < 0 or (value == 0 and allowed == "positive"):
+                raise InputError(f"controller: {name} = {value!r}: must be a finite number, {allowed}")
+
+    def weights(self, arms: int, period: float) -> tuple[Array, float]:
+        """Return Q's diagonal (N,) and r of one period in s."""
+        scaled = [self.angle / ANGLE_SCALE**2] * arms + [self.rate / RATE_SCALE**2] * arms
+        cart = [self.position, self.velocity / CART_VELOCITY_SCALE**2]
+        return np.array(scaled + cart) * period, self.effort * period
+
+
+ControllerSettings = FeedforwardSettings | TvlqrSettings
+
+
+@dataclass(frozen=True, eq=False)
+class TrackingController:
+    """Feedforward (K,), gains (K, N) and reference states (K+1, N) at the ticks; gains of zero: no feedback."""
+
+    kind: str
+    reference_states: Array
+    feedforward: Array
+    gains: Array
+    status: str
+
+    def command(self, tick: int, state: Array) -> tuple[float, float]:
+        """Return feedforward and feedback in m/s² for the period from `tick`, at estimated `state` (N,).
+
+        After the last tick the last gain holds the reference's end.
+        """
+        k = min(tick, len(self.feedforward) - 1)
+        feedback = self.gains[k].dot(self.reference_states[k] - state)
+        return float(self.feedforward[k]), float(feedback)
+
+
+def terminal_cost(state_jacobian: Array, input_jacobian: Array, *, weights: Array, effort: float) -> Array:
+    """Return P (N, N) of the discrete algebraic Riccati equation with A (N, N), B (N,), Q's diagonal (N,), r.
+
+    Raises:
+        GoalMissed: the pair cannot be stabilised.
+    """
+    # python-control takes more than a second to import.
+    from control import dare
+
+    try:
+        cost, _, _ = dare(state_jacobian, input_jacobian[:, None], np.diag(weights), np.array([[effort]]))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise GoalMissed(
+            f"no terminal cost for the controller: the reference's end cannot be stabilised ({error}); give the "
+            "cart's position a weight and end away from a motion the cart cannot influence"
+        ) from error
+    return np.asarray(cost)
+
+
+def riccati_gains(
+    state_jacobians: Array, input_jacobians: Array, *, weights: Array, effort: float, terminal: Array
+) -> Array:
+    """Return the gains (K, N) of the backward recursion over A (K, N, N), B (K, N) from P (N, N) = `terminal`."""
+    gains = np.empty_like(input_jacobians)
+    cost = terminal
+    diagonal = np.diag(weights)
+    for k in range(len(gains) - 1, -1, -1):
+        a, b = state_jacobians[k], input_jacobians[k]
+        weighted = b @ cost
+        gain = (weighted @ a) / (effort + weighted @ b)
+        gains[k] = gain
+        closed = a - np.outer(b, gain)
+        # The symmetric form keeps P positive (Joseph): thousands of steps would lose it otherwise.
+        cost = diagonal + effort * np.outer(gain, gain) + closed.T @ cost @ closed
+        cost = (cost + cost.T) / 2
+    return gains
+
+
+def tracking_controller(
+    reference: Reference, model: SampledModel, settings: ControllerSettings
+) -> TrackingController:
+    """Return the controller for `reference` at the model's period.
+
+    The terminal cost is that of the model frozen at the reference's end. The recursion forgets it within a few
+    tenths of a second, so the simplest positive definite matrix serves; the periodic orbit's own Riccati solution
+    would need the orbit, which friction bends.
+
+    Raises:
+        InputError: the reference did not converge or has another number of states than the model.
+        GoalMissed: the reference's end cannot be stabilised.
+    """
+    if not reference.converged:
+        raise InputError(f"the reference cannot be tracked: {reference.status}")
+    if reference.states.shape[-1] != model.dimension:
+        raise InputError(
+            f"the reference has {reference.states.shape[-1]} states, the model {model.dimension}: use one model"
+        )
+    count = tick_count(reference, model.period)
+    times = reference.mesh[0] + model.period * np.arange(count + 1)
+    states = reference.state(times)
+    # The input in the middle of a period: holding it errs by the square of the period only.
+    feedforward = reference.input(times[:-1] + model.period / 2)[:, 0]
+    if isinstance(settings, FeedforwardSettings):
+        gains = np.zeros((count, model.dimension))
+        return TrackingController(settings.kind, states, feedforward, gains, f"feedforward over {count} ticks")
+    weights, effort = settings.weights(model.arms, model.period)
+    a, b = model.linearised(states[:-1], feedforward)
+    terminal = terminal_cost(a[-1], b[-1], weights=weights, effort=effort)
+    gains = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
+    if not np.isfinite(gains).all():
+        raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
+    return TrackingController(settings.kind, states, feedforward, gains, f"gains for {count} ticks")
+
+
+def tick_count(reference: Reference, period: float) -> int:
+    """Return the number of periods that cover the reference."""
+    return max(int(np.ceil(reference.duration / period - 1e-6)), 1)
