@@ -1,9 +1,10 @@
 """An orbit that leaves one periodic orbit and joins another, solved by multiple shooting.
 
-Nodes x_0 … x_K at fixed times; x_0 = γ(φ₀) + a₀ v(φ₀) on the source's local unstable manifold with a₀ fixed (it
-only sets the origin of time), x_K on the target's local stable manifold with φ_K and a_K free:
+Nodes x_0 … x_K at fixed times; x_0 = γ(φ₀) + a₀ v(φ₀) on the source's local unstable manifold, x_K on the target's
+local stable manifold, phases and amplitudes free; one inner node stays on a section, which sets the origin of time
+(fixing a₀ instead would leave a direction that is null but for a₀):
 
-    Φ(x_k, t_{k+1} - t_k) - x_{k+1} + ε ∇H(x_{k+1}) [k = 0] = 0.
+    Φ(x_k, t_{k+1} - t_k) - x_{k+1} + ε ∇H(x_{k+1}) [k = 0] = 0,      n·x_m = const.
 
 Energy is the same at both ends, so one equation is redundant; the unfolding parameter ε makes the system square and
 vanishes at the solution (Muñoz-Almaraz et al., Continuation of periodic orbits in conservative and Hamiltonian
@@ -76,6 +77,15 @@ class ManifoldEnd:
 
 
 @dataclass(frozen=True)
+class Anchor:
+    """An inner node that stays where normal · x = height: sets the origin of time."""
+
+    node: int
+    normal: tuple[float, ...]
+    height: float
+
+
+@dataclass(frozen=True)
 class ShootingSettings:
     """When to stop: residual is the largest gap at a node (rad, rad/s)."""
 
@@ -135,9 +145,16 @@ def solve_connecting_orbit(
     times: Array,
     states: Array,
     *,
+    anchor: Anchor,
     settings: ShootingSettings | None = None,
 ) -> ConnectingOrbit:
-    """Refine guessed nodes (K + 1, N) at `times` (K + 1,) into an orbit from `start` to `end` by Newton's method."""
+    """Refine guessed nodes (K + 1, N) at `times` (K + 1,) into an orbit from `start` to `end` by Newton's method.
+
+    Raises:
+        ValueError: the anchor is not an inner node.
+    """
+    if not 0 < anchor.node < len(times) - 1:
+        raise ValueError(f"anchor at node {anchor.node}: must be one of the inner nodes 1 to {len(times) - 2}")
     settings = settings or ShootingSettings()
     nodes, unfolding = np.array(states, dtype=float), 0.0
     durations = np.diff(times)
@@ -145,7 +162,7 @@ def solve_connecting_orbit(
     iteration = 0
     failure = ""
     for iteration in range(settings.iterations + 1):
-        (nodes[0], start_slope, _), (nodes[-1], end_slope, end_vector) = start.point(), end.point()
+        (nodes[0], *start_slopes), (nodes[-1], *end_slopes) = start.point(), end.point()
         try:
             flown = [system.propagator.flow_with_stm(x, h) for x, h in zip(nodes[:-1], durations, strict=True)]
         except ArithmeticError as error:
@@ -154,7 +171,8 @@ def solve_connecting_orbit(
         gradient = system.numeric.gradient(nodes[1])
         gaps = np.array([x for x, _ in flown]) - nodes[1:]
         gaps[0] += unfolding * gradient
-        residual = float(np.abs(gaps).max())
+        off = float(np.dot(anchor.normal, nodes[anchor.node]) - anchor.height)
+        residual = max(float(np.abs(gaps).max()), abs(off))
         if best is None or residual < best[0]:
             best = (residual, nodes.copy(), start, end, unfolding)
         elif best[0] < settings.tolerance:
@@ -164,19 +182,19 @@ def solve_connecting_orbit(
             break
         if iteration == settings.iterations:
             break
-        matrix = _matrix([stm for _, stm in flown], start_slope, (end_slope, end_vector), gradient)
+        matrix = _matrix([stm for _, stm in flown], start_slopes, end_slopes, gradient, anchor)
         try:
-            step = splu(matrix).solve(-gaps.ravel())
+            step = splu(matrix).solve(-np.append(gaps.ravel(), off))
         except RuntimeError:
             failure = "the linear system is singular: the tubes are tangent here"
             break
         n = system.dimension
         inner = len(nodes) - 2
         nodes[1:-1] += step[: inner * n].reshape(inner, n)
-        by_phase, end_phase, end_amplitude, by_energy = step[inner * n :]
-        start = replace(start, phase=start.phase + float(by_phase))
-        end = replace(end, phase=end.phase + float(end_phase), amplitude=end.amplitude + float(end_amplitude))
-        unfolding += float(by_energy)
+        *ends, by_energy = (float(value) for value in step[inner * n :])
+        start = replace(start, phase=start.phase + ends[0], amplitude=start.amplitude + ends[1])
+        end = replace(end, phase=end.phase + ends[2], amplitude=end.amplitude + ends[3])
+        unfolding += by_energy
     assert best is not None
     residual, nodes, start, end, unfolding = best
     converged = residual <= settings.tolerance
@@ -190,19 +208,22 @@ def solve_connecting_orbit(
     )
 
 
-def _matrix(stms: list[Array], start_slope: Array, end_slopes: tuple[Array, Array], gradient: Array) -> csc_array:
-    """Return the Jacobian of the gaps: inner nodes, then φ₀, φ_K, a_K, ε; square of size N·K."""
-    count, n = len(stms), len(start_slope)
-    blocks: list[list[object]] = [[None] * count for _ in range(count)]
+def _matrix(
+    stms: list[Array], start_slopes: list[Array], end_slopes: list[Array], gradient: Array, anchor: Anchor
+) -> csc_array:
+    """Return the Jacobian of gaps and anchor: inner nodes, then φ₀, a₀, φ_K, a_K, ε; square of size N·K + 1."""
+    count, n = len(stms), len(gradient)
+    blocks: list[list[object]] = [[None] * count for _ in range(count + 1)]
     for k in range(count):
         if k > 0:
             blocks[k][k - 1] = stms[k]
         if k < count - 1:
             blocks[k][k] = -np.eye(n)
-    border = [np.zeros((n, 4)) for _ in range(count)]
-    border[0][:, 0] = stms[0] @ start_slope
-    border[0][:, 3] = gradient
-    border[-1][:, 1] -= end_slopes[0]
-    border[-1][:, 2] -= end_slopes[1]
-    rows = [[*blocks[k][: count - 1], border[k]] for k in range(count)]
-    return csc_array(bmat(rows, format="csc"))
+    borders = [np.zeros((n, 5)) for _ in range(count)]
+    borders[0][:, :2] = stms[0] @ np.column_stack(start_slopes)
+    borders[0][:, 4] = gradient
+    borders[-1][:, 2:4] -= np.column_stack(end_slopes)
+    for k, border in enumerate(borders):
+        blocks[k][count - 1] = border
+    blocks[count][anchor.node - 1] = np.array([anchor.normal])
+    return csc_array(bmat(blocks, format="csc"))

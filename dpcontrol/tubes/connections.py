@@ -16,7 +16,7 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Progress, no_progress
-from dpcontrol.tubes.connecting_orbit import ConnectingOrbit, ManifoldEnd, solve_connecting_orbit
+from dpcontrol.tubes.connecting_orbit import Anchor, ConnectingOrbit, ManifoldEnd, solve_connecting_orbit
 from dpcontrol.tubes.cut import Cut, OpenEnd, section_points, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, Intersection, intersect_cuts
 from dpcontrol.tubes.lyapunov import LyapunovOrbit, lyapunov_orbit
@@ -144,14 +144,8 @@ def _refined(system: System, crossing: Intersection, settings: ConnectionSetting
     section = crossing.sides[0].section
     source, target = crossing.sides[0].manifold.orbit, crossing.sides[1].manifold.orbit
     orbit, middle = _shot(crossing, settings)
-    normal = np.asarray(section.normal)
-    state, rate = orbit.states[middle], 0.0
-    # The node was on the section before the refinement; Newton steps in time bring it back.
-    for _ in range(3):
-        height, rate = float(section.height(state)), float(system.numeric.rate(state) @ normal)
-        if section.period is not None:
-            height -= np.rint(height / section.period) * section.period
-        state = system.propagator.flow(state, -height / rate)
+    state = orbit.states[middle]
+    rate = float(system.numeric.rate(state) @ np.asarray(section.normal))
     n = system.dimension // 2
     winding = tuple(int(k) for k in crossing.turns[:n])
     entries = [k for k in winding if k]
@@ -207,12 +201,14 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> tuple[Connect
         states.append(np.vstack([seed_end.states(sign * lead), flown]))
         ends.append(seed_end.moved(-sign * settings.lead * period))
     middle = len(times[0]) - 1
+    normal = crossing.sides[0].section.normal
     orbit = solve_connecting_orbit(
         crossing.sides[0].manifold.orbit.system,
         ends[0],
         ends[1],
         np.concatenate([times[0], times[1][::-1][1:]]),
         np.vstack([states[0], states[1][::-1][1:]]),
+        anchor=Anchor(middle, normal, float(np.dot(normal, states[0][-1]))),
     )
     return orbit, middle
 

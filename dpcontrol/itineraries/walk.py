@@ -1,0 +1,97 @@
+"""Walks: lists of symbols, each standing for one connection.
+
+A symbol is written in one of three ways:
+
+    "down-up +"              a homoclinic of Down-Up whose turning arm turns forward (-: backward)
+    "down-up > up-down"      a heteroclinic; "down-up > up-down -" asks for a sense
+    a connection's own name  as `dpcontrol connect` lists it
+
+The first two stand for one connection each: among those of the sense asked for, the symmetric ones if there are any,
+and of these the most transversal.
+"""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.tubes.connections import Connection
+
+_HOMOCLINIC = re.compile(r"^(?P<source>[\w-]*\w)\s+(?P<sense>[+-])$")
+_HETEROCLINIC = re.compile(r"^(?P<source>[\w-]*\w)\s*>\s*(?P<target>[\w-]*\w)(?:\s+(?P<sense>[+-]))?$")
+_NAME = re.compile(r"^(?P<source>[\w-]+)>(?P<target>[\w-]+)\[[-\d,]+\]h\d+\.\d+@\S+$")
+
+
+@dataclass(frozen=True)
+class Symbol:
+    """What a symbol asks for. sense +1, -1 or None (either); name where one connection is named."""
+
+    text: str
+    source: str
+    target: str
+    sense: int | None
+    name: str | None
+
+
+def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
+    """Read one symbol.
+
+    Raises:
+        InputError: the text is no symbol, or names a saddle that is not among `saddles`.
+    """
+    text = text.strip()
+    named = _NAME.match(text)
+    match = named or _HOMOCLINIC.match(text) or _HETEROCLINIC.match(text)
+    if match is None:
+        raise InputError(
+            f'{text!r} is no symbol; write "{saddles[0]} +", "{saddles[0]} > {saddles[-1]}" or a connection\'s name '
+            "from `dpcontrol connect`"
+        )
+    parts = match.groupdict()
+    source = parts["source"]
+    target = parts.get("target") or source
+    for saddle in (source, target):
+        if saddle not in saddles:
+            raise InputError(f"{text!r} names {saddle!r}, which has no tubes; choose from {', '.join(saddles)}")
+    sense = {"+": 1, "-": -1, None: None}[parts.get("sense")]
+    if not named and source == target and sense is None:
+        raise InputError(f'{text!r} does not say which way to turn; write "{source} +" or "{source} -"')
+    return Symbol(text, source, target, sense, text if named else None)
+
+
+def parse_walk(texts: Sequence[str], saddles: Sequence[str]) -> tuple[Symbol, ...]:
+    """Read a walk and check that each symbol starts where the one before it ends.
+
+    Raises:
+        InputError: no symbols, a text that is no symbol, or a walk that is not connected.
+    """
+    if not texts:
+        raise InputError("walk = []: a walk has at least one symbol")
+    symbols = tuple(parse_symbol(text, saddles) for text in texts)
+    for k, (before, after) in enumerate(zip(symbols[:-1], symbols[1:], strict=True), start=1):
+        if before.target != after.source:
+            raise InputError(
+                f"the walk is not connected: symbol {k} ({before.text!r}) ends at {before.target}, symbol {k + 1} "
+                f'({after.text!r}) starts at {after.source}; put "{before.target} > {after.source}" between them'
+            )
+    return symbols
+
+
+def choose(symbol: Symbol, connections: Sequence[Connection]) -> Connection:
+    """Return the connection that a symbol stands for.
+
+    Raises:
+        InputError: no connection fits; says what there is instead.
+    """
+    if symbol.name is not None:
+        for connection in connections:
+            if connection.name == symbol.name:
+                return connection
+        known = ", ".join(sorted(c.name for c in connections)) or "none"
+        raise InputError(f"no connection is named {symbol.name!r} at this energy; there are: {known}")
+    fitting = [c for c in connections if symbol.sense is None or c.sense == symbol.sense]
+    if not fitting:
+        raise InputError(f"{symbol.text!r}: no such connection at this energy; try a higher one or `dpcontrol connect`")
+    symmetric = [c for c in fitting if c.symmetric] or fitting
+    # Mirror images have the same angle up to rounding; of those the positive sense is taken.
+    return max(symmetric, key=lambda c: (round(c.transversality_angle, 6), c.sense, c.name))
