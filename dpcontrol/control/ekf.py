@@ -108,18 +108,22 @@ class Ekf:
         self.settings = settings
         self._filter = _Filter(n, m)
         self._filter.R = np.array(noise, dtype=float)
-        self._filter.Q = np.zeros((n, n))
         self._observed = np.eye(n)[model.position_indices]
         self._arms = model.arms
-        period = model.period
-        floors = np.array([settings.rate_noise] * model.arms + [settings.cart_noise]) ** 2
-        self._floor = floors
-        share = np.array([settings.parameter_error] * model.arms + [0.0])
-        # From (rate change in a period)² to the density of the noise.
-        self._share = 2 * settings.correlation_time * (share / period) ** 2
         self._positions = model.position_indices
-        self._rates = np.array([*range(model.arms, 2 * model.arms), n - 1])
-        self._powers = (period, period**2 / 2, period**3 / 3)
+        self._shapes = ((n,), (n, n), (m,))
+        period = model.period
+        block = np.array([[period**3 / 3, period**2 / 2], [period**2 / 2, period]])
+        # Q = weights · [1, (rate changes in a period)²]; the share turns those into densities.
+        share = 2 * settings.correlation_time * (settings.parameter_error / period) ** 2
+        weights = np.zeros((model.arms + 1, n, n))
+        for i in range(model.arms):
+            pair = np.ix_([i, model.arms + i], [i, model.arms + i])
+            weights[0][pair] = settings.rate_noise**2 * block
+            weights[1 + i][pair] = share * block
+        weights[0, n - 2 :, n - 2 :] = settings.cart_noise**2 * block
+        self._noise_weights = weights.reshape(model.arms + 1, n * n)
+        self._changes = np.ones(model.arms + 1)
 
     def first(self, state: Array) -> Estimate:
         """Return the estimate before any measurement: `state` (N,) with the settings' standard deviations."""
@@ -136,23 +140,19 @@ class Ekf:
         Raises:
             InputError: the estimate's shapes do not fit the model.
         """
-        x = estimate.state
-        n = self.model.dimension
-        if x.shape != (n,) or estimate.covariance.shape != (n, n):
+        x, covariance = estimate.state, estimate.covariance
+        one, square, _ = self._shapes
+        if x.shape != one or covariance.shape != square:
             raise InputError(
-                f"estimate has shapes {x.shape} and {estimate.covariance.shape}: the filter's model needs "
-                f"({n},) and ({n}, {n})"
+                f"estimate has shapes {x.shape} and {covariance.shape}: the filter's model needs {one} and {square}"
             )
         following, jacobian = self.model.step_with_jacobian(x, command)
-        inner = self._filter
-        change = following[self._rates] - x[self._rates]
-        density = self._floor + self._share * change * change
-        q, (first, second, third) = inner.Q, self._powers
-        p, v = self._positions, self._rates
-        q[v, v] = density * first
-        q[p, v] = q[v, p] = density * second
-        q[p, p] = density * third
-        inner.P = estimate.covariance
+        inner, arms = self._filter, self._arms
+        changes = self._changes[1:]
+        np.subtract(following[arms : 2 * arms], x[arms : 2 * arms], out=changes)
+        changes *= changes
+        inner.Q = self._changes.dot(self._noise_weights).reshape(square)
+        inner.P = covariance
         inner.F = jacobian
         inner.following = following.copy()
         inner.predict()
@@ -160,8 +160,9 @@ class Ekf:
 
     def _residual(self, measured: Array, predicted: Array) -> Array:
         y = measured - predicted
-        angles = y[: self._arms]
-        if abs(angles).max() > np.pi:
+        # A flag costs less than wrapping at every tick; only a lost estimate is half a turn away.
+        if any(abs(v) > np.pi for v in y[: self._arms, 0].tolist()):
+            angles = y[: self._arms]
             angles -= 2 * np.pi * np.round(angles / (2 * np.pi))
         return y
 
@@ -170,18 +171,23 @@ class Ekf:
 
         Raises:
             InputError: the measurement or the estimate has the wrong shape.
+            ArithmeticError: the covariance is singular or no longer finite.
         """
-        n, m = self.model.dimension, self._arms + 1
         z = np.asarray(measured, dtype=float)
-        if z.shape != (m,) or estimate.state.shape != (n,):
+        one, square, wanted = self._shapes
+        x, covariance = estimate.state, estimate.covariance
+        if z.shape != wanted or x.shape != one or covariance.shape != square:
             raise InputError(
-                f"measurement has shape {z.shape} and state {estimate.state.shape}: the filter needs ({m},) and "
-                f"({n},)"
+                f"measurement has shape {z.shape}, state {x.shape} and covariance {covariance.shape}: the filter "
+                f"needs {wanted}, {one} and {square}"
             )
         inner = self._filter
-        inner.x = estimate.state[:, None]
-        inner.P = estimate.covariance
-        inner.update(z[:, None], self._jacobian, self._observe, residual=self._residual)
+        inner.x = x[:, None]
+        inner.P = covariance
+        try:
+            inner.update(z[:, None], self._jacobian, self._observe, residual=self._residual)
+        except ValueError as error:  # LinAlgError is one; scipy refuses what is not finite with the other.
+            raise ArithmeticError(f"the filter's innovation covariance has no inverse ({error})") from error
         y = inner.y[:, 0]
         return Estimate(inner.x[:, 0], inner.P, y, float(y @ inner.SI @ y))
 

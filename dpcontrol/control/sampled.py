@@ -34,8 +34,7 @@ class SampledModel:
             raise InputError(f"the equations have {equations.input_count} inputs: the loop needs the cart level")
         if np.shape(parameters) != (equations.parameters.shape[0],):
             raise InputError(
-                f"parameters have shape {np.shape(parameters)}: the equations take "
-                f"({equations.parameters.shape[0]},)"
+                f"parameters have shape {np.shape(parameters)}: the equations take ({equations.parameters.shape[0]},)"
             )
         self.equations = equations
         self.parameters = np.array(parameters, dtype=float)
@@ -52,7 +51,7 @@ class SampledModel:
         return (self.dimension - 2) // 2
 
     @cached_property
-    def position_indices(self) -> Array:
+    def position_indices(self) -> NDArray[np.intp]:
         """Return where the measured positions stand in a state: the angles, then the cart."""
         return np.array([*range(self.arms), 2 * self.arms])
 
@@ -60,23 +59,34 @@ class SampledModel:
     def _function(self) -> Any:
         return self.equations.discrete_step(self.period)
 
-    @cached_property
-    def _buffers(self) -> tuple[Any, Any, Array, Array, Array, Array, Array]:
-        n = self.dimension
-        buffer, trigger = self._function.buffer()
-        x, u, following = np.zeros(n), np.zeros(1), np.zeros(n)
+    def _buffered(self, function: Any) -> tuple[Any, Any, Array, Array, list[Array]]:
+        """Return (trigger, its keeper, state, input, results) that share memory with `function`'s arguments."""
+        buffer, trigger = function.buffer()
+        x, u = np.zeros(self.dimension), np.zeros(1)
         # casadi writes matrices column by column, so these hold the transposes.
-        state_jacobian, input_jacobian = np.zeros((n, n)), np.zeros((1, n))
+        results = [np.zeros(function.size_out(k)[::-1]) for k in range(function.n_out())]
         for k, array in enumerate((x, u, self.parameters)):
-            buffer.set_arg(k, memoryview(array))
-        for k, array in enumerate((following, state_jacobian, input_jacobian)):
-            buffer.set_res(k, memoryview(array))
-        # The buffer object must live as long as the trigger.
-        return buffer, trigger, x, u, following, state_jacobian.T, input_jacobian.T
+            buffer.set_arg(k, memoryview(array.data))
+        for k, array in enumerate(results):
+            buffer.set_res(k, memoryview(array.data))
+        # The trigger points into the buffer and all arrays but owns neither: they must live as long as it does.
+        return trigger, (buffer, x, u, results), x, u, results
+
+    @cached_property
+    def _plain(self) -> tuple[Any, Any, Array, Array, Array]:
+        name = self._function.name_out(0)
+        alone = self._function.factory("plain", self._function.name_in(), [name])
+        trigger, keeper, x, u, results = self._buffered(alone)
+        return trigger, keeper, x, u, results[0][0]
+
+    @cached_property
+    def _with_jacobian(self) -> tuple[Any, Any, Array, Array, Array, Array]:
+        trigger, keeper, x, u, results = self._buffered(self._function)
+        return trigger, keeper, x, u, results[0][0], results[1].T
 
     def step(self, state: Array, command: float) -> Array:
         """Return the state (N,) one period later, with the cart's acceleration `command` held, m/s²."""
-        _, trigger, x, u, following, _, _ = self._buffers
+        trigger, _, x, u, following = self._plain
         x[:] = state
         u[0] = command
         trigger()
@@ -84,7 +94,7 @@ class SampledModel:
 
     def step_with_jacobian(self, state: Array, command: float) -> tuple[Array, Array]:
         """Return the state one period later and A (N, N); both are overwritten by the next call."""
-        _, trigger, x, u, following, jacobian, _ = self._buffers
+        trigger, _, x, u, following, jacobian = self._with_jacobian
         x[:] = state
         u[0] = command
         trigger()

@@ -24,9 +24,15 @@ Array = NDArray[np.float64]
 class Controller(Protocol):
     """What the loop asks for a command."""
 
-    kind: str
-    reference_states: Array
-    """Where the plant should be at each tick, (K+1, N)."""
+    @property
+    def kind(self) -> str:
+        """Return the name of its kind."""
+        ...
+
+    @property
+    def reference_states(self) -> Array:
+        """Return where the plant should be at each tick, (K+1, N)."""
+        ...
 
     def command(self, tick: int, state: Array) -> tuple[float, float]:
         """Return feedforward and feedback in m/s² for the period from `tick`, at estimated `state` (N,)."""
@@ -133,9 +139,7 @@ def riccati_gains(
     return gains
 
 
-def tracking_controller(
-    reference: Reference, model: SampledModel, settings: ControllerSettings
-) -> TrackingController:
+def tracking_controller(reference: Reference, model: SampledModel, settings: ControllerSettings) -> TrackingController:
     """Return the controller for `reference` at the model's period.
 
     The terminal cost is that of the model frozen at the reference's end. The recursion forgets it within a few

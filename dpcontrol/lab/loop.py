@@ -131,15 +131,14 @@ def run_loop(
     true_arms = plant or parameters.mismatched(settings.mismatch, plant_random)
     bench = Plant(model.equations, true_arms.base())
     encoders, drive = Encoders(arms, settings.sensors), Drive(reference.limits, period)
-    noise = encoder_noise(
-        arms, counts=settings.sensors.counts, cart_resolution=settings.sensors.cart_resolution
-    )
+    noise = encoder_noise(arms, counts=settings.sensors.counts, cart_resolution=settings.sensors.cart_resolution)
     ekf = Ekf(model, settings.estimator, noise=noise)
     truth = wanted[0].copy()
     truth[:arms] += start_random.uniform(-settings.initial_error, settings.initial_error, arms)
     estimate = ekf.first(wanted[0])
 
     count = len(wanted)
+    wanted_angles = wanted[:, :arms].tolist()
     times = np.arange(count) * period
     rows_measured, rows_truth = np.empty((count, arms + 1)), np.empty((count, n))
     rows_estimate, rows_control = np.empty((count, n)), np.empty((count, 7 + n))
@@ -154,32 +153,40 @@ def run_loop(
     for k in range(count):
         now = k * period
         measured = encoders.measure(truth)
-        if k:
-            estimate = ekf.predict(estimate, applied)
-        if math.isfinite(estimate.state.sum()) and math.isfinite(estimate.covariance.sum()):
+        try:
+            if k:
+                estimate = ekf.predict(estimate, applied)
             estimate = ekf.update(estimate, measured)
-        x, nis = estimate.state, estimate.nis
-        feedforward, feedback = controller.command(k + settings.delay, model.ahead(x, pending))
+            nis = estimate.nis
+        except ArithmeticError:
+            nis = math.nan
+        x, position, velocity = estimate.state, float(truth[n - 2]), float(truth[n - 1])
+        error = max(abs(a - b) for a, b in zip(truth[:arms].tolist(), wanted_angles[k], strict=True))
+        lost = watch.ending(error, nis, now)
+        if lost is None:
+            feedforward, feedback = controller.command(k + settings.delay, model.ahead(x, pending))
+        else:
+            feedforward = feedback = 0.0
         command = feedforward + feedback
         pending.append(min(max(command, -most), most))
-        applied = drive.applied(pending.popleft(), float(truth[n - 1]))
-        saturated = abs(command) > most or abs(float(truth[n - 1]) + applied * period) >= drive.limits.velocity
+        applied = drive.applied(pending.popleft(), velocity)
+        saturated = abs(command) > most or abs(velocity + applied * period) >= drive.limits.velocity
+        mode = Mode.ABORTED if lost else Mode.SATURATED if saturated else Mode.TRACKING
         row = rows_control[k]
-        row[:7] = (
-            command, feedforward, feedback, applied, saturated, nis, Mode.SATURATED if saturated else Mode.TRACKING
-        )  # fmt: skip
+        row[:7] = (command, feedforward, feedback, applied, saturated, nis, mode)
         np.sqrt(estimate.covariance.diagonal(), out=row[7:])
         rows_measured[k], rows_truth[k], rows_estimate[k] = measured, truth, x
         out.tick(now, measured=measured, estimate=x, reference=wanted[k], truth=truth, control=row)
         if saturated and not was_saturated:
             out.event(now, "warn", "saturated", f"command {command:.3g} m/s², applied {applied:.3g} m/s²")
         was_saturated = saturated
-        error = float(np.abs(truth[:arms] - wanted[k, :arms]).max())
-        lost = watch.ending(error, nis, now)
-        if lost is None and drive.at_stop(float(truth[n - 2])):
-            lost = Ending.CART_STOP, (
-                f"cart at its stop at t = {now:.3f} s: {float(truth[n - 2]):.3f} m; weigh its position more, or "
-                "allow more travel"
+        if lost is None and drive.at_stop(position):
+            lost = (
+                Ending.CART_STOP,
+                (
+                    f"cart at its stop at t = {now:.3f} s: {position:.3f} m; weigh its position more, or "
+                    "allow more travel"
+                ),
             )
         if lost is None and k < count - 1:
             try:
@@ -199,7 +206,7 @@ def run_loop(
     low, high = nis_band(arms + 1)
     away = rows_truth[:done, :arms] - wanted[:done, :arms]
     return LoopResult(
-        times=times[:done],
+        times=np.asarray(times[:done], dtype=np.float64),
         measured=rows_measured[:done],
         estimates=rows_estimate[:done],
         references=wanted[:done],

@@ -23,7 +23,7 @@ DENSE = 21
 def power_coefficients(points: Array, values: Array) -> Array:
     """Return coefficients (…, K) in powers of τ of the polynomials through `values` (…, K) at `points` (K,)."""
     powers = points[:, None] ** np.arange(len(points))
-    return np.linalg.solve(powers, np.moveaxis(values, -1, 0).reshape(len(points), -1)).T.reshape(values.shape)
+    return np.asarray(np.einsum("pk,...k->...p", np.linalg.inv(powers), values), dtype=np.float64)
 
 
 def error_between_nodes(

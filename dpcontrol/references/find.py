@@ -146,8 +146,10 @@ def find_reference(
             iterations=iterations, seconds=seconds,
         )  # fmt: skip
 
-    for round_number in range(settings.rounds):
+    round_number = 0
+    while True:
         progress(f"reference, {len(first.mesh) - 1} intervals", round_number / settings.rounds)
+        round_number += 1
         solved = solve(problem, method, settings=settings, first=first, limits=limits)
         iterations += solved.iterations
         seconds += solved.seconds
@@ -155,9 +157,7 @@ def find_reference(
             start = first_trajectory(problem, method, first.mesh)
             why = _wanting(problem, method, settings=settings, first=start)
             held = replace(solved, trajectory=first)
-            return result(
-                held, f"no reference: the solver stopped with {solved.outcome!r}; {why}", converged=False
-            )
+            return result(held, f"no reference: the solver stopped with {solved.outcome!r}; {why}", converged=False)
         errors = error_between_nodes(problem, solved.trajectory, method=method, propagator=propagator)
         worst = float(errors.max())
         largest = largest_values(solved.trajectory, method=method, limits=problem.limits)
@@ -166,11 +166,12 @@ def find_reference(
             progress("reference", 1.0)
             return result(
                 solved,
-                f"converged in {iterations} iterations; error between nodes {worst:.1e} on "
-                f"{len(errors)} intervals",
+                f"converged in {iterations} iterations; error between nodes {worst:.1e} on {len(errors)} intervals",
                 converged=True,
                 error=worst,
             )
+        if round_number == settings.rounds:
+            break
         finer = split_mesh(solved.trajectory.mesh, errors, tolerance=settings.tolerance, order=len(method.points))
         first = on_mesh(solved.trajectory, finer, method=method)
         limits = tighter or limits
@@ -182,7 +183,8 @@ def find_reference(
     return result(
         solved,
         f"not converged in {settings.rounds} rounds: error between nodes {worst:.1e} where "
-        f"{settings.tolerance:.1e} is asked{'; ' + passed if passed else ''}; start with a shorter interval or allow more rounds",
+        f"{settings.tolerance:.1e} is asked{'; ' + passed if passed else ''}; start with a shorter interval or "
+        "allow more rounds",
         converged=False,
         error=worst,
     )

@@ -108,7 +108,7 @@ def collocation_method(name: str, points: Array) -> Method:
         name=name,
         points=points,
         differentiation=differentiation_matrix(support)[1:],
-        weights=weights,
+        weights=np.asarray(weights, dtype=np.float64),
         end=interpolation_matrix(support, [1.0])[0],
     )
 

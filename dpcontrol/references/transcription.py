@@ -9,6 +9,7 @@ Wächter & Biegler, Mathematical Programming 106 (2006), for IPOPT.
 
 import time
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -79,9 +80,7 @@ def _interval(problem: ReferenceProblem, method: Method, settings: ReferenceSett
         x = scale * points[:, k]
         defects.append(derivative[:, k] - length * rate(x, inputs[:, k], ca.DM(problem.parameters)) / scale)
         away = (x[:nz] - guess[:, k]) / pendulum_scale
-        running = (
-            inputs[0, k] ** 2 + settings.pendulum_weight * ca.sumsqr(away) + settings.cart_weight * x[nz] ** 2
-        )
+        running = inputs[0, k] ** 2 + settings.pendulum_weight * ca.sumsqr(away) + settings.cart_weight * x[nz] ** 2
         cost += length * float(method.weights[k]) * running
     end = ca.mtimes(values, ca.DM(method.end))
     return ca.Function(
@@ -89,7 +88,7 @@ def _interval(problem: ReferenceProblem, method: Method, settings: ReferenceSett
     )
 
 
-def _options(settings: ReferenceSettings) -> dict[str, object]:
+def _options(settings: ReferenceSettings) -> dict[str, Any]:
     return {
         "print_time": False,
         "error_on_fail": False,
