@@ -105,7 +105,7 @@ def robot_description(
         (child.removeprefix(prefix), child)
         for _, child in frames(len(arm_lengths), has_cart=has_cart, prefix=prefix)
     ]
-    lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr('reference' if ghost else 'pendulum')}>"]
+    lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr('reference_pendulum' if ghost else 'pendulum')}>"]
     lines += [
         f'  <material name="{prefix}{part}"><color rgba="{colour}"/></material>' for part, colour in ink.items()
     ]

@@ -1,0 +1,129 @@
+"""Pictures of a run: by the viewer where it can render, else by matplotlib, and never a hanging process."""
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+from matplotlib.image import imread
+from synthetic_run import context_for, synthetic_run, write_log
+from test_recording import bare_context, bare_log
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs import RunLog, read_log
+from dpcontrol.review import drawing, series, viewer
+from dpcontrol.review.context import ReviewContext
+from dpcontrol.review.picture import write_drawn_picture, write_picture
+
+PIXELS_SET = 0.02
+"""Least share of pixels that differ from the background in a picture that shows something."""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunLog, ReviewContext]:
+    made = synthetic_run()
+    return read_log(write_log(tmp_path_factory.mktemp("runs") / "run.mcap", made)), context_for(made)
+
+
+def _share_set(path: Path) -> float:
+    pixels = imread(path)[..., :3]
+    return float((np.abs(pixels - pixels[0, 0]).max(axis=-1) > 0.1).mean())
+
+
+def test_a_drawn_picture_shows_something_and_says_why_it_was_drawn(
+    run: tuple[RunLog, ReviewContext], tmp_path: Path
+) -> None:
+    made = write_drawn_picture(*run, tmp_path / "run.png", reason="no driver")
+    assert made.renderer == "matplotlib"
+    assert "no driver" in made.status
+    assert imread(made.path).shape[:2] == (1210, 1760)
+    assert _share_set(made.path) > PIXELS_SET
+
+
+def test_texts_in_the_drawn_picture_do_not_overlap(run: tuple[RunLog, ReviewContext]) -> None:
+    log, context = run
+    steps = tuple((0.5 + 0.6 * i, f"symbol {i + 1}") for i in range(6))
+    for shown in (
+        context,
+        replace(context, symbols=steps),
+        replace(context, symbols=(), verdict="stopped: " + "why " * 70),
+    ):
+        figure = drawing.draw(log, shown)
+        figure.canvas.draw()
+        boxes = []
+        for axes in figure.axes:
+            legend = axes.get_legend()
+            texts = [
+                *axes.texts,
+                axes.title,
+                getattr(axes, "_left_title", None),
+                *(legend.get_texts() if legend else []),
+            ]
+            boxes += [(text.get_text(), text.get_window_extent()) for text in texts if text and text.get_text()]
+        boxes += [(text.get_text(), text.get_window_extent()) for text in figure.texts]
+        for i, (name, box) in enumerate(boxes):
+            assert box.x0 >= 0
+            assert box.x1 <= figure.bbox.width, f"{name!r} leaves the page"
+            for other, another in boxes[i + 1 :]:
+                assert not box.padded(-1).overlaps(another.padded(-1)), f"{name!r} overlaps {other!r}"
+
+
+def test_without_a_driver_the_picture_is_drawn(
+    run: tuple[RunLog, ReviewContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(viewer, "missing_renderer", lambda: "no Vulkan driver is installed")
+    made = write_picture(*run, tmp_path / "run.png")
+    assert made.renderer == "matplotlib"
+    assert "no Vulkan driver" in made.status
+
+
+def test_the_viewer_renders_without_a_screen(run: tuple[RunLog, ReviewContext], tmp_path: Path) -> None:
+    reason = viewer.missing_renderer()
+    if reason is not None:
+        pytest.skip(reason)
+    made = write_picture(*run, tmp_path / "run.png")
+    assert made.renderer == "viewer", made.status
+    assert _share_set(made.path) > PIXELS_SET
+
+
+@pytest.mark.skipif(viewer.missing_renderer() is not None, reason="no renderer for the viewer")
+def test_a_viewer_out_of_time_is_ended_with_its_children(run: tuple[RunLog, ReviewContext], tmp_path: Path) -> None:
+    reason = viewer.screenshot(*run, tmp_path / "run.png", seconds=1.5)
+    assert reason is not None
+    assert "longer than 1.5 s" in reason
+    assert not list(tmp_path.iterdir())
+    time.sleep(0.3)
+    assert not [child for child in psutil.Process().children(recursive=True) if child.status() != psutil.STATUS_ZOMBIE]
+
+
+@pytest.mark.parametrize(("arms", "has_cart", "ticks"), [(1, True, 50), (2, False, 50), (3, True, 50), (2, True, 1)])
+def test_other_shapes_are_drawn_too(tmp_path: Path, arms: int, has_cart: bool, ticks: int) -> None:
+    log = bare_log(tmp_path / "run.mcap", arms=arms, has_cart=has_cart, ticks=ticks)
+    made = write_drawn_picture(log, bare_context(arms), tmp_path / "run.png")
+    assert _share_set(made.path) > PIXELS_SET / 4
+
+
+def test_a_picture_that_cannot_be_written_is_an_input_error(run: tuple[RunLog, ReviewContext], tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot write"):
+        write_drawn_picture(*run, tmp_path / "file" / "run.png")
+
+
+def test_thinned_curves_keep_every_peak() -> None:
+    time_s = np.linspace(0, 1, 100_000)
+    values = np.sin(40 * time_s)
+    values[[777, 50_000]] = 5.0, -5.0
+    thin_time, thin_values = series.thinned(time_s, values)
+    assert len(thin_time) < 3_100
+    assert (thin_values.max(), thin_values.min()) == (5.0, -5.0)
+    assert (np.diff(thin_time) > 0).all()
+
+
+def test_orbit_copies_stand_at_the_lattice_points_that_are_visited(run: tuple[RunLog, ReviewContext]) -> None:
+    log, context = run
+    assert log.truth is not None
+    copies = series.lattice_copies(context.orbits[0], log.truth[:, 1], arm=1)
+    centres = sorted(round(float(copy[:, 0].mean()) / np.pi) for copy in copies)
+    assert centres == [1, 3]

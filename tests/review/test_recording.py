@@ -1,0 +1,109 @@
+"""The Rerun recording of a run: whole, arranged, and holding what the log says."""
+
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic_run import context_for, synthetic_run, write_log
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
+from dpcontrol.review.context import ReviewContext
+from dpcontrol.review.recording import write_recording
+from dpcontrol.review.viewer import open_viewer, viewer_program
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunLog, ReviewContext]:
+    made = synthetic_run()
+    return read_log(write_log(tmp_path_factory.mktemp("runs") / "run.mcap", made)), context_for(made)
+
+
+def _rerun(*arguments: str) -> str:
+    program = viewer_program()
+    assert program is not None
+    done = subprocess.run([str(program), *arguments], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def bare_log(path: Path, *, arms: int, has_cart: bool, ticks: int) -> RunLog:
+    """Return a log of the shape asked for, without truth, every number zero but the times."""
+    size = 2 * arms + 2 * has_cart
+    with LogWriter(path, arm_lengths=[0.2] * arms, rate_hz=100.0, has_cart=has_cart) as log:
+        log.ticks(
+            np.arange(ticks) / 100,
+            measured=np.zeros((ticks, arms + has_cart)),
+            estimate=np.zeros((ticks, size)),
+            reference=np.zeros((ticks, size)),
+            truth=None,
+            control=np.zeros((ticks, len(control_fields(arms, has_cart=has_cart)))),
+        )
+    return read_log(path)
+
+
+def bare_context(arms: int) -> ReviewContext:
+    """Return a context with nothing but what must be there."""
+    return ReviewContext(title="bare", arm_lengths=(0.2,) * arms, limits=(0.5, 3.0, 30.0))
+
+
+def test_a_recording_is_verified_by_the_viewers_own_tool(run: tuple[RunLog, ReviewContext], tmp_path: Path) -> None:
+    write_recording(*run, tmp_path / "run.rrd")
+    _rerun("rrd", "verify", str(tmp_path / "run.rrd"))
+    assert [path.name for path in tmp_path.iterdir()] == ["run.rrd"]
+
+
+def test_a_recording_holds_scene_plots_events_and_blueprint(run: tuple[RunLog, ReviewContext], tmp_path: Path) -> None:
+    write_recording(*run, tmp_path / "run.rrd")
+    found = _rerun("rrd", "stats", str(tmp_path / "run.rrd"))
+    for entity in (
+        "/tf",
+        "/pendulum/visual_geometries/arm_2_link",
+        "/reference_pendulum/visual_geometries/",
+        "/rosout",
+        "/states/controller",
+        "/states/itinerary",
+        "/plots/angles/arm_1/3_plant",
+        "/plots/estimation_error/arm_2",
+        "/plots/energy/down_up",
+        "/phase_planes/arm_2/orbits",
+        "/tip",
+        "/viewport",
+    ):
+        assert entity in found, f"{entity} is not in the recording"
+
+
+def test_the_log_alone_passes_the_viewers_own_check(run: tuple[RunLog, ReviewContext]) -> None:
+    found = _rerun("mcap", "check", str(run[0].path))
+    assert "/reference/joint_states" in found
+    assert "error" not in found.lower()
+
+
+@pytest.mark.parametrize(("arms", "has_cart", "ticks"), [(1, True, 50), (2, False, 50), (3, True, 50), (2, True, 1)])
+def test_other_shapes_are_recorded_too(tmp_path: Path, arms: int, has_cart: bool, ticks: int) -> None:
+    log = bare_log(tmp_path / "run.mcap", arms=arms, has_cart=has_cart, ticks=ticks)
+    write_recording(log, bare_context(arms), tmp_path / "run.rrd")
+    _rerun("rrd", "verify", str(tmp_path / "run.rrd"))
+
+
+def test_a_log_that_has_gone_is_an_input_error(run: tuple[RunLog, ReviewContext], tmp_path: Path) -> None:
+    log = replace(run[0], path=tmp_path / "gone.mcap")
+    with pytest.raises(InputError, match="any more"):
+        write_recording(log, run[1], tmp_path / "run.rrd")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_viewer_for_no_recording_is_an_input_error(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there is no recording"):
+        open_viewer(tmp_path / "none.rrd")
+
+
+def test_logs_and_contexts_are_imported_without_the_viewer_or_matplotlib() -> None:
+    program = (
+        "import sys, dpcontrol.logs, dpcontrol.review.context, dpcontrol.review.picture\n"
+        "assert not {'rerun', 'matplotlib'} & sys.modules.keys()\n"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
