@@ -25,9 +25,7 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=suffix or ".partial", dir=path.parent)
     except OSError as error:
-        raise InputError(
-            f"cannot write {path}: {error.strerror or error}; choose another file or folder"
-        ) from error
+        raise InputError(f"cannot write {path}: {error.strerror or error}; choose another file or folder") from error
     os.close(handle)
     temporary = Path(name)
     try:
@@ -37,9 +35,7 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
         temporary.chmod(0o666 & ~umask)
         temporary.replace(path)
     except OSError as error:
-        raise InputError(
-            f"cannot write {path}: {error.strerror or error}; choose another file or folder"
-        ) from error
+        raise InputError(f"cannot write {path}: {error.strerror or error}; choose another file or folder") from error
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -123,7 +123,7 @@ class ConnectingOrbit:
 
         Outside the nodes' times the local manifolds continue the orbit.
         """
-        wanted = np.atleast_1d(np.asarray(times, dtype=float))
+        wanted, inverse = np.unique(np.asarray(times, dtype=float), return_inverse=True)
         out = np.empty((len(wanted), self.system.dimension))
         before, after = wanted < self.times[0], wanted > self.times[-1]
         if before.any():
@@ -133,9 +133,8 @@ class ConnectingOrbit:
         segment = np.clip(np.searchsorted(self.times, wanted, side="right") - 1, 0, len(self.times) - 2)
         for k in np.unique(segment[~(before | after)]):
             where = np.flatnonzero((segment == k) & ~(before | after))
-            order = where[np.argsort(wanted[where], kind="stable")]
-            out[order] = self.system.propagator.sample(self.states[k], wanted[order] - self.times[k])
-        return out
+            out[where] = self.system.propagator.sample(self.states[k], wanted[where] - self.times[k])
+        return out[np.ravel(inverse)]
 
 
 def solve_connecting_orbit(

@@ -1,0 +1,179 @@
+"""Checked reading of TOML files: every mistake is one sentence naming file, table, key, value and what is allowed."""
+
+import difflib
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING, fields
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+from dpcontrol.foundation.errors import InputError
+
+T = TypeVar("T")
+
+
+class Table:
+    """One table of a TOML file. Values are taken key by key; `finish` refuses keys that nobody took.
+
+    Every method raises InputError with one sentence when a key is missing, unknown or of the wrong kind.
+    """
+
+    def __init__(self, values: Mapping[str, Any], *, file: str, name: str = "") -> None:
+        self._values = dict(values)
+        self._taken: set[str] = set()
+        self.file, self.name = file, name
+
+    def where(self, key: str | None = None) -> str:
+        """Return "FILE: [table] key" for a message."""
+        table = f" [{self.name}]" if self.name else ""
+        return f"{self.file}:{table}{f' {key}' if key else ''}"
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._values
+
+    def _take(self, key: str, default: Any) -> Any:
+        self._taken.add(key)
+        if key in self._values:
+            return self._values[key]
+        if default is MISSING:
+            close = difflib.get_close_matches(key, [k for k in self._values if k not in self._taken], n=1)
+            hint = f"; did you mean it by {close[0]!r}?" if close else ""
+            raise InputError(f"{self.where()} the key {key!r} is missing{hint}")
+        return default
+
+    def text(self, key: str, default: Any = MISSING, *, allowed: Iterable[str] | None = None) -> str:
+        """Return a string, one of `allowed` if given."""
+        value = self._take(key, default)
+        if not isinstance(value, str):
+            raise InputError(f"{self.where(key)} = {value!r}: must be text in quotes")
+        if allowed is not None and value not in (choices := list(allowed)):
+            raise InputError(f"{self.where(key)} = {value!r}: {_choose(value, choices)}")
+        return value
+
+    def number(self, key: str, default: Any = MISSING) -> float:
+        """Return a finite number."""
+        return self._number(self._take(key, default), key)
+
+    def integer(self, key: str, default: Any = MISSING, *, least: int = 0) -> int:
+        """Return a whole number of at least `least`."""
+        return self._integer(self._take(key, default), key, least)
+
+    def numbers(self, key: str, default: Any = MISSING) -> tuple[float, ...]:
+        """Return a list of finite numbers."""
+        return tuple(self._number(v, key) for v in self._list(key, default))
+
+    def integers(self, key: str, default: Any = MISSING, *, least: int = 0) -> tuple[int, ...]:
+        """Return a list of whole numbers of at least `least`."""
+        return tuple(self._integer(v, key, least) for v in self._list(key, default))
+
+    def texts(self, key: str, default: Any = MISSING) -> tuple[str, ...]:
+        """Return a list of strings."""
+        values = self._list(key, default)
+        for value in values:
+            if not isinstance(value, str):
+                raise InputError(f"{self.where(key)} holds {value!r}: must be a list of texts in quotes")
+        return tuple(values)
+
+    def table(self, key: str, *, required: bool = False) -> "Table":
+        """Return a table within this one, empty where it is not given."""
+        value = self._take(key, MISSING if required else {})
+        if not isinstance(value, dict):
+            raise InputError(f"{self.where(key)} = {value!r}: must be a table, [{key}]")
+        return Table(value, file=self.file, name=f"{self.name}.{key}" if self.name else key)
+
+    def remaining(self) -> dict[str, Any]:
+        """Return the keys that were not taken yet, and take them."""
+        rest = {key: value for key, value in self._values.items() if key not in self._taken}
+        self._taken |= set(rest)
+        return rest
+
+    def settings(self, kind: type[T], /, *, also: Iterable[str] = (), **given: Any) -> T:
+        """Return a settings dataclass filled from this table, its fields' defaults elsewhere.
+
+        Fields named in `given` are set by the caller and may not be in the file. The dataclass's own checks are
+        reported with this table's place; `also` names further keys for the suggestion after an unknown one.
+        """
+        hints = get_type_hints(kind)
+        values = dict(given)
+        for field in fields(kind):  # type: ignore[arg-type]
+            if field.name in given or field.name not in self:
+                continue
+            hint = hints[field.name]
+            if hint is float:
+                values[field.name] = self.number(field.name)
+            elif hint is int:
+                values[field.name] = self.integer(field.name)
+            elif hint is str:
+                values[field.name] = self.text(field.name)
+        simple = [f.name for f in fields(kind) if hints[f.name] in (float, int, str)]  # type: ignore[arg-type]
+        self.finish(also=[*(name for name in simple if name not in given), *also])
+        return self.checked(kind, **values)
+
+    def checked(self, kind: type[T], /, **values: Any) -> T:
+        """Construct a dataclass and report what it refuses with this table's place."""
+        try:
+            return kind(**values)
+        except InputError as error:
+            # Settings name their table in front, as this table's place already does.
+            message = str(error).removeprefix(f"{self.name.rpartition('.')[2]}: ")
+            raise InputError(f"{self.where()} {message}") from error
+
+    def finish(self, *, also: Iterable[str] = ()) -> None:
+        """Refuse keys that were not taken; `also` names further keys for the suggestion."""
+        for key in self._values:
+            if key not in self._taken:
+                known = sorted(self._taken | set(also))
+                place = f"{self.where()} " if self.name else f"{self.where()} at the top level, "
+                raise InputError(f"{place}the key {key!r} is unknown: {_choose(key, known)}")
+
+    def _list(self, key: str, default: Any) -> list[Any] | tuple[Any, ...]:
+        value = self._take(key, default)
+        if not isinstance(value, list | tuple):
+            raise InputError(f"{self.where(key)} = {value!r}: must be a list in square brackets")
+        return value
+
+    def _number(self, value: Any, key: str) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"{self.where(key)} = {value!r}: must be a number")
+        if value != value or value in (float("inf"), float("-inf")):
+            raise InputError(f"{self.where(key)} = {value!r}: must be a finite number")
+        return float(value)
+
+    def _integer(self, value: Any, key: str, least: int) -> int:
+        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+            raise InputError(f"{self.where(key)} = {value!r}: must be a whole number of at least {least}")
+        return value
+
+
+def _choose(value: str, choices: list[str]) -> str:
+    close = difflib.get_close_matches(value, choices, n=1)
+    if close:
+        return f"did you mean {close[0]!r}? Allowed: {', '.join(choices)}"
+    return f"allowed: {', '.join(choices)}"
+
+
+def read_toml(path: Path) -> tuple[Table, str]:
+    """Return the file's top table and its text.
+
+    Raises:
+        InputError: the file cannot be read, is not text, or is not TOML; names the line.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}; check the name") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not a text file; give a TOML file") from error
+    return parse_toml(text, str(path)), text
+
+
+def parse_toml(text: str, file: str) -> Table:
+    """Return the top table of TOML text, `file` naming it in messages.
+
+    Raises:
+        InputError: the text is not TOML; names the line.
+    """
+    try:
+        return Table(tomllib.loads(text), file=file)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{file} is not valid TOML: {error}") from error
