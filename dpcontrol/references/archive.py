@@ -19,7 +19,7 @@ import zipfile
 import zlib
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,8 +113,8 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
     )
 
 
-def load_reference(path: Path) -> Reference:
-    """Read what `save_reference` wrote.
+def load_reference(path: Path | IO[bytes]) -> Reference:
+    """Read what `save_reference` wrote, from a path or an open binary file.
 
     Raises:
         InputError: there is no such file, or it is damaged or not a reference; says which.

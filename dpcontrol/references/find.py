@@ -68,7 +68,8 @@ def _tightened(limits: Limits, asked: Limits, largest: dict[str, float]) -> Limi
     for name, bound in asked.named().items():
         over = largest[name] - bound
         if over > LIMIT_SLACK:
-            changes[name] = max(limits.named()[name] - 1.2 * over - LIMIT_SLACK, 0.5 * bound)
+            # More than the excess, which shifts to other intervals as the limit moves: this ends in a few rounds.
+            changes[name] = max(limits.named()[name] - 1.5 * over - 1e-4 * bound, 0.5 * bound)
     return replace(limits, **changes) if changes else None
 
 

@@ -86,7 +86,7 @@ def radau(count: int) -> Method:
         InputError: `count` is not between 2 and 12.
     """
     if not 2 <= count <= 12:
-        raise InputError(f"points = {count}: a Radau method here has 2 to 12 points; 5 serve the pendulum")
+        raise InputError(f"radau-{count}: the method has 2 to 12 points here; radau-5 serves the pendulum")
     # The points are 1 and the zeros of (P_{K-1} - P_K)/(1 - x), on -1 to 1.
     legendre = np.polynomial.legendre.Legendre
     difference = legendre.basis(count - 1) - legendre.basis(count)
@@ -121,5 +121,5 @@ def method_named(name: str) -> Method:
     """
     family, _, count = name.partition("-")
     if family != "radau" or not count.isdigit():
-        raise InputError(f"method = {name!r}: allowed are radau-2 to radau-12; radau-5 serves the pendulum")
+        raise InputError(f"method = {name!r}: allowed are radau-2 to radau-12")
     return radau(int(count))

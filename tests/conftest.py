@@ -1,0 +1,33 @@
+"""Shared by several folders of tests: references that take seconds to find, found once per session."""
+
+import pytest
+from shadowing_stand_in import LAB, StandIn, high_crossing, low_turn
+
+from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.references.find import find_reference
+from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings
+from dpcontrol.references.reference import Reference
+
+
+def _tracked(orbit: StandIn) -> tuple[StandIn, Reference]:
+    equations = arm_chain_equations(2, Level.CART)
+    problem = ReferenceProblem(equations, LAB.base(), orbit.guess, orbit.duration)
+    return orbit, find_reference(problem, ReferenceSettings())
+
+
+@pytest.fixture(scope="session")
+def turn() -> tuple[StandIn, Reference]:
+    """The outer arm's turn at -0.07 J, and its reference."""
+    return _tracked(low_turn())
+
+
+@pytest.fixture(scope="session")
+def crossing() -> tuple[StandIn, Reference]:
+    """From Down-Up to Up-Down at 0.2 J, and its reference."""
+    return _tracked(high_crossing())
+
+
+@pytest.fixture(params=["turn", "crossing"])
+def tracked(request: pytest.FixtureRequest) -> tuple[StandIn, Reference]:
+    """Each of the two in turn."""
+    return request.getfixturevalue(request.param)

@@ -1,0 +1,77 @@
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from shadowing_stand_in import LAB
+
+from dpcontrol.control.sampled import SampledModel
+from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.foundation.errors import InputError
+
+STEP = 1e-7  # Error of one Runge-Kutta step of 1 ms.
+SLOPE = 1e-5  # Of central differences, relative to Jacobians of order one.
+EQUATIONS = arm_chain_equations(2, Level.CART)
+STATE = np.array([0.4, 2.8, 6.0, -9.0, 0.1, -0.3])
+
+
+def exact_flow(state: np.ndarray, command: float, duration: float) -> np.ndarray:
+    rate = EQUATIONS.function()
+    flow = solve_ivp(
+        lambda _, x: np.array(rate(x, command, LAB.base())).ravel(),
+        (0, duration),
+        state,
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-12,
+    )
+    return flow.y[:, -1]
+
+
+@pytest.fixture
+def model() -> SampledModel:
+    return SampledModel(EQUATIONS, LAB.base(), period=1e-3)
+
+
+def test_a_step_is_that_of_an_independent_integrator(model: SampledModel) -> None:
+    expected = exact_flow(STATE, 3.0, 1e-3)
+    assert model.step(STATE, 3.0) == pytest.approx(expected, abs=STEP)
+    following, _ = model.step_with_jacobian(STATE, 3.0)
+    assert following == pytest.approx(expected, abs=STEP)
+
+
+def test_jacobians_are_those_of_differences_of_the_exact_flow(model: SampledModel) -> None:
+    a, b = model.linearised(np.array([STATE, STATE / 2]), np.array([3.0, -1.0]))
+    for k, (state, command) in enumerate(((STATE, 3.0), (STATE / 2, -1.0))):
+        for j in range(6):
+            d = 1e-5 * np.eye(6)[j]
+            column = (exact_flow(state + d, command, 1e-3) - exact_flow(state - d, command, 1e-3)) / 2e-5
+            assert a[k][:, j] == pytest.approx(column, abs=SLOPE)
+        column = exact_flow(state, command + 0.5, 1e-3) - exact_flow(state, command - 0.5, 1e-3)
+        assert b[k] == pytest.approx(column, abs=1e-6 * SLOPE**0.5)
+    assert model.step_with_jacobian(STATE, 3.0)[1] == pytest.approx(a[0], abs=1e-14)
+
+
+def test_looking_ahead_is_stepping_through_the_commands_on_their_way(model: SampledModel) -> None:
+    assert (model.ahead(STATE, []) == STATE).all()
+    assert model.ahead(STATE, [1.0, -2.0]) == pytest.approx(
+        exact_flow(exact_flow(STATE, 1.0, 1e-3), -2.0, 1e-3), abs=2 * STEP
+    )
+
+
+def test_many_steps_leave_other_results_alone(model: SampledModel) -> None:
+    first = model.step(STATE, 1.0)
+    kept = first.copy()
+    junk = []
+    for k in range(3000):
+        model.step_with_jacobian(STATE * (k % 7), float(k))
+        junk.append(model.step(STATE, float(k)))
+    assert (first == kept).all()
+    assert junk[1] == pytest.approx(kept, abs=0)
+
+
+def test_impossible_models_are_refused() -> None:
+    with pytest.raises(InputError, match="period"):
+        SampledModel(EQUATIONS, LAB.base(), period=0.0)
+    with pytest.raises(InputError, match="parameters"):
+        SampledModel(EQUATIONS, LAB.base()[1:], period=1e-3)
+    with pytest.raises(InputError, match="cart level"):
+        SampledModel(arm_chain_equations(2, Level.CONSERVATIVE), LAB.base(), period=1e-3)

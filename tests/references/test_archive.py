@@ -1,0 +1,93 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from shadowing_stand_in import StandIn
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.references.archive import load_reference, save_reference
+from dpcontrol.references.reference import Reference
+
+
+@pytest.fixture
+def stored(turn: tuple[StandIn, Reference], tmp_path: Path) -> tuple[Reference, Path]:
+    reference = replace(turn[1], extra={"orbit": turn[0].final}, notes={"walk": ["down-up +"]})
+    path = tmp_path / "turn.npz"
+    save_reference(path, reference)
+    return reference, path
+
+
+def test_a_reference_comes_back_as_it_was(stored: tuple[Reference, Path]) -> None:
+    reference, path = stored
+    back = load_reference(path)
+    times = np.linspace(0.0, reference.duration, 333)
+    assert (back.state(times) == reference.state(times)).all()
+    assert (back.input(times) == reference.input(times)).all()
+    assert (back.extra["orbit"] == reference.extra["orbit"]).all()
+    assert back.notes == reference.notes
+    for name in ("status", "converged", "limits", "max_error_between_nodes", "iterations", "duration"):
+        assert getattr(back, name) == getattr(reference, name)
+
+
+def test_the_file_is_readable_with_numpy_alone(stored: tuple[Reference, Path]) -> None:
+    reference, path = stored
+    with np.load(path, allow_pickle=False) as file:
+        header = json.loads(str(file["header"]))
+        assert header["format"] == "dpcontrol-reference"
+        assert file["states"].shape == reference.states.shape
+        # The documented layout is enough to evaluate the input with a plain polynomial fit.
+        fit = np.polyfit(file["points"], file["inputs"][7, :, 0], len(file["points"]) - 1)
+        time = file["mesh"][7] + 0.3 * (file["mesh"][8] - file["mesh"][7])
+    assert np.polyval(fit, 0.3) == pytest.approx(float(reference.input(time)[0]), abs=1e-9)
+
+
+def test_a_failed_reference_is_stored_without_infinities(stored: tuple[Reference, Path]) -> None:
+    reference, path = stored
+    save_reference(path, replace(reference, converged=False, max_error_between_nodes=float("inf")))
+    back = load_reference(path)
+    assert not back.converged
+    assert back.max_error_between_nodes == float("inf")
+
+
+@pytest.mark.parametrize("length", [0, 100, 5000, -300])
+def test_a_truncated_file_is_refused(stored: tuple[Reference, Path], length: int) -> None:
+    _, path = stored
+    path.write_bytes(path.read_bytes()[:length])
+    with pytest.raises(InputError, match=r"turn\.npz is not a reference"):
+        load_reference(path)
+
+
+def test_a_foreign_or_changed_file_is_refused(stored: tuple[Reference, Path], tmp_path: Path) -> None:
+    _, path = stored
+    np.savez(tmp_path / "other.npz", a=np.zeros(3))
+    (tmp_path / "text.npz").write_text("walk = []")
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    for name in ("other.npz", "text.npz", "array.npy"):
+        with pytest.raises(InputError, match="not a reference"):
+            load_reference(tmp_path / name)
+    with np.load(path) as file:
+        parts = dict(file)
+    header = json.loads(str(parts["header"]))
+    changes = {
+        "version": {"header": np.array(json.dumps(header | {"version": 99}))},
+        "mesh": {"mesh": parts["mesh"][::-1]},
+        "states": {"states": parts["states"][1:]},
+        "finite": {"states": np.full_like(parts["states"], np.nan)},
+        "points": {"points": parts["points"] / 2},
+    }
+    for word, change in changes.items():
+        np.savez(tmp_path / "changed.npz", **(parts | change))
+        with pytest.raises(InputError, match=word):
+            load_reference(tmp_path / "changed.npz")
+
+
+def test_a_missing_file_and_notes_that_are_not_json_are_one_sentence(
+    stored: tuple[Reference, Path], tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match="there is no reference"):
+        load_reference(tmp_path / "nothing.npz")
+    with pytest.raises(InputError, match="notes"):
+        save_reference(tmp_path / "new.npz", replace(stored[0], notes={"a": object()}))
+    assert not (tmp_path / "new.npz").exists()

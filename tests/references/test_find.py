@@ -1,0 +1,185 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.polynomial import Polynomial
+from scipy.integrate import solve_ivp
+from shadowing_stand_in import LAB, StandIn, orbit_stretch
+
+from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.references.errors import error_between_nodes, largest_on_intervals
+from dpcontrol.references.find import find_reference, on_mesh, split_mesh
+from dpcontrol.references.method import radau
+from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings, state_scale
+from dpcontrol.references.reference import Reference
+from dpcontrol.references.transcription import first_trajectory, solve
+
+TOLERANCE = 1e-6  # The error between nodes that a reference promises, scaled.
+LIMIT = 1e-9  # How far a limit may be passed anywhere.
+EXACT = 1e-12  # Fixed ends are not variables of the program.
+EQUATIONS = arm_chain_equations(2, Level.CART)
+
+
+def stretch_problem(limits: Limits | None = None, duration: float = 0.7) -> ReferenceProblem:
+    orbit = orbit_stretch(duration)
+    return ReferenceProblem(EQUATIONS, LAB.base(), orbit.guess, orbit.duration, limits or Limits())
+
+
+def test_error_between_nodes_is_what_an_independent_integrator_finds(
+    tracked: tuple[StandIn, Reference],
+) -> None:
+    _, reference = tracked
+    assert reference.converged, reference.status
+    rate = EQUATIONS.function()
+    scale = state_scale(6, reference.limits)
+    worst = 0.0
+    for i in range(0, len(reference.mesh) - 1, 23):
+        start, end = reference.mesh[i], reference.mesh[i + 1]
+        curve = Polynomial.fit(
+            start + (end - start) * reference.method.points, reference.inputs[i, :, 0], 4, domain=[start, end]
+        )
+        times = np.linspace(start, end, 33)
+        flow = solve_ivp(
+            lambda t, x, curve=curve: np.array(rate(x, curve(t), LAB.base())).ravel(),
+            (start, end),
+            reference.states[i, 0],
+            t_eval=times,
+            method="DOP853",
+            rtol=1e-12,
+            atol=1e-12,
+        )
+        # The last time belongs to the next interval, whose start is this one's end.
+        worst = max(worst, float((np.abs(flow.y.T - reference.state(times)) / scale).max()))
+    assert worst <= reference.max_error_between_nodes + 1e-10
+    assert reference.max_error_between_nodes <= TOLERANCE
+
+
+def test_reference_starts_and_ends_on_the_orbit_with_the_cart_at_rest_in_the_middle(
+    tracked: tuple[StandIn, Reference],
+) -> None:
+    orbit, reference = tracked
+    for time in (0.0, orbit.duration):
+        assert reference.state(time) == pytest.approx([*orbit.guess(time), 0.0, 0.0], abs=EXACT)
+    assert reference.duration == pytest.approx(orbit.duration, abs=EXACT)
+
+
+def test_reference_stays_near_the_orbit_at_the_effort_of_friction(
+    tracked: tuple[StandIn, Reference],
+) -> None:
+    orbit, reference = tracked
+    times = np.linspace(0.0, reference.duration, 5001)
+    away = reference.state(times)[:, :2] - orbit.guess(times)[:, :2]
+    assert np.abs(away).max() < 0.3  # Friction delays a turn by hundredths of a second at up to 20 rad/s.
+    assert 0.03 < reference.rms_cart_acceleration < 0.2  # Of the order of friction, not of gravity.
+    last_period = orbit.final
+    ending = reference.state(times[times > reference.duration - 0.7])[:, :2]
+    nearest = np.abs(last_period[None, :, :2] - ending[:, None]).max(2).min(1)
+    assert nearest.max() < 0.05
+
+
+def test_reported_largest_values_are_those_of_a_dense_grid(crossing: tuple[StandIn, Reference]) -> None:
+    _, reference = crossing
+    times = np.linspace(0.0, reference.duration, 100_001)
+    states, inputs = reference.state(times), reference.input(times)
+    assert reference.max_cart_position == pytest.approx(np.abs(states[:, 4]).max(), rel=1e-3)
+    assert reference.max_cart_velocity == pytest.approx(np.abs(states[:, 5]).max(), rel=1e-3)
+    assert reference.max_cart_acceleration == pytest.approx(np.abs(inputs).max(), rel=1e-3)
+    assert reference.rms_cart_acceleration == pytest.approx(np.sqrt((inputs**2).mean()), rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["position", "velocity", "acceleration"])
+def test_a_limit_that_binds_is_kept_between_the_nodes(name: str) -> None:
+    free = find_reference(stretch_problem(), ReferenceSettings())
+    bound = 0.85 * getattr(free, f"max_cart_{name}")
+    held = find_reference(stretch_problem(replace(Limits(), **{name: bound})), ReferenceSettings())
+    assert held.converged, held.status
+    times = np.linspace(0.0, held.duration, 200_001)
+    states = held.state(times)
+    curve = {"position": states[:, 4], "velocity": states[:, 5], "acceleration": held.input(times)[:, 0]}[name]
+    assert np.abs(curve).max() <= bound + LIMIT
+    assert np.abs(curve).max() > 0.95 * bound
+
+
+@pytest.mark.parametrize(("name", "unit"), [("position", "m"), ("acceleration", "m/s²")])
+def test_infeasible_limits_are_named_with_what_would_be_needed(name: str, unit: str) -> None:
+    free = find_reference(stretch_problem(), ReferenceSettings())
+    bound = 0.01 * getattr(free, f"max_cart_{name}")
+    refused = find_reference(stretch_problem(replace(Limits(), **{name: bound})), ReferenceSettings(iterations=60))
+    assert not refused.converged
+    needed = f"cart {name} of {getattr(free, f'max_cart_{name}'):.4g}"
+    assert needed in refused.status
+    assert f"{unit} where {bound:.4g} is allowed" in refused.status
+    assert np.isfinite(refused.states).all()
+
+
+def test_a_mesh_too_coarse_is_seen_between_nodes_though_the_nodes_are_exact() -> None:
+    problem, method = stretch_problem(), radau(5)
+    errors = {}
+    for intervals in (5, 10, 20):
+        first = first_trajectory(problem, method, np.linspace(0.0, problem.duration, intervals + 1))
+        solved = solve(problem, method, settings=ReferenceSettings(), first=first, limits=problem.limits)
+        assert solved.succeeded
+        assert solved.violation < 1e-9
+        errors[intervals] = error_between_nodes(problem, solved.trajectory, method=method).max()
+    assert errors[5] > 100 * TOLERANCE
+    # Of order five at least, so a factor of 32 for half the length; the coarse meshes are not asymptotic yet.
+    assert errors[5] / errors[10] > 10
+    assert errors[10] / errors[20] > 20
+
+
+def test_refinement_splits_until_the_tolerance_holds() -> None:
+    reference = find_reference(stretch_problem(), ReferenceSettings(interval=0.1, tolerance=1e-8))
+    assert reference.converged, reference.status
+    assert reference.max_error_between_nodes <= 1e-8
+    assert len(reference.mesh) > 8
+
+
+def test_too_few_rounds_end_with_the_error_and_a_remedy() -> None:
+    reference = find_reference(stretch_problem(), ReferenceSettings(interval=0.2, rounds=1))
+    assert not reference.converged
+    assert "error between nodes" in reference.status
+    assert "shorter interval" in reference.status
+    assert np.isfinite(reference.max_error_between_nodes)
+
+
+def test_splitting_keeps_good_intervals_and_cuts_bad_ones() -> None:
+    mesh = split_mesh(np.array([0.0, 1.0, 2.0, 3.0]), np.array([1e-9, 1e-5, np.inf]), tolerance=1e-6, order=5)
+    assert mesh[:2] == pytest.approx([0.0, 1.0])
+    assert mesh == pytest.approx([0.0, 1.0, 1.5, 2.0, 2.25, 2.5, 2.75, 3.0])
+
+
+def test_a_trajectory_on_a_finer_mesh_is_the_same_polynomial() -> None:
+    problem, method = stretch_problem(), radau(5)
+    coarse = first_trajectory(problem, method, np.linspace(0.0, problem.duration, 8))
+    fine = on_mesh(coarse, np.sort(np.concatenate([coarse.mesh, [0.03, 0.31]])), method=method)
+    again = on_mesh(fine, coarse.mesh, method=method)
+    # Both halves hold the same polynomial of degree five, extrapolated from one of them.
+    assert again.states == pytest.approx(coarse.states, abs=1e-5)
+    assert fine.states[0, 0] == pytest.approx(coarse.states[0, 0], abs=EXACT)
+
+
+def test_the_largest_value_between_samples_is_found() -> None:
+    points = radau(5).points
+    curve = Polynomial([0.0, 4.0, -4.0])
+    assert largest_on_intervals(points, curve(points)[None, :], above=0.5) == pytest.approx(1.0, abs=EXACT)
+
+
+def test_impossible_problems_are_refused_in_one_sentence() -> None:
+    orbit = orbit_stretch(0.5)
+    with pytest.raises(InputError, match="cart level"):
+        ReferenceProblem(arm_chain_equations(2, Level.CONSERVATIVE), LAB.base(), orbit.guess, 0.5)
+    with pytest.raises(InputError, match="parameters have shape"):
+        ReferenceProblem(EQUATIONS, LAB.base()[:3], orbit.guess, 0.5)
+    with pytest.raises(InputError, match="duration"):
+        ReferenceProblem(EQUATIONS, LAB.base(), orbit.guess, 0.0)
+    with pytest.raises(InputError, match="acceleration = -1"):
+        Limits(acceleration=-1.0)
+    with pytest.raises(InputError, match="tolerance"):
+        ReferenceSettings(tolerance=float("nan"))
+    ragged = ReferenceProblem(EQUATIONS, LAB.base(), lambda t: np.full((len(t), 4), np.nan), 0.5)
+    with pytest.raises(InputError, match=r"not finite at t = 0 s"):
+        find_reference(ragged, ReferenceSettings())
+    narrow = ReferenceProblem(EQUATIONS, LAB.base(), lambda t: np.zeros((len(t), 3)), 0.5)
+    with pytest.raises(InputError, match="shape"):
+        find_reference(narrow, ReferenceSettings())
