@@ -146,6 +146,10 @@ class ChunkEncoder:
         chosen = np.flatnonzero(np.diff(number, prepend=self._last_transform) > 0)
         self._last_transform = int(number[-1])
         robot = rows.estimate if rows.truth is None else rows.truth
+        # A pose of a state that is no number would be refused by every reader of transforms.
+        chosen = chosen[np.isfinite(robot[chosen]).all(axis=1) & np.isfinite(rows.reference[chosen]).all(axis=1)]
+        if not len(chosen):
+            return []
         states = np.concatenate([robot[chosen], rows.reference[chosen]])
         poses = urdf.poses(states, arm_lengths=self._lengths, has_cart=self._tick.has_cart)
         poses = np.concatenate([poses[: len(chosen)], poses[len(chosen) :]], axis=1)

@@ -193,9 +193,7 @@ class McapFile:
         for opcode, records in groups:
             group = b"".join(_bytes_of(record) for record in records)
             if group:
-                offset = SummaryOffset(
-                    group_opcode=opcode, group_start=start + len(summary), group_length=len(group)
-                )
+                offset = SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group))
                 places += _bytes_of(offset)
                 summary += group
         offset_start = start + len(summary)

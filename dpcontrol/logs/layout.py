@@ -31,7 +31,8 @@ LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 
 LAYOUT_RECORD = "dpcontrol.layout"
 RUN_RECORD = "dpcontrol.run"
-"""Names of the two metadata records: the layout (ours) and whatever the caller passed."""
+RESULT_RECORD = "dpcontrol.result"
+"""Names of the metadata records: the layout (ours), what the caller passed, and how the run went (at the end)."""
 
 MESSAGE_OPCODE = 5
 _RECORD_HEADER = [

@@ -45,7 +45,7 @@ class RunLog:
         truth: (N, 2n+2) likewise, or None where nobody knows it.
         control: (N,) for each name of `control_fields`.
         events: in the order in which they were logged.
-        metadata: what the writer's caller passed, and `program`, which wrote it.
+        metadata: what the writer's caller passed at the start and at the end, and `program`, which wrote it.
         attachments: content by name.
         joint_names: `arm_1 …`, then `cart` where there is one.
         arm_lengths: (n,) in m.
@@ -90,9 +90,7 @@ def _decode(path: Path, file: VerifiedFile) -> RunLog:
     first = next(batches, None)
     tick = _tick_layout(path, file)
     if first is None or not file.has_checksum:
-        reason = (
-            "holds no messages" if first is None else "carries no checksum of its data, so nothing vouches for it"
-        )
+        reason = "holds no messages" if first is None else "carries no checksum of its data, so nothing vouches for it"
         raise InputError(f"{path} {reason}; make the log again with `dpcontrol run`")
     topics = {channel.id: channel.topic for channel in file.channels.values()}
     columns: dict[str, list[NDArray]] = {topic: [] for topic in tick.messages}
@@ -204,9 +202,7 @@ def _run_log(
 ) -> RunLog:
     measured = records[layout.MEASURED]
     if measured is None or not len(measured):
-        raise InputError(
-            f"{path} holds no ticks: the run ended before its first; make it again with `dpcontrol run`"
-        )
+        raise InputError(f"{path} holds no ticks: the run ended before its first; make it again with `dpcontrol run`")
     for topic, part in records.items():
         if part is None or not np.array_equal(part["log_time"], measured["log_time"]):
             damaged(path, f"the messages of {topic} do not pair with those of {layout.MEASURED}")
@@ -234,7 +230,11 @@ def _run_log(
         truth=state(layout.TRUTH) if tick.has_truth else None,
         control=control,
         events=tuple(events),
-        metadata={**file.metadata.get(layout.RUN_RECORD, {}), "program": described["program"]},
+        metadata={
+            **file.metadata.get(layout.RESULT_RECORD, {}),
+            **file.metadata.get(layout.RUN_RECORD, {}),
+            "program": described["program"],
+        },
         attachments=dict(file.attachments),
         joint_names=tick.names,
         arm_lengths=tuple(float(text) for text in described["arm_lengths"].split()),

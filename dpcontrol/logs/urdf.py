@@ -102,13 +102,10 @@ def robot_description(
     # The ghost swings just behind the robot; in one plane the two would flicker.
     depth = 1.5 * _THICKNESS if ghost else 0.0
     names = [
-        (child.removeprefix(prefix), child)
-        for _, child in frames(len(arm_lengths), has_cart=has_cart, prefix=prefix)
+        (child.removeprefix(prefix), child) for _, child in frames(len(arm_lengths), has_cart=has_cart, prefix=prefix)
     ]
     lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr('reference_pendulum' if ghost else 'pendulum')}>"]
-    lines += [
-        f'  <material name="{prefix}{part}"><color rgba="{colour}"/></material>' for part, colour in ink.items()
-    ]
+    lines += [f'  <material name="{prefix}{part}"><color rgba="{colour}"/></material>' for part, colour in ink.items()]
     for name, link in names:
         lines.append(f"  <link name={quoteattr(link)}>")
         lines += _visuals(name, arm_lengths, depth=depth, reach=reach, prefix=prefix, track=has_cart and not ghost)
@@ -163,9 +160,7 @@ def _joints(arm_lengths: Sequence[float], *, has_cart: bool, prefix: str, reach:
         name = child.removeprefix(prefix).removesuffix("_link")
         ends = f"<parent link={quoteattr(parent)}/><child link={quoteattr(child)}/>"
         if name == "cart":
-            body = (
-                f'<axis xyz="1 0 0"/><limit lower="{-reach:g}" upper="{reach:g}" velocity="{speed:g}" effort="0"/>'
-            )
+            body = f'<axis xyz="1 0 0"/><limit lower="{-reach:g}" upper="{reach:g}" velocity="{speed:g}" effort="0"/>'
             lines.append(f'  <joint name="{prefix}cart" type="prismatic">{ends}{body}</joint>')
         elif name.startswith("arm_"):
             lines.append(f'  <joint name="{prefix}{name}" type="continuous">{ends}{axis}</joint>')

@@ -90,15 +90,11 @@ def _content(path: Path) -> bytes:
     except FileNotFoundError as error:
         raise InputError(f"there is no log {path}; check the name or {_AGAIN}") from error
     except OSError as error:
-        raise InputError(
-            f"cannot read {path}: {error.strerror or error}; give the path of a .mcap file"
-        ) from error
+        raise InputError(f"cannot read {path}: {error.strerror or error}; give the path of a .mcap file") from error
     if not data:
         raise InputError(f"{path} is empty; {_AGAIN}")
     if not (data.startswith(MAGIC) or MAGIC.startswith(data)):
-        raise InputError(
-            f"{path} is not an MCAP file (it begins with {data[:8]!r}); give a log of `dpcontrol run`"
-        )
+        raise InputError(f"{path} is not an MCAP file (it begins with {data[:8]!r}); give a log of `dpcontrol run`")
     return data
 
 

@@ -78,6 +78,7 @@ class LogWriter:
         self._has_truth: bool | None = None
         self._last = 0.0
         self._notes: list[Note] = []
+        self._result: dict[str, str] = {}
         self._encoder: ChunkEncoder | None = None
         self._file: McapFile | None = None
         self._stream: BinaryIO | None = None
@@ -101,6 +102,8 @@ class LogWriter:
         try:
             self._write_chunk()
             if kind is None:
+                if self._result:
+                    self._file.add_metadata(layout.RESULT_RECORD, self._result)
                 self._file.finish()
             self._stream.close()
             if kind is None:
@@ -218,6 +221,10 @@ class LogWriter:
             self._last = float(times[done - 1])
             if self._filled == self._rows:
                 self._write_chunk()
+
+    def result(self, **values: str) -> None:
+        """Note how the run went, as metadata at the end of the log: what need not be the same when it is repeated."""
+        self._result.update(values)
 
     def _decide_truth(self, has_truth: bool) -> None:
         if self._has_truth is not None:

@@ -8,28 +8,29 @@ from matplotlib.figure import Figure
 
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.logs import RunLog
-from dpcontrol.review import panels, style
+from dpcontrol.review import film, panels, series, style
 from dpcontrol.review.context import ReviewContext
 
 _SIZE = (16.0, 11.0)
 _DPI = 110
 _FRAMES = 8
-_NOTES = 0.17
-_NOTE_LINES = 11
+_NOTES = 0.195
+_NOTE_LINES = 13
 _GOOD, _BAD = "#1e7a3c", style.LIMIT
 
 
 def draw(log: RunLog, context: ReviewContext) -> Figure:
     """Return the page as a figure."""
+    log, context = series.drawable(log, context)
     figure = Figure(figsize=_SIZE, dpi=_DPI, facecolor="white")
     FigureCanvasAgg(figure)
     _heading(figure, log, context)
-    horizontal, vertical = panels.film_extent(log, context, frames=_FRAMES)
+    horizontal, vertical = film.film_extent(log, context, frames=_FRAMES)
     # As tall as its width makes it with equal scales; the panels below take what is left.
     tall = 0.98 * _SIZE[0] / _SIZE[1] * (vertical[1] - vertical[0]) / (horizontal[1] - horizontal[0])
-    panels.film(figure.add_axes((0.01, 0.93 - tall, 0.98, tall)), log, context, frames=_FRAMES)
+    film.draw_film(figure.add_axes((0.01, 0.93 - tall, 0.98, tall)), log, context, frames=_FRAMES)
     rows, columns = 4, (0.045, 0.372, 0.70)
-    width, right = 0.285, 0.285
+    width, right = 0.285, 0.28
     top, bottom = 0.93 - tall - 0.035, 0.005
 
     strip = 0.014
@@ -51,7 +52,7 @@ def draw(log: RunLog, context: ReviewContext) -> Figure:
         panel(axes, log, context)
         drawn.append(axes)
     for axes in drawn:
-        axes.set_xlim(log.time[0], log.time[-1])
+        axes.set_xlim(*series.time_range(log))
         last = axes is drawn[len([panel for panel in lefts if panel]) - 1] or axes is drawn[-1]
         axes.tick_params(labelbottom=last)
         if last:

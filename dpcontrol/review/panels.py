@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch, Rectangle
+from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 from numpy.typing import NDArray
 
@@ -12,8 +12,6 @@ from dpcontrol.review import series, style
 from dpcontrol.review.context import ReviewContext
 
 _SMALL = 8.5
-_FRAME_STEP = 2.12
-"""Between the film's frames, in lengths of all arms: just enough for two stretched towards one another."""
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 
@@ -74,73 +72,6 @@ def mark_symbols(axes: Axes, context: ReviewContext, log: RunLog) -> None:
 def _shown_moments(context: ReviewContext, log: RunLog) -> dict[int, float]:
     moments = {i: moment for i, (moment, _) in enumerate(context.symbols)}
     return {i: moment for i, moment in moments.items() if log.time[0] <= moment <= log.time[-1]}
-
-
-def film(axes: Axes, log: RunLog, context: ReviewContext, *, frames: int) -> None:
-    """Draw the arms at several instants, the reference grey behind them, the tip's path since the last frame."""
-    state, _ = series.shown_state(log)
-    arms = len(context.arm_lengths)
-    reach = sum(context.arm_lengths)
-    step = _FRAME_STEP * reach
-    rows = film_rows(log, context, frames=frames)
-    horizontal, vertical = film_extent(log, context, frames=frames)
-    axes.set_xlim(*horizontal)
-    axes.set_ylim(*vertical)
-    pivot = series.pivot_positions(log, state)
-    ghost_pivot = series.pivot_positions(log, log.reference)
-    width = 0.05 * reach
-    for i, row in enumerate(rows):
-        at = i * step
-        if log.has_cart:
-            axes.plot([at - 0.98 * reach, at + 0.98 * reach], [0, 0], color=style.FAINT, linewidth=2.5, zorder=1)
-            axes.add_patch(Rectangle((at - 0.13 * reach, -width), 0.26 * reach, 2 * width, color=style.CART, zorder=2))
-        since = max(rows[i - 1], row - _rows_in(log, 0.25)) if i else max(row - _rows_in(log, 0.1), 0)
-        tips = series.arm_points(state[since : row + 1, :arms], context.arm_lengths)[:, -1]
-        drift = pivot[since : row + 1] - pivot[row]
-        axes.plot(at + tips[:, 0] + drift, tips[:, 1], color=style.arm_colour(arms - 1), alpha=0.3, linewidth=1.3)
-        ghost = series.arm_points(log.reference[row : row + 1, :arms], context.arm_lengths)[0]
-        shift = at + ghost_pivot[row] - pivot[row]
-        axes.plot(shift + ghost[:, 0], ghost[:, 1], color="#b4bbc3", linewidth=6.5, solid_capstyle="round", zorder=2.5)
-        points = series.arm_points(state[row : row + 1, :arms], context.arm_lengths)[0]
-        for arm in range(arms):
-            x, y = points[arm : arm + 2].T
-            axes.plot(at + x, y, color=style.arm_colour(arm), linewidth=2.6, solid_capstyle="round", zorder=3)
-        axes.plot(at + points[:-1, 0], points[:-1, 1], "o", color=style.INK, markersize=3.2, zorder=4)
-        axes.plot(at + points[-1, 0], points[-1, 1], "o", color=style.arm_colour(arms - 1), markersize=5.5, zorder=4)
-        text = f"{log.time[row]:.2f} s" + (f"\ncart {1000 * pivot[row]:+.0f} mm" if log.has_cart else "")
-        axes.text(
-            at,
-            vertical[0] + 0.46 * reach,
-            text,
-            ha="center",
-            va="top",
-            fontsize=_SMALL,
-            color="#555c64",
-            linespacing=1.25,
-        )
-    axes.axis("off")
-
-
-def film_extent(log: RunLog, context: ReviewContext, *, frames: int) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Return the x and y limits in m that `film` needs: as low and as high as the arms reach in its frames."""
-    reach = sum(context.arm_lengths)
-    rows = film_rows(log, context, frames=frames)
-    arms = len(context.arm_lengths)
-    both = np.concatenate([series.shown_state(log)[0][rows, :arms], log.reference[rows, :arms]])
-    heights = series.arm_points(both, context.arm_lengths)[..., 1]
-    low, high = min(float(heights.min()), -0.2 * reach), max(float(heights.max()), 0.1 * reach)
-    step = _FRAME_STEP * reach
-    return (-0.53 * step, (frames - 0.47) * step), (low - 0.62 * reach, high + 0.1 * reach)
-
-
-def film_rows(log: RunLog, context: ReviewContext, *, frames: int) -> NDArray[np.int64]:
-    """Return the ticks that the film shows."""
-    times = series.film_times(context, log.time, frames=frames)
-    return np.searchsorted(log.time, times).clip(0, len(log.time) - 1)
-
-
-def _rows_in(log: RunLog, seconds: float) -> int:
-    return max(1, round(seconds * log.rate_hz))
 
 
 def angles(axes: Axes, log: RunLog, context: ReviewContext) -> None:
@@ -216,7 +147,7 @@ def modes(axes: Axes, log: RunLog, context: ReviewContext) -> None:
         axes.axvspan(start, end, color=style.MODES.get(name, style.FAINT), linewidth=0)
     names = list(dict.fromkeys(name for _, _, name in spans))
     axes.set_yticks([])
-    axes.set_xlim(log.time[0], log.time[-1])
+    axes.set_xlim(*series.time_range(log))
     for spine in axes.spines.values():
         spine.set_visible(False)
     axes.tick_params(labelbottom=False, length=0)
@@ -279,7 +210,7 @@ def estimation_error(axes: Axes, log: RunLog, context: ReviewContext) -> None:
     shown = (
         2000 * sigma[:, :arms] if error is None else np.maximum(2000 * sigma[:, :arms], 1000 * np.abs(error[:, :arms]))
     )
-    most = 1.6 * float(np.nanquantile(shown, 0.97))
+    most = 1.6 * float(np.nanquantile(shown, 0.97)) if np.isfinite(shown).any() else 0.0
     if np.isfinite(most) and most > 0:
         axes.set_ylim(-most, most)
 
@@ -288,9 +219,9 @@ def energy(axes: Axes, log: RunLog, context: ReviewContext) -> None:
     """Draw the pendulum's energy and the saddles' levels next to it."""
     prepare(axes, "Energy of the pendulum (J)")
     levels = sorted(context.saddle_energies.items(), key=lambda item: item[1])
-    if context.energy is None or len(context.energy) != len(log.time):
+    if context.energy is None:
         axes.text(0.5, 0.5, "not computed", transform=axes.transAxes, ha="center", fontsize=9, color="#7a828b")
-        axes.set_xlim(log.time[0], log.time[-1])
+        axes.set_xlim(*series.time_range(log))
         return
     values = context.energy
     _plot(axes, log.time, values, color=style.INK, linewidth=1.1)
@@ -318,7 +249,7 @@ def innovations(axes: Axes, log: RunLog) -> None:
     prepare(axes, f"NIS, means over 50 ticks; consistent: {expected} ± {spread:.1f}")
     axes.axhspan(max(expected - spread, 0), expected + spread, color="#9fd3a8", alpha=0.35, linewidth=0)
     axes.plot(time, means, color=style.CART, linewidth=1.0)
-    axes.set_xlim(log.time[0], log.time[-1])
+    axes.set_xlim(*series.time_range(log))
     if len(means):
         axes.set_ylim(0, max(1.15 * float(np.nanquantile(means, 0.98)), 1.6 * expected))
 
@@ -354,9 +285,10 @@ def notes(axes: Axes, log: RunLog, context: ReviewContext, *, lines: int) -> Non
     text += [
         (f"{i + 1}  {name}, crossing planned at {at:.2f} s", False) for i, (at, name) in enumerate(context.symbols)
     ]
-    if len(text) > lines // 2:
-        hidden = len(text) - lines // 2
-        text = [*text[: lines // 2], (f"… and {hidden} more", False)]
+    most = lines // 2 - 1
+    if len(text) > most + 1:
+        hidden = len(text) - most
+        text = [*text[:most], (f"… and {hidden} more", False)]
     text += [("", False), ("Events", True)] if text else [("Events", True)]
     events = [(f"{event.time:7.2f} s  {event.text}", False) for event in log.events]
     room = max(1, lines - len(text))

@@ -32,6 +32,7 @@ def write_recording(log: RunLog, context: ReviewContext, path: Path) -> None:
     """
     if not log.path.is_file():
         raise InputError(f"there is no log {log.path} any more; put it back and try again")
+    log, context = series.drawable(log, context)
     with whole_file(Path(path), suffix=".rrd") as temporary:
         recording = rr.RecordingStream(_APPLICATION, send_properties=True)
         view = blueprint(
@@ -39,7 +40,7 @@ def write_recording(log: RunLog, context: ReviewContext, path: Path) -> None:
                 arm_lengths=context.arm_lengths,
                 has_cart=log.has_cart,
                 has_truth=log.truth is not None,
-                has_energy=_has_energy(log, context),
+                has_energy=context.energy is not None,
                 bounds=tuple(_bounds(log, context, arm) for arm in range(len(context.arm_lengths))),
                 ranges=_ranges(log, context),
             )
@@ -139,7 +140,7 @@ def _checks(recording: rr.RecordingStream, log: RunLog, context: ReviewContext) 
     _curve(recording, "plots/nis/mean", time=time, values=means, look=line(style.PALE_INK, "mean of 50 ticks"))
     for name, value in (("least", max(sensors - spread, 0)), ("greatest", sensors + spread)):
         _level(recording, f"plots/nis/{name}", log, value=value, colour=style.ARMS[2], name=f"{name} for 95 %")
-    if context.energy is not None and _has_energy(log, context):
+    if context.energy is not None:
         _curve(
             recording,
             "plots/energy/pendulum",
@@ -187,14 +188,11 @@ def _plane(log: RunLog, context: ReviewContext, arm: int) -> tuple[NDArray[np.fl
 def _bounds(log: RunLog, context: ReviewContext, arm: int) -> tuple[float, float, float, float]:
     points, copies = _plane(log, context, arm)
     every = np.concatenate([points, *copies])
-    low, high = np.nanmin(every, axis=0), np.nanmax(every, axis=0)
+    every = every[np.isfinite(every).all(axis=1)] if np.isfinite(every).all(axis=1).any() else np.zeros((1, 2))
+    low, high = every.min(axis=0), every.max(axis=0)
     margin = 0.08 * float(max(high - low)) + 1e-3
     low, high = low - margin, high + margin
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
-
-
-def _has_energy(log: RunLog, context: ReviewContext) -> bool:
-    return context.energy is not None and len(context.energy) == len(log.time)
 
 
 def _ranges(log: RunLog, context: ReviewContext) -> dict[str, tuple[float, float]]:
@@ -206,9 +204,11 @@ def _ranges(log: RunLog, context: ReviewContext) -> dict[str, tuple[float, float
     error = series.estimation_error(log)
     if error is not None:
         arms = len(context.arm_lengths)
-        most = 1.6 * float(np.nanquantile(2 * series.sigmas(log)[:, :arms], 0.97))
-        ranges["estimation_error"] = (-most, most)
-    if context.energy is not None and _has_energy(log, context):
+        band = 2 * series.sigmas(log)[:, :arms]
+        if np.isfinite(band).any():
+            most = max(1.6 * float(np.nanquantile(band, 0.97)), 1e-9)
+            ranges["estimation_error"] = (-most, most)
+    if context.energy is not None:
         ranges["energy"] = series.energy_range(context.energy, context.saddle_energies)
     return ranges
 

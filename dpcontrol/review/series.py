@@ -1,6 +1,7 @@
 """Series derived from a log for recordings and pictures: arms, errors with bands, lattice copies, modes."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,11 +10,39 @@ from dpcontrol.logs import Mode, RunLog
 from dpcontrol.review.context import OrbitCurve, ReviewContext
 
 _TURN = 2 * np.pi
+_LARGEST = 1e6
+"""In rad, rad/s, m …: no run that is worth a look comes near, and drawing libraries fail far beyond."""
 
 
 def shown_state(log: RunLog) -> tuple[NDArray[np.float64], str]:
     """Return the (N, 2n+2) state to draw and what it is: the plant's own where known, else the estimate."""
     return (log.estimate, "estimate") if log.truth is None else (log.truth, "plant")
+
+
+def drawable(log: RunLog, context: ReviewContext) -> tuple[RunLog, ReviewContext]:
+    """Return the run with nan for every number that no picture can show: a run gone wrong must be shown as well."""
+
+    def cleaned(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        with np.errstate(invalid="ignore"):
+            return np.where(np.abs(values) < _LARGEST, values, np.nan)
+
+    shown = replace(
+        log,
+        measured=cleaned(log.measured),
+        estimate=cleaned(log.estimate),
+        reference=cleaned(log.reference),
+        truth=None if log.truth is None else cleaned(log.truth),
+        control={name: cleaned(values) for name, values in log.control.items()},
+    )
+    energy = None if context.energy is None else cleaned(np.asarray(context.energy, float))
+    if energy is None or len(energy) != len(log.time) or not np.isfinite(energy).any():
+        energy = None
+    return shown, replace(context, energy=energy)
+
+
+def time_range(log: RunLog) -> tuple[float, float]:
+    """Return the first and the last time in s, at least one period of the loop apart."""
+    return float(log.time[0]), max(float(log.time[-1]), float(log.time[0]) + 1 / log.rate_hz)
 
 
 def pivot_positions(log: RunLog, states: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -66,7 +95,7 @@ def smoothed_nis(log: RunLog, *, window: int = 50) -> tuple[NDArray[np.float64],
 
 def mode_spans(log: RunLog) -> list[tuple[float, float, str]]:
     """Return start and end in s and the name of each stretch of constant mode."""
-    modes = log.control["mode"]
+    modes = np.nan_to_num(log.control["mode"], nan=-1.0)
     starts = np.concatenate([[0], np.flatnonzero(np.diff(modes) != 0) + 1])
     ends = np.concatenate([starts[1:], [len(modes) - 1]])
     return [
@@ -75,11 +104,11 @@ def mode_spans(log: RunLog) -> list[tuple[float, float, str]]:
 
 
 def mode_name(number: float) -> str:
-    """Return the name of a mode, in lower case; a number that is none by itself."""
+    """Return the name of a mode, in lower case; "unknown mode" for a number that is none."""
     try:
         return Mode(int(number)).name.lower()
     except ValueError:
-        return f"mode {number:g}"
+        return "unknown mode"
 
 
 def lattice_copies(
@@ -96,7 +125,7 @@ def lattice_copies(
     arms = orbit.states.shape[1] // 2
     angle, rate = orbit.states[:, arm], orbit.states[:, arms + arm]
     centre = (angle.max() + angle.min()) / 2
-    turns, visits = np.unique(np.rint((angles - centre) / _TURN), return_counts=True)
+    turns, visits = np.unique(np.rint((angles[np.isfinite(angles)] - centre) / _TURN), return_counts=True)
     chosen = turns[np.argsort(visits)[::-1][:most]]
     return [np.column_stack([angle + _TURN * turn, rate]) for turn in chosen]
 
@@ -116,16 +145,23 @@ def thinned(
 
 
 def film_times(context: ReviewContext, time: NDArray[np.float64], *, frames: int) -> NDArray[np.float64]:
-    """Return (frames,) instants for a filmstrip: around the symbols' crossings if these are few, else evenly spread.
+    """Return (frames,) instants for a filmstrip, shared out among the symbols' crossings; without any, evenly spread.
 
     Around a crossing they span a third of the period of a simple pendulum as long as all arms, on either side.
     """
-    moments = [moment for moment, _ in context.symbols if time[0] <= moment <= time[-1]]
-    if not moments or len(moments) > frames // 3:
+    moments = np.array([moment for moment, _ in context.symbols if time[0] <= moment <= time[-1]])
+    if not len(moments):
         return np.linspace(time[0], time[-1], frames)
+    moments = moments[np.linspace(0, len(moments) - 1, min(len(moments), frames)).astype(int)]
     half = 0.33 * _TURN * np.sqrt(sum(context.arm_lengths) / 9.81)
-    shares = [frames // len(moments) + (i < frames % len(moments)) for i in range(len(moments))]
-    parts = [moment + np.linspace(-half, half, share) for moment, share in zip(moments, shares, strict=True)]
+    parts = []
+    for i, moment in enumerate(moments):
+        share = frames // len(moments) + (i < frames % len(moments))
+        parts.append(
+            moment + half * np.linspace(-1, 1, share)
+            if share > 2
+            else np.linspace(moment - half / 2, moment, share + 1)[1:]
+        )
     return np.sort(np.clip(np.concatenate(parts), time[0], time[-1]))
 
 

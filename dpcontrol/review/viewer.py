@@ -1,7 +1,7 @@
 """The Rerun viewer as a program: opened for a look, or started without a screen for a picture."""
 
+import contextlib
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -110,26 +110,31 @@ def _run(arguments: list[str], environment: dict[str, str], *, seconds: float) -
         stdout=subprocess.PIPE,
         stderr=subprocess.DEVNULL,
         text=True,
-        start_new_session=True,
     ) as child:
         try:
             output, _ = child.communicate(timeout=seconds)
         except subprocess.TimeoutExpired:
+            _end(child.pid)
             return f"the viewer took longer than {seconds:g} s"
-        finally:
-            _end(child)
+        except BaseException:
+            _end(child.pid)
+            raise
     lines = output.strip().splitlines()
     if child.returncode == 0:
         return None
     return lines[-1] if lines else f"the viewer ended with code {child.returncode}"
 
 
-def _end(child: subprocess.Popen[str]) -> None:
-    if sys.platform == "win32":
-        child.kill()
-        return
-    # Its session is its own, so that this reaches the viewer it started and nothing else.
+def _end(pid: int) -> None:
+    """End a process that was started here, and the viewer it started, which has a process group of its own."""
+    import psutil
+
     try:
-        os.killpg(child.pid, signal.SIGKILL)
-    except ProcessLookupError:
+        parent = psutil.Process(pid)
+        family = [*parent.children(recursive=True), parent]
+    except psutil.NoSuchProcess:
         return
+    for process in family:
+        with contextlib.suppress(psutil.NoSuchProcess):
+            process.kill()
+    psutil.wait_procs(family, timeout=5)

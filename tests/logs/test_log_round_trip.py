@@ -143,6 +143,26 @@ def test_the_urdf_turns_back_at_each_elbow_so_that_coordinates_are_absolute(arms
     assert poses(np.zeros((4, 2 * arms + 2)), arm_lengths=lengths, has_cart=True).shape == (4, len(links), 7)
 
 
+def test_a_last_chunk_without_a_transform_is_written(tmp_path: Path) -> None:
+    run = sample(26)
+    run = replace(run, time=run.time + 0.005)
+    with open_writer(tmp_path / "run.mcap", run) as log:
+        tick_all(log, run)
+    assert len(read_log(tmp_path / "run.mcap").time) == 26
+    assert len(list(read_ros2_messages(str(tmp_path / "run.mcap"), topics=["/tf"]))) == 2
+
+
+def test_a_state_that_is_no_number_is_logged_but_not_as_a_transform(tmp_path: Path) -> None:
+    run = sample(60)
+    assert run.truth is not None
+    run.truth[15:45] = np.nan
+    with open_writer(tmp_path / "run.mcap", run) as log:
+        tick_all(log, run)
+    np.testing.assert_array_equal(read_log(tmp_path / "run.mcap").truth, run.truth)
+    stamps = [message.log_time_ns for message in read_ros2_messages(str(tmp_path / "run.mcap"), topics=["/tf"])]
+    assert stamps == [0]
+
+
 def test_attachments_and_metadata_stand_before_the_first_message(tmp_path: Path) -> None:
     path = write_sample(tmp_path / "run.mcap", sample())
     with path.open("rb") as stream:

@@ -16,6 +16,7 @@ from dpcontrol.logs import RunLog, read_log
 from dpcontrol.review import drawing, series, viewer
 from dpcontrol.review.context import ReviewContext
 from dpcontrol.review.picture import write_drawn_picture, write_picture
+from dpcontrol.review.recording import write_recording
 
 PIXELS_SET = 0.02
 """Least share of pixels that differ from the background in a picture that shows something."""
@@ -89,13 +90,25 @@ def test_the_viewer_renders_without_a_screen(run: tuple[RunLog, ReviewContext], 
 
 
 @pytest.mark.skipif(viewer.missing_renderer() is not None, reason="no renderer for the viewer")
-def test_a_viewer_out_of_time_is_ended_with_its_children(run: tuple[RunLog, ReviewContext], tmp_path: Path) -> None:
-    reason = viewer.screenshot(*run, tmp_path / "run.png", seconds=1.5)
-    assert reason is not None
-    assert "longer than 1.5 s" in reason
+def test_a_viewer_out_of_time_is_ended_with_its_children(
+    run: tuple[RunLog, ReviewContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Whatever is started inherits the mark, also what was orphaned.
+    monkeypatch.setenv("DPCONTROL_TEST_MARK", str(tmp_path))
+    for seconds in (0.2, 1.2, 1.8):
+        reason = viewer.screenshot(*run, tmp_path / "run.png", seconds=seconds)
+        assert reason is not None
+        assert f"longer than {seconds} s" in reason
     assert not list(tmp_path.iterdir())
     time.sleep(0.3)
-    assert not [child for child in psutil.Process().children(recursive=True) if child.status() != psutil.STATUS_ZOMBIE]
+    assert not [process for process in psutil.process_iter() if _mark(process) == str(tmp_path)]
+
+
+def _mark(process: psutil.Process) -> str | None:
+    try:
+        return process.environ().get("DPCONTROL_TEST_MARK")
+    except psutil.Error:
+        return None
 
 
 @pytest.mark.parametrize(("arms", "has_cart", "ticks"), [(1, True, 50), (2, False, 50), (3, True, 50), (2, True, 1)])
@@ -127,3 +140,16 @@ def test_orbit_copies_stand_at_the_lattice_points_that_are_visited(run: tuple[Ru
     copies = series.lattice_copies(context.orbits[0], log.truth[:, 1], arm=1)
     centres = sorted(round(float(copy[:, 0].mean()) / np.pi) for copy in copies)
     assert centres == [1, 3]
+
+
+def test_a_run_that_went_wrong_beyond_numbers_is_still_shown(tmp_path: Path) -> None:
+    made = synthetic_run(seconds=2.0)
+    for spoilt, since in ((np.nan, 1200), (np.inf, 1200), (1e300, 1200), (1e5, 1200), (np.nan, 0)):
+        estimate, truth, control = made.estimate.copy(), made.truth.copy(), made.control.copy()
+        for array in (estimate, truth, control):
+            array[since:] = spoilt
+        bad = replace(made, estimate=estimate, truth=truth, control=control)
+        log = read_log(write_log(tmp_path / "run.mcap", bad))
+        context = replace(context_for(made), energy=truth[:, 0])
+        write_recording(log, context, tmp_path / "run.rrd")
+        assert _share_set(write_drawn_picture(log, context, tmp_path / "run.png").path) > PIXELS_SET
