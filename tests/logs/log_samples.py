@@ -26,9 +26,7 @@ class Sample:
     control: np.ndarray
 
 
-def sample(
-    ticks: int = 250, *, arms: int = 2, has_cart: bool = True, has_truth: bool = True, seed: int = 3
-) -> Sample:
+def sample(ticks: int = 250, *, arms: int = 2, has_cart: bool = True, has_truth: bool = True, seed: int = 3) -> Sample:
     """Return random numbers of the right shapes; some innovations are missing (nan)."""
     rng = np.random.default_rng(seed)
     size = 2 * arms + 2 * has_cart

@@ -32,9 +32,7 @@ def _same(one: RunLog, other: RunLog) -> bool:
         return a == b
 
     return all(
-        equal(getattr(one, field.name), getattr(other, field.name))
-        for field in fields(RunLog)
-        if field.name != "path"
+        equal(getattr(one, field.name), getattr(other, field.name)) for field in fields(RunLog) if field.name != "path"
     )
 
 
