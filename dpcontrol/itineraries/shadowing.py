@@ -11,6 +11,7 @@ time_out of B)/T - f).
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,7 +163,7 @@ def _node_times(
     marks = np.concatenate([[0.0], crossings, [total]])
     periods = [chain[0].source.period, *(c.target.period for c in chain)]
     times, markers = [0.0], []
-    for k, (begin, finish) in enumerate(zip(marks[:-1], marks[1:], strict=True)):
+    for k, (begin, finish) in enumerate(pairwise(marks)):
         count = max(1, int(np.ceil((finish - begin) / periods[k] * settings.segments)))
         times += list(np.linspace(begin, finish, count + 1)[1:])
         markers.append(len(times) - 1)

@@ -13,6 +13,7 @@ and of these the most transversal.
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.tubes.connections import Connection
@@ -68,7 +69,7 @@ def parse_walk(texts: Sequence[str], saddles: Sequence[str]) -> tuple[Symbol, ..
     if not texts:
         raise InputError("walk = []: a walk has at least one symbol")
     symbols = tuple(parse_symbol(text, saddles) for text in texts)
-    for k, (before, after) in enumerate(zip(symbols[:-1], symbols[1:], strict=True), start=1):
+    for k, (before, after) in enumerate(pairwise(symbols), start=1):
         if before.target != after.source:
             raise InputError(
                 f"the walk is not connected: symbol {k} ({before.text!r}) ends at {before.target}, symbol {k + 1} "

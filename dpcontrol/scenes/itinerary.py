@@ -137,9 +137,10 @@ def _estimator(table: Table) -> EkfSettings:
 
 def _loop(table: Table, controller: ControllerSettings, estimator: EkfSettings) -> LoopSettings:
     sensor_names = [f.name for f in fields(SensorSettings)]
-    sensors = Table({k: v for k, v in table.remaining().items() if k in sensor_names}, file=table.file, name=table.name)
-    rest = Table(
-        {k: v for k, v in table.remaining().items() if k not in sensor_names}, file=table.file, name=table.name
+    values = table.remaining()
+    sensors, rest = (
+        Table({k: v for k, v in values.items() if (k in sensor_names) == wanted}, file=table.file, name=table.name)
+        for wanted in (True, False)
     )
     found = sensors.settings(SensorSettings)
     return rest.settings(

@@ -34,7 +34,7 @@ def near_touches(first: Array, second: Array, *, within: float) -> list[tuple[fl
     Curves that are almost tangent may cross twice between vertices without any segments crossing; these pairs are
     where that can happen.
     """
-    distance, nearest = KDTree(second).query(first, distance_upper_bound=within)
+    distance, nearest = (np.asarray(a) for a in KDTree(second).query(first, distance_upper_bound=within))
     inside = np.isfinite(distance)
     before = np.r_[np.inf, distance[:-1]]
     after = np.r_[distance[1:], np.inf]

@@ -1,0 +1,261 @@
+"""Did the run do what the itinerary asked? Decided from the log alone, by the true state where it is known.
+
+Stops are decoded from the angles: the lattice of saddles (each saddle's angles plus whole turns) is searched for the
+point nearest to the pendulum, and a point counts as visited once it has been nearest for half a period of the
+quickest orbit. Boxes at the equilibria would not do: at H = 0.2 the Down-Up orbit swings the inner arm by 1.8 rad,
+and a turning arm passes near other lattice points on its way, but quickly.
+
+A run is completed when every symbol was realised in order with its winding, wraps are as asked, the cart kept inside
+its limits, and over the last full period the angles stay within 0.1 rad of the last orbit (least over phase).
+"""
+
+import io
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.control.ekf import nis_band
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs import RunLog
+from dpcontrol.references.archive import load_reference
+from dpcontrol.references.reference import Reference
+
+Array = NDArray[np.float64]
+
+REFERENCE_ATTACHMENT = "reference.npz"
+NEAR_LAST_ORBIT = 0.1  # rad
+
+
+@dataclass(frozen=True)
+class Score:
+    """A run's verdict.
+
+    completed: None where the true state is not known. rms_tracking_error rad, over the angles; max_cart_position m;
+    rms_cart_acceleration m/s²; nis_inside_95: share of ticks. real_time_factor: None where the log does not say.
+    reason: a sentence.
+    """
+
+    log: str
+    seed: int | None
+    completed: bool | None
+    symbols_completed: int
+    symbols_total: int
+    wraps: tuple[int, ...]
+    rms_tracking_error: float
+    max_cart_position: float
+    rms_cart_acceleration: float
+    nis_inside_95: float
+    real_time_factor: float | None
+    reason: str
+
+
+@dataclass(frozen=True)
+class Visit:
+    """A stay at one lattice point: its angles (n,), first and last tick."""
+
+    angles: tuple[float, ...]
+    first: int
+    last: int
+
+
+def plan_of(log: RunLog) -> Reference:
+    """Return the reference that the log carries, with the plan's notes.
+
+    Raises:
+        InputError: the log carries none, or it is damaged.
+    """
+    data = log.attachments.get(REFERENCE_ATTACHMENT)
+    if data is None:
+        raise InputError(f"{log.path} carries no {REFERENCE_ATTACHMENT}: only logs of `dpcontrol run` can be scored")
+    try:
+        reference = load_reference(io.BytesIO(data))
+    except InputError as error:
+        raise InputError(f"{log.path}: its attachment {REFERENCE_ATTACHMENT} cannot be read; {error}") from error
+    if "stops" not in reference.notes:
+        raise InputError(f"{log.path}: its attachment {REFERENCE_ATTACHMENT} holds no plan; run the itinerary again")
+    return reference
+
+
+def decode_stops(angles: Array, saddles: Array, *, dwell: int) -> list[Visit]:
+    """Return the lattice points visited by angles (K, n), in order.
+
+    saddles (S, n): angles of the saddles; any whole turns of them are lattice points. dwell: ticks for which a point
+    must stay nearest to count; shorter stays belong to the way between.
+    """
+    turns = np.rint((angles[:, None, :] - saddles[None]) / (2 * np.pi))
+    points = saddles[None] + 2 * np.pi * turns
+    nearest = np.argmin(np.linalg.norm(angles[:, None, :] - points, axis=-1), axis=1)
+    rows = np.arange(len(angles))
+    keys = np.column_stack([nearest, turns[rows, nearest]])
+    starts = np.flatnonzero(np.r_[True, np.any(keys[1:] != keys[:-1], axis=1)])
+    ends = np.r_[starts[1:], len(angles)] - 1
+    visits: list[Visit] = []
+    for first, last in zip(starts, ends, strict=True):
+        point = tuple(float(v) for v in points[first, nearest[first]])
+        if visits and np.allclose(visits[-1].angles, point):
+            visits[-1] = Visit(point, visits[-1].first, int(last))
+        elif last - first + 1 >= dwell:
+            visits.append(Visit(point, int(first), int(last)))
+    return visits
+
+
+def score(log: RunLog) -> Score:
+    """Score a run from its log.
+
+    Raises:
+        InputError: the log carries no plan.
+    """
+    plan = plan_of(log)
+    notes: dict[str, Any] = dict(plan.notes)
+    n = len(log.arm_lengths)
+    states = log.estimate if log.truth is None else log.truth
+    angles = states[:, :n]
+    used = {stop["saddle"] for stop in notes["stops"]}
+    lattice = np.array([s["angles"] for name, s in notes["saddles"].items() if name in used])
+    dwell = max(1, int(0.5 * min(o["period"] for o in notes["orbits"]) * log.rate_hz))
+    visits = decode_stops(angles, lattice, dwell=dwell)
+    wanted = [tuple(stop["angles"]) for stop in notes["stops"]]
+    matched = 0
+    while matched < min(len(visits), len(wanted)) and np.allclose(visits[matched].angles, wanted[matched]):
+        matched += 1
+    symbols = max(0, matched - 1)
+    wraps = _wraps(log.time, angles, notes, visits[:matched])
+    problem = _problem(log, plan, visits=visits, matched=matched, wraps=wraps)
+    known = log.truth is not None
+    low, high = nis_band(log.measured.shape[1])
+    nis = log.control["nis"][np.isfinite(log.control["nis"])]
+    away = angles - log.reference[:, :n]
+    factor = log.metadata.get("real_time_factor")
+    seed = log.metadata.get("seed")
+    total = len(wanted) - 1
+    reason = problem or f"all {total} symbols in order, {_list(wraps)}, and on the last orbit to the end"
+    if not known:
+        reason = f"the true state is not known, so completion cannot be judged; by the estimate: {reason}"
+    return Score(
+        log=str(log.path),
+        seed=None if seed is None else int(seed),
+        completed=(not problem) if known else None,
+        symbols_completed=symbols,
+        symbols_total=total,
+        wraps=wraps,
+        rms_tracking_error=float(np.sqrt(np.mean(away**2))),
+        max_cart_position=float(np.abs(states[:, 2 * n]).max()) if log.has_cart else 0.0,
+        rms_cart_acceleration=float(np.sqrt(np.mean(log.control["applied"] ** 2))),
+        nis_inside_95=float(np.mean((nis >= low) & (nis <= high))) if nis.size else float("nan"),
+        real_time_factor=None if factor is None else float(factor),
+        reason=reason,
+    )
+
+
+def _list(wraps: tuple[int, ...]) -> str:
+    return f"wraps {list(wraps)}" if wraps else "no stops between"
+
+
+def _wraps(time: Array, angles: Array, notes: dict[str, Any], visits: list[Visit]) -> tuple[int, ...]:
+    """Count the wraps at each interior stop that was reached, from the times of the sections' crossings."""
+    symbols, crossings = notes["symbols"], []
+    for k, (before, after) in enumerate(pairwise(visits)):
+        section = symbols[k]["section"]
+        height = angles @ np.asarray(section["normal"][: angles.shape[1]]) - section["value"]
+        middle, end = (before.first + before.last) // 2, (after.first + after.last) // 2
+        signs = np.flatnonzero(height[middle:end] * height[middle + 1 : end + 1] <= 0) + middle
+        if signs.size == 0:
+            break
+        i = signs[np.argmin(np.abs(time[signs] - symbols[k]["time"]))]
+        share = height[i] / (height[i] - height[i + 1]) if height[i] != height[i + 1] else 0.0
+        crossings.append(float(time[i] + share * (time[i + 1] - time[i])))
+    periods = {o["saddle"]: o["period"] for o in notes["orbits"]}
+    counts = []
+    for k in range(len(crossings) - 1):
+        arriving, leaving = symbols[k], symbols[k + 1]
+        gap = (leaving["phase_out"] - arriving["phase_in"]) % 1.0
+        spare = crossings[k + 1] - crossings[k] - arriving["time_in"] - leaving["time_out"]
+        counts.append(round(spare / periods[arriving["target"]] - gap))
+    return tuple(counts)
+
+
+def _problem(log: RunLog, plan: Reference, *, visits: list[Visit], matched: int, wraps: tuple[int, ...]) -> str:
+    """Return why the run is not completed, naming the symbol, or an empty string."""
+    notes: dict[str, Any] = dict(plan.notes)
+    stops, symbols = notes["stops"], notes["symbols"]
+    ended = _ended(log, plan)
+    if matched == 0:
+        return f"did not start on the orbit about {stops[0]['saddle']}{ended}"
+    if matched < len(stops):
+        name = symbols[matched - 1]["text"]
+        if len(visits) > matched:
+            found = ", ".join(f"{a / np.pi:+.0f}π" for a in visits[matched].angles)
+            at = log.time[visits[matched].first]
+            return (
+                f"symbol {matched} of {len(symbols)} ({name!r}) was not done: at t = {at:.2f} s the arms went to "
+                f"({found}) instead of {stops[matched]['saddle']}{ended}"
+            )
+        return f"symbol {matched} of {len(symbols)} ({name!r}) was not done{ended}"
+    last = f"after symbol {len(symbols)} of {len(symbols)} ({symbols[-1]['text']!r})"
+    if len(visits) > matched:
+        return f"left the last orbit {last}, at t = {log.time[visits[matched].first]:.2f} s{ended}"
+    for k, (asked, done) in enumerate(zip(notes["wraps"], wraps, strict=False)):
+        if asked != done:
+            return f"wraps at stop {k + 1} are {done} instead of {asked}, before symbol {k + 2}"
+    return _limits(log, plan) or _last_orbit(log, plan, last=last, ended=ended)
+
+
+def _ended(log: RunLog, plan: Reference) -> str:
+    """Return "; the run ended …" where it stopped before the reference's end."""
+    short = plan.duration - float(log.time[-1])
+    if short <= 1.5 / log.rate_hz:
+        return ""
+    bad = [e for e in log.events if e.level in ("error", "fatal")]
+    why = f": {bad[-1].text}" if bad else ""
+    return f"; the run ended {short:.2f} s early{why}"
+
+
+def _limits(log: RunLog, plan: Reference) -> str:
+    """Return which of the cart's limits was passed, or an empty string."""
+    states = log.estimate if log.truth is None else log.truth
+    n = len(log.arm_lengths)
+    if not log.has_cart:
+        return ""
+    for name, values, bound in (
+        ("position", states[:, 2 * n], plan.limits.position),
+        ("velocity", states[:, 2 * n + 1], plan.limits.velocity),
+        ("acceleration", log.control["applied"], plan.limits.acceleration),
+    ):
+        worst = int(np.argmax(np.abs(values)))
+        if abs(values[worst]) > bound + 1e-9:
+            return f"cart {name} {values[worst]:.3f} passed its limit of {bound:g} at t = {log.time[worst]:.2f} s"
+    return ""
+
+
+def _last_orbit(log: RunLog, plan: Reference, *, last: str, ended: str) -> str:
+    """Return how far the last full period was from the last orbit where that is too far, or an empty string."""
+    notes: dict[str, Any] = dict(plan.notes)
+    n = len(log.arm_lengths)
+    stop = notes["stops"][-1]
+    k = [o["saddle"] for o in notes["orbits"]].index(stop["saddle"])
+    if ended:
+        return f"the last orbit was not held to the end {last}{ended}"
+    period = notes["orbits"][k]["period"]
+    rows = log.time >= log.time[-1] - period
+    states = log.estimate if log.truth is None else log.truth
+    home = np.asarray(notes["saddles"][stop["saddle"]]["angles"])
+    angles = states[rows, :n] - (np.asarray(stop["angles"]) - home)
+    curve = plan.extra[f"orbit_{k}"][:, :n]
+    fine = _denser(curve, 8)
+    gaps = np.min(np.max(np.abs(angles[:, None] - fine[None]), axis=-1), axis=1)
+    if gaps.max() > NEAR_LAST_ORBIT:
+        return (
+            f"over the last period the arms were up to {gaps.max():.2f} rad from the orbit about {stop['saddle']} "
+            f"{last} (allowed: {NEAR_LAST_ORBIT:g})"
+        )
+    return ""
+
+
+def _denser(closed: Array, factor: int) -> Array:
+    """Return points (factor · M, n) on the closed polyline through (M, n)."""
+    share = np.arange(factor)[:, None, None] / factor
+    following = np.roll(closed, -1, axis=0)
+    return (closed[None] * (1 - share) + following[None] * share).reshape(-1, closed.shape[1])
