@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.files import Progress, no_progress
 from dpcontrol.references.errors import (
+    DENSE,
     error_between_nodes,
     interval_propagator,
     largest_values,
 )
 from dpcontrol.references.method import Method, interpolation_matrix, method_named
-from dpcontrol.references.problem import LIMIT_UNITS, Limits, ReferenceProblem, ReferenceSettings
+from dpcontrol.references.problem import LIMIT_UNITS, Limits, ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.reference import Reference
 from dpcontrol.references.transcription import Solved, Trajectory, first_trajectory, solve
 
@@ -43,6 +44,23 @@ def split_mesh(mesh: Array, errors: Array, *, tolerance: float, order: int) -> A
     pieces = np.where(errors > _ACCEPTED * tolerance, np.clip(pieces, 2, _MOST_PIECES), 1)
     parts = [np.linspace(a, b, n + 1)[:-1] for a, b, n in zip(mesh[:-1], mesh[1:], pieces, strict=True)]
     return np.concatenate([*parts, mesh[-1:]])
+
+
+def first_mesh(problem: ReferenceProblem, settings: ReferenceSettings, *, method: Method) -> Array:
+    """Return equal intervals, split where the guess itself is not a polynomial of the method's degree.
+
+    That interpolation error predicts the error between nodes within a factor of two, and spares a round.
+    """
+    count = max(int(np.ceil(problem.duration / settings.interval - 1e-9)), 1)
+    mesh = np.linspace(0.0, problem.duration, count + 1)
+    tau = np.linspace(0.0, 1.0, DENSE)
+    times = np.minimum(mesh[:-1, None] + np.diff(mesh)[:, None] * tau, problem.duration)
+    dense = problem.guess_at(times.ravel()).reshape(count, DENSE, -1)
+    nodes = first_trajectory(problem, method, mesh).states[..., : problem.pendulum_dimension]
+    smooth = np.einsum("dk,ikn->idn", interpolation_matrix(method.support, tau), nodes)
+    scale = state_scale(problem.equations.dimension, problem.limits)[: problem.pendulum_dimension]
+    errors = np.abs((smooth - dense) / scale).max((1, 2))
+    return split_mesh(mesh, errors, tolerance=settings.tolerance, order=len(method.points))
 
 
 def on_mesh(trajectory: Trajectory, mesh: Array, *, method: Method) -> Trajectory:
@@ -135,9 +153,7 @@ def find_reference(
         InputError: the guess has the wrong shape or is not finite, or a setting is impossible.
     """
     method = method_named(settings.method)
-    count = max(int(np.ceil(problem.duration / settings.interval - 1e-9)), 1)
-    mesh = np.linspace(0.0, problem.duration, count + 1)
-    first = first_trajectory(problem, method, mesh)
+    first = first_trajectory(problem, method, first_mesh(problem, settings, method=method))
     limits, propagator = problem.limits, interval_propagator(problem, method)
     iterations, seconds = 0, 0.0
 
