@@ -126,6 +126,8 @@ def run_loop(
         controller = tracking_controller(reference, model, settings.controller)
     wanted = controller.reference_states
     n, arms, period = model.dimension, model.arms, model.period
+    if wanted.ndim != 2 or wanted.shape[1] != n:
+        raise InputError(f"the controller is for states of shape {wanted.shape[1:]}, these arms have ({n},)")
     # One stream for each use, so that a change of one setting leaves the other's draw as it was.
     plant_random, start_random = (np.random.default_rng(s) for s in np.random.SeedSequence(settings.seed).spawn(2))
     true_arms = plant or parameters.mismatched(settings.mismatch, plant_random)

@@ -31,6 +31,8 @@ _ACCEPTED = 0.8
 _AIMED = 0.4
 """Shares of the tolerance: accepted, and aimed at in splitting; another dense grid may find a little more."""
 _MOST_PIECES = 4
+_MOST_GROWTH = 8
+"""How many times the first mesh's intervals are worth solving for: beyond, the tolerance is out of reach."""
 _UNLIMITED = Limits(1e3, 1e3, 1e5)
 
 
@@ -154,6 +156,7 @@ def find_reference(
     """
     method = method_named(settings.method)
     first = first_trajectory(problem, method, first_mesh(problem, settings, method=method))
+    most = _MOST_GROWTH * len(first.mesh)
     limits, propagator = problem.limits, interval_propagator(problem, method)
     iterations, seconds = 0, 0.0
 
@@ -187,9 +190,9 @@ def find_reference(
                 converged=True,
                 error=worst,
             )
-        if round_number == settings.rounds:
-            break
         finer = split_mesh(solved.trajectory.mesh, errors, tolerance=settings.tolerance, order=len(method.points))
+        if round_number == settings.rounds or len(finer) > most:
+            break
         first = on_mesh(solved.trajectory, finer, method=method)
         limits = tighter or limits
     passed = ", ".join(
@@ -199,9 +202,9 @@ def find_reference(
     )
     return result(
         solved,
-        f"not converged in {settings.rounds} rounds: error between nodes {worst:.1e} where "
-        f"{settings.tolerance:.1e} is asked{'; ' + passed if passed else ''}; start with a shorter interval or "
-        "allow more rounds",
+        f"not converged in {round_number} rounds: error between nodes {worst:.1e} where "
+        f"{settings.tolerance:.1e} is asked{'; ' + passed if passed else ''}; start with a shorter interval, "
+        "ask for less, or allow more rounds",
         converged=False,
         error=worst,
     )

@@ -214,6 +214,14 @@ def test_coarse_encoders_still_serve(turn: tuple[StandIn, Reference], controller
     assert run_loop(turn[1], LAB, settings=settings, controller=controller).finished
 
 
+def test_a_controller_for_other_arms_is_refused(
+    turn: tuple[StandIn, Reference], controller: TrackingController
+) -> None:
+    other = replace(controller, reference_states=controller.reference_states[:, :4])
+    with pytest.raises(InputError, match="these arms have"):
+        run_loop(turn[1], LAB, settings=REAL, controller=other)
+
+
 def test_impossible_runs_are_refused() -> None:
     for wrong in ({"rate": 0.0}, {"delay": -1}, {"mismatch": 2.0}, {"initial_error": -0.1}, {"seed": -1}):
         with pytest.raises(InputError, match=next(iter(wrong))):

@@ -137,11 +137,17 @@ def test_refinement_splits_until_the_tolerance_holds() -> None:
 
 
 def test_too_few_rounds_end_with_the_error_and_a_remedy() -> None:
-    reference = find_reference(stretch_problem(), ReferenceSettings(tolerance=1e-12, rounds=1))
+    reference = find_reference(stretch_problem(), ReferenceSettings(method="radau-2", rounds=1))
     assert not reference.converged
     assert "error between nodes" in reference.status
     assert "shorter interval" in reference.status
     assert np.isfinite(reference.max_error_between_nodes)
+
+
+def test_a_tolerance_beyond_double_precision_ends_before_the_mesh_explodes() -> None:
+    reference = find_reference(stretch_problem(duration=0.2), ReferenceSettings(tolerance=1e-18))
+    assert not reference.converged
+    assert "where 1.0e-18 is asked" in reference.status
 
 
 def test_splitting_keeps_good_intervals_and_cuts_bad_ones() -> None:
