@@ -58,12 +58,16 @@ class Connection:
 
 @dataclass(frozen=True)
 class ConnectionSearch:
-    """All connections found between two orbits on one section, and what may hide others."""
+    """All connections found between two orbits on one section, and what may hide others.
+
+    failed: crossings of the cuts that did not converge. complete: none failed and both cuts are closed.
+    """
 
     source: LyapunovOrbit
     target: LyapunovOrbit
     connections: tuple[Connection, ...]
     cuts: tuple[Cut, Cut]
+    failed: int
     complete: bool
     status: str
 
@@ -136,7 +140,7 @@ def find_connections(
     if unstable.open_ends or backward.open_ends:
         status += "; the cuts are open (see open_cuts), so crossings beyond their ends belong to later hits"
     progress("connections", 1.0)
-    return ConnectionSearch(source, target, tuple(found), (unstable, backward), complete, status)
+    return ConnectionSearch(source, target, tuple(found), (unstable, backward), failed, complete, status)
 
 
 def _refined(system: System, crossing: Intersection, settings: ConnectionSettings) -> Connection:
@@ -219,7 +223,7 @@ def _approach(orbit: ConnectingOrbit, curve: OrbitCurve, sign: int, near: float)
     sign +1 looks forward in time, -1 backward; seconds are positive either way.
     """
     last = abs(orbit.times[-1] if sign > 0 else orbit.times[0])
-    grid = np.linspace(0.0, last, max(2, int(np.ceil(last / curve.orbit.period * 100))))
+    grid = np.linspace(0.0, last, max(2, int(np.ceil(last / curve.orbit.period * 300))))
     _, distances = curve.distances(orbit.sample(sign * grid))
     inside = np.flatnonzero(distances <= near)
     if inside.size == 0:

@@ -39,15 +39,14 @@ class OrbitCurve:
     def nearest(self, state: Array) -> tuple[float, float]:
         """Return (phase, scaled distance) of the orbit's point nearest to a state (N,)."""
         system = self.orbit.system
-        k = int(np.argmin(system.scaled_distance(np.broadcast_to(state, self.samples.shape), self.samples)))
+        start = float(self.distances(state)[0][0])
 
         def distance(phase: float) -> float:
             return float(system.scaled_distance(state, self.states(np.array(phase))))
 
-        # The nearest point lies between the neighbours of the nearest sample.
-        found = minimize_scalar(
-            distance, bounds=((k - 1) / SAMPLES, (k + 1) / SAMPLES), method="bounded", options={"xatol": 1e-12}
-        )
+        # Nearest in the Euclidean norm and in the largest component are not far apart.
+        bounds = (start - 2 / SAMPLES, start + 2 / SAMPLES)
+        found = minimize_scalar(distance, bounds=bounds, method="bounded", options={"xatol": 1e-13})
         return float(found.x) % 1.0, float(found.fun)
 
     def distances(self, states: Array) -> tuple[Array, Array]:

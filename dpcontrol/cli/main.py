@@ -1,0 +1,74 @@
+"""The command line. Verbs are imported when they are called, so that --help is quick."""
+
+import importlib
+import sys
+from typing import Any
+
+import click
+
+import dpcontrol
+from dpcontrol.foundation.errors import GoalMissed, InputError
+
+VERBS = {
+    "demo": "Plan, run, score and picture one itinerary.",
+    "model": "Show a model: parameters, equilibria, eigenvalues.",
+    "orbit": "Compute a Lyapunov orbit and its Floquet multipliers.",
+    "connect": "Find all homoclinic or heteroclinic connections of an energy.",
+    "plan": "Plan an itinerary: shadowing orbit and reference.",
+    "run": "Run an itinerary in closed loop and write its log.",
+    "score": "Say whether logged runs did what was asked.",
+    "review": "Open a log in the viewer, or save a recording or a picture.",
+}
+
+
+class _Verbs(click.Group):
+    """A group whose commands live in modules of their own, imported on demand."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name not in VERBS:
+            return None
+        return importlib.import_module(f"dpcontrol.cli.{cmd_name}").command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        with formatter.section("Verbs"):
+            formatter.write_dl(list(VERBS.items()))
+
+
+@click.group(
+    cls=_Verbs,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+    epilog="Start with `dpcontrol demo`; every verb has --help with an example, and --json for programs.",
+)
+@click.version_option(dpcontrol.__version__, prog_name="dpcontrol")
+def cli() -> None:
+    """Design trajectories of a double pendulum on a cart, and test closed loops that follow them.
+
+    Exit status: 0 done, 1 goal missed (with the reason), 2 bad input.
+    """
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit; mistakes of the user are one sentence on stderr, never a traceback."""
+    given: Any = sys.argv[1:] if arguments is None else arguments
+    try:
+        cli.main(given, prog_name="dpcontrol", standalone_mode=False)
+    except click.ClickException as error:
+        error.show()
+        code = error.exit_code
+    except InputError as error:
+        click.echo(f"dpcontrol: {error}", err=True)
+        code = 2
+    except GoalMissed as error:
+        click.echo(f"dpcontrol: {error}", err=True)
+        code = 1
+    except (KeyboardInterrupt, click.Abort):
+        click.echo("dpcontrol: interrupted; what was finished is kept", err=True)
+        code = 130
+    except click.exceptions.Exit as done:
+        code = done.exit_code
+    else:
+        code = 0
+    sys.exit(code)

@@ -1,0 +1,88 @@
+"""What verbs share: JSON on stdout, tables for people, progress on stderr."""
+
+import json
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import wraps
+from typing import Any
+
+import click
+import numpy as np
+
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.files import Progress
+
+json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
+
+
+def plain(value: Any) -> Any:
+    """Return `value` in JSON's terms: arrays as lists, complex numbers as [re, im], what is not finite as null."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, complex | np.complexfloating):
+        return [plain(float(value.real)), plain(float(value.imag))]
+    if isinstance(value, np.bool_):
+        return bool(value)
+    if isinstance(value, np.integer):
+        return int(value)
+    if isinstance(value, float | np.floating):
+        return float(value) if math.isfinite(value) else None
+    return value
+
+
+def print_json(document: Mapping[str, Any]) -> None:
+    """Print one JSON document with numbers at full precision."""
+    click.echo(json.dumps(plain(document), indent=1, ensure_ascii=False))
+
+
+def reports_failure(function: Callable[..., None]) -> Callable[..., None]:
+    """Make a verb print its failure as JSON too where --json was given, before the exit code says so."""
+
+    @wraps(function)
+    def wrapped(*, as_json: bool, **options: Any) -> None:
+        try:
+            function(as_json=as_json, **options)
+        except (InputError, GoalMissed) as error:
+            if as_json:
+                print_json({"status": str(error), "error": isinstance(error, InputError)})
+            raise
+
+    return wrapped
+
+
+def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table on stdout; as wide as it needs when stdout is no terminal."""
+    from rich.console import Console
+    from rich.table import Table
+
+    table = Table(title=title or None, title_justify="left", title_style="bold")
+    for k, column in enumerate(columns):
+        table.add_column(column, justify="left" if k == 0 else "right", no_wrap=True)
+    for row in rows:
+        table.add_row(*row)
+    console = Console()
+    if not console.is_terminal:
+        console = Console(width=200)
+    console.print(table)
+
+
+@contextmanager
+def progress_bar(label: str) -> Iterator[Progress]:
+    """Show a progress bar on stderr while the block runs; yields the function to report to."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description:<34}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"))
+    with Progress(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as bar:
+        task = bar.add_task(label, total=1.0)
+
+        def report(what: str, done: float) -> None:
+            bar.update(task, completed=done, description=what)
+
+        yield report
+        bar.update(task, completed=1.0, description=label)

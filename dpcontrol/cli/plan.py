@@ -1,0 +1,77 @@
+"""dpcontrol plan"""
+
+import shutil
+from pathlib import Path
+
+import click
+
+from dpcontrol.cli.output import json_option, print_json, progress_bar, reports_failure
+from dpcontrol.foundation.errors import GoalMissed, InputError
+
+
+@click.command(
+    "plan",
+    epilog="Example:  dpcontrol plan outer-turn      ITINERARY is a name (in ./itineraries or shipped) or a path.",
+)
+@click.argument("itinerary")
+@click.option("--fresh", is_flag=True, help="Plan anew even if the plan is cached.")
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Also write the reference to this .npz.")
+@json_option
+@reports_failure
+def command(*, itinerary: str, fresh: bool, out: Path | None, as_json: bool) -> None:
+    """Plan an itinerary: connections, shadowing orbit, and the reference with friction and cart.
+
+    Plans are kept by content: the same itinerary is planned once.
+    """
+    from dpcontrol.foundation.files import whole_file
+    from dpcontrol.scenes.itinerary import load_itinerary
+    from dpcontrol.scenes.plan import make_plan
+
+    scene = load_itinerary(itinerary)
+    with progress_bar("plan") as progress:
+        plan = make_plan(scene, progress=progress, fresh=fresh)
+    reference, notes, file = plan.reference, plan.notes, plan.file
+    if out is not None and reference.converged:
+        if out.suffix != ".npz":
+            raise InputError(f"--out {out}: references are .npz files; choose a name that ends in .npz")
+        with whole_file(out, suffix=".npz") as temporary:
+            shutil.copyfile(file, temporary)
+        file = out
+    if as_json:
+        print_json(
+            {
+                "walk": notes["walk"],
+                "wraps": notes["wraps"],
+                "shadowing": notes["shadowing"],
+                "reference": {
+                    "duration": reference.duration,
+                    "intervals": len(reference.mesh) - 1,
+                    "max_error_between_nodes": reference.max_error_between_nodes,
+                    "constraint_violation": reference.constraint_violation,
+                    "max_cart_position": reference.max_cart_position,
+                    "max_cart_velocity": reference.max_cart_velocity,
+                    "max_cart_acceleration": reference.max_cart_acceleration,
+                    "rms_cart_acceleration": reference.rms_cart_acceleration,
+                    "iterations": reference.iterations,
+                    "solve_seconds": reference.solve_seconds,
+                    "status": reference.status,
+                },
+                "file": str(file) if reference.converged else None,
+                "cached": plan.cached,
+                "status": reference.status,
+            }
+        )
+    elif reference.converged:
+        click.echo(f"{scene.title}")
+        for text, name in zip(scene.walk, notes["walk"], strict=True):
+            click.echo(f"  {text!r} is {name}")
+        shadowing = notes["shadowing"]
+        click.echo(f"  shadowing orbit  {shadowing['duration']:.3f} s, residual {shadowing['residual']:.1e}")
+        click.echo(f"  reference        {reference.status}")
+        click.echo(
+            f"  cart             {reference.max_cart_position * 1e3:.1f} mm at most, "
+            f"{reference.rms_cart_acceleration:.3f} m/s² rms, {reference.max_cart_acceleration:.3f} m/s² at most"
+        )
+        click.echo(f"  file             {file}{' (cached)' if plan.cached else ''}")
+    if not reference.converged:
+        raise GoalMissed(f"{scene.name}: {reference.status}")
