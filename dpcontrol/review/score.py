@@ -131,7 +131,7 @@ def score(log: RunLog) -> Score:
     factor = log.metadata.get("real_time_factor")
     seed = log.metadata.get("seed")
     total = len(wanted) - 1
-    reason = problem or f"all {total} symbols in order, {_list(wraps)}, and on the last orbit to the end"
+    reason = problem or f"{_done(total, wraps)}, and on the last orbit to the end"
     if not known:
         reason = f"the true state is not known, so completion cannot be judged; by the estimate: {reason}"
     return Score(
@@ -150,8 +150,9 @@ def score(log: RunLog) -> Score:
     )
 
 
-def _list(wraps: tuple[int, ...]) -> str:
-    return f"wraps {list(wraps)}" if wraps else "no stops between"
+def _done(total: int, wraps: tuple[int, ...]) -> str:
+    symbols = "the symbol done" if total == 1 else f"all {total} symbols done in order"
+    return f"{symbols}, wraps {list(wraps)} as asked" if wraps else symbols
 
 
 def _wraps(time: Array, angles: Array, notes: dict[str, Any], visits: list[Visit]) -> tuple[int, ...]:

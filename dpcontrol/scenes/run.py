@@ -105,7 +105,8 @@ def review_context(log: RunLog) -> ReviewContext:
     energy = None
     if MODEL_METADATA in log.metadata:
         values: dict[str, Any] = json.loads(log.metadata[MODEL_METADATA])
-        parameters = ArmChainParameters(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+        plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        parameters = ArmChainParameters(**plain)
         equations = arm_chain_equations(n, Level.CONSERVATIVE)
         energy = NumericEquations(equations, parameters.base()).hamiltonian(states[:, : 2 * n])
     done = {True: "completed", False: "not completed", None: "completion unknown"}[verdict.completed]
