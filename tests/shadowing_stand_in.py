@@ -115,3 +115,13 @@ def low_turn() -> StandIn:
 def high_crossing() -> StandIn:
     """From Down-Up to Up-Down at 0.2 J."""
     return stitched(DOWN_UP_TO_UP_DOWN, DOWN_UP_HIGH, UP_DOWN_HIGH)
+
+
+def orbit_stretch(duration: float) -> StandIn:
+    """The Lyapunov orbit about Down-Up at -0.07 J for at most a period: a small problem for edge cases."""
+    assert duration <= DOWN_UP_LOW.period
+    equations = arm_chain_equations(2, Level.CONSERVATIVE)
+    times = np.linspace(0.0, duration, 500)
+    states = Propagator(equations, LAB.base()).sample(DOWN_UP_LOW.state, times)
+    rates = NumericEquations(equations, LAB.base()).rate(states)
+    return StandIn(CubicHermiteSpline(times, states, rates), duration, states)
