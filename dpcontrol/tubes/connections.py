@@ -234,12 +234,12 @@ def _approach(orbit: ConnectingOrbit, curve: OrbitCurve, sign: int, near: float)
     def excess(seconds: float) -> float:
         return curve.nearest(orbit.sample(np.array([sign * seconds]))[0])[1] - near
 
-    low, high = grid[inside[0] - 1], grid[inside[0]]
-    # The two norms of `distances` and `nearest` differ a little: widen the bracket until the sign changes.
-    while excess(high) > 0 and high < last:
-        high = min(last, high + (high - low))
-    bracketed = excess(low) > 0 > excess(high)
-    seconds = float(root_scalar(excess, bracket=(low, high), xtol=1e-12).root) if bracketed else float(high)
+    # `nearest` minimises the largest component itself, so it never finds more than `distances` does: the first
+    # approach may lie a few steps before the grid's, never after it.
+    first = int(inside[0])
+    while first > 1 and excess(grid[first - 1]) <= 0:
+        first -= 1
+    seconds = float(root_scalar(excess, bracket=(grid[first - 1], grid[first]), xtol=1e-12).root)
     return seconds, curve.nearest(orbit.sample(np.array([sign * seconds]))[0])[0]
 
 

@@ -137,7 +137,7 @@ def lyapunov_orbit(
     point = equilibrium(system, saddle)
     if not point.kind.startswith("index-1"):
         raise InputError(
-            f"{saddle} of {system.name} is no index-1 saddle but a {point.kind}: it has no tubes; choose one of "
+            f"{saddle} of {system.name} is: {point.kind}, no index-1 saddle: it has no tubes; choose one of "
             + ", ".join(k for k in system.equilibria if equilibrium(system, k).kind.startswith("index-1"))
         )
     if not np.isfinite(energy):

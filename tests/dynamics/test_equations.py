@@ -1,0 +1,136 @@
+"""The equations of motion, against a Lagrangian written down independently from the masses' positions."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.equations import NumericEquations
+from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.scenes.model import load_model
+
+# Central differences of step 1e-5 leave about 1e-9 relative.
+DIFFERENCES = 1e-7
+EXACT = 1e-12
+
+THREE_ARMS = ArmChainParameters(
+    mass=(0.26, 0.28, 0.12),
+    centre_of_mass=(0.16, 0.2, 0.18),
+    length=(0.17, 0.23, 0.3),
+    inertia=(1e-3, 3e-4, 2e-4),
+    gravity=9.81,
+    viscous=(1e-3, 3e-4, 1e-4),
+)
+
+
+def lagrangian_from_positions(p, q, v):
+    """L of arms on a cart from positions and velocities of the centres of mass; q, v: angles then cart."""
+    n = p.count
+    joint, joint_speed, energy = np.array([q[n], 0.0]), np.array([v[n], 0.0]), 0.0
+    for i in range(n):
+        along, across = np.array([np.sin(q[i]), -np.cos(q[i])]), np.array([np.cos(q[i]), np.sin(q[i])])
+        centre, speed = joint + p.centre_of_mass[i] * along, joint_speed + p.centre_of_mass[i] * v[i] * across
+        energy += p.mass[i] * speed @ speed / 2 + p.inertia[i] * v[i] ** 2 / 2 - p.mass[i] * p.gravity * centre[1]
+        joint, joint_speed = joint + p.length[i] * along, joint_speed + p.length[i] * v[i] * across
+    return energy
+
+
+def residual_of_euler_lagrange(p, state, rate, u):
+    """d/dt ∂L/∂v - ∂L/∂q + ∂D/∂v of the angles, by central differences along the motion."""
+    n, h = p.count, 1e-5
+    q, v = np.append(state[:n], state[2 * n]), np.append(state[n : 2 * n], state[2 * n + 1])
+    a = np.append(rate[n : 2 * n], u)
+    steps = np.eye(n + 1) * h
+
+    def momentum(q, v):
+        # L is quadratic in v, so central differences of any step are exact.
+        ones = np.eye(n + 1)
+        return np.array(
+            [(lagrangian_from_positions(p, q, v + s) - lagrangian_from_positions(p, q, v - s)) / 2 for s in ones]
+        )[:n]
+
+    force = np.array(
+        [(lagrangian_from_positions(p, q + s, v) - lagrangian_from_positions(p, q - s, v)) / (2 * h) for s in steps]
+    )[:n]
+    change = (momentum(q + h * v, v + h * a) - momentum(q - h * v, v - h * a)) / (2 * h)
+    relative = np.diff(np.concatenate([[0.0], v[:n]]))
+    torque = np.asarray(p.viscous) * relative
+    return change - force + torque - np.append(torque[1:], 0.0)
+
+
+@pytest.mark.parametrize("arms", [load_model("lab").parameters, THREE_ARMS], ids=["lab", "three arms"])
+def test_cart_level_satisfies_euler_lagrange_from_positions(arms):
+    equations = arm_chain_equations(arms.count, Level.CART)
+    f = equations.function()
+    random = np.random.default_rng(1)
+    for _ in range(20):
+        state = random.uniform(-3, 3, equations.dimension)
+        u = random.uniform(-10, 10)
+        rate = np.array(f(state, u, arms.base())).ravel()
+        assert np.abs(residual_of_euler_lagrange(arms, state, rate, u)).max() < DIFFERENCES
+        assert rate[-2] == state[-1]
+        assert rate[-1] == u
+
+
+@pytest.mark.parametrize("count", [1, 2, 3])
+def test_zeroing_what_a_level_adds_gives_the_level_below(count):
+    parts = {k: getattr(THREE_ARMS, k)[:count] for k in ("mass", "centre_of_mass", "length", "inertia", "viscous")}
+    arms = replace(THREE_ARMS, **parts)
+    cart, dissipative, conservative = (
+        arm_chain_equations(count, level).function() for level in (Level.CART, Level.DISSIPATIVE, Level.CONSERVATIVE)
+    )
+    x = np.random.default_rng(2).uniform(-3, 3, 2 * count)
+    on_cart = np.array(cart(np.append(x, [0.3, -0.2]), 0.0, arms.base())).ravel()
+    with_friction = np.array(dissipative(x, [], arms.base())).ravel()
+    without = np.array(dissipative(x, [], arms.frictionless().base())).ravel()
+    assert np.allclose(on_cart[: 2 * count], with_friction, rtol=EXACT, atol=EXACT)
+    assert np.allclose(without, np.array(conservative(x, [], arms.base())).ravel(), rtol=EXACT, atol=EXACT)
+    assert not np.allclose(with_friction, without, rtol=1e-6, atol=0)
+
+
+def test_energy_is_zero_at_the_height_of_the_pivot_and_counts_the_pendulum_alone():
+    arms = load_model("lab").parameters
+    numeric = NumericEquations(arm_chain_equations(2, Level.CONSERVATIVE), arms.base())
+    on_cart = NumericEquations(arm_chain_equations(2, Level.CART), arms.base())
+    level = np.array([np.pi / 2, -np.pi / 2, 0.0, 0.0])
+    assert abs(numeric.hamiltonian(level)) < EXACT
+    moving = np.array([0.3, 2.0, 4.0, -3.0])
+    assert on_cart.hamiltonian(np.append(moving, [0.2, 1.5])) == pytest.approx(numeric.hamiltonian(moving), rel=EXACT)
+
+
+def test_the_cosine_form_stays_small():
+    assert arm_chain_equations(2, Level.CONSERVATIVE).function().n_instructions() < 60
+
+
+def test_mismatch_varies_each_parameter_within_its_band_and_is_repeatable():
+    arms = load_model("lab").parameters
+    drawn = [arms.mismatched(0.02, np.random.default_rng(seed)) for seed in range(200)]
+    for name, band in (("mass", 0.02), ("centre_of_mass", 0.02), ("length", 0.02), ("inertia", 0.02), ("viscous", 0.1)):
+        ratios = np.array([getattr(d, name) for d in drawn]) / np.array(getattr(arms, name))
+        assert np.abs(ratios - 1).max() <= band
+        assert np.abs(ratios - 1).max() > 0.9 * band
+        assert abs(np.corrcoef(ratios.T)[0, 1]) < 0.3
+    assert {d.gravity for d in drawn} == {arms.gravity}
+    assert drawn[3] == arms.mismatched(0.02, np.random.default_rng(3))
+
+
+def test_mismatch_beyond_one_fifth_never_makes_friction_negative():
+    arms = load_model("lab").parameters
+    assert min(min(arms.mismatched(0.5, np.random.default_rng(s)).viscous) for s in range(50)) >= 0.0
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("mass", (-0.1, 0.1)),
+        ("length", (0.0, 0.2)),
+        ("inertia", (float("nan"), 0.1)),
+        ("gravity", 0.0),
+        ("viscous", (0.1,)),
+    ],
+)
+def test_impossible_parameters_are_refused_by_name(name, value):
+    with pytest.raises(InputError, match="acceleration" if name == "gravity" else name):
+        replace(load_model("lab").parameters, **{name: value})

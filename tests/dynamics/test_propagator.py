@@ -1,0 +1,133 @@
+"""Propagation, against scipy's DOP853 and the structure that the exact flow has."""
+
+import casadi as ca
+import heyoka as hy
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.propagator import Propagator, Section
+from dpcontrol.dynamics.taylor import to_heyoka
+from dpcontrol.scenes.model import load_model
+
+DOP853 = 1e-9  # what scipy's DOP853 at 1e-12 is good for over a second of this motion
+SYMPLECTIC = 1e-11
+STATE = np.array([0.4, 2.9, 6.0, -3.0])
+
+
+@pytest.fixture(scope="module")
+def lab():
+    return load_model("lab")
+
+
+@pytest.fixture(scope="module")
+def pendulum(lab):
+    return lab.system.propagator
+
+
+def by_scipy(equations, parameters, state, duration, inputs=()):
+    f = equations.function()
+    return solve_ivp(
+        lambda t, x: np.array(f(x, inputs, parameters)).ravel(), (0, duration), state,
+        method="DOP853", rtol=1e-12, atol=1e-12, dense_output=True,
+    )  # fmt: skip
+
+
+def test_flow_agrees_with_dop853(lab, pendulum):
+    expected = by_scipy(lab.system.equations, lab.parameters.base(), STATE, 1.0).y[:, -1]
+    assert np.abs(pendulum.flow(STATE, 1.0) - expected).max() < DOP853
+
+
+def test_cart_level_flow_holds_its_input(lab):
+    equations = arm_chain_equations(2, Level.CART)
+    state = np.append(STATE, [0.1, -0.3])
+    expected = by_scipy(equations, lab.parameters.base(), state, 0.5, [4.0]).y[:, -1]
+    found = Propagator(equations, lab.parameters.base()).flow(state, 0.5, inputs=4.0)
+    assert np.abs(found - expected).max() < DOP853
+    assert found[5] == pytest.approx(-0.3 + 4.0 * 0.5, rel=1e-14)
+
+
+def test_flow_and_its_reverse_cancel(pendulum):
+    assert np.abs(pendulum.flow(pendulum.flow(STATE, 0.8), -0.8) - STATE).max() < 1e-11
+
+
+def test_energy_is_kept_to_rounding(lab, pendulum):
+    states = pendulum.sample(STATE, np.linspace(0, 5, 200))
+    assert np.ptp(lab.system.numeric.hamiltonian(states)) < 1e-13
+
+
+def test_state_transition_matrix_agrees_with_differences_and_is_symplectic(lab, pendulum):
+    end, stm = pendulum.flow_with_stm(STATE, 0.5)
+    steps = 1e-5 * np.eye(4)
+    columns = [(pendulum.flow(STATE + s, 0.5) - pendulum.flow(STATE - s, 0.5)) / 2e-5 for s in steps]
+    assert np.allclose(stm, np.array(columns).T, rtol=1e-6, atol=1e-6)
+    # In (q, p) the flow's derivative is symplectic; T maps (q, ω) to (q, p).
+    to_canonical = [
+        np.vstack([np.eye(4)[:2], lab.system.numeric.momentum_jacobian(x)]) for x in (STATE, end)
+    ]  # fmt: skip
+    canonical = to_canonical[1] @ stm @ np.linalg.inv(to_canonical[0])
+    form = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.eye(2), np.zeros((2, 2))]])
+    assert np.abs(canonical.T @ form @ canonical - form).max() < SYMPLECTIC
+
+
+def test_samples_lie_on_the_flow_and_need_not_start_at_zero(pendulum):
+    times = np.array([0.1, 0.15, 0.4])
+    states = pendulum.sample(STATE, times)
+    assert states.shape == (3, 4)
+    for time, state in zip(times, states, strict=True):
+        assert np.abs(state - pendulum.flow(STATE, time)).max() < 1e-12
+    with_stm, matrices = pendulum.sample_with_stm(STATE, times)
+    assert np.abs(with_stm - states).max() < 1e-12
+    assert np.abs(matrices[-1] - pendulum.flow_with_stm(STATE, 0.4)[1]).max() < 1e-10
+
+
+def test_crossings_of_a_lifted_section_are_those_of_a_dense_solution(lab, pendulum):
+    section = Section("angle_2 = 2 pi k", (0, 1, 0, 0), (1, 0, 0, 0), (1, 0), period=2 * np.pi)
+    dense = by_scipy(lab.system.equations, lab.parameters.base(), STATE, 3.0).sol
+    t = np.linspace(1e-9, 3, 30_001)
+    turns = np.sin(dense(t)[1] / 2)
+    expected = t[np.flatnonzero(turns[:-1] * turns[1:] < 0)]
+    found = [pendulum.crossing(STATE, section, longest=3.0, hit=k + 1) for k in range(len(expected))]
+    assert len(expected) >= 2
+    assert np.allclose([c.time for c in found], expected, atol=2e-4)
+    for crossing in found:
+        assert abs(np.sin(crossing.state[1] / 2)) < 1e-13
+    assert pendulum.crossing(STATE, section, longest=3.0, hit=len(expected) + 1) is None
+
+
+def test_a_section_that_is_never_met_gives_none(lab, pendulum):
+    section = Section("angle_1 = 1", (1, 0, 0, 0), (0, 1, 0, 0), (0, 1), offset=1.0)
+    assert pendulum.crossing([0.01, 0.0, 0.0, 0.0], section, longest=2.0) is None
+
+
+def test_a_one_sided_section_counts_only_that_side(pendulum):
+    normal, side = (0, 1, 0, 0), (0, 0, 0, 1)
+    both = Section("both", normal, (1, 0, 0, 0), (1, 0), period=2 * np.pi)
+    rising = Section("rising", normal, (1, 0, 0, 0), (1, 0), period=2 * np.pi, side=side)
+    rates = [pendulum.crossing(STATE, both, longest=5.0, hit=k).state[3] for k in (1, 2, 3, 4)]
+    assert min(rates) < 0 < max(rates)
+    first = next(k for k, rate in enumerate(rates, start=1) if rate > 0)
+    expected = pendulum.crossing(STATE, both, longest=5.0, hit=first)
+    assert pendulum.crossing(STATE, rising, longest=5.0).time == pytest.approx(expected.time, abs=1e-12)
+
+
+def test_every_mapped_operation_means_the_same_in_heyoka():
+    x = ca.SX.sym("x", 2)
+    a, b = x[0], x[1]
+    expressions = [
+        a + b, a - b, a * b, a / b, -a, a**2, 2 * a, 1 / a, a**b, a**3.5, ca.sqrt(a), ca.exp(a), ca.log(a), ca.sin(a),
+        ca.cos(a), ca.tan(a), ca.asin(a / 2), ca.acos(a / 2), ca.atan(a), ca.sinh(a), ca.cosh(a), ca.tanh(a),
+        ca.atan2(a, b), ca.fabs(-a),
+    ]  # fmt: skip
+    function = ca.Function("all", [x], [ca.vertcat(*expressions, 0)])
+    variables = hy.make_vars("a", "b")
+    compiled = hy.cfunc(to_heyoka(function, [variables]), vars=variables)
+    point = np.array([0.7, 1.3])
+    assert np.allclose(compiled(point), np.array(function(point)).ravel(), rtol=1e-15, atol=1e-15)
+
+
+def test_an_operation_without_a_counterpart_is_named():
+    x = ca.SX.sym("x")
+    with pytest.raises(NotImplementedError, match="no heyoka counterpart"):
+        to_heyoka(ca.Function("f", [x], [ca.floor(x)]), [hy.make_vars("x", "y")])

@@ -1,0 +1,209 @@
+"""Cuts and connections, against independent values, scipy's integration, and changed sampling."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.connections import find_connections, orbits_between
+from dpcontrol.tubes.cut import CutSettings, tube_cut
+from dpcontrol.tubes.intersections import ConnectionSettings
+from dpcontrol.tubes.lyapunov import lyapunov_orbit
+from dpcontrol.tubes.manifold import UnstableManifold
+from dpcontrol.tubes.orbit_curve import OrbitCurve
+from dpcontrol.tubes.plane_curves import near_touches, polyline_crossings
+from tests.reference_values import CONNECTIONS
+
+STATE = 1e-9  # the bar; what is reached is about 1e-12
+RESIDUAL = 1e-11
+FLIGHT_TIME = 1e-5  # s: the nearest phase is sought by golden section on a distance with kinks
+NEAR_ORBIT = 2e-6  # scaled: how near free flight in double comes before rounding grows
+
+
+def search(key, **settings):
+    source, target, energy = key
+    orbits = orbits_between(load_model("lab").system, source, target, energy)
+    return find_connections(*orbits, settings=ConnectionSettings(**settings))
+
+
+@pytest.fixture(scope="module")
+def found():
+    return {key: search(key) for key in CONNECTIONS}
+
+
+def on_torus(first, second):
+    """Largest difference of states, angles modulo a turn."""
+    gap = np.asarray(first) - np.asarray(second)
+    return max(np.abs(2 * np.sin(gap[:2] / 2)).max(), np.abs(gap[2:]).max())
+
+
+@pytest.mark.parametrize("key", CONNECTIONS, ids=str)
+def test_all_reference_connections_and_their_images_are_found(found, key):
+    count, states = CONNECTIONS[key]
+    connections = found[key].connections
+    assert len(connections) == count
+    assert max(c.residual for c in connections) <= RESIDUAL
+    images = [np.array(s) for s in states]
+    if key[0] == key[1]:
+        images += [x * [-1, -1, 1, 1] for x in images if np.abs(x[:2]).max() > 0]
+    images += [-x for x in images]
+    for image in images:
+        assert min(on_torus(c.state, image) for c in connections) < STATE
+
+
+@pytest.mark.parametrize("key", CONNECTIONS, ids=str)
+def test_senses_pair_up_and_symmetric_ones_lie_on_the_mirror(found, key):
+    connections = found[key].connections
+    assert sum(c.sense for c in connections) == 0
+    for c in connections:
+        mirror = min(on_torus(c.state, c.state * [-1, -1, 1, 1]), on_torus(c.state, c.state * [1, 1, -1, -1]))
+        assert c.symmetric == (key[0] == key[1] and mirror < 1e-8)
+        entries = [k for k in c.winding if k]
+        if key[0] == key[1]:
+            assert c.sense == entries[0]
+            assert sorted(map(abs, c.winding)) == [0, 1]
+        else:
+            assert c.sense == np.sign(c.state[2] - c.state[3])
+
+
+def flown_by_scipy(system, state, seconds):
+    f = system.equations.function()
+    p = system.parameters
+    return solve_ivp(
+        lambda t, x: np.array(f(x, [], p)).ravel(), (0, seconds), state, method="DOP853", rtol=1e-12, atol=1e-12
+    ).y[:, -1]
+
+
+@pytest.mark.parametrize("key", CONNECTIONS, ids=str)
+def test_windings_are_those_of_an_independent_flight(found, key):
+    system = load_model("lab").system
+    for c in found[key].connections:
+        after, before = (flown_by_scipy(system, c.state, t) for t in (c.time_in, -c.time_out))
+        for state, saddle, turns in ((before, key[0], (0, 0)), (after, key[1], c.winding)):
+            home = system.equilibrium(saddle)[:2] + 2 * np.pi * np.asarray(turns)
+            # Orbits swing less than a turn about their saddle's lattice point.
+            assert np.abs(state[:2] - home).max() < np.pi
+
+
+@pytest.mark.parametrize("key", [("down-up", "down-up", -0.07), ("down-up", "up-down", 0.2)], ids=str)
+def test_connections_flow_back_to_both_orbits(found, key):
+    for c in found[key].connections:
+        for orbit, sign in ((c.source, -1), (c.target, 1)):
+            times = sign * np.linspace(0, 3.0, 1500)
+            _, distances = OrbitCurve(orbit).distances(orbit.system.propagator.sample(c.state, times))
+            assert distances.min() < NEAR_ORBIT
+
+
+@pytest.mark.parametrize("key", CONNECTIONS, ids=str)
+def test_flight_times_and_phases_are_those_of_first_approach(found, key):
+    for c in found[key].connections:
+        for orbit, seconds, phase, sign in (
+            (c.source, c.time_out, c.phase_out, -1),
+            (c.target, c.time_in, c.phase_in, 1),
+        ):
+            curve = OrbitCurve(orbit)
+            there = orbit.system.propagator.flow(c.state, sign * seconds)
+            assert curve.nearest(there)[1] == pytest.approx(1e-3, rel=1e-4)
+            assert abs((curve.nearest(there)[0] - phase + 0.5) % 1 - 0.5) < 1e-4
+            before = orbit.system.propagator.sample(c.state, sign * np.linspace(0, 0.98 * seconds, 400))
+            assert curve.distances(before)[1].min() > 1e-3
+
+
+def test_time_reversal_exchanges_the_flight_times_of_mirror_pairs(found):
+    connections = found["down-up", "down-up", 0.2].connections
+    for c in connections:
+        twin = next(d for d in connections if on_torus(d.state, c.state * [-1, -1, 1, 1]) < 1e-8)
+        assert twin.time_in == pytest.approx(c.time_out, abs=FLIGHT_TIME)
+        assert twin.transversality_angle == pytest.approx(c.transversality_angle, abs=1e-6)
+
+
+def test_names_and_states_survive_another_sampling_and_another_seed_distance(found):
+    key = ("down-up", "down-up", -0.07)
+    finer = search(key, distance=3e-4, cut=CutSettings(first_phases=237, chord=0.02))
+    assert [c.name for c in finer.connections] == [c.name for c in found[key].connections]
+    for a, b in zip(finer.connections, found[key].connections, strict=True):
+        assert np.abs(a.state - b.state).max() < 1e-11
+        assert a.transversality_angle == pytest.approx(b.transversality_angle, abs=1e-6)
+
+
+def test_transversality_angles_do_not_depend_on_where_tangents_are_taken_from(found):
+    """The angle between the cuts, from finite differences of the pieces near the crossing."""
+    key = ("down-up", "down-up", -0.07)
+    fine = search(key, cut=CutSettings(chord=0.002))
+    for c in found[key].connections:
+        if not c.symmetric or c.sense < 0:
+            continue
+        piece = next(p for p in fine.cuts[0].pieces if p.direction > 0)
+        # On the mirror q = 0 the stable cut is the reflection of the unstable one.
+        k = np.argmin(np.linalg.norm(piece.states - c.state, axis=1))
+        tangent = piece.points[k + 1] - piece.points[k - 1]
+        expected = 2 * np.degrees(np.arctan2(abs(tangent[0]), abs(tangent[1])))
+        assert c.transversality_angle == pytest.approx(min(expected, 180 - expected), abs=1.0)
+
+
+def test_open_cuts_are_reported_with_their_cause(found):
+    search = found["down-up", "down-up", 0.2]
+    assert not search.complete
+    assert {end.branch for _, end in search.open_ends} == {1, -1}
+    assert all("grazes" in end.reason for _, end in search.open_ends)
+    assert "open" in search.status
+    assert found["down-up", "down-up", -0.07].complete
+
+
+def test_a_tube_without_time_to_arrive_says_so():
+    system = load_model("lab").system
+    manifold = UnstableManifold(lyapunov_orbit(system, "down-up", energy=-0.07))
+    cut = tube_cut(manifold, system.sections["down-up", "down-up"], settings=CutSettings(longest=0.5))
+    assert not cut.pieces
+    assert "no trajectory of the tube reaches" in cut.status
+    assert "never arrives" in cut.open_ends[0].reason
+
+
+def test_a_cut_that_may_not_be_refined_says_so():
+    system = load_model("lab").system
+    manifold = UnstableManifold(lyapunov_orbit(system, "down-up", energy=0.2))
+    cut = tube_cut(manifold, system.sections["down-up", "down-up"], settings=CutSettings(most_points=120))
+    assert "not resolved" in cut.status
+
+
+def test_no_heteroclinics_below_the_energy_of_up_down():
+    with pytest.raises(InputError, match=r"exist only above its energy of 0\.17543"):
+        orbits_between(load_model("lab").system, "down-up", "up-down", 0.17)
+
+
+def test_orbits_of_different_energy_are_not_connected():
+    system = load_model("lab").system
+    first, second = (lyapunov_orbit(system, "down-up", energy=e) for e in (-0.07, 0.0))
+    with pytest.raises(InputError, match="the flow keeps its energy"):
+        find_connections(first, second)
+
+
+@pytest.mark.parametrize("distance", [1e-9, 3e-2])
+def test_seeds_too_near_or_too_far_do_not_pass_for_a_complete_search(distance):
+    """Too near, rounding over distance drowns the cut; too far, the linear manifold is not the tube."""
+    expected = CONNECTIONS["down-up", "down-up", -0.07]
+    result = search(("down-up", "down-up", -0.07), distance=distance)
+    wrong = len(result.connections) != expected[0]
+    off = [min(on_torus(c.state, s) for s in map(np.array, expected[1])) for c in result.connections if c.sense > 0]
+    if wrong:
+        assert not result.complete
+    else:
+        assert min(off) < STATE
+
+
+def test_polylines_cross_where_they_should():
+    t = np.linspace(0, 2 * np.pi, 400)
+    circle = np.column_stack([np.cos(t), np.sin(t)])
+    line = np.column_stack([np.linspace(-2, 2, 7), np.full(7, 0.5)])
+    crossings = polyline_crossings(circle, line)
+    angles = sorted(np.interp(i, np.arange(400), t) for i, _ in crossings)
+    assert np.allclose(angles, [np.pi / 6, 5 * np.pi / 6], atol=1e-3)
+
+
+def test_near_touches_find_where_curves_almost_meet():
+    x = np.linspace(-1, 1, 201)
+    parabola, axis = np.column_stack([x, x**2 + 0.01]), np.column_stack([x, 0 * x])
+    touches = near_touches(parabola, axis, within=0.05)
+    assert not polyline_crossings(parabola, axis)
+    assert [x[int(i)] for i, _ in touches] == pytest.approx([0.0], abs=0.02)
