@@ -1,19 +1,51 @@
 """dpcontrol connect"""
 
+import difflib
+from collections.abc import Sequence
+from decimal import Decimal, InvalidOperation
+from typing import TYPE_CHECKING, Any
+
 import click
 
 from dpcontrol.cli.output import json_option, print_json, print_table, progress_bar, reports_failure
-from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.foundation.errors import GoalMissed, InputError
+
+if TYPE_CHECKING:
+    from dpcontrol.dynamics.extended import Exact
+    from dpcontrol.scenes.model import Model
+    from dpcontrol.tubes.connections import Connection, ConnectionSearch
+
+
+class _DecimalNumber(click.ParamType):
+    """A number kept as the decimal that was typed, for extended precision: 0.2 is one fifth."""
+
+    name = "number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Decimal:
+        try:
+            return Decimal(value)
+        except InvalidOperation:
+            self.fail(f"{value!r} is not a number.", param, ctx)
 
 
 @click.command("connect", epilog="Example:  dpcontrol connect lab --from down-up --to up-down --energy 0.2")
 @click.argument("model")
 @click.option("--from", "source", required=True, help="Saddle whose orbit the connection leaves.")
 @click.option("--to", "target", required=True, help="Saddle whose orbit it joins.")
-@click.option("--energy", required=True, type=float, help="Energy in J, zero at the pivot's height.")
+@click.option("--energy", required=True, type=_DecimalNumber(), help="Energy in J, zero at the pivot's height.")
+@click.option("--name", help="Show this connection only; names are those that the verb lists.")
+@click.option(
+    "--precision",
+    type=click.Choice(["double", "extended"]),
+    default="double",
+    show_default=True,
+    help="extended: refine the connection named by --name in 113-bit arithmetic.",
+)
 @json_option
 @reports_failure
-def command(*, model: str, source: str, target: str, energy: float, as_json: bool) -> None:
+def command(
+    *, model: str, source: str, target: str, energy: Decimal, name: str | None, precision: str, as_json: bool
+) -> None:
     """Find every first-hit connection between the Lyapunov orbits of two saddles (or one).
 
     All connections on the torus of angles are listed: both senses, mirror pairs and reflections. A connection's name
@@ -22,43 +54,34 @@ def command(*, model: str, source: str, target: str, energy: float, as_json: boo
     from dpcontrol.scenes.model import load_model
     from dpcontrol.tubes.connections import find_connections, orbits_between
 
-    system = load_model(model).system
+    if precision == "extended" and name is None:
+        raise InputError("--precision extended refines one connection: give its --name as `dpcontrol connect` lists it")
+    loaded = load_model(model)
+    system = loaded.system
     with progress_bar("connections") as progress:
-        orbits = orbits_between(system, source, target, energy)
+        orbits = orbits_between(system, source, target, float(energy))
         for orbit in orbits:
             if not orbit.converged:
-                raise GoalMissed(f"the Lyapunov orbit about {orbit.saddle} at {energy:g} J: {orbit.status}")
+                raise GoalMissed(f"the Lyapunov orbit about {orbit.saddle} at {energy} J: {orbit.status}")
         search = find_connections(*orbits, progress=progress)
     found = search.connections
+    if name is not None:
+        found = (_named(search, name),)
+    if precision == "extended":
+        _extended(loaded, found[0], energy, as_json)
+        return
     if as_json:
         print_json(
             {
                 "count": len(found),
-                "connections": [
-                    {
-                        "name": c.name,
-                        "section": c.section.name,
-                        "state": c.state,
-                        "winding": c.winding,
-                        "sense": c.sense,
-                        "symmetric": c.symmetric,
-                        "residual": c.residual,
-                        "transversality_angle_deg": c.transversality_angle,
-                        "hits": c.hits,
-                        "time_in": c.time_in,
-                        "time_out": c.time_out,
-                        "phase_in": c.phase_in,
-                        "phase_out": c.phase_out,
-                    }
-                    for c in found
-                ],
+                "connections": [_document(c) for c in found],
                 "open_cuts": [
                     {"branch": f"{tube} {end.branch:+d}", "phase_interval": end.phase_interval, "reason": end.reason}
                     for tube, end in search.open_ends
                 ],
                 "complete": search.complete,
                 "status": search.status,
-                "energy": energy,
+                "energy": float(energy),
                 "from": source,
                 "to": target,
             }
@@ -77,10 +100,90 @@ def command(*, model: str, source: str, target: str, energy: float, as_json: boo
             for c in found
         ]
         columns = ("name", "sense", "symmetric", "angle (°)", "residual", "time out (s)", "time in (s)")
-        print_table(f"{source} → {target} at {energy:g} J on {system.sections[source, target].name}", columns, rows)
+        print_table(f"{source} → {target} at {energy} J on {system.sections[source, target].name}", columns, rows)
         click.echo(search.status)
         for tube, end in search.open_ends:
             low, high = end.phase_interval
             click.echo(f"open: {tube} tube, branch {end.branch:+d}, phase {low:.6f} … {high:.6f}: {end.reason}")
-    if search.failed:
+    if search.failed and name is None:
         raise GoalMissed(f"the search between {source} and {target} is not complete: {search.status}")
+
+
+def _document(c: "Connection") -> dict[str, Any]:
+    return {
+        "name": c.name,
+        "section": c.section.name,
+        "state": c.state,
+        "winding": c.winding,
+        "sense": c.sense,
+        "symmetric": c.symmetric,
+        "residual": c.residual,
+        "transversality_angle_deg": c.transversality_angle,
+        "hits": c.hits,
+        "time_in": c.time_in,
+        "time_out": c.time_out,
+        "phase_in": c.phase_in,
+        "phase_out": c.phase_out,
+    }
+
+
+def _named(search: "ConnectionSearch", name: str) -> "Connection":
+    names = [c.name for c in search.connections]
+    if name in names:
+        return search.connections[names.index(name)]
+    if not names:
+        raise InputError(f"there is no connection {name!r}: the search found none ({search.status})")
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.3)
+    hint = f"did you mean {close[0]!r}?" if close else f"names look like {names[0]!r}"
+    raise InputError(f"there is no connection {name!r} among the {len(names)} found; {hint} (quote it in a shell)")
+
+
+def _exact_parameters(model: "Model") -> "Sequence[Exact]":
+    """Return the equations' parameters as the decimals that the model's file gives."""
+    from dpcontrol.dynamics.parameters import ArmChainParameters
+
+    if isinstance(model.parameters, ArmChainParameters):
+        return model.parameters.decimal_base()
+    return [Decimal(repr(float(value))) for value in model.system.parameters]
+
+
+def _extended(model: "Model", connection: "Connection", energy: Decimal, as_json: bool) -> None:
+    """Refine and print one connection in extended precision."""
+    from dpcontrol.tubes.extended import refine_connection
+
+    with progress_bar("refining in 113-bit arithmetic"):
+        refined = refine_connection(connection, energy=energy, parameters=_exact_parameters(model))
+    if not refined.converged:
+        raise GoalMissed(f"{connection.name} in extended precision: {refined.status}")
+    state, residual = refined.digits, f"{float(refined.residual):.3e}"
+    if as_json:
+        document = {**_document(connection), "state": state, "residual": residual, "precision": "extended"}
+        print_json(
+            {
+                **document,
+                "count": 1,
+                "connections": [document],
+                "state_double": connection.state,
+                "residual_double": connection.residual,
+                "correction": refined.correction,
+                "orbits": [
+                    {
+                        "saddle": o.orbit.saddle,
+                        "state": o.digits,
+                        "period": o.period_digits,
+                        "residual": f"{float(o.residual):.3e}",
+                    }
+                    for o in dict.fromkeys(refined.orbits)
+                ],
+                "energy": str(energy),
+                "from": connection.source.saddle,
+                "to": connection.target.saddle,
+                "status": refined.status,
+            }
+        )
+        return
+    click.echo(f"{connection.name} at {energy} J in 113-bit arithmetic: {refined.status}")
+    half = len(state) // 2
+    for k, value in enumerate(state):
+        click.echo(f"  {'position' if k < half else 'rate'} {k % half + 1}  {value}")
+    click.echo(f"  residual {residual} (largest gap between segments, in their units)")

@@ -12,6 +12,8 @@ third of the instructions of the form from positions.
 """
 
 from dataclasses import dataclass, replace
+from fractions import Fraction
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,16 +84,23 @@ class ArmChainParameters:
 
     def base(self) -> Array:
         """Return the base parameters (n(n+1)/2 + 3n,): M row by row for j >= i, then G, S, viscous."""
-        m, a, joint, j = (np.asarray(v) for v in (self.mass, self.centre_of_mass, self.length, self.inertia))
-        n = self.count
-        beyond = np.array([m[i + 1 :].sum() for i in range(n)])
-        coupling = m * a + beyond * joint
-        inertia = [
-            j[i] + m[i] * a[i] ** 2 + beyond[i] * joint[i] ** 2 if i == k else coupling[k] * joint[i]
-            for i in range(n)
-            for k in range(i, n)
-        ]
-        return np.concatenate([inertia, self.gravity * coupling, coupling, np.asarray(self.viscous)])
+        m, a, joint, j, k = (
+            np.asarray(v) for v in (self.mass, self.centre_of_mass, self.length, self.inertia, self.viscous)
+        )
+        return _base(m, a, joint, j, k, self.gravity)
+
+    def decimal_base(self) -> tuple[Fraction, ...]:
+        """Return the base parameters without rounding, the physical ones taken as the decimals a file gives.
+
+        That is the shortest decimal that reads as the same double, which is what was typed up to 15 digits.
+        """
+
+        def exact(values: tuple[float, ...]) -> Any:
+            return np.array([Fraction(repr(float(v))) for v in values], dtype=object)
+
+        m, a, joint, j = exact(self.mass), exact(self.centre_of_mass), exact(self.length), exact(self.inertia)
+        base = _base(m, a, joint, j, exact(self.viscous), Fraction(repr(float(self.gravity))))
+        return tuple(Fraction(value) for value in base)
 
     def frictionless(self) -> "ArmChainParameters":
         """Return the same arms without friction."""
@@ -116,3 +125,16 @@ class ArmChainParameters:
             inertia=vary(self.inertia, fraction),
             viscous=vary(self.viscous, 5 * fraction),
         )
+
+
+def _base(m: Any, a: Any, joint: Any, j: Any, viscous: Any, gravity: Any) -> Any:
+    """Return the base parameters of the chain, in the arithmetic of its arguments (n,)."""
+    n = len(m)
+    beyond = np.array([m[i + 1 :].sum() for i in range(n)])
+    coupling = m * a + beyond * joint
+    inertia = [
+        j[i] + m[i] * a[i] ** 2 + beyond[i] * joint[i] ** 2 if i == k else coupling[k] * joint[i]
+        for i in range(n)
+        for k in range(i, n)
+    ]
+    return np.concatenate([inertia, gravity * coupling, coupling, viscous])

@@ -181,7 +181,7 @@ def solve_connecting_orbit(
             break
         if iteration == settings.iterations:
             break
-        matrix = _matrix([stm for _, stm in flown], start_slopes, end_slopes, gradient, anchor)
+        matrix = shooting_matrix([stm for _, stm in flown], start_slopes, end_slopes, gradient, anchor)
         try:
             step = splu(matrix).solve(-np.append(gaps.ravel(), off))
         except RuntimeError:
@@ -207,7 +207,7 @@ def solve_connecting_orbit(
     )
 
 
-def _matrix(
+def shooting_matrix(
     stms: list[Array], start_slopes: list[Array], end_slopes: list[Array], gradient: Array, anchor: Anchor
 ) -> csc_array:
     """Return the Jacobian of gaps and anchor: inner nodes, then φ₀, a₀, φ_K, a_K, ε; square of size N·K + 1."""

@@ -1,0 +1,198 @@
+"""Connections in 113-bit arithmetic, against independent values, a third precision and free flight."""
+
+import json
+from decimal import Decimal
+from fractions import Fraction
+
+import heyoka as hy
+import numpy as np
+import pytest
+
+from dpcontrol.cli.main import main
+from dpcontrol.dynamics.extended import ExtendedPropagator, digits, extended, pi_times
+from dpcontrol.dynamics.taylor import to_heyoka
+from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.connections import find_connections, orbits_between
+from dpcontrol.tubes.extended import RefinementSettings, refine_connection
+from dpcontrol.tubes.orbit_curve import OrbitCurve
+from tests.reference_values import CONNECTIONS, LYAPUNOV_ORBITS
+
+RESIDUAL = 1e-20  # the bar; what is reached is about 1e-31
+AGREES = 1e-10  # with the double state; what is reached is about 1e-13
+LAST_BIT = 0.5  # ulp: the reference holds doubles, correctly rounded from more digits
+MIRROR = 1e-28  # two separate solutions of one orbit and its mirror image
+FREE_EXTENDED = 1e-9  # scaled; free flight in 113 bits comes within about 1e-16
+FREE_DOUBLE = 2e-6  # scaled: how near free flight in double comes before rounding grows
+FLOW = 1e-31  # 113 bits hold 34 digits of numbers of size 10, over half a second of motion
+
+REFINED = [
+    ("down-up", "down-up", -0.07, 0),
+    ("down-up", "down-up", -0.07, 1),
+    ("down-up", "down-up", 0.2, 2),
+    ("up-down", "up-down", 0.2, 2),
+    ("down-up", "up-down", 0.2, 0),
+]
+
+
+@pytest.fixture(scope="module")
+def lab():
+    return load_model("lab")
+
+
+@pytest.fixture(scope="module")
+def found(lab):
+    return {key: find_connections(*orbits_between(lab.system, *key)) for key in CONNECTIONS}
+
+
+def nearest(connections, state):
+    def distance(c):
+        gap = c.state - np.asarray(state)
+        return max(np.abs(2 * np.sin(gap[:2] / 2)).max(), np.abs(gap[2:]).max())
+
+    return min(connections, key=distance)
+
+
+def refine(lab, connection, energy, **options):
+    exact = {"energy": Decimal(str(energy)), "parameters": lab.parameters.decimal_base()}
+    return refine_connection(connection, **exact | options)
+
+
+@pytest.fixture(scope="module", params=REFINED, ids=str)
+def refined(request, lab, found):
+    key, index = request.param[:3], request.param[3]
+    state = CONNECTIONS[key][1][index]
+    return state, refine(lab, nearest(found[key].connections, state), key[2])
+
+
+def test_a_refined_connection_is_the_reference_one_to_the_last_bit(refined):
+    state, found = refined
+    expected = np.array(state)
+    rest = extended(expected) + pi_times(np.rint((found.connection.state - expected) / np.pi))
+    gap = (found.state - rest).astype(float)
+    assert np.all(np.abs(gap) <= LAST_BIT * np.spacing(np.abs(expected)) + 1e-30)
+
+
+def test_the_residual_is_below_what_double_can_express(refined):
+    _, found = refined
+    assert found.converged
+    assert found.residual <= RESIDUAL
+    assert all(orbit.residual <= RESIDUAL for orbit in found.orbits)
+    assert found.correction <= AGREES
+
+
+def test_free_flight_in_extended_precision_reaches_both_orbits(refined):
+    _, found = refined
+    assert found.free_flight(forward=True) < FREE_EXTENDED
+    assert found.free_flight(forward=False) < FREE_EXTENDED
+
+
+@pytest.mark.parametrize("key", [("down-up", "down-up", 0.2), ("up-down", "up-down", 0.2)], ids=str)
+def test_free_flight_in_double_reaches_both_orbits(found, key):
+    for c in found[key].connections:
+        for orbit, sign in ((c.source, -1), (c.target, 1)):
+            flown = orbit.system.propagator.sample(c.state, sign * np.linspace(0, 3.5, 1500))
+            assert OrbitCurve(orbit).distances(flown)[1].min() < FREE_DOUBLE
+
+
+def test_mirror_images_refined_apart_agree(lab, found):
+    key = ("down-up", "down-up", -0.07)
+    c = nearest(found[key].connections, CONNECTIONS[key][1][1])
+    twin = nearest(found[key].connections, c.state * [-1, -1, 1, 1])
+    first, second = (refine(lab, x, key[2]).state for x in (c, twin))
+    assert float(np.abs(first[2:] - second[2:]).max()) < MIRROR
+    assert float(abs(first[0] + second[0])) < MIRROR
+
+
+def test_the_state_does_not_depend_on_how_far_out_the_leads_begin(lab, found):
+    key = ("down-up", "up-down", 0.2)
+    c = found[key].connections[0]
+    states = [refine(lab, c, 0.2, settings=RefinementSettings(amplitude=a)).state for a in (1e-20, 1e-23)]
+    assert float(np.abs(states[0] - states[1]).max()) < MIRROR
+
+
+def test_refined_orbits_have_the_reference_period_and_energy(lab, found):
+    key = ("down-up", "down-up", -0.07)
+    refined = refine(lab, found[key].connections[0], key[2])
+    orbit = refined.orbits[0]
+    expected = LYAPUNOV_ORBITS["lab", "down-up", -0.07]
+    assert float(orbit.period) == pytest.approx(expected[1], rel=2e-16)
+    assert orbit.state.astype(float) == pytest.approx(expected[0], rel=2e-16)
+    error = orbit.propagator.energy(refined.state) - extended([Fraction(-7, 100)])[0]
+    assert abs(float(error)) < 1e-30
+
+
+def test_flow_agrees_with_two_hundred_bits(lab):
+    """The same equations in heyoka's multiprecision reals, which have an arithmetic of their own."""
+    equations, parameters = lab.system.equations, lab.parameters.decimal_base()
+    propagator = ExtendedPropagator(equations, parameters)
+    state = extended([0.4, 2.9, 6.0, -3.0])
+    there = propagator.flow(state, extended(0.5)[()])
+    names = hy.make_vars("a", "b", "c", "d")
+    symbols = [hy.par[i] for i in range(len(parameters))]
+    rates = to_heyoka(equations.function(), [names, [], symbols])
+    wide = [hy.real(f"{v}", 200) for v in digits(extended([0.4, 2.9, 6.0, -3.0]))]
+    system = list(zip(names, rates, strict=True))
+    integrator = hy.taylor_adaptive(system, wide, time=hy.real(0, 200), fp_type=hy.real, compact_mode=True, prec=200)
+    integrator.pars[:] = [hy.real(v, 200) for v in digits(propagator.parameters)][: len(integrator.pars)]
+    integrator.propagate_until(hy.real("0.5", 200))
+    for mine, other in zip(there, integrator.state, strict=True):
+        assert abs(Decimal(str(mine)) - Decimal(str(other))) < Decimal(FLOW)
+
+
+def test_energy_is_kept_to_the_last_digits(lab):
+    propagator = ExtendedPropagator(lab.system.equations, lab.parameters.decimal_base())
+    state = extended([0.4, 2.9, 6.0, -3.0])
+    energies = [propagator.energy(x) for x in propagator.sample(state, extended(np.linspace(0.1, 1, 5)))]
+    assert max(abs(float(e - propagator.energy(state))) for e in energies) < 1e-31
+
+
+def test_decimals_are_not_read_as_binary_numbers():
+    third, fifth = extended([Fraction(1, 3), Decimal("0.2")])
+    assert digits(np.array([fifth * 5])) == ["1"]
+    assert digits(np.array([third]))[0].startswith("0." + "3" * 33)
+    assert float(extended(0.2)[()] - fifth) == pytest.approx(0.2 - float(Fraction(0.2)) + 1.1102230246251565e-17)
+
+
+def test_exact_base_parameters_round_to_the_double_ones(lab):
+    exact = np.array([float(v) for v in lab.parameters.decimal_base()])
+    assert exact == pytest.approx(lab.parameters.base(), rel=4e-16)
+
+
+def test_a_refinement_that_stays_above_its_tolerance_says_so(lab, found):
+    c = found["down-up", "down-up", -0.07].connections[0]
+    assert "not refined" in refine(lab, c, -0.07, settings=RefinementSettings(tolerance=5e-33)).status
+    with pytest.raises(GoalMissed, match="could be refined only to a residual"):
+        refine(lab, c, -0.07, settings=RefinementSettings(iterations=1))
+
+
+def run(capsys, *arguments):
+    with pytest.raises(SystemExit) as done:
+        main(["connect", "lab", "--from", "down-up", "--to", "up-down", "--energy", "0.2", "--json", *arguments])
+    return done.value.code, json.loads(capsys.readouterr().out)
+
+
+def test_the_command_prints_digits_as_strings(capsys, found):
+    name = found["down-up", "up-down", 0.2].connections[0].name
+    code, document = run(capsys, "--name", name, "--precision", "extended")
+    assert code == 0
+    assert document["precision"] == "extended"
+    assert all(isinstance(v, str) and len(v) > 30 for v in document["state"])
+    assert float(document["residual"]) <= RESIDUAL
+    code, double = run(capsys, "--name", name)
+    assert [c["name"] for c in double["connections"]] == [name]
+    assert [float(v) for v in document["state"]] == pytest.approx(double["connections"][0]["state"], abs=AGREES)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fragment"),
+    [
+        (("--precision", "extended"), "give its --name"),
+        (("--name", "down-up>up-down[0,0]"), "did you mean 'down-up>up"),
+    ],
+    ids=str,
+)
+def test_a_connection_that_is_not_named_rightly_is_refused(capsys, arguments, fragment):
+    code, document = run(capsys, *arguments)
+    assert code == 2
+    assert fragment in document["status"]
