@@ -27,8 +27,10 @@ class System:
 
     equilibria: name -> state (N,). periods (N,): 2π for angles, infinity otherwise. reversers: matrices (N, N)
     that turn the flow around in time, x(t) -> A x(-t). orientation (N,): a periodic orbit starts where it crosses
-    its saddle's fixed set with orientation · (x - saddle) > 0. scale (N,): divides a state error (DESIGN: scaled
-    error). sections: (from, to) -> section on which connections are sought. energy_scale in J.
+    its saddle's fixed set with orientation · (x - saddle) > 0. scale (N,): divides a state error. energy_scale: in
+    the energy's unit. sections: (from, to) -> section on which connections are sought; section_scale: the size of
+    what happens there in (q, p/p₀). flight_periods: how many periods of its orbit a tube's trajectory is given to
+    reach a section.
     """
 
     name: str
@@ -41,6 +43,8 @@ class System:
     scale: Array
     energy_scale: float
     sections: Mapping[tuple[str, str], Section]
+    section_scale: float = 1.0
+    flight_periods: float = 12.0
 
     @property
     def dimension(self) -> int:

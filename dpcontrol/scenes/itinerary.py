@@ -67,6 +67,7 @@ def load_itinerary(name: str) -> Itinerary:
     table, text = read_toml(path)
     title = table.text("title", path.stem)
     model = _model(table, path)
+    _ = model.arms  # an itinerary needs arms on a cart
     energy = table.number("energy")
     saddles = [name for name, e in equilibria(model.system).items() if e.kind.startswith("index-1")]
     walk, wraps = table.texts("walk"), table.integers("wraps", ())

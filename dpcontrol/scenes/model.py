@@ -6,11 +6,12 @@ from pathlib import Path
 
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.dynamics.system import System, pendulum_system
+from dpcontrol.dynamics.three_body import ThreeBodyParameters, three_body_system
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.tables import Table, read_toml
 from dpcontrol.scenes.lookup import find
 
-SYSTEMS = ("arm-chain",)
+SYSTEMS = ("arm-chain", "three-body")
 
 
 @dataclass(frozen=True)
@@ -20,14 +21,27 @@ class Model:
     name: str
     path: Path
     title: str
-    parameters: ArmChainParameters
+    parameters: ArmChainParameters | ThreeBodyParameters
     sources: dict[str, str]
     text: str
 
     @cached_property
     def system(self) -> System:
-        """The frictionless pendulum on a fixed pivot, in which orbits and tubes live."""
+        """The conservative system in which orbits and tubes live: for arms, without friction, on a fixed pivot."""
+        if isinstance(self.parameters, ThreeBodyParameters):
+            return three_body_system(self.name, self.parameters)
         return pendulum_system(self.name, self.parameters)
+
+    @property
+    def arms(self) -> ArmChainParameters:
+        """The arms' parameters, where there are arms.
+
+        Raises:
+            InputError: the model is no pendulum.
+        """
+        if not isinstance(self.parameters, ArmChainParameters):
+            raise InputError(f"{self.path}: {self.title} has no arms and no cart; choose a model of arms, such as lab")
+        return self.parameters
 
 
 def load_model(name: str) -> Model:
@@ -43,7 +57,8 @@ def load_model(name: str) -> Model:
 
 def _model(table: Table, text: str, path: Path) -> Model:
     title = table.text("title")
-    table.text("system", "arm-chain", allowed=SYSTEMS)
+    if table.text("system", "arm-chain", allowed=SYSTEMS) == "three-body":
+        return _three_body(table, title, text, path)
     arms, gravity = table.table("arms", required=True), table.table("gravity", required=True)
     friction = table.table("friction", required=True)
     sources = {t.name: t.text("source") for t in (arms, gravity, friction)}
@@ -58,3 +73,12 @@ def _model(table: Table, text: str, path: Path) -> Model:
         home = {"acceleration": gravity, "viscous": friction}.get(key, arms)
         raise InputError(f"{home.where()} {error}") from error
     return Model(path.stem, path, title, parameters, sources, text)
+
+
+def _three_body(table: Table, title: str, text: str, path: Path) -> Model:
+    primaries = table.table("primaries", required=True)
+    source, ratio = primaries.text("source"), primaries.number("mass_ratio")
+    for part in (table, primaries):
+        part.finish()
+    parameters = primaries.checked(ThreeBodyParameters, mass_ratio=ratio)
+    return Model(path.stem, path, title, parameters, {"primaries": source}, text)

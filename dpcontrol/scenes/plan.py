@@ -59,7 +59,7 @@ def plan_key(itinerary: Itinerary) -> str:
     """Return the content that a plan depends on, as 16 hexadecimal digits."""
     content = {
         "format": FORMAT,
-        "parameters": asdict(itinerary.model.parameters),
+        "parameters": asdict(itinerary.model.arms),
         "energy": itinerary.energy,
         "walk": itinerary.walk,
         "wraps": itinerary.wraps,
@@ -87,10 +87,10 @@ def make_plan(itinerary: Itinerary, *, progress: Progress = no_progress, fresh: 
             # A damaged cache entry is replaced, as if it were not there.
             pass
     shadowing = shadowing_orbit(itinerary, progress=_part(progress, 0.0, 0.4))
-    equations = arm_chain_equations(itinerary.model.parameters.count, Level.CART)
+    equations = arm_chain_equations(itinerary.model.arms.count, Level.CART)
     problem = ReferenceProblem(
         equations=equations,
-        parameters=itinerary.model.parameters.base(),
+        parameters=itinerary.model.arms.base(),
         guess=shadowing.sample,
         duration=shadowing.duration,
         limits=itinerary.limits,

@@ -43,7 +43,7 @@ def run_plan(plan: Plan, out: Path, *, progress: Progress = no_progress) -> Scor
     limits = itinerary.limits
     with LogWriter(
         out,
-        arm_lengths=itinerary.model.parameters.length,
+        arm_lengths=itinerary.model.arms.length,
         rate_hz=itinerary.loop.rate,
         limits=(limits.position, limits.velocity, limits.acceleration),
         metadata=_metadata(itinerary),
@@ -53,9 +53,7 @@ def run_plan(plan: Plan, out: Path, *, progress: Progress = no_progress) -> Scor
             REFERENCE_ATTACHMENT: plan.file.read_bytes(),
         },
     ) as writer:
-        result = run_loop(
-            reference, itinerary.model.parameters, settings=itinerary.loop, sink=writer, progress=progress
-        )
+        result = run_loop(reference, itinerary.model.arms, settings=itinerary.loop, sink=writer, progress=progress)
         writer.result(real_time_factor=repr(result.real_time_factor), ending=result.ending.value)
     return score(read_log(out))
 
@@ -72,7 +70,7 @@ def _metadata(itinerary: Itinerary) -> Mapping[str, str]:
         "scene_hash": content_hash(itinerary.text),
         "model_hash": content_hash(itinerary.model.text),
         "run_settings": json.dumps(asdict(itinerary.loop), sort_keys=True),
-        MODEL_METADATA: json.dumps(asdict(itinerary.model.parameters), sort_keys=True),
+        MODEL_METADATA: json.dumps(asdict(itinerary.model.arms), sort_keys=True),
     }
 
 

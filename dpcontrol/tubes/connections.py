@@ -133,12 +133,13 @@ def find_connections(
             failed += 1
     # Ties in the position are noise: sorting on rounded values keeps the order from run to run.
     found.sort(key=lambda c: (-c.sense, *np.round(section_points(system, section, c.state), 6)))
-    complete = not failed and not unstable.open_ends and not backward.open_ends
+    cuts = (unstable, backward)
+    complete = not failed and all(cut.resolved and not cut.open_ends for cut in cuts)
     status = f"{len(found)} connections; unstable tube {unstable.status}; stable tube {backward.status}"
     if failed:
         status += f"; {failed} crossings of the cuts did not converge: refine the chord"
     if unstable.open_ends or backward.open_ends:
-        status += "; the cuts are open (see open_cuts), so crossings beyond their ends belong to later hits"
+        status += "; the cuts are open (see open_cuts), so crossings beyond their ends belong to other hits"
     progress("connections", 1.0)
     return ConnectionSearch(source, target, tuple(found), (unstable, backward), failed, complete, status)
 

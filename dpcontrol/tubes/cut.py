@@ -20,13 +20,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class CutSettings:
-    """How a tube is cut. chord: in (q, p/p₀); longest: periods of the orbit a trajectory may take."""
+    """How a tube is cut.
+
+    chord: between neighbours in (q, p/p₀), in units of the system's section scale; longest: periods of the orbit that
+    a trajectory may take, None for the system's own number; most_jumps: more phase intervals than this that stay wide below fine_phase_step mean that
+    the curve is not a curve there (its trajectories scatter chaotically before they arrive), and refinement stops.
+    """
 
     first_phases: int = 100
     chord: float = 0.05
     smallest_phase_step: float = 1e-9
-    longest: float = 12.0
+    longest: float | None = None
     most_points: int = 20_000
+    fine_phase_step: float = 1e-4
+    most_jumps: int = 40
 
 
 @dataclass(frozen=True)
@@ -57,14 +64,23 @@ class Piece:
 
 @dataclass(frozen=True)
 class Cut:
-    """All pieces in which both branches of a tube meet a section, and where they are open."""
+    """All pieces in which both branches of a tube meet a section, and where they are open.
+
+    trajectories: how many were flown; resolved: whether chords are short everywhere but at open ends.
+    """
 
     section: Section
     hit: int
     pieces: tuple[Piece, ...]
     open_ends: tuple[OpenEnd, ...]
     trajectories: int
+    resolved: bool
     status: str
+
+
+def longest_flight(manifold: UnstableManifold, settings: CutSettings) -> float:
+    """Return how many periods of its orbit a trajectory of the tube may take to the section."""
+    return manifold.orbit.system.flight_periods if settings.longest is None else settings.longest
 
 
 def section_points(system: System, section: Section, states: Array) -> Array:
@@ -96,11 +112,13 @@ class _Sampler:
         self.manifold, self.section, self.hit, self.branch = manifold, section, hit, branch
         self.settings = settings
         self.scale = momentum_scale(manifold.orbit.system, section)
+        self.chord = settings.chord * manifold.orbit.system.section_scale
+        self.longest = longest_flight(manifold, settings)
 
     def fly(self, phases: Array) -> list[_Sample]:
         system = self.manifold.orbit.system
         seeds, _ = self.manifold.seeds(phases, self.branch)
-        longest = self.settings.longest * self.manifold.orbit.period
+        longest = self.longest * self.manifold.orbit.period
         crossings = [system.propagator.crossing(seed, self.section, longest=longest, hit=self.hit) for seed in seeds]
         arrived = [c for c in crossings if c is not None]
         if not arrived:
@@ -128,8 +146,11 @@ def _continuous(a: _Sample, b: _Sample, limit: float) -> bool:
     return bool(np.linalg.norm(a.point - b.point) <= limit)
 
 
-def _refined(sampler: _Sampler, start: float) -> tuple[list[_Sample], bool]:
-    """Sample one period from phase `start`, halving until chords are short or phases indistinguishable."""
+def _refined(sampler: _Sampler, start: float) -> tuple[list[_Sample], str]:
+    """Sample one period from phase `start`, halving until chords are short or phases indistinguishable.
+
+    Returns the samples and why refinement stopped early, empty if it did not.
+    """
     settings = sampler.settings
     samples = sampler.fly(start + np.arange(settings.first_phases + 1) / settings.first_phases)
     while len(samples) < settings.most_points:
@@ -138,10 +159,16 @@ def _refined(sampler: _Sampler, start: float) -> tuple[list[_Sample], bool]:
             for k in range(len(samples) - 1)
             if not (samples[k].point is None and samples[k + 1].point is None)
             and samples[k + 1].phase - samples[k].phase > settings.smallest_phase_step
-            and not _continuous(samples[k], samples[k + 1], settings.chord)
+            and not _continuous(samples[k], samples[k + 1], sampler.chord)
         ]
         if not wide:
-            return samples, True
+            return samples, ""
+        jumps = sum(samples[k + 1].phase - samples[k].phase < settings.fine_phase_step for k in wide)
+        if jumps > settings.most_jumps:
+            return samples, (
+                f"branch {sampler.branch:+d} scatters before crossing {sampler.hit}: more than {settings.most_jumps} "
+                f"jumps between phases {settings.fine_phase_step:g} apart; allow less time"
+            )
         middles = sampler.fly(np.array([(samples[k].phase + samples[k + 1].phase) / 2 for k in wide]))
         merged, fresh = [], dict(zip(wide, middles, strict=True))
         for k, sample in enumerate(samples):
@@ -149,7 +176,7 @@ def _refined(sampler: _Sampler, start: float) -> tuple[list[_Sample], bool]:
             if k in fresh:
                 merged.append(fresh[k])
         samples = merged
-    return samples, False
+    return samples, f"branch {sampler.branch:+d}: {settings.most_points} points leave wide chords; allow more"
 
 
 def _reason(a: _Sample, b: _Sample, hit: int) -> str:
@@ -165,8 +192,7 @@ def _reason(a: _Sample, b: _Sample, hit: int) -> str:
 
 def _pieces(samples: list[_Sample], sampler: _Sampler) -> tuple[list[Piece], list[OpenEnd]]:
     """Split refined samples into connected pieces and the gaps between them."""
-    settings = sampler.settings
-    joins = [_continuous(a, b, settings.chord) for a, b in pairwise(samples)]
+    joins = [_continuous(a, b, sampler.chord) for a, b in pairwise(samples)]
     gaps: list[OpenEnd] = []
     runs: list[list[_Sample]] = [[]]
     never: list[float] = []
@@ -203,7 +229,7 @@ def _pieces(samples: list[_Sample], sampler: _Sampler) -> tuple[list[Piece], lis
 def _never(phases: list[float], sampler: _Sampler) -> OpenEnd:
     reason = (
         f"never arrives: {len(phases)} phases do not reach crossing {sampler.hit} of {sampler.section.name} within "
-        f"{sampler.settings.longest:g} periods"
+        f"{sampler.longest:g} periods"
     )
     return OpenEnd(sampler.branch, (phases[0] % 1, phases[-1] % 1), reason)
 
@@ -243,12 +269,12 @@ def tube_cut(manifold: UnstableManifold, section: Section, *, hit: int = 1, sett
     settings = settings or CutSettings()
     pieces: list[Piece] = []
     gaps: list[OpenEnd] = []
-    flown, resolved = 0, True
+    flown, unresolved = 0, ""
     branches = (1,) if manifold.branches_are_mirrored else (1, -1)
     for branch in branches:
         sampler = _Sampler(manifold, section, hit, branch, settings)
-        samples, fine = _refined(sampler, 0.0)
-        resolved &= fine
+        samples, stopped = _refined(sampler, 0.0)
+        unresolved += f"; {stopped}" if stopped else ""
         flown += len(samples)
         found, open_ends = _pieces(samples, sampler)
         pieces += found
@@ -261,11 +287,11 @@ def tube_cut(manifold: UnstableManifold, section: Section, *, hit: int = 1, sett
             ]
     if not pieces:
         status = (
-            f"no trajectory of the tube reaches crossing {hit} of {section.name} within {settings.longest:g} "
-            "periods; allow more time or another energy"
+            f"no trajectory of the tube reaches crossing {hit} of {section.name} within "
+            f"{longest_flight(manifold, settings):g} periods; allow more time or another energy"
         )
-    elif not resolved:
-        status = f"not resolved: {settings.most_points} points leave chords over {settings.chord:g}; allow more"
+    elif unresolved:
+        status = f"not resolved by {flown} trajectories{unresolved}"
     else:
         status = f"resolved to chords of {settings.chord:g} by {flown} trajectories"
-    return Cut(section, hit, tuple(pieces), tuple(gaps), flown, status)
+    return Cut(section, hit, tuple(pieces), tuple(gaps), flown, not unresolved, status)

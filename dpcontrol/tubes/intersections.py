@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
-from dpcontrol.tubes.cut import Cut, CutSettings, Piece, section_points
+from dpcontrol.tubes.cut import Cut, CutSettings, Piece, longest_flight, section_points
 from dpcontrol.tubes.manifold import UnstableManifold
 from dpcontrol.tubes.plane_curves import near_touches, polyline_crossings
 
@@ -115,7 +115,7 @@ def intersect_cuts(
     mirrored = all(m.branches_are_mirrored for m in manifolds)
 
     def side(which: int, piece: Piece) -> TubeSide:
-        longest = 2 * settings.cut.longest * manifolds[which].orbit.period
+        longest = 2 * longest_flight(manifolds[which], settings.cut) * manifolds[which].orbit.period
         return TubeSide(manifolds[which], section, which == 1, cuts[which].hit, piece.branch, longest)
 
     for u_piece in cuts[0].pieces:
@@ -155,7 +155,7 @@ def _guesses(
         # A near touch within two segments of a crossing is that crossing.
         touches = [
             (i, j)
-            for i, j in near_touches(u.points, moved, within=settings.cut.chord)
+            for i, j in near_touches(u.points, moved, within=settings.cut.chord * system.section_scale)
             if not any(abs(i - a) < 2 and abs(j - b) < 2 for a, b in crossings)
         ]
         for pairs, sure in ((crossings, True), (touches, False)):
