@@ -155,7 +155,7 @@ def _guesses(
         # A near touch within two segments of a crossing is that crossing.
         touches = [
             (i, j)
-            for i, j in near_touches(u.points, moved, within=settings.cut.chord * system.section_scale)
+            for i, j in near_touches(u.points, moved)
             if not any(abs(i - a) < 2 and abs(j - b) < 2 for a, b in crossings)
         ]
         for pairs, sure in ((crossings, True), (touches, False)):

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.optimize import minimize_scalar
+from scipy.spatial import KDTree
 
 from dpcontrol.tubes.lyapunov import LyapunovOrbit
 from dpcontrol.tubes.manifold import UnstableManifold
@@ -32,6 +33,19 @@ class OrbitCurve:
         closed = np.vstack([self.samples, self.samples[:1]])
         return CubicSpline(np.arange(SAMPLES + 1) / SAMPLES, closed, bc_type="periodic")
 
+    @cached_property
+    def _tree(self) -> KDTree:
+        return KDTree(self._embedded(self.samples))
+
+    def _embedded(self, states: Array) -> Array:
+        """Return states with angles on the unit circle: near each other there means near on the torus."""
+        system = self.orbit.system
+        angular = np.isfinite(system.periods)
+        turns = states[:, angular] / system.periods[angular] * 2 * np.pi
+        radius = system.periods[angular] / (2 * np.pi) / system.scale[angular]
+        plain = states[:, ~angular] / system.scale[~angular]
+        return np.hstack([np.cos(turns) * radius, np.sin(turns) * radius, plain])
+
     def states(self, phases: Array) -> Array:
         """Return states (…, N) at phases (…)."""
         return self._spline(np.asarray(phases) % 1.0)
@@ -56,8 +70,7 @@ class OrbitCurve:
         """
         system = self.orbit.system
         x = np.atleast_2d(states)
-        gaps = np.stack([self._gaps(x, np.broadcast_to(s, x.shape)) for s in self.samples])
-        phases = np.argmin(np.sum((gaps / system.scale) ** 2, axis=-1), axis=0) / SAMPLES
+        phases = np.asarray(self._tree.query(self._embedded(x))[1], dtype=float) / SAMPLES
         for _ in range(4):
             gap = self._gaps(x, self.states(phases)) / system.scale
             slope = self._spline(phases % 1.0, 1) / system.scale

@@ -28,15 +28,37 @@ def polyline_crossings(first: Array, second: Array) -> list[tuple[float, float]]
     return found
 
 
-def near_touches(first: Array, second: Array, *, within: float) -> list[tuple[float, float]]:
-    """Return vertex pairs (i, j) where `first` passes `second` at a locally smallest distance below `within`.
+def near_touches(first: Array, second: Array, *, margin: float = 4.0) -> list[tuple[float, float]]:
+    """Return vertex pairs (i, j) where two sampled curves come so near that they may touch between their vertices.
 
-    Curves that are almost tangent may cross twice between vertices without any segments crossing; these pairs are
-    where that can happen.
+    A smooth curve leaves its polyline by about an eighth of the second difference of its vertices (the sagitta). Where
+    `first` passes `second` at a locally smallest distance within `margin` times both sagittas, the curves may cross
+    twice although no segments do.
     """
-    distance, nearest = (np.asarray(a) for a in KDTree(second).query(first, distance_upper_bound=within))
-    inside = np.isfinite(distance)
+    if len(first) < 3 or len(second) < 3:
+        return []
+    tree = KDTree(second)
+    nearest = np.clip(np.asarray(tree.query(first)[1]), 1, len(second) - 2)
+    distance = np.minimum(
+        _to_segment(first, second[nearest - 1], second[nearest]),
+        _to_segment(first, second[nearest], second[nearest + 1]),
+    )
+    allowed = margin * (_sagitta(first) + _sagitta(second)[nearest])
     before = np.r_[np.inf, distance[:-1]]
     after = np.r_[distance[1:], np.inf]
-    lowest = inside & (distance <= before) & (distance <= after)
+    lowest = (distance <= allowed) & (distance <= before) & (distance <= after)
     return [(float(i), float(nearest[i])) for i in np.flatnonzero(lowest)]
+
+
+def _sagitta(curve: Array) -> Array:
+    """Return an eighth of the second difference at each vertex (K,), the ends taking their neighbours'."""
+    inner = np.linalg.norm(curve[:-2] - 2 * curve[1:-1] + curve[2:], axis=1) / 8
+    return np.r_[inner[:1], inner, inner[-1:]]
+
+
+def _to_segment(points: Array, start: Array, end: Array) -> Array:
+    """Return the distance (K,) of each point (K, 2) to its segment."""
+    along = end - start
+    length = np.maximum(np.sum(along**2, axis=1), np.finfo(float).tiny)
+    share = np.clip(np.sum((points - start) * along, axis=1) / length, 0.0, 1.0)
+    return np.linalg.norm(points - start - share[:, None] * along, axis=1)

@@ -201,9 +201,11 @@ def test_polylines_cross_where_they_should():
     assert np.allclose(angles, [np.pi / 6, 5 * np.pi / 6], atol=1e-3)
 
 
-def test_near_touches_find_where_curves_almost_meet():
-    x = np.linspace(-1, 1, 201)
-    parabola, axis = np.column_stack([x, x**2 + 0.01]), np.column_stack([x, 0 * x])
-    touches = near_touches(parabola, axis, within=0.05)
+@pytest.mark.parametrize(("gap", "seen"), [(2e-5, True), (0.01, False)])
+def test_near_touches_are_those_within_the_curves_sagitta(gap, seen):
+    x = np.linspace(-1, 1, 201) + 0.005
+    parabola, axis = np.column_stack([x, x**2 + gap]), np.column_stack([x, 0 * x])
     assert not polyline_crossings(parabola, axis)
-    assert [x[int(i)] for i, _ in touches] == pytest.approx([0.0], abs=0.02)
+    touches = near_touches(parabola, axis)
+    assert bool(touches) == seen
+    assert all(abs(x[int(i)]) < 0.02 for i, _ in touches)
