@@ -1,0 +1,279 @@
+"""Rotating orbits: one arm turns over and over, the other returns, x(T) = x(0) + 2π e_arm.
+
+The product R of time reversal and reflection maps (θ, ω)(t) to (-θ, ω)(-t); about a resting position θ* (multiples
+of π) its fixed set is {θ = θ*, ω free}. An orbit that starts there and meets the fixed set half a turn on,
+
+    θ(τ) = θ* + π e_arm,      H(θ*, ω) = energy,
+
+is mirrored into itself, so that T = 2τ. On the mirror line at an energy the rates form an ellipse, ω(ψ): it is scanned
+over ψ, and refined where the other arm's angle on arrival jumps; each change of its sign gives Newton's method on
+(ω, τ) a guess. "Simple" orbits are those of which the turning arm first arrives half a turn on at θ(τ).
+
+Source: Kaheman et al. (2023), section 3; Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998).
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.propagator import Section
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.tubes.symmetric_shooting import SymmetricShooting, fixed_and_moved
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RotatingSettings:
+    """How the mirror line is scanned. jump: rad, of the other arm's angle on arrival, above which is refined.
+
+    longest: half a turn may take so many of the slowest small oscillation's periods. Orbits that linger longer are
+    there without end (they shadow the connections) and ever more unstable, so that a list needs a bound. finest: rad,
+    of the scan. tolerance: scaled.
+    """
+
+    first_angles: int = 360
+    jump: float = 0.3
+    finest: float = 1e-5
+    most_angles: int = 5_000
+    longest: float = 1.0
+    newton_iterations: int = 12
+    tolerance: float = 1e-12
+
+
+@dataclass(frozen=True)
+class RotatingOrbit:
+    """A symmetric orbit that turns one arm once a period.
+
+    arm: which turns, 1 the innermost; winding (n,): whole turns of each angle over a period. state (N,): on the mirror
+    line, the turning arm hanging; period in s. floquet_multipliers (2,): of the section's map, larger modulus first;
+    trace: their sum. kind: "hyperbolic", "inverse hyperbolic" or "elliptic" ("parabolic" at |trace| = 2 to rounding).
+    residual: largest component of x(T) - x(0) - 2π winding. status: a sentence.
+    """
+
+    system: System
+    arm: int
+    winding: tuple[int, ...]
+    energy: float
+    state: Array
+    period: float
+    floquet_multipliers: NDArray[np.complex128]
+    trace: float
+    kind: str
+    residual: float
+    newton_residual: float
+    converged: bool
+    status: str
+
+    def document(self) -> dict[str, Any]:
+        """Return what describes the orbit, without its system: numbers, arrays and texts."""
+        return {
+            "arm": self.arm,
+            "winding": self.winding,
+            "energy": self.energy,
+            "state": self.state,
+            "period": self.period,
+            "floquet_multipliers": self.floquet_multipliers,
+            "trace": self.trace,
+            "kind": self.kind,
+            "residual": self.residual,
+            "status": self.status,
+        }
+
+
+@dataclass(frozen=True)
+class HalfTurn(SymmetricShooting):
+    """Symmetric shooting from one mirror to the one `turn` (N,) on; everything else is the same."""
+
+    turn: Array
+
+    def arc(self, unknowns: Array) -> tuple[Array, Array]:
+        """Return how far the half turn's end is off its mirror (n,) and the derivative (n, n + 1) by (c, τ).
+
+        Raises:
+            ArithmeticError: the arc became infinite.
+        """
+        miss, jacobian = super().arc(unknowns)
+        return miss - self.target @ self.turn, jacobian
+
+
+def rotating_orbits(
+    system: System, arm: int, energy: float, *, sense: int = 1, settings: RotatingSettings | None = None
+) -> tuple[RotatingOrbit, ...]:
+    """Find all symmetric simple orbits at `energy` (J) that turn `arm` (1 or 2), slowest first.
+
+    sense: +1 counter-clockwise, -1 its reflection. The other arm's mirror position, hanging or upright, is not
+    prescribed. Empty where there is none that the scan resolves.
+
+    Raises:
+        InputError: no double pendulum, no such arm or sense, or an energy that is not finite.
+    """
+    settings = settings or RotatingSettings()
+    _check(system, arm, energy, sense)
+    found: list[RotatingOrbit] = []
+    for position in (0.0, np.pi):
+        problem = half_turn(system, arm, sense, position)
+        for guess in _guesses(problem, arm, sense, energy, settings):
+            unknowns, residual = problem.at_energy(
+                guess, energy, iterations=settings.newton_iterations, tolerance=settings.tolerance
+            )
+            # Newton may end on an orbit of another winding or energy: only what stays near its guess is the guess's.
+            apart = np.abs(unknowns - guess) / np.append(system.scale[2:], guess[-1])
+            if residual > settings.tolerance or apart.max() > 0.2:
+                continue
+            orbit = described(problem, unknowns, arm, energy, residual)
+            if not any(np.abs(orbit.state - other.state).max() < 1e-7 for other in found):
+                found.append(orbit)
+    return tuple(sorted(found, key=lambda o: -o.period))
+
+
+def half_turn(system: System, arm: int, sense: int, position: float) -> HalfTurn:
+    """Return the shooting problem of orbits turning `arm`, the other at `position` (0 or π) on the mirror line."""
+    n = system.dimension // 2
+    start, target = fixed_and_moved(system.reversers[-1])
+    centre, turn = np.zeros(2 * n), np.zeros(2 * n)
+    centre[:n] = [0.0 if k == arm - 1 else position for k in range(n)]
+    turn[arm - 1] = sense * np.pi
+    return HalfTurn(system, centre, start, target, 2, turn)
+
+
+def described(problem: HalfTurn, unknowns: Array, arm: int, energy: float, newton_residual: float) -> RotatingOrbit:
+    """Return the orbit of solved unknowns (ω, τ), with its multipliers."""
+    system, state, period = problem.system, problem.state(unknowns), problem.period(unknowns)
+    trace, end = section_trace(problem, unknowns)
+    residual = float(np.abs(end - state - 2 * problem.turn).max())
+    # The section's map keeps area: its multipliers are the roots of λ² - trace λ + 1.
+    if abs(trace) > 2:
+        large = (trace + np.sign(trace) * np.sqrt(trace * trace - 4)) / 2
+        multipliers = np.array([large, 1 / large], dtype=complex)
+    else:
+        multipliers = np.array([complex(trace, s * np.sqrt(4 - trace * trace)) / 2 for s in (1, -1)])
+    return RotatingOrbit(
+        system=system,
+        arm=arm,
+        winding=tuple(int(k) for k in np.rint(problem.turn[: system.dimension // 2] / np.pi)),
+        energy=energy,
+        state=state,
+        period=period,
+        floquet_multipliers=multipliers,
+        trace=trace,
+        kind=kind_of(trace),
+        residual=residual,
+        newton_residual=newton_residual,
+        converged=True,
+        status=f"converged to a residual of {newton_residual:.1e}; closes to {residual:.1e}",
+    )
+
+
+def section_trace(problem: HalfTurn, unknowns: Array) -> tuple[float, Array]:
+    """Return the trace of the section's map and the state (N,) after one period.
+
+    The monodromy matrix adds to it the two multipliers at one of the flow and of the energy.
+    """
+    end, monodromy = problem.system.propagator.flow_with_stm(problem.state(unknowns), problem.period(unknowns))
+    return float(np.trace(monodromy)) - 2.0, end
+
+
+def kind_of(trace: float) -> str:
+    """Return what an area-keeping map with this trace does near its fixed point."""
+    if abs(abs(trace) - 2) < 1e-9:
+        return "parabolic"
+    if trace > 2:
+        return "hyperbolic"
+    return "inverse hyperbolic" if trace < -2 else "elliptic"
+
+
+def _check(system: System, arm: int, energy: float, sense: int) -> None:
+    if system.dimension != 4 or not np.isfinite(system.periods[:2]).all() or len(system.reversers) < 2:
+        raise InputError(f"{system.name} has no two arms: rotating orbits are those of a double pendulum")
+    if arm not in (1, 2):
+        raise InputError(f"arm = {arm}: must be 1 (inner) or 2 (outer)")
+    if sense not in (1, -1):
+        raise InputError(f"sense = {sense}: must be +1 (counter-clockwise) or -1")
+    if not np.isfinite(energy):
+        raise InputError(f"energy = {energy}: must be a finite number of joules")
+
+
+@dataclass(frozen=True)
+class _Arrival:
+    """How far the other arm is off on arrival from ellipse angle ψ (None: it does not arrive), and s of flight."""
+
+    angle: float
+    miss: float | None
+    time: float
+
+
+def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: RotatingSettings) -> list[Array]:
+    """Return guesses (ω, τ) from the scan of the mirror line at `energy`."""
+    system = problem.system
+    kinetic = energy - float(system.numeric.hamiltonian(problem.centre))
+    if kinetic <= 0:
+        return []
+    # ½ ωᵀ M ω = kinetic: the rates are the columns of this matrix times (cos ψ, sin ψ).
+    axes = np.sqrt(2 * kinetic) * np.linalg.inv(np.linalg.cholesky(system.numeric.mass_matrix(problem.centre))).T
+    turning, other = arm - 1, 2 - arm
+    unit = np.eye(4)
+    section = Section(
+        f"angle_{arm} = pi + 2 pi k",
+        tuple(unit[turning]),
+        tuple(unit[other]),
+        tuple(unit[other][:2]),
+        offset=np.pi,
+        period=2 * np.pi,
+    )
+    lowest = min(system.equilibria.values(), key=lambda x: float(system.numeric.hamiltonian(x)))
+    slowest = np.abs(np.linalg.eigvals(system.numeric.jacobian(lowest)).imag).min()
+    longest = settings.longest * 2 * np.pi / float(slowest)
+
+    def rates(angle: float) -> Array:
+        return axes @ np.array([np.cos(angle), np.sin(angle)])
+
+    def arrive(angle: float) -> _Arrival:
+        state = problem.centre + problem.start @ (problem.start[2:].T @ rates(angle))
+        crossing = system.propagator.crossing(state, section, longest=longest)
+        if crossing is None or sense * crossing.state[turning] < 0:
+            return _Arrival(angle, None, np.inf)
+        return _Arrival(angle, float(crossing.state[other] - problem.centre[other]), crossing.time)
+
+    # The scan starts where no symmetry of the ellipse can put an orbit on a grid point.
+    grid = 0.1234 + np.linspace(0, 2 * np.pi, settings.first_angles + 1)
+    arrivals = _refined([arrive(a) for a in grid], arrive, settings)
+    guesses = []
+    for a, b in pairwise(arrivals):
+        if a.miss is None or b.miss is None or abs(a.miss - b.miss) > settings.jump or a.miss * b.miss > 0:
+            continue
+        share = a.miss / (a.miss - b.miss)
+        angle = a.angle + share * (b.angle - a.angle)
+        guesses.append(np.append(problem.start[2:].T @ rates(angle), a.time + share * (b.time - a.time)))
+    for a, b, c in zip(arrivals, arrivals[1:], arrivals[2:], strict=False):
+        # A pair of orbits that has just been born may lie between neighbours without a change of sign.
+        if a.miss is None or b.miss is None or c.miss is None:
+            continue
+        if abs(b.miss) < min(abs(a.miss), abs(c.miss), settings.jump) and a.miss * c.miss > 0:
+            guesses.append(np.append(problem.start[2:].T @ rates(b.angle), b.time))
+    return guesses
+
+
+def _refined(arrivals: list[_Arrival], arrive: Any, settings: RotatingSettings) -> list[_Arrival]:
+    """Halve the scan's steps where neighbours arrive far apart, or only one does, down to the finest step."""
+
+    def smooth(a: _Arrival, b: _Arrival) -> bool:
+        if a.miss is None or b.miss is None:
+            return a.miss is b.miss
+        return abs(a.miss - b.miss) <= settings.jump
+
+    while len(arrivals) < settings.most_angles:
+        fine = [smooth(a, b) or b.angle - a.angle < settings.finest for a, b in pairwise(arrivals)]
+        if all(fine):
+            break
+        merged = arrivals[:1]
+        for (a, b), done in zip(pairwise(arrivals), fine, strict=True):
+            if not done:
+                merged.append(arrive((a.angle + b.angle) / 2))
+            merged.append(b)
+        arrivals = merged
+    return arrivals
