@@ -12,8 +12,9 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 VERBS = {
     "demo": "Plan, run, score and picture one itinerary.",
     "model": "Show a model: parameters, equilibria, eigenvalues.",
-    "orbit": "Compute a Lyapunov orbit and its Floquet multipliers.",
+    "orbit": "Compute a Lyapunov orbit, or its family, and its Floquet multipliers.",
     "connect": "Find all homoclinic or heteroclinic connections of an energy.",
+    "bifurcations": "Find the energies at which connections appear, split or change their hits.",
     "plan": "Plan an itinerary: shadowing orbit and reference.",
     "run": "Run an itinerary in closed loop and write its log.",
     "score": "Say whether logged runs did what was asked.",

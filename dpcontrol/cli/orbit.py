@@ -1,39 +1,69 @@
 """dpcontrol orbit"""
 
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
 import click
 
-from dpcontrol.cli.output import json_option, print_json, reports_failure
-from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.cli.output import json_option, print_json, print_table, progress_bar, reports_failure
+from dpcontrol.foundation.errors import GoalMissed, InputError
+
+if TYPE_CHECKING:
+    from dpcontrol.dynamics.system import System
+    from dpcontrol.tubes.lyapunov import LyapunovOrbit
 
 
-@click.command("orbit", epilog="Example:  dpcontrol orbit lab --saddle down-up --energy -0.07")
+@click.command(
+    "orbit",
+    epilog="Examples:  dpcontrol orbit lab --saddle down-up --energy -0.07; "
+    "dpcontrol orbit lab --saddle up-down --energies 0.17 0.5 --picture family.png",
+)
 @click.argument("model")
 @click.option("--saddle", required=True, help="Saddle that the orbit surrounds, inner arm first: down-up, up-down.")
-@click.option("--energy", required=True, type=float, help="Energy in J, zero at the pivot's height.")
+@click.option("--energy", type=float, help="Energy in J, zero at the pivot's height.")
+@click.option(
+    "--energies", type=float, nargs=2, metavar="LO HI", help="Follow the family between two energies in J instead."
+)
 @click.option("--family", default=0, show_default=True, help="Which of the saddle's families, slowest first.")
+@click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw the family to this PNG.")
 @json_option
 @reports_failure
-def command(*, model: str, saddle: str, energy: float, family: int, as_json: bool) -> None:
-    """Compute the Lyapunov orbit about a saddle at an energy, with its Floquet multipliers."""
+def command(
+    *,
+    model: str,
+    saddle: str,
+    energy: float | None,
+    energies: tuple[float, float] | None,
+    family: int,
+    picture: Path | None,
+    as_json: bool,
+) -> None:
+    """Compute the Lyapunov orbit about a saddle at an energy, or its family, with Floquet multipliers.
+
+    A family is followed from its saddle until it ends, loses hyperbolicity or leaves the energies asked for.
+    """
     from dpcontrol.scenes.model import load_model
+
+    if (energy is None) == (energies is None):
+        raise InputError("give either --energy for one orbit or --energies LO HI for its family")
+    if picture is not None and energies is None:
+        raise InputError("--picture draws a family: give --energies LO HI with it")
+    system = load_model(model).system
+    if energies is not None:
+        _family(system, saddle, energies, family, picture, as_json)
+    else:
+        assert energy is not None
+        _orbit(system, saddle, energy, family, as_json)
+
+
+def _orbit(system: "System", saddle: str, energy: float, family: int, as_json: bool) -> None:
     from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
-    orbit = lyapunov_orbit(load_model(model).system, saddle, energy=energy, family=family)
+    orbit = lyapunov_orbit(system, saddle, energy=energy, family=family)
     if not orbit.converged:
         raise GoalMissed(f"the Lyapunov orbit about {saddle} at {energy:g} J: {orbit.status}")
     if as_json:
-        print_json(
-            {
-                "energy": orbit.energy,
-                "period": orbit.period,
-                "state": orbit.state,
-                "floquet_multipliers": orbit.floquet_multipliers,
-                "residual": orbit.residual,
-                "status": orbit.status,
-                "saddle": saddle,
-                "family": family,
-            }
-        )
+        print_json(_document(orbit))
         return
     click.echo(f"Lyapunov orbit about {saddle} at {energy:g} J: {orbit.status}")
     click.echo(f"  period       {orbit.period:.15g} s")
@@ -42,5 +72,64 @@ def command(*, model: str, saddle: str, energy: float, family: int, as_json: boo
     click.echo(f"  closure      {orbit.residual:.1e} (largest component of x(T) - x(0))")
 
 
-def _multiplier(value: complex) -> str:
-    return f"{value.real:.12g}" if abs(value.imag) < 1e-12 else f"{value.real:.10g}{value.imag:+.10g}i"
+def _family(
+    system: "System", saddle: str, energies: tuple[float, float], family: int, picture: Path | None, as_json: bool
+) -> None:
+    from dpcontrol.tubes.family import lyapunov_family
+
+    with progress_bar(f"family of {saddle}") as progress:
+        found = lyapunov_family(system, saddle, energies=energies, family=family, progress=progress)
+    if picture is not None:
+        from dpcontrol.review.family_figure import write_family_figure
+
+        write_family_figure(found, picture)
+    if as_json:
+        print_json(
+            {
+                "family": [_document(m) for m in found.members],
+                "ends": [{"energy": e.energy, "kind": e.kind, "reason": e.reason} for e in found.ends],
+                "events": [{"kind": e.kind, **_document(e.orbit)} for e in found.events],
+                "saddle": saddle,
+                "energies": energies,
+                "status": found.status,
+                "picture": None if picture is None else str(picture),
+            }
+        )
+    else:
+        chosen = found.members[:: max(1, len(found.members) // 20)]
+        rows = [
+            (
+                f"{m.energy:.9g}",
+                f"{m.period:.9g}",
+                "  ".join(_multiplier(complex(v), 6) for v in m.floquet_multipliers if abs(abs(v) - 1) > 1e-3),
+                "  ".join(f"{v:.6f}" for v in m.state),
+            )
+            for m in chosen
+        ]
+        columns = ("energy (J)", "period (s)", "multipliers but the pair at one", "state (rad, rad/s)")
+        print_table(f"Lyapunov orbits about {saddle}, {len(chosen)} of {len(found.members)}", columns, rows)
+        for side, end in zip(("from", "to"), found.ends, strict=True):
+            click.echo(f"{side:5s}{end.energy:.9g} J: {end.reason}")
+        if picture is not None:
+            click.echo(f"drawn to {picture}")
+    if not found.converged:
+        raise GoalMissed(f"the family about {saddle}: {found.status}")
+
+
+def _document(orbit: "LyapunovOrbit") -> dict[str, Any]:
+    return {
+        "energy": orbit.energy,
+        "period": orbit.period,
+        "state": orbit.state,
+        "floquet_multipliers": orbit.floquet_multipliers,
+        "residual": orbit.residual,
+        "status": orbit.status,
+        "saddle": orbit.saddle,
+        "family": orbit.family,
+    }
+
+
+def _multiplier(value: complex, digits: int = 12) -> str:
+    if abs(value.imag) < 1e-12:
+        return f"{value.real:.{digits}g}"
+    return f"{value.real:.{min(digits, 10)}g}{value.imag:+.{min(digits, 10)}g}i"

@@ -1,0 +1,191 @@
+"""Energies at which the connections between two saddles change, each with its cause.
+
+At the energies of a sweep the cuts of both tubes are intersected. From one energy to the next every connection is
+followed by continuation (never by its name); where the two sets differ, those left over are followed from both sides
+until they turn back in energy, split, or change how often they cross the section:
+
+    saddle-node        two connections meet and vanish
+    pitchfork          a symmetric connection sheds a mirror pair
+    section-artefact   the connection goes on, but touches its section on the way: an earlier crossing is born or lost,
+                       so that it leaves (or enters) the list of connections with the crossings asked for
+
+Each is located by its own equations (module link_paths). The changes found must add up to the change of the count;
+where they do not, the interval is halved and searched again, and what stays unexplained is reported.
+
+A connection with N crossings of the section is met by the unstable tube at crossing n_u and by the stable one at n_s
+with n_u + n_s - 1 = N; first hits, [1, 1], are those that cross once.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.propagator import Section
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.tubes.equilibria import equilibrium
+from dpcontrol.tubes.links import Link
+from dpcontrol.tubes.sweep import Change, Found, Sweep, SweepSettings
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Bifurcation:
+    """One change of the connections.
+
+    energy in J; kind: "saddle-node", "pitchfork" or "section-artefact"; state (N,): of the connection there, on the
+    section where it touches it, midway in its flight otherwise. count_below, count_above: connections with the
+    crossings asked for, just below and above, on the torus. residual: of the equations that located it. connections:
+    how many connections, images included, share the event. symmetric: whether a reverser carries the connection to
+    itself.
+    """
+
+    energy: float
+    kind: str
+    state: Array
+    count_below: int
+    count_above: int
+    residual: float
+    connections: int
+    symmetric: bool
+    link: Link
+
+    @property
+    def winding(self) -> tuple[int, ...]:
+        """Whole turns (n,) of each coordinate from source to target."""
+        return tuple(round(k) for k in self.link.turns[: len(self.link.turns) // 2])
+
+
+@dataclass(frozen=True)
+class SweepPoint:
+    """What a search found at one energy: number of connections on the torus, and why it may not be complete."""
+
+    energy: float
+    count: int
+    complete: bool
+    caveat: str
+
+
+@dataclass(frozen=True)
+class BifurcationSearch:
+    """Events in order of energy, the counts they explain, and the changes of count without a located cause.
+
+    unexplained: (low, high, sentence) of energy intervals. complete: none, and every cut was closed or ends at a graze.
+    """
+
+    system: System
+    source: str
+    target: str
+    section: Section
+    crossings: int
+    events: tuple[Bifurcation, ...]
+    counts: tuple[SweepPoint, ...]
+    unexplained: tuple[tuple[float, float, str], ...]
+    complete: bool
+    status: str
+
+
+def find_bifurcations(
+    system: System,
+    source: str,
+    target: str,
+    *,
+    energies: tuple[float, float],
+    crossings: int = 1,
+    settings: SweepSettings | None = None,
+    progress: Progress = no_progress,
+) -> BifurcationSearch:
+    """Find every change of the connections from `source` to `target` between two energies in J.
+
+    crossings: how often the connections cross their section; 1 are the first hits.
+
+    Raises:
+        InputError: no section between the saddles, an unknown saddle, bounds without orbits, or a system of other
+            than two degrees of freedom.
+    """
+    settings = settings or SweepSettings()
+    if (source, target) not in system.sections:
+        raise InputError(f"{system.name} has no section between {source} and {target}")
+    if crossings < 1:
+        raise InputError(f"hits = {crossings}: connections cross their section at least once")
+    low, high = energies
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        raise InputError(f"energies {low:g} to {high:g} J: must be two finite numbers, the lower first")
+    births = [equilibrium(system, name).energy for name in (source, target)]
+    floor = max(births) + settings.closest * system.energy_scale
+    start = max(low, floor)
+    if start >= high:
+        raise InputError(
+            f"energies {low:g} to {high:g} J: both orbits, and with them connections, exist only above "
+            f"{max(births):.6g} J"
+        )
+    sweep = Sweep(system, source, target, crossings, settings)
+    grid = [float(e) for e in np.linspace(start, high, settings.energies)]
+    before = sweep.search(grid[0])
+    counts, changes, unexplained = [before], [], []
+    for k, energy in enumerate(grid[1:]):
+        progress(f"{source} → {target} at {energy:.4f} J", k / (len(grid) - 1))
+        after = sweep.search(energy)
+        sweep.explain(before, after, settings.halvings, counts, changes, unexplained)
+        before = after
+    progress("bifurcations", 1.0)
+    counts.sort(key=lambda c: c.energy)
+    events = _with_counts(sweep, changes, counts)
+    caveats = [f"at {c.energy:.6g} J {c.caveat}" for c in counts if c.caveat]
+    complete = not unexplained and not caveats
+    status = f"{len(events)} events explain every change of the count over {len(counts)} energies"
+    if unexplained:
+        status = f"{len(events)} events located, but {len(unexplained)} changes of the count have no located cause: "
+        status += "; ".join(f"{a:.6g} to {b:.6g} J, {why}" for a, b, why in unexplained[:5])
+    if start > low:
+        first = counts[0].count
+        there = f"{first} connections exist already there" if first else "none exist there yet"
+        status += f"; swept from {start:.6g} J, just above the energy {max(births):.6g} J of the later saddle: {there}"
+    if caveats:
+        status += f"; {len(caveats)} searches are not complete: " + "; ".join(caveats[:3])
+    points = tuple(SweepPoint(c.energy, c.count, c.complete, c.caveat) for c in counts)
+    return BifurcationSearch(
+        system, source, target, sweep.section, crossings, events, points, tuple(unexplained), complete, status
+    )
+
+
+def _with_counts(sweep: Sweep, changes: list[Change], counts: list[Found]) -> tuple[Bifurcation, ...]:
+    """Join images of one event and give each event the running count."""
+    weight = max((c.weight for c in counts), default=1)
+    near = 1e-8 * sweep.problem.system.energy_scale
+    groups: list[list[Change]] = []
+    for change in sorted(changes, key=lambda c: c.event.energy):
+        for group in groups:
+            if group[0].event.kind == change.event.kind and abs(group[0].event.energy - change.event.energy) < near:
+                group.append(change)
+                break
+        else:
+            groups.append([change])
+    events = []
+    running = 0
+    for group in groups:
+        first = group[0]
+        # The search just below sets the count anew, so that an unexplained interval does not spoil the rest.
+        below = [c for c in counts if c.energy <= first.event.energy]
+        if below:
+            since = [g for g in groups if below[-1].energy < g[0].event.energy < first.event.energy]
+            running = below[-1].count + weight * sum(c.gain for g in since for c in g)
+        gain = weight * sum(c.gain for c in group)
+        event = first.event
+        events.append(
+            Bifurcation(
+                energy=event.energy,
+                kind=event.kind,
+                state=event.state,
+                count_below=running,
+                count_above=running + gain,
+                residual=max(c.event.residual for c in group),
+                connections=weight * sum(abs(c.gain) for c in group),
+                symmetric=first.symmetric,
+                link=replace(event.link, phases=(event.link.phases[0] % 1.0, event.link.phases[1] % 1.0)),
+            )
+        )
+    return tuple(events)
