@@ -1,4 +1,9 @@
-"""Shared by several folders of tests: references that take seconds to find, found once per session."""
+"""Shared by several folders of tests: references that take seconds to find, found once per session; and where plans
+are kept meanwhile.
+"""
+
+import os
+from collections.abc import Iterator
 
 import pytest
 from shadowing_stand_in import LAB, StandIn, high_crossing, low_turn
@@ -7,6 +12,19 @@ from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference
+
+
+@pytest.fixture(scope="session", autouse=True)
+def plans_of_this_session_only(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep plans in a folder of this session, so that no test passes by a plan that older code made.
+
+    Workers of one session share it: an itinerary is planned once.
+    """
+    base = tmp_path_factory.getbasetemp()
+    root = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("DPCONTROL_CACHE", str(root / "dpcontrol-cache"))
+        yield
 
 
 def _tracked(orbit: StandIn) -> tuple[StandIn, Reference]:
