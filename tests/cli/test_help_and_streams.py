@@ -1,0 +1,97 @@
+"""Help that is quick and whose examples run; one JSON document on stdout, everything else on stderr."""
+
+import re
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from command_line import dpcontrol, dpcontrol_program
+
+VERBS = ("demo", "model", "orbit", "connect", "plan", "run", "score", "review")
+HEAVY = {"casadi", "heyoka", "rerun", "scipy", "matplotlib", "numpy"}
+LOADED = """
+import sys
+from dpcontrol.cli.main import main
+try:
+    main(sys.argv[1:])
+except SystemExit as ended:
+    assert ended.code == 0
+print("loaded", *sys.modules)
+"""
+
+
+def loaded_by(*arguments: str) -> set[str]:
+    """Return the modules that a call of the program has loaded when it ends."""
+    done = subprocess.run([sys.executable, "-c", LOADED, *arguments], capture_output=True, text=True, check=True)
+    return set(done.stdout.strip().splitlines()[-1].split()[1:])
+
+
+def test_help_loads_nothing_heavy() -> None:
+    assert HEAVY & loaded_by("--help") == set()
+    # And the check can see them: a verb that computes loads these.
+    assert {"casadi", "heyoka", "numpy"} <= loaded_by("model", "lab", "--json")
+
+
+def test_help_lists_every_verb_with_what_it_does_and_the_exit_codes() -> None:
+    shown = dpcontrol("--help")
+    assert shown.code == 0
+    for verb in VERBS:
+        assert re.search(rf"^ +{verb} +\w+", shown.stdout, re.MULTILINE), verb
+    assert re.search(r"0 done,\s+1\s+goal\s+missed.*2\s+bad\s+input", shown.stdout, re.DOTALL)
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_the_example_in_a_verbs_help_runs(verb: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shown = dpcontrol(verb, "--help")
+    assert shown.code == 0
+    assert "--json" in shown.stdout
+    (example,) = re.findall(r"Example: +(dpcontrol .*?)(?:  |$)", shown.stdout, re.MULTILINE)
+    words = shlex.split(example)
+    assert words[:2] == ["dpcontrol", verb]
+    monkeypatch.chdir(tmp_path)
+    if "logs/outer-turn-0.mcap" in words:
+        assert dpcontrol("run", "outer-turn").code == 0
+    ended = dpcontrol(*words[1:])
+    assert ended.code == 0, ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("line", "progress"),
+    [
+        ("model lab", ""),
+        ("orbit lab --saddle down-up --energy -0.07", ""),
+        ("connect lab --from down-up --to up-down --energy 0.2", "connections"),
+        ("plan outer-turn --fresh", "plan"),
+        ("run outer-turn", "run"),
+        ("run outer-turn --controller feedforward", "not completed"),
+        ("score whole.mcap", ""),
+        ("review whole.mcap --save whole.rrd", "review"),
+        ("demo", "demo"),
+    ],
+)
+def test_json_is_one_document_on_stdout_and_progress_goes_to_stderr(line: str, progress: str, tmp_path: Path) -> None:
+    if "whole.mcap" in line:
+        assert dpcontrol("run", "outer-turn", "--out", tmp_path / "whole.mcap").code == 0
+    ended = dpcontrol_program(*line.split(), "--json", folder=tmp_path)
+    assert ended.code == (1 if "feedforward" in line else 0)
+    assert isinstance(ended.document, dict)
+    assert progress in ended.stderr
+    if not progress:
+        assert ended.stderr == ""
+
+
+def test_json_numbers_carry_full_precision() -> None:
+    shown = dpcontrol("model", "lab", "--json").document
+    # Written out in the rig's data set with these digits; fewer would not be the same double.
+    assert shown["parameters"]["m1"]["value"] == 0.0938439747983407
+    assert shown["parameters"]["g"]["value"] == 9.8085802336215
+
+
+def test_the_version_is_the_packages(tmp_path: Path) -> None:
+    from importlib.metadata import version
+
+    shown = dpcontrol_program("--version", folder=tmp_path)
+    assert shown.code == 0
+    assert version("dpcontrol") in shown.stdout

@@ -1,0 +1,104 @@
+"""`dpcontrol plan`: what it says, how good its references are, and where they go."""
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+from reference_values import LYAPUNOV_ORBITS
+
+ERROR_BETWEEN_NODES = 1e-6
+VIOLATION = 1e-9
+SHADOWING_RESIDUAL = 1e-10
+"""Sparse Newton in double precision ends near 1e-13; the bar leaves room for other processors."""
+WALKS = {
+    # The most transversal symmetric first-hit connection of that sense, by the published angles in (angle, rate),
+    # which rank as the canonical ones do here; and for the crossing, the first of the published two.
+    "outer-turn": ("down-up", "down-up", [0, 1]),
+    "cross": ("down-up", "up-down", [0, 0]),
+}
+ENERGIES = {"outer-turn": -0.07, "cross": 0.2}
+
+
+@pytest.mark.parametrize("itinerary", WALKS)
+def test_a_reference_solves_the_equations_between_nodes_and_keeps_its_limits(itinerary: str) -> None:
+    shown = dpcontrol("plan", itinerary, "--json").document
+    reference = shown["reference"]
+    assert 0 < reference["max_error_between_nodes"] <= ERROR_BETWEEN_NODES
+    assert 0 <= reference["constraint_violation"] <= VIOLATION
+    assert 0 < reference["max_cart_position"] <= 0.4 + VIOLATION
+    assert 0 < reference["rms_cart_acceleration"] <= reference["max_cart_acceleration"] <= 30 + VIOLATION
+    assert reference["intervals"] >= reference["duration"] / 0.02 - 1
+    assert reference["iterations"] > 0
+    assert reference["solve_seconds"] > 0
+    assert reference["status"].startswith("converged")
+
+
+@pytest.mark.parametrize("itinerary", WALKS)
+def test_a_plan_names_its_connections_and_wobbles_as_long_as_asked(itinerary: str) -> None:
+    shown = dpcontrol("plan", itinerary, "--json").document
+    source, target, winding = WALKS[itinerary]
+    (name,) = shown["walk"]
+    assert name.startswith(f"{source}>{target}[{winding[0]},{winding[1]}]h1.1@")
+    assert shown["wraps"] == []
+    assert 0 <= shown["shadowing"]["residual"] <= SHADOWING_RESIDUAL
+    wobbles = sum(2 * LYAPUNOV_ORBITS["lab", saddle, ENERGIES[itinerary]][1] for saddle in (source, target))
+    flight = shown["shadowing"]["duration"] - wobbles
+    assert 0.5 < flight < 3.0
+    assert shown["reference"]["duration"] == pytest.approx(shown["shadowing"]["duration"], rel=1e-9)
+
+
+def test_the_name_that_a_plan_records_is_one_that_connect_lists() -> None:
+    (name,) = dpcontrol("plan", "outer-turn", "--json").document["walk"]
+    listed = dpcontrol("connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "-0.07", "--json").document
+    (chosen,) = [c for c in listed["connections"] if c["name"] == name]
+    best = max(c["transversality_angle_deg"] for c in listed["connections"] if c["symmetric"] and c["sense"] == 1)
+    assert chosen["symmetric"]
+    assert chosen["sense"] == 1
+    assert chosen["transversality_angle_deg"] == best
+
+
+def test_a_plan_is_kept_in_the_cache_and_made_again_only_on_demand() -> None:
+    made = dpcontrol("plan", "outer-turn", "--fresh", "--json").document
+    assert made["cached"] is False
+    assert Path(made["file"]).is_relative_to(os.environ["DPCONTROL_CACHE"])
+    found = dpcontrol("plan", "outer-turn", "--json").document
+    assert found["cached"] is True
+    for shown in (made, found):
+        del shown["cached"], shown["reference"]["solve_seconds"]
+    assert found == made
+
+
+def test_out_writes_the_reference_as_arrays(tmp_path: Path) -> None:
+    file = tmp_path / "turn.npz"
+    shown = dpcontrol("plan", "outer-turn", "--out", file, "--json").document
+    assert shown["file"] == str(file)
+    with np.load(file) as arrays:
+        assert any(arrays[name].ndim == 2 and len(arrays[name]) > 100 for name in arrays.files)
+
+
+def test_a_tighter_track_gives_a_reference_that_stays_on_it(tmp_path: Path, shipped_text: dict[str, str]) -> None:
+    free = dpcontrol("plan", "cross", "--json").document["reference"]["max_cart_position"]
+    narrow = 0.7 * free
+    scene = tmp_path / "narrow.toml"
+    scene.write_text(shipped_text["cross"].replace("position     = 0.4", f"position = {narrow!r}"))
+    shown = dpcontrol("plan", scene, "--json")
+    assert shown.code == 0
+    assert 0.9 * narrow < shown.document["reference"]["max_cart_position"] <= narrow + VIOLATION
+    assert shown.document["reference"]["max_error_between_nodes"] <= ERROR_BETWEEN_NODES
+
+
+@pytest.mark.parametrize("verb", ["plan", "run"])
+def test_a_solver_that_fails_ends_with_1_and_its_reason_and_leaves_no_file(
+    verb: str, tmp_path: Path, shipped_text: dict[str, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
+    hasty = shipped_text["outer-turn"].replace("[reference]", "[reference]\nrounds = 1\niterations = 2")
+    Path("hasty.toml").write_text(hasty)
+    ended = dpcontrol(verb, "hasty.toml", "--json")
+    assert ended.code == 1
+    assert "maximum iterations" in ended.document["status"]
+    assert "maximum iterations" in ended.message
+    assert [file.name for file in tmp_path.rglob("*") if file.is_file()] == ["hasty.toml"]

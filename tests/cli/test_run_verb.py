@@ -1,0 +1,149 @@
+"""`dpcontrol run` and `dpcontrol score`: completion is decided again here, from the log's true states as the public
+ROS 2 decoder reads them.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+from independent_pendulum import SADDLES, angle_gaps, lyapunov_orbit
+from mcap_ros2.reader import read_ros2_messages
+from numpy.typing import NDArray
+from reference_values import LYAPUNOV_ORBITS
+
+SEEDS = range(20)
+MISMATCH = ("--mismatch", "0.02", "--initial-error", "0.02")
+NEAR_ORBIT = 0.1  # rad, by the definition of "completed"
+LIMITS = {"position": 0.4, "velocity": 3.0, "acceleration": 30.0}
+LIMIT_SLACK = 1e-9
+
+
+@dataclass(frozen=True)
+class Journey:
+    """What an itinerary asks for: from which orbit to which, with how many whole turns between their named places."""
+
+    source: str
+    target: str
+    turns: tuple[int, int]
+    energy: float
+    symbol: str
+
+
+JOURNEYS = {
+    "outer-turn": Journey("down-up", "down-up", (0, 1), -0.07, "down-up +"),
+    "cross": Journey("down-up", "up-down", (0, 0), 0.2, "down-up > up-down"),
+}
+CASES = [(name, seed) for name in JOURNEYS for seed in SEEDS]
+
+
+def series(log: Path, topic: str) -> tuple[NDArray[np.float64], list]:
+    """Return log times in s and the decoded messages of a topic."""
+    found = list(read_ros2_messages(str(log), topics=[topic]))
+    return np.array([m.log_time_ns * 1e-9 for m in found]), [m.ros_msg for m in found]
+
+
+@pytest.mark.parametrize(("itinerary", "seed"), CASES, ids=[f"{name}-{seed}" for name, seed in CASES])
+def test_every_seed_does_what_was_asked_by_the_true_state(itinerary: str, seed: int, tmp_path: Path) -> None:
+    journey, log = JOURNEYS[itinerary], tmp_path / "run.mcap"
+    ended = dpcontrol("run", itinerary, "--seed", str(seed), *MISMATCH, "--out", log, "--json")
+    shown = ended.document
+    assert ended.code == 0
+    assert shown["completed"] is True
+    assert (shown["log"], shown["seed"]) == (str(log), seed)
+    assert shown["symbols_completed"] == shown["symbols_total"] == 1
+    assert 0 < shown["rms_tracking_error"] < NEAR_ORBIT
+    assert 0.8 < shown["nis_inside_95"] <= 1.0
+    assert shown["real_time_factor"] > 0
+
+    time, truth = series(log, "/truth/joint_states")
+    assert list(truth[0].name) == ["arm_1", "arm_2", "cart"]
+    positions = np.array([m.position for m in truth])
+    velocities = np.array([m.velocity for m in truth])
+    angles = positions[:, :2]
+    first, last = (LYAPUNOV_ORBITS["lab", s, journey.energy][1] for s in (journey.source, journey.target))
+    assert time[-1] - time[0] > 2 * first + 2 * last
+    begin = angles[time < time[0] + 2 * first]
+    end = angles[time > time[-1] - last]
+    arrival = SADDLES[journey.target] + 2 * np.pi * np.array(journey.turns)
+    assert angle_gaps(begin, lyapunov_orbit(journey.source, journey.energy)).max() <= 2 * NEAR_ORBIT
+    at_home = end - (arrival - SADDLES[journey.target])
+    assert angle_gaps(at_home, lyapunov_orbit(journey.target, journey.energy)).max() <= NEAR_ORBIT
+
+    _, control = series(log, "/control")
+    assert np.abs(positions[:, 2]).max() <= LIMITS["position"] + LIMIT_SLACK
+    assert np.abs(velocities[:, 2]).max() <= LIMITS["velocity"] + LIMIT_SLACK
+    applied = np.array([m.applied for m in control])
+    assert np.abs(applied).max() <= LIMITS["acceleration"] + LIMIT_SLACK
+    assert shown["max_cart_position"] == pytest.approx(np.abs(positions[:, 2]).max(), rel=1e-12)
+    assert shown["rms_cart_acceleration"] == pytest.approx(np.sqrt(np.mean(applied**2)), rel=1e-9)
+
+
+@pytest.mark.parametrize("itinerary", JOURNEYS)
+def test_the_reference_input_alone_does_not_complete_and_names_the_symbol(itinerary: str, tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    ended = dpcontrol("run", itinerary, *MISMATCH, "--controller", "feedforward", "--out", log, "--json")
+    assert ended.code == 1
+    assert ended.document["completed"] is False
+    assert ended.document["symbols_completed"] == 0
+    assert f"symbol 1 of 1 ({JOURNEYS[itinerary].symbol!r})" in ended.document["reason"]
+    assert JOURNEYS[itinerary].symbol in ended.message
+    again = dpcontrol("score", log, "--json")
+    assert again.code == 1
+    assert again.document == ended.document
+
+
+def test_a_log_scores_as_its_run_did(tmp_path: Path) -> None:
+    log = tmp_path / "run.mcap"
+    run = dpcontrol("run", "outer-turn", "--out", log, "--json").document
+    scored = dpcontrol("score", log, "--json")
+    assert scored.code == 0
+    assert scored.document == run
+
+
+def test_several_logs_score_in_order_and_one_missed_goal_ends_with_1(tmp_path: Path) -> None:
+    good, bad = tmp_path / "good.mcap", tmp_path / "bad.mcap"
+    done = dpcontrol("run", "outer-turn", "--out", good, "--json").document
+    missed = dpcontrol("run", "outer-turn", "--controller", "feedforward", "--out", bad, "--json").document
+    scored = dpcontrol("score", good, bad, "--json")
+    assert scored.code == 1
+    assert scored.document == {"runs": [done, missed]}
+    assert "1 of 2 not completed" in scored.message
+
+
+def test_mismatch_and_initial_error_of_the_file_are_overridden_and_felt(tmp_path: Path) -> None:
+    errors = {}
+    for mismatch, initial in ((0.0, 0.0), (0.02, 0.0), (0.0, 0.02)):
+        log = tmp_path / f"{mismatch}-{initial}.mcap"
+        shown = dpcontrol(
+            "run", "outer-turn", "--mismatch", str(mismatch), "--initial-error", str(initial), "--out", log, "--json"
+        )
+        _, truth = series(log, "/truth/joint_states")
+        _, reference = series(log, "/reference/joint_states")
+        gap = np.abs(np.array(truth[0].position[:2]) - np.array(reference[0].position[:2])).max()
+        assert 0 < gap <= initial if initial else gap < 1e-12
+        errors[mismatch, initial] = shown.document["rms_tracking_error"]
+    assert errors[0.0, 0.0] < 1e-3
+    assert errors[0.02, 0.0] > 10 * errors[0.0, 0.0]
+    assert errors[0.0, 0.02] > 10 * errors[0.0, 0.0]
+
+
+def test_a_seed_gives_the_same_run_twice_and_another_seed_another(tmp_path: Path) -> None:
+    first, second, other = (
+        dpcontrol("run", "outer-turn", "--seed", seed, *MISMATCH, "--out", tmp_path / name, "--json").document
+        for seed, name in (("5", "a.mcap"), ("5", "b.mcap"), ("6", "c.mcap"))
+    )
+    for shown in (first, second):
+        del shown["real_time_factor"], shown["log"]
+    assert first == second
+    assert other["rms_tracking_error"] != first["rms_tracking_error"]
+
+
+def test_a_run_is_logged_under_its_itinerary_and_seed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    ended = dpcontrol("run", "outer-turn", "--seed", "4")
+    assert ended.code == 0
+    assert [str(f.relative_to(tmp_path)) for f in tmp_path.rglob("*") if f.is_file()] == ["logs/outer-turn-4.mcap"]
+    assert "logs/outer-turn-4.mcap" in ended.stdout
+    assert "completed: 1 of 1 symbols" in ended.stdout
