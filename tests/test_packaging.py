@@ -1,0 +1,117 @@
+"""What is installed is whole: the wheel carries models and itineraries, a checkout uses its own."""
+
+import configparser
+import os
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+WHERE = """
+import json
+import dpcontrol
+from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.model import load_model
+print(json.dumps([dpcontrol.__file__, *(str(load(name).path.resolve()) for load, name in (
+    (load_model, "lab"), (load_model, "printed"), (load_itinerary, "outer-turn"), (load_itinerary, "cross")))]))
+"""
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel as pip would build it from this checkout."""
+    folder = tmp_path_factory.mktemp("wheel")
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
+    done = subprocess.run(build, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    (file,) = folder.glob("*.whl")
+    return file
+
+
+def found_from(folder: Path, *, path: Path | None) -> list[str]:
+    """Return, from a fresh Python in `folder`, where the package is and where its models and itineraries are found."""
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    if path is not None:
+        environment["PYTHONPATH"] = str(path)
+    done = subprocess.run(
+        [sys.executable, "-c", WHERE], cwd=folder, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    import json
+
+    return json.loads(done.stdout)
+
+
+def test_the_wheel_carries_every_model_and_itinerary_as_it_is_in_the_checkout(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        carried = {n: archive.read(n) for n in archive.namelist() if n.startswith("dpcontrol/data/")}
+    expected = {
+        f"dpcontrol/data/{kind}/{file.name}": file.read_bytes()
+        for kind in ("models", "itineraries")
+        for file in (ROOT / kind).glob("*.toml")
+    }
+    assert {"dpcontrol/data/models/lab.toml", "dpcontrol/data/itineraries/outer-turn.toml"} <= set(expected)
+    assert carried == expected
+
+
+def test_the_wheel_carries_every_module_and_nothing_of_the_tests(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        modules = {name for name in archive.namelist() if name.endswith(".py")}
+    assert modules == {str(file.relative_to(ROOT)) for file in (ROOT / "dpcontrol").rglob("*.py")}
+
+
+def test_the_wheel_declares_the_console_script_and_the_dependencies(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        (entry_points,) = [n for n in archive.namelist() if n.endswith(".dist-info/entry_points.txt")]
+        parser = configparser.ConfigParser()
+        parser.read_string(archive.read(entry_points).decode())
+        (metadata,) = [n for n in archive.namelist() if n.endswith(".dist-info/METADATA")]
+        fields = archive.read(metadata).decode().split("\n\n")[0].splitlines()
+        assert any(n.endswith("licenses/LICENSE") for n in archive.namelist())
+    assert dict(parser["console_scripts"]) == {"dpcontrol": "dpcontrol.cli.main:main"}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    required = [f for f in fields if f.startswith("Requires-Dist:") and "extra ==" not in f]
+    assert len(required) == len(project["dependencies"])
+    assert len(set(project["dependencies"])) == len(project["dependencies"])
+    assert f"Requires-Python: {project['requires-python']}" in fields
+
+
+def test_an_unpacked_wheel_finds_its_own_models_and_itineraries(wheel: Path, tmp_path: Path) -> None:
+    site, elsewhere = tmp_path / "site", tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(site)
+    package, *files = found_from(elsewhere, path=site)
+    assert Path(package) == site / "dpcontrol" / "__init__.py"
+    data = site.resolve() / "dpcontrol" / "data"
+    assert [Path(f) for f in files] == [
+        data / "models" / "lab.toml",
+        data / "models" / "printed.toml",
+        data / "itineraries" / "outer-turn.toml",
+        data / "itineraries" / "cross.toml",
+    ]
+
+
+def test_a_checkout_finds_its_own_folders_from_anywhere(tmp_path: Path) -> None:
+    package, *files = found_from(tmp_path, path=ROOT)
+    assert Path(package) == ROOT / "dpcontrol" / "__init__.py"
+    assert not (ROOT / "dpcontrol" / "data").exists()
+    assert [Path(f) for f in files] == [
+        ROOT / "models" / "lab.toml",
+        ROOT / "models" / "printed.toml",
+        ROOT / "itineraries" / "outer-turn.toml",
+        ROOT / "itineraries" / "cross.toml",
+    ]
+
+
+def test_the_working_folders_own_file_comes_before_the_shipped_one(tmp_path: Path) -> None:
+    (tmp_path / "models").mkdir()
+    own = tmp_path / "models" / "lab.toml"
+    own.write_bytes((ROOT / "models" / "lab.toml").read_bytes())
+    _, lab, printed, *_ = found_from(tmp_path, path=ROOT)
+    assert Path(lab) == own.resolve()
+    assert Path(printed) == ROOT / "models" / "printed.toml"
