@@ -89,35 +89,66 @@ def state_equations(parts: Mechanics, *, with_cart: bool) -> Equations:
     return Equations(symbols, controls, parts.parameters, ca.cse(rate), hamiltonian, momentum, mass_matrix)
 
 
+class _Buffered:
+    """A function of (state, parameters) with one dense output, called on memory of its own.
+
+    casadi's conversions of arguments take forty times as long as the function itself.
+    """
+
+    def __init__(self, function: ca.Function, parameters: Array) -> None:
+        self._state = np.zeros(function.size1_in(0))
+        self._parameters = np.array(parameters, dtype=float)
+        self._out = np.zeros(function.numel_out(0))
+        # The buffer holds bare addresses: function and arrays must live as long as it does.
+        self._function = function
+        self._buffer, self._run = function.buffer()
+        self._buffer.set_arg(0, memoryview(self._state))
+        self._buffer.set_arg(1, memoryview(self._parameters))
+        self._buffer.set_res(0, memoryview(self._out))
+
+    def __call__(self, states: Array) -> Array:
+        """Return the outputs (K, M) at states (K, N)."""
+        out = np.empty((len(states), len(self._out)))
+        for k, state in enumerate(states):
+            self._state[:] = state
+            self._run()
+            out[k] = self._out
+        return out
+
+
 @dataclass(frozen=True)
 class NumericEquations:
     """Equations with numbers for parameters (p,): numpy in, numpy out, many states at once.
 
-    States are (N,) or (K, N); results follow with the same leading shape. Inputs are taken as zero.
+    States are (N,) or (K, N); results follow with the same leading shape. Inputs are taken as zero. Not to be shared
+    between threads: the functions' memory is reused from call to call.
     """
 
     equations: Equations
     parameters: Array
 
     @cached_property
-    def _functions(self) -> dict[str, ca.Function]:
+    def _functions(self) -> dict[str, _Buffered]:
         e = self.equations
         still = ca.substitute(e.rate, e.inputs, ca.SX.zeros(e.input_count)) if e.input_count else e.rate
         expressions = {
             "rate": still,
-            "jacobian": ca.densify(ca.vec(ca.jacobian(still, e.state).T)),
+            "jacobian": ca.vec(ca.jacobian(still, e.state).T),
             "hamiltonian": e.hamiltonian,
-            "gradient": ca.densify(ca.gradient(e.hamiltonian, e.state)),
+            "gradient": ca.gradient(e.hamiltonian, e.state),
             "momentum": e.momentum,
-            "momentum_jacobian": ca.densify(ca.vec(ca.jacobian(e.momentum, e.state).T)),
-            "mass": ca.densify(ca.vec(e.mass_matrix.T)),
+            "momentum_jacobian": ca.vec(ca.jacobian(e.momentum, e.state).T),
+            "mass": ca.vec(e.mass_matrix.T),
         }
-        return {name: ca.Function(name, [e.state, e.parameters], [value]) for name, value in expressions.items()}
+        return {
+            name: _Buffered(ca.Function(name, [e.state, e.parameters], [ca.densify(value)]), self.parameters)
+            for name, value in expressions.items()
+        }
 
     def _call(self, name: str, states: Array) -> Array:
         x = np.asarray(states, dtype=float)
-        out = np.array(self._functions[name](x.reshape(-1, x.shape[-1]).T, self.parameters)).T
-        return out.reshape(*x.shape[:-1], -1)
+        out = self._functions[name](x.reshape(-1, x.shape[-1]))
+        return out.reshape(*x.shape[:-1], out.shape[1])
 
     def rate(self, states: Array) -> Array:
         """Return f(x), shape of `states`."""

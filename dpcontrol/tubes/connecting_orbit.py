@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import bmat, csc_array
+from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 from dpcontrol.dynamics.system import System
@@ -212,17 +212,15 @@ def shooting_matrix(
 ) -> csc_array:
     """Return the Jacobian of gaps and anchor: inner nodes, then φ₀, a₀, φ_K, a_K, ε; square of size N·K + 1."""
     count, n = len(stms), len(gradient)
-    blocks: list[list[object]] = [[None] * count for _ in range(count + 1)]
-    for k in range(count):
-        if k > 0:
-            blocks[k][k - 1] = stms[k]
-        if k < count - 1:
-            blocks[k][k] = -np.eye(n)
-    borders = [np.zeros((n, 5)) for _ in range(count)]
-    borders[0][:, :2] = stms[0] @ np.column_stack(start_slopes)
-    borders[0][:, 4] = gradient
-    borders[-1][:, 2:4] -= np.column_stack(end_slopes)
-    for k, border in enumerate(borders):
-        blocks[k][count - 1] = border
-    blocks[count][anchor.node - 1] = np.array([anchor.normal])
-    return csc_array(bmat(blocks, format="csc"))
+    last = n * (count - 1)
+    blocks = [(n * k, n * (k - 1), stms[k]) for k in range(1, count)]
+    blocks += [(n * k, n * k, -np.eye(n)) for k in range(count - 1)]
+    blocks.append((0, last, stms[0] @ np.column_stack(start_slopes)))
+    blocks.append((0, last + 4, gradient[:, None]))
+    blocks.append((n * (count - 1), last + 2, -np.column_stack(end_slopes)))
+    blocks.append((n * count, n * (anchor.node - 1), np.array([anchor.normal])))
+    rows = [row + np.indices(block.shape)[0].ravel() for row, _, block in blocks]
+    columns = [column + np.indices(block.shape)[1].ravel() for _, column, block in blocks]
+    values = np.concatenate([block.ravel() for _, _, block in blocks])
+    places = (np.concatenate(rows), np.concatenate(columns))
+    return csc_array((values, places), shape=(n * count + 1, last + 5))

@@ -94,9 +94,13 @@ def find_connections(
     *,
     hits: tuple[int, int] = (1, 1),
     settings: ConnectionSettings | None = None,
+    cuts: tuple[Cut, Cut] | None = None,
     progress: Progress = no_progress,
 ) -> ConnectionSearch:
     """Find every connection from `source` to `target` that meets their section at `hits`.
+
+    cuts: of the unstable tubes of source and target, where they are known already, made with the same settings (the
+    stable tube's cut is its unstable one's, turned around).
 
     Raises:
         InputError: the orbits differ in energy, or no section is known between their saddles.
@@ -114,17 +118,21 @@ def find_connections(
         UnstableManifold(source, settings.distance),
         UnstableManifold(target, settings.distance),
     )
-    progress(f"tube of {source.saddle}", 0.0)
-    unstable = tube_cut(manifolds[0], section, hit=hits[0], settings=settings.cut)
-    progress(f"tube of {target.saddle}", 0.4)
-    same_tube = source is target and hits[0] == hits[1]
-    backward = unstable if same_tube else tube_cut(manifolds[1], section, hit=hits[1], settings=settings.cut)
+    if cuts is None:
+        progress(f"tube of {source.saddle}", 0.0)
+        unstable = tube_cut(manifolds[0], section, hit=hits[0], settings=settings.cut)
+        progress(f"tube of {target.saddle}", 0.4)
+        same_tube = source is target and hits[0] == hits[1]
+        backward = unstable if same_tube else tube_cut(manifolds[1], section, hit=hits[1], settings=settings.cut)
+    else:
+        unstable, backward = cuts
     progress("intersections", 0.6)
     crossings, failed = intersect_cuts(system, section, manifolds, (unstable, backward), settings)
     found = []
+    curves = (OrbitCurve(source), OrbitCurve(target))
     for k, crossing in enumerate(crossings):
         progress("refining connections", 0.7 + 0.3 * k / len(crossings))
-        refined = _refined(system, crossing, settings)
+        refined = _refined(system, crossing, curves, settings)
         if refined.orbit.converged:
             found.append(refined)
             if manifolds[0].branches_are_mirrored and manifolds[1].branches_are_mirrored:
@@ -133,8 +141,7 @@ def find_connections(
             failed += 1
     # Ties in the position are noise: sorting on rounded values keeps the order from run to run.
     found.sort(key=lambda c: (-c.sense, *np.round(section_points(system, section, c.state), 6)))
-    cuts = (unstable, backward)
-    complete = not failed and all(cut.resolved and not cut.open_ends for cut in cuts)
+    complete = not failed and all(cut.resolved and not cut.open_ends for cut in (unstable, backward))
     status = f"{len(found)} connections; unstable tube {unstable.status}; stable tube {backward.status}"
     if failed:
         status += f"; {failed} crossings of the cuts did not converge: refine the chord"
@@ -144,7 +151,9 @@ def find_connections(
     return ConnectionSearch(source, target, tuple(found), (unstable, backward), failed, complete, status)
 
 
-def _refined(system: System, crossing: Intersection, settings: ConnectionSettings) -> Connection:
+def _refined(
+    system: System, crossing: Intersection, curves: tuple[OrbitCurve, OrbitCurve], settings: ConnectionSettings
+) -> Connection:
     """Refine an intersection by multiple shooting from farther out on both manifolds, and describe it."""
     section = crossing.sides[0].section
     source, target = crossing.sides[0].manifold.orbit, crossing.sides[1].manifold.orbit
@@ -162,8 +171,8 @@ def _refined(system: System, crossing: Intersection, settings: ConnectionSetting
     first, second = (crossing.tangents[:, k] / np.linalg.norm(crossing.tangents[:, k]) for k in (0, 1))
     angle = np.degrees(np.arcsin(min(1.0, abs(first[0] * second[1] - first[1] * second[0]))))
     hits = (crossing.sides[0].hit, crossing.sides[1].hit)
-    time_out, phase_out = _approach(orbit, OrbitCurve(source), -1, settings.near)
-    time_in, phase_in = _approach(orbit, OrbitCurve(target), +1, settings.near)
+    time_out, phase_out = _approach(orbit, curves[0], -1, settings.near)
+    time_in, phase_in = _approach(orbit, curves[1], +1, settings.near)
     return Connection(
         name=connection_name(system, (source.saddle, target.saddle), winding, hits, state, section),
         source=source,

@@ -5,6 +5,7 @@ points are close. Where it cannot be refined the curve is open: a trajectory gra
 jumps), or never arrives in the time allowed. Open ends are found by bisection and reported, never bridged.
 """
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -143,7 +144,7 @@ def _continuous(a: _Sample, b: _Sample, limit: float) -> bool:
     """Whether two neighbouring samples are near each other on one curve."""
     if a.point is None or b.point is None or a.direction != b.direction:
         return False
-    return bool(np.linalg.norm(a.point - b.point) <= limit)
+    return math.dist(a.point, b.point) <= limit
 
 
 def _refined(sampler: _Sampler, start: float) -> tuple[list[_Sample], str]:

@@ -6,7 +6,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
-from scipy.optimize import minimize_scalar
 from scipy.spatial import KDTree
 
 from dpcontrol.tubes.lyapunov import LyapunovOrbit
@@ -53,15 +52,17 @@ class OrbitCurve:
     def nearest(self, state: Array) -> tuple[float, float]:
         """Return (phase, scaled distance) of the orbit's point nearest to a state (N,)."""
         system = self.orbit.system
-        start = float(self.distances(state)[0][0])
-
-        def distance(phase: float) -> float:
-            return float(system.scaled_distance(state, self.states(np.array(phase))))
-
         # Nearest in the Euclidean norm and in the largest component are not far apart.
-        bounds = (start - 2 / SAMPLES, start + 2 / SAMPLES)
-        found = minimize_scalar(distance, bounds=bounds, method="bounded", options={"xatol": 1e-13})
-        return float(found.x) % 1.0, float(found.fun)
+        phase, reach = float(self.distances(state)[0][0]), 2 / SAMPLES
+        grid = np.linspace(-1.0, 1.0, 33)
+        distances = np.empty(33)
+        while reach > 1e-13:
+            phases = phase + reach * grid
+            distances = system.scaled_distance(state, self.states(phases))
+            phase = float(phases[np.argmin(distances)])
+            # The smallest lies within a step of the smallest on the grid.
+            reach *= 2 / 32
+        return phase % 1.0, float(distances.min())
 
     def distances(self, states: Array) -> tuple[Array, Array]:
         """Return (phases, scaled distances), each (K,), of the orbit's points nearest to states (K, N).
