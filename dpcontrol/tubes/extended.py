@@ -1,12 +1,9 @@
 """A connection known in double precision, refined in 113-bit arithmetic: 30 digits instead of 12.
 
-The equations are those of the double search, evaluated in extended precision; their Jacobian stays in double, so each
-Newton step leaves about 1e-12 of the residual and no linear algebra is needed beyond double:
-
-- the Lyapunov orbits: symmetric shooting, with the energy as the exact number that is asked for;
-- the connection: nodes x_0 … x_K by multiple shooting, x_0 = γ(φ₀) + a₀ v(φ₀), x_K alike on the stable manifold, with
-  γ in extended precision. The leads are lengthened until a < 1e-20, where what the local manifold leaves out,
-  a² ≈ 1e-40, and the double Floquet vector's share, a · 1e-12, are both far below what is asked.
+The nodes x_0 … x_K of multiple shooting are those of the double search, with x_0 = γ(φ₀) + a₀ v(φ₀), γ in extended
+precision, and x_K alike on the stable manifold. Gaps are evaluated in 113 bits; their Jacobian stays in double, so each
+Newton step leaves about 1e-12 of the residual. The leads are lengthened until a < 1e-20, where what the local manifold
+leaves out, a² ≈ 1e-40, and the double Floquet vector's share, a · 1e-12, are both far below what is asked.
 
 Angles are lifted about the saddles, whose positions are π times whole numbers at full precision.
 Source: Higham, Accuracy and Stability of Numerical Algorithms (2002), chapter 12 (refinement with extended residuals).
@@ -21,63 +18,12 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from dpcontrol.dynamics.extended import Exact, Extended, ExtendedPropagator, digits, extended, pi_times
-from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.tubes.connecting_orbit import Anchor, ManifoldEnd, shooting_matrix
 from dpcontrol.tubes.connections import Connection
-from dpcontrol.tubes.lyapunov import LyapunovOrbit
+from dpcontrol.tubes.extended_orbit import ExtendedOrbit, RefinementSettings, distance, exact_position, refine_orbit
 from dpcontrol.tubes.orbit_curve import OrbitCurve
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class RefinementSettings:
-    """amplitude: on the local manifolds at the outer nodes, scaled; tolerance: of every residual (rad, rad/s, J).
-
-    stalled: refinement ends when a step leaves more than this share of the residual.
-    """
-
-    amplitude: float = 1e-20
-    segments: int = 8
-    iterations: int = 10
-    tolerance: float = 1e-24
-    stalled: float = 0.3
-
-
-@dataclass(frozen=True, eq=False)
-class ExtendedOrbit:
-    """A Lyapunov orbit in extended precision: state (N,), period in s, residual of its shooting equations."""
-
-    orbit: LyapunovOrbit
-    propagator: ExtendedPropagator
-    state: Extended
-    period: Any
-    residual: Any
-
-    @property
-    def digits(self) -> list[str]:
-        """The state as decimal digits, one string for each component."""
-        return digits(self.state)
-
-    @property
-    def period_digits(self) -> str:
-        """The period in s as decimal digits."""
-        return str(self.period)
-
-    def at(self, phase: Any) -> Extended:
-        """Return the state (N,) at a phase (period 1), flown from the nearest image of phase zero."""
-        system = self.orbit.system
-        halves = len(system.reversers) > 1
-        spacing = 0.5 if halves else 1.0
-        turns = int(np.rint(float(phase) / spacing))
-        state = self.propagator.flow(self.state, (phase - extended(turns * spacing)) * self.period)
-        if not halves or turns % 2 == 0:
-            return state
-        # γ(φ + ½) = S γ(φ) about the saddle.
-        centre = exact_position(system, self.orbit.centre)
-        symmetry = extended(system.reversers[-1] @ system.reversers[0])
-        return symmetry @ (state - centre) + centre
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,69 +63,7 @@ class ExtendedConnection:
         phases, distances = OrbitCurve(orbit).distances(states.astype(float))
         near = np.argsort(distances)[:8]
         # The double curve is good to 1e-9: which of the nearest is nearest is settled in extended precision.
-        return min(_distance(refined, states[k], float(phases[k])) for k in near)
-
-
-def exact_position(system: System, state: Array) -> Extended:
-    """Return a resting state (N,) whose angles are whole multiples of π in double as those multiples in extended.
-
-    Other components are taken as the binary numbers that they are.
-    """
-    halves = np.where(np.isfinite(system.periods), state / np.pi, 0.0)
-    whole = np.rint(halves)
-    angular = np.isfinite(system.periods) & (np.abs(halves - whole) < 1e-12)
-    return pi_times(np.where(angular, whole, 0.0)) + extended(np.where(angular, 0.0, state))
-
-
-def refine_orbit(
-    orbit: LyapunovOrbit, propagator: ExtendedPropagator, energy: Any, settings: RefinementSettings | None = None
-) -> ExtendedOrbit:
-    """Refine a Lyapunov orbit by symmetric shooting at `energy` (113-bit).
-
-    Raises:
-        GoalMissed: the residual stays above the tolerance; says how large it is.
-    """
-    settings = settings or RefinementSettings()
-    system = orbit.system
-    first, last = system.reversers[-1], system.reversers[0]
-    quarters = 4 if len(system.reversers) > 1 else 2
-    unit = np.eye(system.dimension)
-    # Projectors: half the sum keeps the fixed set, half the difference vanishes on it.
-    keep, leave = (unit + first) / 2, (unit - last) / 2
-    centre = exact_position(system, orbit.centre)
-    start = extended(keep) @ (extended(orbit.state) - centre)
-    duration = extended(orbit.period / quarters)[()]
-    best, best_residual = (start, duration), np.inf
-    for _ in range(settings.iterations):
-        state = centre + start
-        end = propagator.flow(state, duration)
-        missing = extended(leave) @ (end - centre)
-        height = propagator.energy(state) - energy
-        residual = max(np.abs(missing).max(), abs(height))
-        if residual < best_residual:
-            best, previous, best_residual = (start, duration), best_residual, residual
-            if residual > settings.stalled * previous and residual < settings.tolerance:
-                break
-        else:
-            break
-        end_double, stm = system.propagator.flow_with_stm(state.astype(float), float(duration))
-        jacobian = np.zeros((system.dimension + 1, system.dimension + 1))
-        jacobian[:-1, :-1] = leave @ stm @ keep
-        jacobian[:-1, -1] = leave @ system.numeric.rate(end_double)
-        jacobian[-1, :-1] = system.numeric.gradient(state.astype(float)) @ keep
-        # Scaled so that the residual's double image keeps its digits; half the rows and columns are empty.
-        size = residual if residual > 0 else extended(1.0)[()]
-        right = np.append((missing / size).astype(float), float(height / size))
-        step = np.linalg.lstsq(jacobian, right, rcond=1e-10)[0]
-        start = start - extended(keep @ step[:-1]) * size
-        duration = duration - extended(step[-1])[()] * size
-    start, duration = best
-    if not best_residual <= settings.tolerance:
-        raise GoalMissed(
-            f"the Lyapunov orbit about {orbit.saddle} could be refined only to a residual of "
-            f"{float(best_residual):.1e}; use double precision"
-        )
-    return ExtendedOrbit(orbit, propagator, centre + start, duration * quarters, best_residual)
+        return min(distance(refined, states[k], float(phases[k])) for k in near)
 
 
 def refine_connection(
@@ -305,19 +189,3 @@ def _end_state(end: ManifoldEnd, refined: ExtendedOrbit, phase: Any, amplitude: 
         state = extended(system.reversers[0]) @ (state - centre) + centre
     lengths = np.where(np.isfinite(system.periods), system.periods, 0.0)
     return state + exact_position(system, np.asarray(end.turns) * lengths)
-
-
-def _distance(refined: ExtendedOrbit, state: Extended, phase: float) -> float:
-    """Return the scaled distance of a state from an orbit, its foot found by Gauss-Newton steps in the phase."""
-    system = refined.orbit.system
-    at = extended(phase)[()]
-    gap = state
-    for _ in range(4):
-        foot = refined.at(at)
-        gap = state - foot
-        angular = np.isfinite(system.periods)
-        turns = np.where(angular, np.rint(gap.astype(float) / (2 * np.pi)), 0.0)
-        gap = (gap - pi_times(2.0 * turns)).astype(float) / system.scale
-        slope = system.numeric.rate(foot.astype(float)) * float(refined.period) / system.scale
-        at = at + extended(float(gap @ slope / (slope @ slope)))[()]
-    return float(np.abs(gap).max())

@@ -14,7 +14,8 @@ from dpcontrol.dynamics.taylor import to_heyoka
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.tubes.extended import RefinementSettings, refine_connection
+from dpcontrol.tubes.extended import refine_connection
+from dpcontrol.tubes.extended_orbit import RefinementSettings
 from dpcontrol.tubes.orbit_curve import OrbitCurve
 from tests.reference_values import CONNECTIONS, LYAPUNOV_ORBITS
 

@@ -1,0 +1,293 @@
+"""The inside of a tube: a grid over the region that its cut encloses, carried through returns to the section.
+
+Points (q, p/p₀) of a grid inside the unstable cut are turned into states on the section at the tube's energy.
+What is inside the unstable tube has come through the saddle's bottleneck, what is inside the stable tube will go
+through it; at each return, forward and backward, a point is labelled by the cut that it lies in, if any, and by the
+whole turns since the start. The stable tube's interior is the unstable one's turned around in time, never integrated.
+
+Each point keeps an angle about the region's innermost point and a radius, 0 there and 1 on the cut: the hue and the
+saturation of a colour wheel. Source: Kaheman et al. (2023), section 3; Koon, Lo, Marsden, Ross (2000), section 4.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.propagator import Section
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.tubes.cut import Cut, section_points
+from dpcontrol.tubes.lyapunov import LyapunovOrbit
+from dpcontrol.tubes.manifold import UnstableManifold
+from dpcontrol.tubes.outlines import (
+    Flags,
+    Labels,
+    Outline,
+    inside,
+    labels,
+    outlines_of,
+    place_on_section,
+    section_states,
+)
+
+Array = NDArray[np.float64]
+
+SKIP = 1e-6
+"""Seconds flown before the next return is looked for, so that the start is not taken for it."""
+
+
+@dataclass(frozen=True)
+class InteriorSettings:
+    """across: grid points over the cut's width and over its height; returns: either way; longest: periods to each."""
+
+    across: int = 60
+    returns: int = 3
+    longest: float = 12.0
+
+
+@dataclass(frozen=True)
+class Returns:
+    """Where K points are at each of R returns in one direction of time; entries count only where `arrived`.
+
+    states (K, R, N) lifted; points (K, R, 2): (q, p/p₀), q within half a period of zero; seconds (K, R) since the
+    start, positive either way; winding (K, R, n): whole turns of the angles since the start, nearest; direction
+    (K, R): sign of the crossing; in_unstable, in_stable (K, R): branch of the cut that the point lies in, or 0.
+    """
+
+    arrived: Flags
+    states: Array
+    points: Array
+    seconds: Array
+    winding: NDArray[np.int64]
+    direction: Labels
+    in_unstable: Labels
+    in_stable: Labels
+
+
+@dataclass(frozen=True)
+class TubeInterior:
+    """A grid of K points inside one tube's cut, and its returns.
+
+    stable, branch: which tube. points (K, 2), states (K, N); angle (K,) rad and radius (K,) from 0 to 1: hue and
+    saturation; in_other (K,): branch of the other tube's cut that a point lies in at the start, or 0. outlines: the
+    closed cuts of both tubes. status: a sentence; without points, the reason.
+    """
+
+    orbit: LyapunovOrbit
+    section: Section
+    stable: bool
+    branch: int
+    points: Array
+    states: Array
+    angle: Array
+    radius: Array
+    in_other: Labels
+    forward: Returns
+    backward: Returns
+    outlines: tuple[Outline, ...]
+    status: str
+
+
+def tube_interior(
+    manifold: UnstableManifold,
+    cut: Cut,
+    *,
+    branch: int = 1,
+    settings: InteriorSettings | None = None,
+    progress: Progress = no_progress,
+) -> TubeInterior:
+    """Carry a grid of the inside of an unstable tube's cut through returns, forward and backward.
+
+    Raises:
+        InputError: a branch that is not +1 or -1, or a system that has not two degrees of freedom.
+    """
+    settings = settings or InteriorSettings()
+    orbit, section = manifold.orbit, cut.section
+    system = orbit.system
+    if branch not in (1, -1):
+        raise InputError(f"branch = {branch}: must be +1 or -1")
+    if system.dimension != 4:
+        raise InputError(
+            f"{system.name} has {system.dimension // 2} degrees of freedom: a cut encloses an area for two"
+        )
+    outlines = outlines_of(cut, manifold)
+    own = [o for o in outlines if o.branch == branch and not o.stable]
+    if not own:
+        ends = [end.reason for end in cut.open_ends if end.branch == branch]
+        reason = ends[0] if ends else cut.status
+        status = (
+            f"branch {branch:+d} has no closed cut at crossing {cut.hit} of {section.name}, so no inside: {reason}; "
+        )
+        status += "use another section, crossing or energy"
+        return _without_points(orbit, section, branch, outlines, settings, status)
+    piece = next(p for p in cut.pieces if p.branch == branch and p.closed)
+    level = float(piece.states[0] @ np.asarray(section.normal))
+    points = _grid(own[0].vertices, settings.across)
+    states, fits = section_states(system, section, points, energy=orbit.energy, direction=own[0].direction, level=level)
+    points, states = points[fits], states[fits]
+    if not len(points):
+        status = f"the cut of branch {branch:+d} is too thin for {settings.across} points across; ask for more"
+        return _without_points(orbit, section, branch, outlines, settings, status)
+    angle, radius = _wheel(points, own[0].vertices)
+    runs = []
+    for k, sign in enumerate((1, -1)):
+
+        def report(what: str, done: float, share: float = k / 2) -> None:
+            progress(what, share + done / 2)
+
+        runs.append(_carried(orbit, section, states, sign, outlines, settings, report))
+    other = tuple(o for o in outlines if o.stable)
+    direction = np.full(len(points), own[0].direction)
+    in_other = labels(system, section, other, points, direction)
+    back = [int(np.count_nonzero(run.arrived[:, -1])) for run in runs]
+    status = f"{len(points)} points; {back[0]} return {settings.returns} times forward, {back[1]} backward"
+    return TubeInterior(
+        orbit, section, False, branch, points, states, angle, radius, in_other, runs[0], runs[1], outlines, status
+    )
+
+
+def turned_around(interior: TubeInterior) -> TubeInterior:
+    """Return the other tube's interior: this one under time reversal, forward and backward exchanged."""
+    system, section = interior.orbit.system, interior.section
+    reverser, centre = system.reversers[0], interior.orbit.centre
+    n = system.dimension // 2
+
+    def run(returns: Returns) -> Returns:
+        states = (returns.states - centre) @ reverser.T + centre
+        points, direction = place_on_section(system, section, states)
+        return replace(
+            returns,
+            states=states,
+            points=np.where(returns.arrived[..., None], points, 0.0),
+            winding=np.rint(returns.winding @ reverser[:n, :n].T).astype(np.int64),
+            direction=np.where(returns.arrived, direction, 0).astype(np.int8),
+            in_unstable=returns.in_stable,
+            in_stable=returns.in_unstable,
+        )
+
+    if not len(interior.points):
+        return replace(interior, stable=not interior.stable)
+    states = (interior.states - centre) @ reverser.T + centre
+    return replace(
+        interior,
+        stable=not interior.stable,
+        states=states,
+        points=section_points(system, section, states),
+        forward=run(interior.backward),
+        backward=run(interior.forward),
+    )
+
+
+def _carried(
+    orbit: LyapunovOrbit,
+    section: Section,
+    states: Array,
+    sign: int,
+    outlines: tuple[Outline, ...],
+    settings: InteriorSettings,
+    progress: Progress,
+) -> Returns:
+    """Fly every state to its returns in one direction of time."""
+    system = orbit.system
+    shape = (len(states), settings.returns)
+    arrived = np.zeros(shape, dtype=bool)
+    flown = np.repeat(states[:, None, :], settings.returns, axis=1)
+    seconds = np.zeros(shape)
+    longest = settings.longest * orbit.period
+    every = max(1, len(states) // 50)
+    for k, start in enumerate(states):
+        if k % every == 0:
+            progress("forward returns" if sign > 0 else "backward returns", k / len(states))
+        here, elapsed = start, 0.0
+        for r in range(settings.returns):
+            crossing = system.propagator.crossing(
+                system.propagator.flow(here, sign * SKIP), section, longest=sign * longest
+            )
+            if crossing is None:
+                break
+            here, elapsed = crossing.state, elapsed + SKIP + abs(crossing.time)
+            arrived[k, r], flown[k, r], seconds[k, r] = True, here, elapsed
+    points, direction = place_on_section(system, section, flown)
+    n = system.dimension // 2
+    winding = system.nearest_turns(flown - states[:, None, :])[..., :n].astype(np.int64)
+    found = [
+        labels(
+            system,
+            section,
+            tuple(o for o in outlines if o.stable is stable),
+            points.reshape(-1, 2),
+            direction.ravel(),
+        ).reshape(shape)
+        for stable in (False, True)
+    ]
+    return Returns(
+        arrived=arrived,
+        states=flown,
+        points=np.where(arrived[..., None], points, 0.0),
+        seconds=seconds,
+        winding=np.where(arrived[..., None], winding, 0),
+        direction=np.where(arrived, direction, 0).astype(np.int8),
+        in_unstable=np.where(arrived, found[0], 0).astype(np.int8),
+        in_stable=np.where(arrived, found[1], 0).astype(np.int8),
+    )
+
+
+def _grid(vertices: Array, across: int) -> Array:
+    """Return the points (K, 2) of a grid over the bounding box that lie inside."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    axes = [np.linspace(a, b, across + 2)[1:-1] for a, b in zip(low, high, strict=True)]
+    mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    return mesh[inside(mesh, vertices)]
+
+
+def _wheel(points: Array, vertices: Array) -> tuple[Array, Array]:
+    """Return angles about the innermost point, in rad, and radii: 0 there, 1 on the cut."""
+    span = np.ptp(vertices, axis=0)
+    x, edge = points / span, np.vstack([vertices, vertices[:1]]) / span
+    depth = np.full(len(x), np.inf)
+    for a, b in pairwise(edge):
+        along = b - a
+        length = float(along @ along)
+        share = np.clip((x - a) @ along / length, 0, 1) if length else np.zeros(len(x))
+        depth = np.minimum(depth, np.linalg.norm(x - a - share[:, None] * along, axis=1))
+    centre = x[np.argmax(depth)]
+    gap = x - centre
+    return np.arctan2(gap[:, 1], gap[:, 0]) % (2 * np.pi), 1 - depth / depth.max()
+
+
+def _without_points(
+    orbit: LyapunovOrbit,
+    section: Section,
+    branch: int,
+    outlines: tuple[Outline, ...],
+    settings: InteriorSettings,
+    status: str,
+) -> TubeInterior:
+    n, r = orbit.system.dimension // 2, settings.returns
+    none = Returns(
+        arrived=np.empty((0, r), dtype=bool),
+        states=np.empty((0, r, 2 * n)),
+        points=np.empty((0, r, 2)),
+        seconds=np.empty((0, r)),
+        winding=np.empty((0, r, n), dtype=np.int64),
+        direction=np.empty((0, r), dtype=np.int8),
+        in_unstable=np.empty((0, r), dtype=np.int8),
+        in_stable=np.empty((0, r), dtype=np.int8),
+    )
+    return TubeInterior(
+        orbit=orbit,
+        section=section,
+        stable=False,
+        branch=branch,
+        points=np.empty((0, 2)),
+        states=np.empty((0, 2 * n)),
+        angle=np.empty(0),
+        radius=np.empty(0),
+        in_other=np.empty(0, dtype=np.int8),
+        forward=none,
+        backward=none,
+        outlines=outlines,
+        status=status,
+    )

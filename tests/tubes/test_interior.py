@@ -1,0 +1,194 @@
+"""The inside of tubes, against scipy's integration, the transit that tubes mean, and time reversal."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dpcontrol.dynamics.system import momentum_scale
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.review.interior_figure import draw_interior, save_interior
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.cut import CutSettings, section_points, tube_cut
+from dpcontrol.tubes.interior import InteriorSettings, tube_interior, turned_around
+from dpcontrol.tubes.lyapunov import lyapunov_orbit
+from dpcontrol.tubes.manifold import UnstableManifold
+from dpcontrol.tubes.outlines import inside, labels, outlines_of, section_states
+
+ENERGY = 1e-14  # J: states are solved for, not corrected
+NEAR_CUT = 0.01  # share of points that may lie within a chord's height of a cut, where a polygon cannot tell
+DOP853 = 1e-7  # what scipy's DOP853 at 1e-12 is good for until the first return
+
+TURNING = {"down-up": 1, "up-down": 0}
+"""Saddle: index of the angle that turns when its bottleneck is passed."""
+
+
+def cut_of(saddle, energy, chord=0.02):
+    system = load_model("lab").system
+    manifold = UnstableManifold(lyapunov_orbit(system, saddle, energy=energy))
+    return manifold, tube_cut(manifold, system.sections[saddle, saddle], settings=CutSettings(chord=chord))
+
+
+@pytest.fixture(scope="module", params=[("down-up", -0.07), ("up-down", 0.2)], ids=str)
+def carried(request):
+    manifold, cut = cut_of(*request.param)
+    return tube_interior(manifold, cut, settings=InteriorSettings(across=24, returns=2))
+
+
+@pytest.fixture(scope="module")
+def open_cut():
+    manifold, cut = cut_of("down-up", 0.2)
+    return tube_interior(manifold, cut)
+
+
+def test_a_polygon_holds_the_points_of_its_disc():
+    t = np.linspace(0, 2 * np.pi, 2001)[:-1]
+    vertices = np.column_stack([np.cos(t), np.sin(t)])
+    points = np.random.default_rng(7).uniform(-1.5, 1.5, (4000, 2))
+    radius = np.linalg.norm(points, axis=1)
+    clear = np.abs(radius - 1) > 1e-5
+    assert np.array_equal(inside(points, vertices)[clear], radius[clear] < 1)
+
+
+def test_states_lie_on_the_section_at_the_tubes_energy_and_cross_its_way(carried):
+    system, section = carried.orbit.system, carried.section
+    assert len(carried.points) > 50
+    assert np.abs(system.numeric.hamiltonian(carried.states) - carried.orbit.energy).max() < ENERGY
+    assert np.abs(np.sin(section.height(carried.states) / 2)).max() < 1e-14
+    assert np.abs(section_points(system, section, carried.states) - carried.points).max() < 1e-12
+    assert np.all(system.numeric.rate(carried.states) @ np.asarray(section.normal) > 0)
+
+
+def test_what_is_inside_the_unstable_tube_has_come_through_the_bottleneck(carried):
+    turning = TURNING[carried.orbit.saddle]
+    assert np.all(carried.backward.arrived[:, 0])
+    passed = carried.backward.winding[:, 0, turning] == -1
+    assert np.mean(~passed) < NEAR_CUT
+
+
+def test_what_is_outside_the_unstable_tube_has_not(carried):
+    """Points of the section just outside the cut come from the same well: the turning angle made no turn."""
+    system, section = carried.orbit.system, carried.section
+    outline = next(o for o in carried.outlines if o.branch == 1 and not o.stable)
+    centre = carried.points[np.argmin(carried.radius)]
+    ring = centre + 1.03 * (outline.vertices[::5] - centre)
+    ring = ring[~inside(ring, outline.vertices)]
+    level = float(np.round(section.height(carried.states[0]) / (2 * np.pi))) * 2 * np.pi
+    states, fits = section_states(system, section, ring, energy=carried.orbit.energy, direction=1, level=level)
+    turning = TURNING[carried.orbit.saddle]
+    for state in states[fits]:
+        before = system.propagator.crossing(system.propagator.flow(state, -1e-6), section, longest=-10.0)
+        assert before is not None
+        assert abs(before.state[turning] - state[turning]) < 1e-9
+    assert np.count_nonzero(fits) > 5
+
+
+def test_what_is_inside_the_stable_tube_goes_through_next(carried):
+    turning = TURNING[carried.orbit.saddle]
+    passes = np.abs(carried.forward.winding[:, 0, turning]) == 1
+    assert np.mean(passes != (carried.in_other != 0)) < NEAR_CUT
+    assert 0.1 < np.mean(passes) < 0.9
+
+
+def test_one_return_back_the_unstable_interior_fills_the_stable_one(carried):
+    assert np.mean(carried.backward.in_stable[:, 0] != 0) > 1 - NEAR_CUT
+
+
+def test_returns_are_those_of_an_independent_flight(carried):
+    system = carried.orbit.system
+    f, p, turning = system.equations.function(), system.parameters, TURNING[carried.orbit.saddle]
+
+    def rate(t, x):
+        return np.array(f(x, [], p)).ravel()
+
+    for k in range(0, len(carried.points), max(1, len(carried.points) // 6)):
+        for run, sign in ((carried.forward, 1), (carried.backward, -1)):
+            start, seconds = carried.states[k], run.seconds[k, 0]
+            dense = solve_ivp(
+                rate, (0, sign * (seconds + 0.05)), start, "DOP853", rtol=1e-12, atol=1e-12, dense_output=True
+            ).sol
+            assert np.abs(dense(sign * seconds) - run.states[k, 0]).max() < DOP853
+            # Nothing is crossed on the way.
+            path = np.sin(dense(sign * np.linspace(1e-4, seconds - 1e-4, 4000))[turning] / 2)
+            assert np.all(np.sign(path) == np.sign(path[0]))
+
+
+def test_the_stable_interior_is_the_unstable_one_under_time_reversal(carried):
+    stable = turned_around(carried)
+    system, section = stable.orbit.system, stable.section
+    assert stable.stable
+    for k in (0, len(stable.points) // 2):
+        crossing = system.propagator.crossing(
+            system.propagator.flow(stable.states[k], 1e-6), section, longest=stable.forward.seconds[k, 0] + 1.0
+        )
+        assert np.abs(crossing.state - stable.forward.states[k, 0]).max() < 1e-9
+    there_and_back = turned_around(stable)
+    assert np.abs(there_and_back.states - carried.states).max() < 1e-14
+    assert np.array_equal(there_and_back.forward.winding, carried.forward.winding)
+    assert np.array_equal(there_and_back.forward.in_stable, carried.forward.in_stable)
+
+
+def test_angle_and_radius_make_a_colour_wheel(carried):
+    assert carried.radius.min() == 0
+    assert 0.9 < carried.radius.max() <= 1
+    assert np.all((carried.angle >= 0) & (carried.angle < 2 * np.pi))
+    assert len(np.unique(np.floor(carried.angle / (np.pi / 4)))) == 8
+
+
+@pytest.mark.parametrize(
+    ("saddle", "energy", "state"),
+    [
+        ("down-up", -0.06985, (0.0, 0.0, -13.01598498635436, 21.243853523780334)),
+        ("up-down", 0.2, (0.0, 0.0, 20.70428441172521, -20.03102661145952)),
+    ],
+    ids=str,
+)
+def test_the_reference_rotating_orbits_live_inside_both_tubes(saddle, energy, state):
+    manifold, cut = cut_of(saddle, energy)
+    system = manifold.orbit.system
+    points, outlines = section_points(system, cut.section, np.array([state])), outlines_of(cut, manifold)
+    for stable in (False, True):
+        own = tuple(o for o in outlines if o.stable is stable)
+        assert labels(system, cut.section, own, points, np.array([1]))[0] != 0
+
+
+def test_the_area_of_a_cut_is_the_action_of_its_orbit():
+    """Stokes: the tube's cut encloses ∮ p dq of its orbit, whatever the section."""
+    manifold, cut = cut_of("down-up", -0.07, chord=0.005)
+    system, orbit = manifold.orbit.system, manifold.orbit
+    outline = next(o for o in outlines_of(cut, manifold) if o.branch == 1 and not o.stable)
+    x, y = outline.vertices.T
+    area = abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))) / 2 * momentum_scale(system, cut.section)
+    states = system.propagator.sample(orbit.state, np.linspace(0, orbit.period, 2001)[:-1])
+    power = np.sum(system.numeric.momentum(states) * system.numeric.rate(states)[:, :2], axis=1)
+    action = np.mean(power) * orbit.period
+    assert area == pytest.approx(action, rel=1e-4)
+
+
+def test_an_open_cut_has_no_inside_and_says_why(open_cut):
+    assert len(open_cut.points) == len(open_cut.forward.states) == 0
+    assert "no closed cut" in open_cut.status
+    assert "grazes" in open_cut.status
+    assert turned_around(open_cut).stable
+
+
+def test_impossible_branches_are_refused():
+    manifold, cut = cut_of("down-up", -0.07, chord=0.2)
+    with pytest.raises(InputError, match=r"must be \+1 or -1"):
+        tube_interior(manifold, cut, branch=2)
+
+
+def test_points_that_do_not_return_in_time_are_marked(carried):
+    manifold, cut = cut_of(carried.orbit.saddle, carried.orbit.energy, chord=0.2)
+    short = tube_interior(manifold, cut, settings=InteriorSettings(across=6, returns=2, longest=0.3))
+    assert not short.forward.arrived.all()
+    assert np.isfinite(short.forward.states).all()
+    missing = ~short.forward.arrived
+    assert np.all(short.forward.in_stable[missing] == 0)
+
+
+def test_figures_are_drawn_of_either_tube_and_of_none(carried, open_cut, tmp_path):
+    for name, interior in (("unstable", carried), ("stable", turned_around(carried)), ("none", open_cut)):
+        save_interior(interior, tmp_path / f"{name}.png")
+        assert (tmp_path / f"{name}.png").stat().st_size > 5_000
+    texts = " ".join(t.get_text() for t in draw_interior(open_cut).texts)
+    assert "no closed cut" in texts.replace("\n", " ")
