@@ -15,6 +15,7 @@ VERBS = {
     "orbit": "Compute a Lyapunov orbit, or its family, and its Floquet multipliers.",
     "connect": "Find all homoclinic or heteroclinic connections of an energy.",
     "bifurcations": "Find the energies at which connections appear, split or change their hits.",
+    "atlas": "Compute all of an energy: orbits, tubes, connections, their graph.",
     "plan": "Plan an itinerary: shadowing orbit and reference.",
     "run": "Run an itinerary in closed loop and write its log.",
     "score": "Say whether logged runs did what was asked.",

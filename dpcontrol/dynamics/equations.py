@@ -6,6 +6,7 @@ free part is the prefix at every level, so zeroing what a level adds gives back 
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -101,10 +102,12 @@ class _Buffered:
         self._out = np.zeros(function.numel_out(0))
         # The buffer holds bare addresses: function and arrays must live as long as it does.
         self._function = function
-        self._buffer, self._run = function.buffer()
-        self._buffer.set_arg(0, memoryview(self._state))
-        self._buffer.set_arg(1, memoryview(self._parameters))
-        self._buffer.set_res(0, memoryview(self._out))
+        buffer: Any
+        buffer, self._run = function.buffer()
+        buffer.set_arg(0, memoryview(self._state.data))
+        buffer.set_arg(1, memoryview(self._parameters.data))
+        buffer.set_res(0, memoryview(self._out.data))
+        self._buffer = buffer
 
     def __call__(self, states: Array) -> Array:
         """Return the outputs (K, M) at states (K, N)."""
