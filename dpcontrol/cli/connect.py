@@ -1,6 +1,7 @@
 """dpcontrol connect"""
 
 import difflib
+import re
 from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING, Any
@@ -16,6 +17,10 @@ if TYPE_CHECKING:
     from dpcontrol.tubes.connections import Connection, ConnectionSearch
 
 
+SHOWN = 8
+"""Open ends of cuts that are printed for people: tubes that scatter have hundreds."""
+
+
 class _DecimalNumber(click.ParamType):
     """A number kept as the decimal that was typed, for extended precision: 0.2 is one fifth."""
 
@@ -28,11 +33,29 @@ class _DecimalNumber(click.ParamType):
             self.fail(f"{value!r} is not a number.", param, ctx)
 
 
+class _Hits(click.ParamType):
+    """Crossings of the section: N for both tubes, or N,M for the unstable and the stable one."""
+
+    name = "n[,m]"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        numbers = str(value).split(",")
+        if len(numbers) in (1, 2) and all(n.strip().isdecimal() and 1 <= int(n) <= 9 for n in numbers):
+            return int(numbers[0]), int(numbers[-1])
+        self.fail(f"{value!r} is neither one number from 1 to 9 nor two, as in 1,2.", param, ctx)
+
+
 @click.command("connect", epilog="Example:  dpcontrol connect lab --from down-up --to up-down --energy 0.2")
 @click.argument("model")
 @click.option("--from", "source", required=True, help="Saddle whose orbit the connection leaves.")
 @click.option("--to", "target", required=True, help="Saddle whose orbit it joins.")
 @click.option("--energy", required=True, type=_DecimalNumber(), help="Energy in J, zero at the pivot's height.")
+@click.option(
+    "--hits",
+    type=_Hits(),
+    help="How-manieth crossing of the section: of both tubes, or N,M of the unstable and the stable one. "
+    "[default: 1, or what --name says]",
+)
 @click.option("--name", help="Show this connection only; names are those that the verb lists.")
 @click.option(
     "--precision",
@@ -44,9 +67,17 @@ class _DecimalNumber(click.ParamType):
 @json_option
 @reports_failure
 def command(
-    *, model: str, source: str, target: str, energy: Decimal, name: str | None, precision: str, as_json: bool
+    *,
+    model: str,
+    source: str,
+    target: str,
+    energy: Decimal,
+    hits: tuple[int, int] | None,
+    name: str | None,
+    precision: str,
+    as_json: bool,
 ) -> None:
-    """Find every first-hit connection between the Lyapunov orbits of two saddles (or one).
+    """Find every connection between the Lyapunov orbits of two saddles (or one) that meets their section at given hits.
 
     All connections on the torus of angles are listed: both senses, mirror pairs and reflections. A connection's name
     may stand in an itinerary's walk.
@@ -56,6 +87,9 @@ def command(
 
     if precision == "extended" and name is None:
         raise InputError("--precision extended refines one connection: give its --name as `dpcontrol connect` lists it")
+    if hits is None:
+        named = re.search(r"\]h([1-9])\.([1-9])@", name or "")
+        hits = (int(named[1]), int(named[2])) if named else (1, 1)
     loaded = load_model(model)
     system = loaded.system
     with progress_bar("connections") as progress:
@@ -63,7 +97,7 @@ def command(
         for orbit in orbits:
             if not orbit.converged:
                 raise GoalMissed(f"the Lyapunov orbit about {orbit.saddle} at {energy} J: {orbit.status}")
-        search = find_connections(*orbits, progress=progress)
+        search = find_connections(*orbits, hits=hits, progress=progress)
     found = search.connections
     if name is not None:
         found = (_named(search, name),)
@@ -84,6 +118,7 @@ def command(
                 "energy": float(energy),
                 "from": source,
                 "to": target,
+                "hits": hits,
             }
         )
     else:
@@ -102,9 +137,11 @@ def command(
         columns = ("name", "sense", "symmetric", "angle (°)", "residual", "time out (s)", "time in (s)")
         print_table(f"{source} → {target} at {energy} J on {system.sections[source, target].name}", columns, rows)
         click.echo(search.status)
-        for tube, end in search.open_ends:
+        for tube, end in search.open_ends[:SHOWN]:
             low, high = end.phase_interval
             click.echo(f"open: {tube} tube, branch {end.branch:+d}, phase {low:.6f} … {high:.6f}: {end.reason}")
+        if len(search.open_ends) > SHOWN:
+            click.echo(f"… and {len(search.open_ends) - SHOWN} more open ends, which --json lists")
     if search.failed and name is None:
         raise GoalMissed(f"the search between {source} and {target} is not complete: {search.status}")
 
