@@ -5,7 +5,8 @@
 with the larger primary (μ₁ = 1 - μ) at x = -μ and the smaller (μ₂ = μ) at x = 1 - μ; units: distance of the primaries,
 their total mass, their angular velocity. The kinetic energy has terms linear in velocity and nothing is an angle.
 
-Source: Koon, Lo, Marsden, Ross (2000), section 2; the potential's constant is that of Kaheman et al. (2023), appendix A.
+Source: Koon, Lo, Marsden, Ross (2000), section 2; the constant in the potential is that of Kaheman et al. (2023),
+appendix A.
 """
 
 from dataclasses import dataclass

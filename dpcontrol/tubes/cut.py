@@ -24,8 +24,9 @@ class CutSettings:
     """How a tube is cut.
 
     chord: between neighbours in (q, p/p₀), in units of the system's section scale; longest: periods of the orbit that
-    a trajectory may take, None for the system's own number; most_jumps: more phase intervals than this that stay wide below fine_phase_step mean that
-    the curve is not a curve there (its trajectories scatter chaotically before they arrive), and refinement stops.
+    a trajectory may take, None for the system's own number; most_jumps: more phase intervals than this that stay wide
+    below fine_phase_step mean that the curve is not a curve there (its trajectories scatter chaotically before they
+    arrive), and refinement stops. grazing: a normal rate below this share of the largest means a grazing crossing.
     """
 
     first_phases: int = 100
@@ -35,6 +36,7 @@ class CutSettings:
     most_points: int = 20_000
     fine_phase_step: float = 1e-4
     most_jumps: int = 40
+    grazing: float = 0.01
 
 
 @dataclass(frozen=True)
@@ -180,7 +182,7 @@ def _refined(sampler: _Sampler, start: float) -> tuple[list[_Sample], str]:
     return samples, f"branch {sampler.branch:+d}: {settings.most_points} points leave wide chords; allow more"
 
 
-def _reason(a: _Sample, b: _Sample, hit: int) -> str:
+def _reason(a: _Sample, b: _Sample, hit: int, grazing: float) -> str:
     """Say why the curve is open between two indistinguishable phases."""
     if a.point is None or b.point is None:
         return (
@@ -188,12 +190,18 @@ def _reason(a: _Sample, b: _Sample, hit: int) -> str:
             "orbit or librate"
         )
     slow = min(abs(a.normal_rate), abs(b.normal_rate))
+    if slow > grazing:
+        return (
+            f"jumps: neighbouring trajectories part before crossing {hit} (normal rates {a.normal_rate:.3g} and "
+            f"{b.normal_rate:.3g}); they pass near another orbit or were not refined further"
+        )
     return f"grazes the section: crossing {hit} jumps where the normal rate falls to {slow:.1e} rad/s"
 
 
 def _pieces(samples: list[_Sample], sampler: _Sampler) -> tuple[list[Piece], list[OpenEnd]]:
     """Split refined samples into connected pieces and the gaps between them."""
     joins = [_continuous(a, b, sampler.chord) for a, b in pairwise(samples)]
+    grazing = sampler.settings.grazing * max(abs(s.normal_rate) for s in samples)
     gaps: list[OpenEnd] = []
     runs: list[list[_Sample]] = [[]]
     never: list[float] = []
@@ -210,7 +218,7 @@ def _pieces(samples: list[_Sample], sampler: _Sampler) -> tuple[list[Piece], lis
                     runs.append([])
                 if sample.point is not None and following.point is not None:
                     interval = (sample.phase % 1, following.phase % 1)
-                    gaps.append(OpenEnd(sampler.branch, interval, _reason(sample, following, sampler.hit)))
+                    gaps.append(OpenEnd(sampler.branch, interval, _reason(sample, following, sampler.hit, grazing)))
             if following.point is not None and never:
                 gaps.append(_never(never, sampler))
                 never = []
