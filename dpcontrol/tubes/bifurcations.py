@@ -17,6 +17,7 @@ with n_u + n_s - 1 = N; first hits, [1, 1], are those that cross once.
 """
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -124,15 +125,25 @@ def find_bifurcations(
         )
     sweep = Sweep(system, source, target, crossings, settings)
     grid = [float(e) for e in np.linspace(start, high, settings.energies)]
-    before = sweep.search(grid[0])
-    counts, changes, unexplained = [before], [], []
-    for k, energy in enumerate(grid[1:]):
-        progress(f"{source} → {target} at {energy:.4f} J", k / (len(grid) - 1))
-        after = sweep.search(energy)
-        sweep.explain(before, after, settings.halvings, counts, changes, unexplained)
-        before = after
+    narrowest = 1.001 * (grid[1] - grid[0]) / 2**settings.halvings
+    k = 0
+    while k < len(grid) - 1:
+        progress(f"{source} → {target} at {grid[k]:.4f} J", (grid[k] - start) / (high - start))
+        low_end, high_end = grid[k], grid[k + 1]
+        if (
+            not _adds_up(sweep, low_end, high_end)
+            and high_end - low_end > narrowest
+            and _searched(sweep, grid[k : k + 2])
+        ):
+            grid.insert(k + 1, (low_end + high_end) / 2)
+            continue
+        # A search amended on the way may spoil what was explained before it.
+        k = k - 1 if k > 0 and not sweep.explained(grid[k - 1], grid[k]) else k + 1
     progress("bifurcations", 1.0)
-    counts.sort(key=lambda c: c.energy)
+    counts = [sweep.search(energy) for energy in grid]
+    pairs = list(pairwise(grid))
+    changes = [c for a, b in pairs for c in sweep.between(a, b).changes]
+    unexplained = [(a, b, _why(sweep, a, b)) for a, b in pairs if not _adds_up(sweep, a, b)]
     events = _with_counts(sweep, changes, counts)
     caveats = [f"at {c.energy:.6g} J {c.caveat}" for c in counts if c.caveat]
     complete = not unexplained and not caveats
@@ -150,6 +161,23 @@ def find_bifurcations(
     return BifurcationSearch(
         system, source, target, sweep.section, crossings, events, points, tuple(unexplained), complete, status
     )
+
+
+def _adds_up(sweep: Sweep, low: float, high: float) -> bool:
+    interval = sweep.between(low, high)
+    # Only now: a search may have been amended while the interval was followed.
+    before, after = sweep.search(low), sweep.search(high)
+    return not interval.reasons and len(before.points) + interval.gain == len(after.points)
+
+
+def _searched(sweep: Sweep, energies: list[float]) -> bool:
+    return not any(sweep.search(energy).caveat for energy in energies)
+
+
+def _why(sweep: Sweep, low: float, high: float) -> str:
+    interval, before, after = sweep.between(low, high), sweep.search(low), sweep.search(high)
+    counts = f"{before.count} become {after.count} connections, located events account for "
+    return "; ".join([counts + f"{interval.gain * after.weight:+d}", *interval.reasons[:2]])
 
 
 def _with_counts(sweep: Sweep, changes: list[Change], counts: list[Found]) -> tuple[Bifurcation, ...]:

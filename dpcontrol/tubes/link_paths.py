@@ -37,6 +37,44 @@ class Path:
     reason: str
 
 
+def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: float = 1 / 32) -> PathPoint | None:
+    """Carry a solved connection to energy `goal` where it does not turn on the way, None where it may.
+
+    Each step is predicted along ∂(φ_u, φ_s, T)/∂H and solved at fixed energy; the tangency σ must keep its sign, as it
+    does not across a turn. Cheaper than `follow`, which rounds turns.
+    """
+    way = goal - point.energy
+    done, share, here = 0.0, 1.0, point
+    while done < 1.0:
+        following = min(1.0, done + share)
+        energy = goal if following == 1.0 else point.energy + following * way
+        arrived = _stepped(problem, here, energy)
+        if arrived is None:
+            share /= 2
+            if share < smallest:
+                return None
+            continue
+        here, done = arrived, following
+        share *= 2
+    return here
+
+
+def _stepped(problem: LinkProblem, here: PathPoint, energy: float) -> PathPoint | None:
+    """Return the connection at a nearby energy, None where the prediction was poor or the tangency changed its sign."""
+    try:
+        match = problem.match(here.link, here.energy)
+        by_energy = _energy_slope(problem, here.link, here.energy, 1e-5 * problem.system.energy_scale)
+        slope = -np.linalg.lstsq(match.jacobian, by_energy, rcond=1e-13)[0]
+        guess = here.link.at(here.link.unknowns + slope * (energy - here.energy))
+        link, match = problem.solved(guess, energy)
+    except (ArithmeticError, InputError, np.linalg.LinAlgError):
+        return None
+    moved = np.abs(link.unknowns - guess.unknowns) / np.array([0.02, 0.02, 0.02 * link.duration])
+    if np.any(moved > 1.0) or match.tangency * here.tangency <= 0:
+        return None
+    return PathPoint(link, energy, match.tangency)
+
+
 def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps: int = 120) -> Path:
     """Follow a connection that is solved at energy `start` towards `goal`, round every turn, until it arrives there
     or comes back."""
@@ -53,7 +91,9 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
             here = np.append(points[-1].link.unknowns, points[-1].energy)
             arrived = _corrected(problem, link, here + length * tangent * weights, tangent, weights)
             bent = arrived is not None and _bend(arrived[0] - here, tangent, weights) < 0.9
-            if arrived is None or bent:
+            # A first step that ends behind the start has overrun a turn next to it.
+            overrun = arrived is not None and len(points) == 1 and (arrived[0][3] - start) * way <= 0
+            if arrived is None or bent or overrun:
                 length /= 2
                 if length < 1e-5:
                     return _lost(points, turns, problem, "Newton's method fails at the smallest step")

@@ -14,7 +14,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.tubes.cut import tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
 from dpcontrol.tubes.link_events import Located, locate_graze, locate_turn
-from dpcontrol.tubes.link_paths import Path, PathPoint, follow
+from dpcontrol.tubes.link_paths import Path, PathPoint, carry, follow
 from dpcontrol.tubes.link_profile import profile
 from dpcontrol.tubes.links import Link, LinkProblem
 from dpcontrol.tubes.manifold import UnstableManifold
@@ -27,13 +27,15 @@ class SweepSettings:
     """How energies are swept. energies: how many at first; halvings: of an interval that does not add up.
 
     same: largest difference of phases at which two links are one; closest: energies nearer to a saddle's than this
-    part of the energy scale are left out, tubes being thinner there than their seeds are far.
+    part of the energy scale are left out, tubes being thinner there than their seeds are far; tangent: links with a
+    smaller tangency σ than this are searched for a near partner.
     """
 
     energies: int = 24
     halvings: int = 3
     same: float = 1e-4
     closest: float = 1e-4
+    tangent: float = 0.1
     search: ConnectionSettings = field(default_factory=ConnectionSettings)
 
 
@@ -61,6 +63,19 @@ class Change:
     symmetric: bool
 
 
+@dataclass(frozen=True)
+class Interval:
+    """What happened between two energies: the changes, and sentences on what could not be followed or located."""
+
+    changes: tuple[Change, ...]
+    reasons: tuple[str, ...]
+
+    @property
+    def gain(self) -> int:
+        """How many links the changes add, going up in energy."""
+        return sum(c.gain for c in self.changes)
+
+
 class Sweep:
     """One sweep's problem and its searches."""
 
@@ -69,12 +84,19 @@ class Sweep:
         self.section = system.sections[source, target]
         self.crossings, self.settings = crossings, settings
         self.same_saddle = source == target
+        self._found: dict[float, Found] = {}
+        self._intervals: dict[tuple[float, float], Interval] = {}
 
     def search(self, energy: float) -> Found:
-        """Find the links with the asked number of crossings at one energy.
+        """Find the links with the asked number of crossings at one energy; kept, and amended by later finds.
 
         Where crossings of the cuts do not converge, as next to a graze, the search is repeated with finer cuts.
         """
+        if energy not in self._found:
+            self._found[energy] = self._search(energy)
+        return self._found[energy]
+
+    def _search(self, energy: float) -> Found:
         try:
             manifolds = self.problem.manifolds(energy)
         except (ArithmeticError, InputError) as error:
@@ -111,6 +133,7 @@ class Sweep:
                 continue
             if self.among(link, points) is None:
                 points.append(PathPoint(link, energy, match.tangency))
+                points += self._partners(points[-1], points)
         if failed:
             caveat = f"{failed} crossings of the cuts did not converge"
         for cut in (unstable, stable):
@@ -130,35 +153,60 @@ class Sweep:
         """Return how often a solved link crosses the section."""
         return profile(self.problem, point.link, point.energy, self.section).count
 
-    def explain(
-        self,
-        before: Found,
-        after: Found,
-        halvings: int,
-        counts: list[Found],
-        changes: list[Change],
-        unexplained: list[tuple[float, float, str]],
-    ) -> None:
-        """Add the changes between two searches, and `after` to the counts; halve the interval where they do not add
-        up."""
-        found, reasons = self._changes(before, after)
-        gain = sum(c.gain for c in found)
-        if not reasons and len(before.points) + gain == len(after.points):
-            changes += found
-            counts.append(after)
-            return
-        if halvings > 0 and not before.caveat and not after.caveat:
-            middle = self.search((before.energy + after.energy) / 2)
-            self.explain(before, middle, halvings - 1, counts, changes, unexplained)
-            self.explain(middle, after, halvings - 1, counts, changes, unexplained)
-            return
-        changes += found
-        counts.append(after)
-        why = f"{before.count} become {after.count} connections, located events account for {gain * after.weight:+d}"
-        unexplained.append((before.energy, after.energy, "; ".join([why, *reasons[:2]])))
+    def _partners(self, point: PathPoint, known: list[PathPoint]) -> list[PathPoint]:
+        """Look for a second solution beside an almost tangent one, which the cuts' polylines do not tell apart."""
+        if abs(point.tangency) > self.settings.tangent:
+            return []
+        found: list[PathPoint] = []
+        match = self.problem.match(point.link, point.energy)
+        flat = np.linalg.svd(match.jacobian)[2][-1]
+        flat = flat / np.abs(flat[:2]).max()
+        for size in (1e-3, -1e-3, 4e-3, -4e-3, 1.6e-2, -1.6e-2):
+            try:
+                link, beside = self.problem.solved(point.link.at(point.link.unknowns + size * flat), point.energy)
+            except ArithmeticError:
+                continue
+            other = PathPoint(link, point.energy, beside.tangency)
+            if self.among(link, [*known, *found]) is None and self.count(other) == self.crossings:
+                found.append(other)
+        return found
 
-    def _changes(self, before: Found, after: Found) -> tuple[list[Change], list[str]]:
-        """Follow what two neighbouring searches do not share; return the changes and what stays unexplained."""
+    def between(self, low: float, high: float) -> Interval:
+        """Explain what two neighbouring searches do not share; kept until one of them is amended."""
+        before, after = self.search(low), self.search(high)
+        if (low, high) not in self._intervals:
+            changes, reasons, missed = self._changes(before, after)
+            amended = [self._amend(e, [p for p in missed if p.energy == e]) for e in sorted({p.energy for p in missed})]
+            if any(amended):
+                return self.between(low, high)
+            if missed:
+                reasons.append(f"continuation meets {len(missed)} connections that the searches do not find")
+            self._intervals[low, high] = Interval(tuple(changes), tuple(reasons))
+        return self._intervals[low, high]
+
+    def explained(self, low: float, high: float) -> bool:
+        """Whether the interval was explained since its searches were last amended."""
+        return (low, high) in self._intervals
+
+    def _amend(self, energy: float, missed: list[PathPoint]) -> bool:
+        """Add connections that continuation met and the search had not seen, with their mirror images; say if any."""
+        points = list(self._found[energy].points)
+        before = len(points)
+        for point in missed:
+            images = [self.problem.mirrored(point.link, k) for k in range(len(self.problem.system.reversers))]
+            for link in [point.link, *(i for i in images if i is not None)]:
+                known_branch = any(link.branches[0] == p.link.branches[0] for p in [*points, point])
+                if known_branch and self.among(link, points) is None:
+                    points.append(PathPoint(link, energy, point.tangency))
+        self._found[energy] = replace(self._found[energy], points=tuple(points))
+        self._intervals = {k: v for k, v in self._intervals.items() if energy not in k}
+        return len(points) > before
+
+    def _changes(self, before: Found, after: Found) -> tuple[list[Change], list[str], list[PathPoint]]:
+        """Follow what two neighbouring searches do not share.
+
+        Returns the changes, what stays unexplained, and connections that the searches should have found.
+        """
         lost, born = set(range(len(before.points))), set(range(len(after.points)))
         for k, point in enumerate(before.points):
             match = self._carried(point, after)
@@ -167,6 +215,7 @@ class Sweep:
                 born.discard(match)
         changes: list[Change] = []
         reasons: list[str] = []
+        missed: list[PathPoint] = []
         for left, start, goal in ((lost, before, after), (born, after, before)):
             while left:
                 k = min(left)
@@ -181,24 +230,15 @@ class Sweep:
                     left.discard(arrived)
                 elif path.outcome == "reached" and arrived is not None and goal is after:
                     born.discard(arrived)
-                elif self.count(end) == self.crossings:
-                    reasons.append(
-                        f"the search at {end.energy:.9g} J missed a connection with phases "
-                        f"{end.link.phases[0] % 1:.6f}, {end.link.phases[1] % 1:.6f}"
-                    )
+                elif arrived is None and self.count(end) == self.crossings:
+                    missed.append(end)
                 self._along(path, changes, reasons)
-        return self._distinct(changes), reasons
+        return self._distinct(changes), reasons, missed
 
     def _carried(self, point: PathPoint, after: Found) -> int | None:
-        """Solve for a link at the next energy from its place at this one; return which of the next it is."""
-        try:
-            link, match = self.problem.solved(point.link, after.energy)
-        except ArithmeticError:
-            return None
-        # A turn between would have changed the sign of the tangency.
-        if match.tangency * point.tangency <= 0:
-            return None
-        return self.among(link, after.points)
+        """Carry a link to the next energy in a few predicted steps; return which of the next it is, None if none."""
+        arrived = carry(self.problem, point, after.energy)
+        return None if arrived is None else self.among(arrived.link, after.points)
 
     def _along(self, path: Path, changes: list[Change], reasons: list[str]) -> None:
         """Add the turns and touches along a path."""

@@ -1,0 +1,211 @@
+"""Changes of the connections with energy: saddle-nodes, pitchforks, and those that the section only feigns."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dpcontrol.cli.main import main
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.bifurcations import find_bifurcations
+from dpcontrol.tubes.connecting_orbit import Anchor, solve_connecting_orbit
+from dpcontrol.tubes.connections import find_connections, orbits_between
+from dpcontrol.tubes.cut import CutSettings
+from dpcontrol.tubes.intersections import ConnectionSettings
+from dpcontrol.tubes.links import LinkProblem
+from dpcontrol.tubes.manifold import UnstableManifold
+from dpcontrol.tubes.sweep import Sweep, SweepSettings
+
+REPEATABLE = 1e-7  # J: the bar; 1e-11 is reached
+RESIDUAL = 1e-8
+LAW = 0.02  # relative: how near a square-root law holds a few microjoules from its bifurcation
+ON_MIRROR = 1e-7  # rad
+
+SADDLE_NODE, PITCHFORK, GRAZE = (-0.1425, -0.1415), (-0.1008, -0.0998), (0.0180, 0.0190)
+"""Energies in J about three events of the lab pendulum's Down-Up homoclinics."""
+
+
+@pytest.fixture(scope="module")
+def system():
+    return load_model("lab").system
+
+
+def located(system, energies, *, source="down-up", target="down-up", distance=1e-4, chord=0.05, samples=2):
+    search = ConnectionSettings(distance=distance, cut=CutSettings(chord=chord))
+    settings = SweepSettings(energies=samples, search=search)
+    return find_bifurcations(system, source, target, energies=energies, settings=settings)
+
+
+@pytest.fixture(scope="module")
+def events(system):
+    found = {name: located(system, name) for name in (SADDLE_NODE, PITCHFORK, GRAZE)}
+    assert all(f.complete and len(f.events) == 1 for f in found.values())
+    return {name: f.events[0] for name, f in found.items()}
+
+
+def connections_at(system, energy):
+    return find_connections(*orbits_between(system, "down-up", "down-up", energy)).connections
+
+
+def off_mirror(connection):
+    return abs(np.sin(connection.state[0]))
+
+
+def test_each_change_has_its_own_kind_and_counts(events):
+    found = {name: (e.kind, e.count_below, e.count_above, e.symmetric) for name, e in events.items()}
+    assert found == {
+        SADDLE_NODE: ("saddle-node", 0, 4, True),
+        PITCHFORK: ("pitchfork", 4, 8, True),
+        GRAZE: ("section-artefact", 8, 10, True),
+    }
+    assert max(e.residual for e in events.values()) < RESIDUAL
+
+
+def test_counts_by_the_search_alone_change_at_the_located_energies(system, events):
+    """Near side found, far side empty: 2e-6 J on either side of a tangency, where the cuts all but touch."""
+    for name in (SADDLE_NODE, PITCHFORK):
+        event = events[name]
+        sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
+        counts = [sweep.search(event.energy + d).count for d in (-2e-6, 2e-6)]
+        assert counts == [event.count_below, event.count_above]
+
+
+def test_an_interval_that_ends_a_hair_beyond_a_pitchfork_holds_it(system, events):
+    energy = events[PITCHFORK].energy
+    found = located(system, (energy - 1e-5, energy + 1e-6))
+    assert [(e.kind, e.count_below, e.count_above) for e in found.events] == [("pitchfork", 4, 8)]
+    assert found.complete
+
+
+def test_the_angle_at_a_saddle_node_falls_as_the_square_root(system, events):
+    energy = events[SADDLE_NODE].energy
+    angles = [min(c.transversality_angle for c in connections_at(system, energy + d)) for d in (1e-5, 4e-5)]
+    assert angles[1] / angles[0] == pytest.approx(2.0, rel=LAW)
+
+
+def test_a_pitchforks_pair_leaves_the_mirror_as_the_square_root(system, events):
+    energy = events[PITCHFORK].energy
+    offsets = []
+    for d in (1e-5, 4e-5):
+        found = connections_at(system, energy + d)
+        assert sum(off_mirror(c) < ON_MIRROR for c in found) == 4
+        offsets.append(max(off_mirror(c) for c in found))
+    assert offsets[1] / offsets[0] == pytest.approx(2.0, rel=LAW)
+
+
+@pytest.mark.parametrize("name", [SADDLE_NODE, PITCHFORK, GRAZE], ids=["saddle-node", "pitchfork", "artefact"])
+def test_energies_repeat_under_doubled_sampling_and_halved_seed_distance(system, events, name):
+    again = located(system, name, distance=5e-5, chord=0.025)
+    assert [e.kind for e in again.events] == [events[name].kind]
+    assert abs(again.events[0].energy - events[name].energy) < REPEATABLE
+    assert np.abs(again.events[0].state - events[name].state)[2:].max() < 1e-5
+
+
+@pytest.mark.parametrize("name", [SADDLE_NODE, PITCHFORK], ids=["saddle-node", "pitchfork"])
+def test_the_state_at_a_bifurcation_flows_to_its_orbit_both_ways_by_scipy(system, events, name):
+    event = events[name]
+    orbit, _ = orbits_between(system, "down-up", "down-up", event.energy)
+    curve = system.propagator.sample(orbit.state, np.linspace(0, orbit.period, 4000))
+    f = system.equations.function()
+    for sign in (1, -1):
+        flown = solve_ivp(
+            lambda t, x, s=sign: s * np.array(f(x, [], system.parameters)).ravel(),
+            (0, 1.25),
+            event.state,
+            method="DOP853",
+            rtol=1e-12,
+            atol=1e-12,
+        ).y[:, -1]
+        # A chord of 4,000 leaves about 5e-4 of the orbit's own length between samples.
+        assert system.scaled_distance(np.broadcast_to(flown, curve.shape), curve).min() < 1e-3
+
+
+def test_a_connection_that_grazes_its_section_goes_on_beyond(system, events):
+    """Multiple shooting, which knows no hits, carries it below the energy at which the first-hit list loses it."""
+    event = events[GRAZE]
+    assert abs(event.state[3]) < 1e-8
+    above, below = event.energy + 1e-4, event.energy - 1e-4
+    grazing = min(
+        (c for c in connections_at(system, above) if c.sense > 0),
+        key=lambda c: np.abs(c.state[2:] - event.state[2:]).max(),
+    )
+    orbit, _ = orbits_between(system, "down-up", "down-up", below)
+    manifold, old = UnstableManifold(orbit), grazing.orbit
+    middle = int(np.argmin(np.abs(old.times)))
+    carried = solve_connecting_orbit(
+        system,
+        replace(old.start, manifold=manifold),
+        replace(old.end, manifold=manifold),
+        old.times,
+        old.states,
+        # Anchored on the inner arm's angle, which moves fast where the outer one stands still on the section.
+        anchor=Anchor(middle, (1.0, 0.0, 0.0, 0.0), float(old.states[middle, 0])),
+    )
+    assert carried.converged
+    assert not any(np.abs(c.state - carried.states[middle]).max() < 1e-2 for c in connections_at(system, below))
+    # In its list no longer, because it now crosses three times where it crossed once.
+    for shot, crossings in ((old, 1), (carried, 3)):
+        heights = shot.sample(np.linspace(-0.3, 0.3, 6001))[:, 1] - 2 * np.pi
+        assert np.count_nonzero(np.diff(np.sign(heights[np.abs(heights) > 1e-12]))) == crossings
+
+
+def test_two_events_in_one_interval_are_told_apart(system):
+    found = located(system, (0.1775, 0.1790), source="up-down", target="up-down")
+    assert found.complete
+    assert [(e.kind, e.count_below, e.count_above) for e in found.events] == [
+        ("saddle-node", 0, 4),
+        ("pitchfork", 4, 8),
+    ]
+
+
+def test_where_nothing_changes_nothing_is_reported(system):
+    found = located(system, (-0.13, -0.12))
+    assert found.complete
+    assert not found.events
+    assert [c.count for c in found.counts] == [4, 4]
+
+
+def test_a_tangency_between_samples_is_found_from_the_far_side_too(system):
+    """The pair shed at a pitchfork, followed down from above: its path turns on the mirror and comes back."""
+    sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
+    below, above = sweep.search(PITCHFORK[0]), sweep.search(PITCHFORK[1])
+    problem = LinkProblem(system, "down-up", "down-up", distance=1e-4)
+    problem.manifolds(PITCHFORK[1])
+    assert [problem.symmetry(p.link) for p in below.points] == [1, 1]
+    assert sorted(str(problem.symmetry(p.link)) for p in above.points) == ["1", "1", "None", "None"]
+
+
+def test_a_cut_that_scatters_is_a_caveat_not_a_count(system):
+    found = Sweep(system, "down-up", "up-down", 1, SweepSettings()).search(0.26)
+    assert not found.complete
+    assert "not resolved" in found.caveat
+
+
+@pytest.mark.parametrize(
+    ("model", "saddles", "energies", "fragment"),
+    [
+        ("lab", ("down-up", "up-down"), (0.0, 0.1), "exist only above 0.17543"),
+        ("lab", ("down-up", "up-up"), (0.5, 0.6), "no section between"),
+        ("lab", ("down-up", "down-up"), (0.1, float("nan")), "two finite numbers"),
+    ],
+)
+def test_impossible_searches_are_refused_with_what_is_possible(model, saddles, energies, fragment):
+    with pytest.raises(InputError, match=fragment):
+        find_bifurcations(load_model(model).system, *saddles, energies=energies)
+
+
+def test_the_verb_prints_events(capsys):
+    low, high = (str(e) for e in PITCHFORK)
+    arguments = ["bifurcations", "lab", "--from", "down-up", "--to", "down-up", "--energies", low, high]
+    with pytest.raises(SystemExit) as ended:
+        main([*arguments, "--samples", "2", "--json"])
+    document = json.loads(capsys.readouterr().out)
+    assert ended.value.code == 0
+    (event,) = document["events"]
+    assert event["kind"] == "pitchfork"
+    assert (event["count_below"], event["count_above"]) == (4, 8)
+    assert len(event["state"]) == 4
+    assert "explain every change" in document["status"]
