@@ -15,8 +15,7 @@ if TYPE_CHECKING:
 
 @click.command(
     "orbit",
-    epilog="Examples:  dpcontrol orbit lab --saddle down-up --energy -0.07; "
-    "dpcontrol orbit lab --saddle up-down --energies 0.17 0.5 --picture family.png",
+    epilog="Example:  dpcontrol orbit lab --saddle down-up --energy -0.07",
 )
 @click.argument("model")
 @click.option("--saddle", required=True, help="Saddle that the orbit surrounds, inner arm first: down-up, up-down.")

@@ -16,6 +16,21 @@ from dpcontrol.foundation.files import Progress
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
 
 
+class Hits(click.ParamType):
+    """Crossings of the section: N for both tubes, or N,M for the unstable and the stable one."""
+
+    name = "n[,m]"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
+        numbers = str(value).split(",")
+        if len(numbers) in (1, 2) and all(n.strip().isdecimal() and 1 <= int(n) <= 9 for n in numbers):
+            return int(numbers[0]), int(numbers[-1])
+        self.fail(f"{value!r} is neither one number from 1 to 9 nor two, as in 1,2.", param, ctx)
+
+
+_PRINTED = "dpcontrol.printed"
+
+
 def plain(value: Any) -> Any:
     """Return `value` in JSON's terms: arrays as lists, complex numbers as [re, im], what is not finite as null."""
     if isinstance(value, Mapping):
@@ -36,19 +51,22 @@ def plain(value: Any) -> Any:
 
 
 def print_json(document: Mapping[str, Any]) -> None:
-    """Print one JSON document with numbers at full precision."""
+    """Print one JSON document with numbers at full precision, and note that the verb has given its one."""
+    context = click.get_current_context(silent=True)
+    if context is not None:
+        context.meta[_PRINTED] = True
     click.echo(json.dumps(plain(document), indent=1, ensure_ascii=False))
 
 
 def reports_failure(function: Callable[..., None]) -> Callable[..., None]:
-    """Make a verb print its failure as JSON too where --json was given, before the exit code says so."""
+    """Make a verb that fails under --json print the failure as its document, unless it has printed one already."""
 
     @wraps(function)
     def wrapped(*, as_json: bool, **options: Any) -> None:
         try:
             function(as_json=as_json, **options)
         except (InputError, GoalMissed) as error:
-            if as_json:
+            if as_json and not click.get_current_context().meta.get(_PRINTED):
                 print_json({"status": str(error), "error": isinstance(error, InputError)})
             raise
 
