@@ -72,6 +72,8 @@ def _stepped(problem: LinkProblem, here: PathPoint, energy: float) -> PathPoint 
     moved = np.abs(link.unknowns - guess.unknowns) / np.array([0.02, 0.02, 0.02 * link.duration])
     if np.any(moved > 1.0) or match.tangency * here.tangency <= 0:
         return None
+    if problem.symmetry(link) != problem.symmetry(here.link):
+        return None
     return PathPoint(link, energy, match.tangency)
 
 
@@ -79,12 +81,15 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
     """Follow a connection that is solved at energy `start` towards `goal`, round every turn, until it arrives there
     or comes back."""
     way = goal - start
-    weights = np.array([0.05, 0.05, 0.05 * link.duration, abs(way)])
+    # Turns are parabolas: over a small stretch of energy phases move as its root.
+    size = 0.05 * min(1.0, float(np.sqrt(100 * abs(way) / problem.system.energy_scale)))
+    weights = np.array([size, size, size * link.duration, abs(way)])
     points: list[PathPoint] = []
     turns: list[int] = []
     try:
         link, match = problem.solved(link, start)
         points.append(PathPoint(link, start, match.tangency))
+        symmetry = problem.symmetry(link)
         tangent = _tangent(problem, link, start, weights, np.array([0.0, 0.0, 0.0, np.sign(way)]))
         length = 0.25
         for _ in range(steps):
@@ -93,7 +98,9 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
             bent = arrived is not None and _bend(arrived[0] - here, tangent, weights) < 0.9
             # A first step that ends behind the start has overrun a turn next to it.
             overrun = arrived is not None and len(points) == 1 and (arrived[0][3] - start) * way <= 0
-            if arrived is None or bent or overrun:
+            # Next to a pitchfork a long step changes from the pair to the symmetric connection, or back.
+            switched = arrived is not None and problem.symmetry(link.at(arrived[0][:3])) != symmetry
+            if arrived is None or bent or overrun or switched:
                 length /= 2
                 if length < 1e-5:
                     return _lost(points, turns, problem, "Newton's method fails at the smallest step")
