@@ -1,9 +1,16 @@
 """Every mistake of the user is one sentence that says what to do, exit code 2, and no file."""
 
+import re
+from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import dpcontrol, dpcontrol_program
+from mcap.writer import Writer
+
+from dpcontrol.logs import LogWriter, control_fields
 
 REPLACED = {
     "unknown key": ("itinerary", "energy =", "enrgy =", "enrgy"),
@@ -24,21 +31,36 @@ REPLACED = {
 }
 """(kind of file, text, its replacement, what the message must name)."""
 
+PROGRESS = re.compile(r"\d+% +\d+:\d\d:\d\d *$")
+"""How a line of the progress bar ends where stderr is no terminal."""
+
 
 def refused(*arguments: str | Path, naming: str) -> None:
     """Check that a call is refused in one sentence that names `naming`."""
     ended = dpcontrol(*arguments)
     assert ended.code == 2
     assert ended.stdout == ""
-    said = [line for line in ended.stderr.splitlines() if line.startswith("dpcontrol: ")]
+    said = [line for line in ended.stderr.splitlines() if line.strip() and not PROGRESS.search(line)]
     assert len(said) == 1
+    assert said[0].startswith("dpcontrol: ")
     assert said[0] == ended.message
     assert naming in said[0]
     assert "Traceback" not in ended.stderr
 
 
 def files(folder: Path) -> set[str]:
-    return {str(file.relative_to(folder)) for file in folder.rglob("*") if file.is_file()}
+    """Return all that is in a folder, folders too: an empty one left behind is litter as well."""
+    return {str(file.relative_to(folder)) for file in folder.rglob("*")}
+
+
+def with_value(text: str, key: str, value: str | None) -> str:
+    """Return TOML text with one key's value replaced, or the key left out; `table.key` where the key stands twice."""
+    table, _, name = key.rpartition(".")
+    before, heading, rest = text.partition(f"[{table}]") if table else ("", "", text)
+    line = "" if value is None else f"{name} = {value}\n"
+    changed, count = re.subn(rf"(?m)^{name}\s*=.*\n", lambda _: line, rest, count=1)
+    assert count == 1
+    return before + heading + changed
 
 
 @pytest.mark.parametrize("mistake", REPLACED)
@@ -78,6 +100,19 @@ def test_a_mistake_in_a_file_is_named(
         ("plan outer-turn --out turn.txt", ".npz"),
         ("score nothing.mcap", "nothing.mcap"),
         ("review nothing.mcap --picture x.png", "nothing.mcap"),
+        ("score .", "cannot read ."),
+        ("model models/lab", "there is no file models/lab"),
+        ("orbit lab --saddle down-up --energy inf", "energy = inf"),
+        ("orbit lab --saddle down-down --energy 0", "down-down"),
+        ("orbit lab --saddle down-up --energy -0.07 --family 1", "family = 1"),
+        ("connect lab --from down-up --to up-up --energy 0.6", "index-2"),
+        ("connect lab --from dwn-up --to down-up --energy 0.2", "down-up"),
+        ("connect lab --from down-up --to down-up --energy nan", "nan"),
+        ("run outer-turn --mismatch nan", "mismatch = nan"),
+        ("run outer-turn --initial-error 4", "initial_error = 4.0"),
+        ("plan crss", "'cross'"),
+        ("demo --itinerary outer-trn", "'outer-turn'"),
+        ("demo --seed -1", "seed = -1"),
     ],
 )
 def test_a_mistake_on_the_command_line_is_named(
@@ -88,13 +123,21 @@ def test_a_mistake_on_the_command_line_is_named(
     assert files(tmp_path) == set()
 
 
+@pytest.fixture(scope="module")
+def whole_log(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A log of a run, made once: every case harms its own copy."""
+    path = tmp_path_factory.mktemp("run") / "whole.mcap"
+    assert dpcontrol("run", "outer-turn", "--out", path).code == 0
+    return path.read_bytes()
+
+
 @pytest.mark.parametrize("harm", ["truncated", "corrupt", "not a log"])
 def test_a_damaged_log_is_refused_by_score_and_review(
-    harm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    harm: str, whole_log: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert dpcontrol("run", "outer-turn", "--out", "whole.mcap").code == 0
-    data = Path("whole.mcap").read_bytes()
+    data = whole_log
+    Path("whole.mcap").write_bytes(data)
     middle = len(data) // 2
     Path("bad.mcap").write_bytes(
         {
@@ -107,6 +150,189 @@ def test_a_damaged_log_is_refused_by_score_and_review(
     refused("score", "whole.mcap", "bad.mcap", naming="bad.mcap")
     refused("review", "bad.mcap", "--picture", "bad.png", "--save", "bad.rrd", naming="bad.mcap")
     assert files(tmp_path) == {"whole.mcap", "bad.mcap"}
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "naming"),
+    [
+        ("mass", None, "[arms] the key 'mass' is missing"),
+        ("mass", "[0.1]", "give one for each arm"),
+        ("mass", "[]", "at least one arm"),
+        ("mass", "0.1", "square brackets"),
+        ("mass", "[true, 0.1]", "mass = True: must be a number"),
+        ("mass", "['0.1', 0.1]", "must be a number"),
+        ("mass", "[0.0, 0.1]", "mass = 0.0: must be a finite number, positive"),
+        ("mass", "[nan, 0.1]", "mass = nan"),
+        ("mass", "[inf, 0.1]", "mass = inf"),
+        ("centre_of_mass", "[0, 0]", "positive"),
+        ("centre_of_mass", "{a = 1}", "square brackets"),
+        ("length", "[0.1, 0.1, 0.1]", "length has 3 values but mass has 2"),
+        ("length", "1979-05-27", "square brackets"),
+        ("inertia", "[-1e-4, 1e-4]", "zero or positive"),
+        ("gravity.acceleration", "0", "acceleration = 0.0"),
+        ("gravity.acceleration", "-9.8", "acceleration = -9.8"),
+        ("gravity.acceleration", "'9.8'", "acceleration = '9.8': must be a number"),
+        ("gravity.acceleration", "[9.8]", "must be a number"),
+        ("viscous", None, "[friction] the key 'viscous' is missing"),
+        ("viscous", "[-1e-4, 0]", "zero or positive"),
+        ("viscous", "[0, 0, 0]", "viscous has 3 values but mass has 2"),
+        ("title", "3", "title = 3: must be text in quotes"),
+        ("title", None, "'title' is missing"),
+        ("system", "'arm-chian'", "did you mean 'arm-chain'?"),
+        ("friction.source", None, "[friction] the key 'source' is missing"),
+    ],
+)
+def test_a_wrong_value_in_a_model_is_named(
+    key: str,
+    value: str | None,
+    naming: str,
+    tmp_path: Path,
+    shipped_text: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text(with_value(shipped_text["lab"], key, value))
+    refused("model", "mine.toml", naming="mine.toml: ")
+    refused("model", "mine.toml", naming=naming)
+    assert files(tmp_path) == {"mine.toml"}
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "naming"),
+    [
+        ("energy", None, "'energy' is missing"),
+        ("energy", "'low'", "energy = 'low': must be a number"),
+        ("energy", "true", "energy = True: must be a number"),
+        ("energy", "nan", "finite"),
+        ("walk", "[]", "at least one symbol"),
+        ("walk", "'down-up +'", "square brackets"),
+        ("walk", "[3]", "texts in quotes"),
+        ("walk", "['']", "is no symbol"),
+        ("walk", "['down-up ++']", "is no symbol"),
+        ("walk", "['down-up > down-up']", "which way to turn"),
+        ("walk", "['up-up +']", "'up-up', which has no tubes"),
+        ("walk", "['up-down +']", "up-down has Lyapunov orbits only above"),
+        ("walk", "['down-up +', 'up-down -']", "symbol 2 ('up-down -') starts at up-down"),
+        ("wraps", "[2]", "1 symbols has 0 interior stops"),
+        ("wraps", "[-1]", "wraps = -1: must be a whole number"),
+        ("wraps", "[1.5]", "wraps = 1.5: must be a whole number"),
+        ("wraps", "[true]", "wraps = True: must be a whole number"),
+        ("wraps", "1", "square brackets"),
+        ("lead_in", "-1", "lead_in = -1: must be a whole number"),
+        ("lead_out", "2.0", "lead_out = 2.0: must be a whole number"),
+        ("start", "'nowhere'", "start = 'nowhere'"),
+        ("limits.position", "0", "position = 0.0: must be a positive, finite number"),
+        ("limits.velocity", "inf", "velocity = inf: must be a finite number"),
+        ("limits.acceleration", "[30]", "acceleration = [30]: must be a number"),
+        ("level", "'card'", "level = 'card'"),
+        ("method", "'hermite-simpson'", "radau-2 to radau-12"),
+        ("method", "'radau-13'", "2 to 12 points"),
+        ("interval", "0", "interval = 0.0: must be a positive, finite number"),
+        ("tolerance", "-1e-6", "tolerance = -1e-06: must be a positive, finite number"),
+        ("controller.kind", "'tvlqrr'", "did you mean 'tvlqr'?"),
+        ("estimator.kind", "'efk'", "did you mean 'ekf'?"),
+        ("rate", "1e6", "rate = 1000000.0: must be 1 to 100000 Hz"),
+        ("delay", "5000", "delay = 5000: must be 0 to 1000 periods"),
+        ("delay", "true", "delay = True: must be a whole number"),
+        ("mismatch", "1.0", "mismatch = 1.0: must be 0 to 0.9"),
+        ("initial_error", "nan", "initial_error = nan"),
+        ("counts", "0", "counts = 0: must be at least 1"),
+        ("cart_resolution", "0", "cart_resolution = 0.0: must be a positive, finite number"),
+    ],
+)
+def test_a_wrong_value_in_an_itinerary_is_named(
+    key: str,
+    value: str | None,
+    naming: str,
+    tmp_path: Path,
+    shipped_text: dict[str, str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
+    Path("mine.toml").write_text(with_value(shipped_text["outer-turn"], key, value))
+    refused("plan", "mine.toml", naming="mine.toml: ")
+    refused("plan", "mine.toml", naming=naming)
+    assert files(tmp_path) == {"mine.toml"}
+
+
+@pytest.mark.parametrize("verb", ["model", "plan"])
+@pytest.mark.parametrize(
+    ("content", "naming"),
+    [
+        (b"", "is missing"),
+        (b"Dear rig,", "not valid TOML"),
+        (b"\0" * 100, "not valid TOML"),
+        (b"\x89PNG\r\n\xff\xfe", "not a text file"),
+        ("title = 'é'\n".encode("latin-1"), "not a text file"),
+        (None, "there is no file"),
+    ],
+    ids=["empty", "prose", "zeros", "picture", "Latin-1", "folder"],
+)
+def test_a_file_that_is_no_table_is_refused(
+    verb: str, content: bytes | None, naming: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if content is None:
+        Path("mine.toml").mkdir()
+    else:
+        Path("mine.toml").write_bytes(content)
+    refused(verb, "mine.toml", naming="mine.toml")
+    refused(verb, "mine.toml", naming=naming)
+    assert files(tmp_path) == {"mine.toml"}
+
+
+def foreign_log() -> bytes:
+    """Return another program's MCAP file, whole and with checksums."""
+    stream = BytesIO()
+    writer = Writer(stream, enable_data_crcs=True)
+    writer.start("", "another program")
+    channel = writer.register_channel("/odometry", "json", writer.register_schema("pose", "jsonschema", b"{}"))
+    writer.add_message(channel, 0, b"{}", 0)
+    writer.finish()
+    return stream.getvalue()
+
+
+def log_carrying(attachments: dict[str, bytes]) -> bytes:
+    """Return a whole log of ten ticks at rest, carrying `attachments`."""
+    path = Path("made.mcap")
+    rest = np.zeros(6)
+    with LogWriter(path, arm_lengths=(0.2, 0.2), rate_hz=1000.0, attachments=attachments, metadata={}) as log:
+        for k in range(10):
+            log.tick(
+                k / 1000.0,
+                measured=np.zeros(3),
+                estimate=rest,
+                reference=rest,
+                truth=rest,
+                control=np.zeros(len(control_fields(2, has_cart=True))),
+            )
+    data = path.read_bytes()
+    path.unlink()
+    return data
+
+
+FOREIGN: dict[str, tuple[Callable[[], bytes], str]] = {
+    "empty": (lambda: b"", "is empty"),
+    "random bytes": (lambda: np.random.default_rng(5).bytes(4096), "is not an MCAP file"),
+    "only the first bytes": (lambda: foreign_log()[:8], "is cut off"),
+    "another program's": (foreign_log, "it lacks the topics /joint_states"),
+    "without its reference": (lambda: log_carrying({}), "carries no reference.npz"),
+    "damaged reference": (lambda: log_carrying({"reference.npz": b"PK\x03\x04" + bytes(100)}), "reference.npz cannot"),
+    "a reference": (lambda: b"PK\x03\x04" + bytes(100), "is not an MCAP file"),
+}
+"""(how a file is made that is no log of a run, what the message must say)."""
+
+
+@pytest.mark.parametrize("kind", FOREIGN)
+def test_a_file_that_is_no_log_of_a_run_is_refused(kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    made, naming = FOREIGN[kind]
+    Path("bad.mcap").write_bytes(made())
+    for arguments in (("score", "bad.mcap"), ("review", "bad.mcap", "--save", "bad.rrd", "--picture", "bad.png")):
+        refused(*arguments, naming="bad.mcap")
+        refused(*arguments, naming=naming)
+    assert files(tmp_path) == {"bad.mcap"}
 
 
 def test_json_tells_a_mistake_too(tmp_path: Path) -> None:
