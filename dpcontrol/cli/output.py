@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from functools import wraps
+from pathlib import Path
 from typing import Any
 
 import click
@@ -71,6 +72,16 @@ def reports_failure(function: Callable[..., None]) -> Callable[..., None]:
             raise
 
     return wrapped
+
+
+def checked_suffix(path: Path, suffix: str, *, option: str) -> None:
+    """Refuse a file name that promises another format than will be written.
+
+    Raises:
+        InputError: names the option, the file and the suffix it needs.
+    """
+    if path.suffix.lower() != suffix:
+        raise InputError(f"{option} {path}: this writes a {suffix} file; choose a name that ends in {suffix}")
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

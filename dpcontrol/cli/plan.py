@@ -5,8 +5,8 @@ from pathlib import Path
 
 import click
 
-from dpcontrol.cli.output import json_option, print_json, progress_bar, reports_failure
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.cli.output import checked_suffix, json_option, print_json, progress_bar, reports_failure
+from dpcontrol.foundation.errors import GoalMissed
 
 
 @click.command(
@@ -27,13 +27,13 @@ def command(*, itinerary: str, fresh: bool, out: Path | None, as_json: bool) -> 
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.plan import make_plan
 
+    if out is not None:
+        checked_suffix(out, ".npz", option="--out")
     scene = load_itinerary(itinerary)
     with progress_bar("plan") as progress:
         plan = make_plan(scene, progress=progress, fresh=fresh)
     reference, notes, file = plan.reference, plan.notes, plan.file
     if out is not None and reference.converged:
-        if out.suffix != ".npz":
-            raise InputError(f"--out {out}: references are .npz files; choose a name that ends in .npz")
         with whole_file(out, suffix=".npz") as temporary:
             shutil.copyfile(file, temporary)
         file = out

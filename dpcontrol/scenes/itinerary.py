@@ -86,7 +86,10 @@ def load_itinerary(name: str) -> Itinerary:
 def _model(table: Table, path: Path) -> Model:
     name = table.text("model", "lab")
     beside = path.parent / name
-    return load_model(str(beside) if name.endswith(".toml") and beside.is_file() else name)
+    try:
+        return load_model(str(beside) if name.endswith(".toml") and beside.is_file() else name)
+    except InputError as error:
+        raise InputError(f"{table.where('model')} = {name!r}: {error}") from error
 
 
 def _checked_walk(

@@ -22,7 +22,7 @@ from dpcontrol.references.archive import load_reference, save_reference
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import ReferenceProblem
 from dpcontrol.references.reference import Reference
-from dpcontrol.scenes.cache import cache_folder
+from dpcontrol.scenes.cache import cache_folder, code_hash
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.tubes.connections import Connection, find_connections, orbits_between
 from dpcontrol.tubes.equilibria import equilibria
@@ -32,7 +32,7 @@ from dpcontrol.tubes.orbit_curve import OrbitCurve
 Array = NDArray[np.float64]
 
 FORMAT = 1
-"""Raised whenever a plan made by older code must not be taken for one made by this."""
+"""Raised whenever the notes change their meaning."""
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,7 @@ def plan_key(itinerary: Itinerary) -> str:
     """Return the content that a plan depends on, as 16 hexadecimal digits."""
     content = {
         "format": FORMAT,
+        "code": code_hash(),
         "parameters": asdict(itinerary.model.arms),
         "energy": itinerary.energy,
         "walk": itinerary.walk,
