@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.output import json_option, print_json, print_table, progress_bar, reports_failure
+from dpcontrol.cli.output import Hits, json_option, print_json, print_table, progress_bar, reports_failure
 from dpcontrol.foundation.errors import GoalMissed, InputError
 
 if TYPE_CHECKING:
@@ -19,14 +19,17 @@ if TYPE_CHECKING:
 @click.option("--energy", required=True, type=float, help="Energy in J, zero at the pivot's height.")
 @click.option(
     "--hits",
-    type=click.IntRange(1, 9),
-    help="Crossing of the section by both tubes [the first for each kind at which they meet, up to 2].",
+    type=Hits(),
+    help="How-manieth crossing of the section: of both tubes, or N,M of the unstable and the stable one. "
+    "[default: for each kind the first at which they meet, up to 2]",
 )
 @click.option("--fresh", is_flag=True, help="Compute anew even if the atlas is cached.")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Also write the atlas to this .npz.")
 @json_option
 @reports_failure
-def command(*, model: str, energy: float, hits: int | None, fresh: bool, out: Path | None, as_json: bool) -> None:
+def command(
+    *, model: str, energy: float, hits: tuple[int, int] | None, fresh: bool, out: Path | None, as_json: bool
+) -> None:
     """Compute all of one energy: every Lyapunov orbit, their tubes, and every connection between them.
 
     The atlas is one file (orbits, cuts, connections with their flights), kept by content: it is computed once. Look at

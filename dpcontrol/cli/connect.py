@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.output import json_option, print_json, print_table, progress_bar, reports_failure
+from dpcontrol.cli.output import Hits, json_option, print_json, print_table, progress_bar, reports_failure
 from dpcontrol.foundation.errors import GoalMissed, InputError
 
 if TYPE_CHECKING:
@@ -33,18 +33,6 @@ class _DecimalNumber(click.ParamType):
             self.fail(f"{value!r} is not a number.", param, ctx)
 
 
-class _Hits(click.ParamType):
-    """Crossings of the section: N for both tubes, or N,M for the unstable and the stable one."""
-
-    name = "n[,m]"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, int]:
-        numbers = str(value).split(",")
-        if len(numbers) in (1, 2) and all(n.strip().isdecimal() and 1 <= int(n) <= 9 for n in numbers):
-            return int(numbers[0]), int(numbers[-1])
-        self.fail(f"{value!r} is neither one number from 1 to 9 nor two, as in 1,2.", param, ctx)
-
-
 @click.command("connect", epilog="Example:  dpcontrol connect lab --from down-up --to up-down --energy 0.2")
 @click.argument("model")
 @click.option("--from", "source", required=True, help="Saddle whose orbit the connection leaves.")
@@ -52,7 +40,7 @@ class _Hits(click.ParamType):
 @click.option("--energy", required=True, type=_DecimalNumber(), help="Energy in J, zero at the pivot's height.")
 @click.option(
     "--hits",
-    type=_Hits(),
+    type=Hits(),
     help="How-manieth crossing of the section: of both tubes, or N,M of the unstable and the stable one. "
     "[default: 1, or what --name says]",
 )

@@ -20,6 +20,7 @@ VERBS = {
     "run": "Run an itinerary in closed loop and write its log.",
     "score": "Say whether logged runs did what was asked.",
     "review": "Open a log in the viewer, or save a recording or a picture.",
+    "figures": "Draw the paper's computational figures, with captions.",
 }
 
 

@@ -70,7 +70,7 @@ class AtlasCut:
     """An orbit's unstable tube up to the `hit`-th crossing of a section.
 
     open_ends: (branch, (phase, phase), reason). strands (B, M, N): trajectories of the tube from their seeds to the
-    section, M instants equally spaced in each one's time, of branches (B,) and seeds' phases (B,).
+    section, M instants spread evenly over half the time and half the path, of branches (B,) and seeds' phases (B,).
     """
 
     saddle: str

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 from dpcontrol.foundation.errors import InputError
@@ -78,15 +79,26 @@ def screenshot(log: RunLog, context: ReviewContext, path: Path, *, seconds: floa
     Raises:
         InputError: the picture cannot be written to `path`.
     """
-    reason = missing_renderer()
-    if reason is not None:
-        return reason
     from dpcontrol.review.recording import write_recording
 
     moment = context.symbols[0][0] if context.symbols else float(log.time[0] + log.time[-1]) / 2
+    return picture_of(lambda file: write_recording(log, context, file), path, moment=moment, seconds=seconds)
+
+
+def picture_of(write: Callable[[Path], None], path: Path, *, moment: float, seconds: float = _SECONDS) -> str | None:
+    """Write a picture of the viewer showing the recording that `write` writes, at `moment` (s).
+
+    Returns None if the picture was written, else why not.
+
+    Raises:
+        InputError: the picture cannot be written to `path`.
+    """
+    reason = missing_renderer()
+    if reason is not None:
+        return reason
     with tempfile.TemporaryDirectory(prefix="dpcontrol-") as folder:
         recording, picture = Path(folder) / "run.rrd", Path(folder) / "run.png"
-        write_recording(log, context, recording)
+        write(recording)
         # The viewer's window library wants a private folder even when there is no window; and the viewer reports
         # its use to its makers except in CI, which a picture made on the side should not do.
         environment = {"XDG_RUNTIME_DIR": folder, "CI": "1", **os.environ}

@@ -31,7 +31,7 @@ from dpcontrol.tubes.reversal import can_be_reversed, reversed_search
 
 Array = NDArray[np.float64]
 
-FORMAT = 1
+FORMAT = 2
 """Raised whenever an atlas made by older code must not be taken for one made by this."""
 
 
@@ -39,15 +39,15 @@ FORMAT = 1
 class AtlasSettings:
     """What an atlas holds.
 
-    hits: of both tubes at every section; None means the first for each kind, and where these do not meet the next, up
-    to last_hit. search: of each kind. strands: trajectories of each branch that are kept for drawing, and their
-    instants.
+    hits: of the unstable and the stable tube at every section; None means the first of both for each kind, and where
+    these do not meet the next, up to last_hit. search: of each kind. strands: trajectories of each branch that are
+    kept for drawing, and their instants.
     """
 
-    hits: int | None = None
+    hits: tuple[int, int] | None = None
     last_hit: int = 2
     strands: int = 40
-    strand_instants: int = 60
+    strand_instants: int = 160
     search: ConnectionSettings = field(default_factory=ConnectionSettings)
 
     def __post_init__(self) -> None:
@@ -56,8 +56,8 @@ class AtlasSettings:
         Raises:
             InputError: the value and what is allowed.
         """
-        if self.hits is not None and not 1 <= self.hits <= 9:
-            raise InputError(f"hits = {self.hits}: must be from 1 to 9")
+        if self.hits is not None and not all(1 <= hit <= 9 for hit in self.hits):
+            raise InputError(f"hits = {list(self.hits)}: both must be from 1 to 9")
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,8 @@ def compute_atlas(
         low, high = 0.2 + 0.7 * k / len(pairs), 0.2 + 0.7 * (k + 1) / len(pairs)
         within: Progress = lambda what, done, low=low, high=high: progress(what, low + (high - low) * done)  # noqa: E731
         opposite = [s for s, kind in searches if (kind.target, kind.source) == (source, target)]
-        if opposite and source != target and can_be_reversed(system, source, target):
+        symmetric = settings.hits is None or settings.hits[0] == settings.hits[1]
+        if opposite and source != target and symmetric and can_be_reversed(system, source, target):
             searches += [with_kind(reversed_search(search), by_reversal=True) for search in opposite]
         else:
             searches += tubes.searches(first[source], first[target], within)
@@ -248,15 +249,16 @@ class _Tubes:
         """Search one kind at its hits, or at the first hits at which there are any."""
         section, wanted = self.system.sections[source.saddle, target.saddle], self.settings.hits
         tried: list[tuple[ConnectionSearch, AtlasKind]] = []
-        for hit in range(1, self.settings.last_hit + 1) if wanted is None else (wanted,):
+        first = [(hit, hit) for hit in range(1, self.settings.last_hit + 1)]
+        for hits in first if wanted is None else (wanted,):
             progress(f"tubes {source.saddle} → {target.saddle}", 0.0)
-            cuts = (self.cut(source, section, hit), self.cut(target, section, hit))
+            cuts = (self.cut(source, section, hits[0]), self.cut(target, section, hits[1]))
             progress(f"connections {source.saddle} → {target.saddle}", 0.5)
             with _timed(self.seconds, "connections"):
                 search = find_connections(
                     source,
                     target,
-                    hits=(hit, hit),
+                    hits=hits,
                     settings=self.settings.search,
                     cuts=cuts,
                     progress=_upper_half(progress, source.saddle, target.saddle),

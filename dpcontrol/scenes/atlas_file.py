@@ -15,7 +15,7 @@ Keys; arrays are float64 unless said otherwise. K-th orbit, cut, piece and conne
                                phase_in}]}
     periods  (N,)      2π for angles, inf otherwise;   reverser (N, N): turns unstable tubes into stable ones
     orbit_K_samples                        (M, N)  one period, equally spaced phases from 0
-    cut_K_strands                          (B, M, N)  trajectories of the unstable tube, equally spaced in time
+    cut_K_strands                          (B, M, N)  trajectories of the unstable tube, seed to section
     cut_K_strand_branches (int64), cut_K_strand_phases    (B,)
     cut_K_piece_J_phases, _times           (P,)    of the seeds; s of flight
     cut_K_piece_J_points, _stable_points   (P, 2)  (q, p/p₀) of the unstable tube, and of the stable one

@@ -14,6 +14,8 @@ Array = NDArray[np.float64]
 
 _ORBIT_SAMPLES = 256
 _FLIGHT_SAMPLES = 400
+_DENSE = 4
+"""Times as many instants are flown as are kept."""
 
 
 def orbit_record(orbit: LyapunovOrbit) -> AtlasOrbit:
@@ -62,9 +64,19 @@ def _strands(
     nearest = [int(np.argmin(np.abs((phases - k / count + 0.5) % 1 - 0.5))) for k in range(count)]
     chosen = list(dict.fromkeys(nearest))
     seeds, _ = manifold.seeds(phases[chosen], branch)
-    sample = manifold.orbit.system.propagator.sample
-    flown = (sample(seed, np.linspace(0.0, times[k], instants)) for seed, k in zip(seeds, chosen, strict=True))
-    return [(branch, float(phases[k] % 1), states) for k, states in zip(chosen, flown, strict=True)]
+    system, flown = manifold.orbit.system, []
+    for seed, k in zip(seeds, chosen, strict=True):
+        dense = np.linspace(0.0, times[k], _DENSE * instants)
+        states = system.propagator.sample(seed, dense)
+        flown.append((branch, float(phases[k] % 1), states[_evenly(system, dense, states, instants)]))
+    return flown
+
+
+def _evenly(system: System, times: Array, states: Array, count: int) -> NDArray[np.int64]:
+    """Return `count` of the indices of samples, spread evenly over half the time and half the scaled path."""
+    path = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(states / system.scale, axis=0), axis=1))]
+    along = (times - times[0]) / (times[-1] - times[0]) + path / path[-1]
+    return np.rint(np.interp(np.linspace(0.0, along[-1], count), along, np.arange(len(times)))).astype(np.int64)
 
 
 def _piece(manifold: UnstableManifold, cut: Cut, piece: Piece) -> AtlasPiece:
@@ -92,7 +104,9 @@ def connection_record(connection: Connection) -> AtlasConnection:
         begin = max(begin, -connection.time_out - connection.source.period)
     if np.isfinite(connection.time_in):
         end = min(end, connection.time_in + connection.target.period)
-    times = np.linspace(begin, end, _FLIGHT_SAMPLES)
+    dense = np.linspace(begin, end, _DENSE * _FLIGHT_SAMPLES)
+    flown = orbit.sample(dense)
+    kept = np.unique(_evenly(system, dense, flown, _FLIGHT_SAMPLES))
     return AtlasConnection(
         name=connection.name,
         source=connection.source.saddle,
@@ -110,8 +124,8 @@ def connection_record(connection: Connection) -> AtlasConnection:
         time_in=connection.time_in,
         phase_out=connection.phase_out,
         phase_in=connection.phase_in,
-        times=times,
-        states=orbit.sample(times),
+        times=dense[kept],
+        states=flown[kept],
         node_times=orbit.times,
         nodes=orbit.states,
     )

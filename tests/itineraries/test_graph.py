@@ -1,5 +1,6 @@
 """The connection graph: orbits and connections as a multigraph whose walks are itineraries."""
 
+from itertools import pairwise
 from types import SimpleNamespace
 
 import numpy as np
@@ -70,7 +71,7 @@ def test_walks_are_connected_and_distinct(graph):
     for walk in found:
         assert ends[walk[0]][0] == "a"
         assert ends[walk[-1]][1] == "b"
-        assert all(ends[x][1] == ends[y][0] for x, y in zip(walk, walk[1:], strict=False))
+        assert all(ends[x][1] == ends[y][0] for x, y in pairwise(walk))
 
 
 def test_unknown_orbits_and_empty_walks_are_refused(graph):

@@ -1,0 +1,254 @@
+"""An atlas as a Rerun recording: tubes, orbits and flights in space, cuts with named connections on their sections.
+
+Space is (first coordinate, second, first rate), for arms (θ₁, θ₂, ω₁); rates are scaled so that the tubes are about as
+high as wide. On the sections, (q, p/p₀) with p upwards. Dots move along the flights with time.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.files import whole_file
+from dpcontrol.itineraries.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, section_axes
+from dpcontrol.review import style
+from dpcontrol.review.figures.cuts import colours, connections_of, stable_direction
+from dpcontrol.review.figures.page import saddle_colour, wrapped_runs
+
+Array = NDArray[np.float64]
+
+TIMELINE = "time_from_section"
+"""Seconds from the passage of the section, the same for all flights."""
+BRANCHES = {(False, 1): "#d4544b", (False, -1): "#f0a39d", (True, 1): "#3c9c5f", (True, -1): "#a5d3b4"}
+"""(stable, branch): red leaves the orbit, green comes to it; the second branch is pale."""
+_DARK = [18, 20, 24]
+_MOMENTS = 240
+
+
+def write_atlas_recording(atlas: Atlas, path: Path) -> None:
+    """Write the recording of an atlas to `path` (`*.rrd`) with its blueprint.
+
+    Raises:
+        InputError: the recording cannot be written.
+    """
+    shown = _Shown(atlas)
+    with whole_file(Path(path), suffix=".rrd") as temporary:
+        recording = rr.RecordingStream("dpcontrol", send_properties=True)
+        recording.save(temporary, default_blueprint=_blueprint(atlas, shown))
+        recording.send_recording_name(f"{atlas.model} at {atlas.energy:g} J")
+        recording.log("summary", rr.TextDocument(_summary(atlas), media_type="text/markdown"), static=True)
+        for cut in atlas.cuts:
+            _tubes(recording, atlas, shown, cut)
+        _orbits(recording, atlas, shown)
+        for kind in atlas.kinds:
+            if connections_of(atlas, kind):
+                _section(recording, atlas, kind)
+                _flights(recording, shown, connections_of(atlas, kind), _key(kind))
+        recording.flush()
+        recording.disconnect()
+
+
+class _Shown:
+    """How states become places: the rate's scale, and the box in which everything lies."""
+
+    def __init__(self, atlas: Atlas) -> None:
+        self.rate = len(atlas.periods) // 2
+        parts = [orbit.samples for orbit in atlas.orbits]
+        parts += [cut.strands.reshape(-1, len(atlas.periods)) for cut in atlas.cuts]
+        states = np.concatenate(parts)[:, [0, 1, self.rate]]
+        # Passages close to a body are so fast that they would flatten everything else.
+        low, high = np.quantile(states, [0.02, 0.98], axis=0)
+        spans = np.maximum(high - low, 1e-12)
+        self.factor = float(max(spans[:2]) / spans[2])
+        self.centre = (low + high) / 2 * [1, 1, self.factor]
+        self.size = float(max(spans[:2]))
+
+    def places(self, states: Array) -> Array:
+        """Return (…, 3) of states (…, N)."""
+        picked = states[..., [0, 1, self.rate]]
+        return picked * [1, 1, self.factor]
+
+
+def _key(kind: AtlasKind) -> str:
+    return f"{kind.source}_to_{kind.target}_{kind.hits[0]}_{kind.hits[1]}".replace("-", "_")
+
+
+def _lines(colour: str, *, width: float, alpha: int = 255) -> dict[str, object]:
+    return {"colors": [(*style.rgb(colour), alpha)], "radii": rr.Radius.ui_points(width)}
+
+
+def _tubes(recording: rr.RecordingStream, atlas: Atlas, shown: _Shown, cut: AtlasCut) -> None:
+    home = _home(cut)
+    for stable in (False, True):
+        for branch in (1, -1):
+            strands = cut.strands[cut.strand_branches == branch]
+            pieces = [piece.states for piece in cut.pieces if piece.branch == branch]
+            if stable:
+                strands = atlas.turned(strands, cut.saddle)
+                pieces = [atlas.turned(states, cut.saddle) for states in pieces]
+            word = f"{home}/{'stable' if stable else 'unstable'}_{'plus' if branch > 0 else 'minus'}"
+            colour = BRANCHES[stable, branch]
+            if len(strands):
+                tube = rr.LineStrips3D(list(shown.places(strands)), **_lines(colour, width=0.4, alpha=110))  # type: ignore[arg-type]
+                recording.log(word, tube, static=True)
+            if pieces:
+                ends = rr.LineStrips3D([shown.places(s) for s in pieces], **_lines("#c39be0", width=0.8))  # type: ignore[arg-type]
+                recording.log(f"{word}/cut", ends, static=True)
+
+
+def _home(cut: AtlasCut) -> str:
+    return f"space/tubes/{_plain(cut.saddle)}/hit_{cut.hit}_{_plain(cut.section.name)}"
+
+
+def _plain(name: str) -> str:
+    return "".join(letter if letter.isalnum() else "_" for letter in name)
+
+
+def _orbits(recording: rr.RecordingStream, atlas: Atlas, shown: _Shown) -> None:
+    turn = np.where(np.isfinite(atlas.periods), atlas.periods, 0.0)
+    half = len(atlas.periods) // 2
+    for orbit in atlas.orbits:
+        closed = np.vstack([orbit.samples, orbit.samples[:1]])
+        lifts = {(0,) * half} | {c.winding for c in atlas.connections if c.target == orbit.saddle}
+        copies = [shown.places(closed + np.r_[np.asarray(w, float), np.zeros(half)] * turn) for w in sorted(lifts)]
+        strips = rr.LineStrips3D(
+            copies,
+            labels=[orbit.name, *[""] * (len(copies) - 1)],
+            **_lines(saddle_colour(orbit.saddle), width=2.5),  # type: ignore[arg-type]
+        )
+        recording.log(f"space/orbits/{_plain(orbit.name)}", strips, static=True)
+
+
+def _flights(recording: rr.RecordingStream, shown: _Shown, connections: tuple[AtlasConnection, ...], key: str) -> None:
+    look = colours(connections)
+    for k, c in enumerate(connections):
+        home = f"space/connections/{key}/{k + 1}_{_plain(c.name)}"
+        flight = rr.LineStrips3D([shown.places(c.states)], labels=[c.name], show_labels=False,
+                                 **_lines(look[c.name], width=0.9))  # type: ignore[arg-type]  # fmt: skip
+        recording.log(home, flight, static=True)
+        times = np.linspace(c.times[0], c.times[-1], _MOMENTS)
+        states = np.stack([np.interp(times, c.times, column) for column in c.states.T], axis=1)
+        dot = rr.Points3D.from_fields(colors=[style.rgb(look[c.name])], radii=rr.Radius.ui_points(4))
+        recording.log(f"{home}/now", dot, static=True)
+        recording.send_columns(
+            f"{home}/now",
+            indexes=[rr.TimeColumn(TIMELINE, duration=times)],
+            columns=rr.Points3D.columns(positions=shown.places(states)),
+        )
+
+
+def _section(recording: rr.RecordingStream, atlas: Atlas, kind: AtlasKind) -> None:
+    home, height = f"sections/{_key(kind)}", _height(atlas, kind)
+    for stable, runs in _curves(atlas, kind).items():
+        strips = [run * [1.0, -height] for _, run in runs]
+        tints = [(*style.rgb(BRANCHES[stable, sign]), 255) for sign, _ in runs]
+        if strips:
+            lines = rr.LineStrips2D(strips, colors=tints, radii=rr.Radius.ui_points(1.2))
+            recording.log(f"{home}/{'stable' if stable else 'unstable'}", lines, static=True)
+    connections = connections_of(atlas, kind)
+    look = colours(connections)
+    _, period = section_axes(connections[0].section, atlas.periods)
+    points = np.array([c.point for c in connections])
+    if period:
+        points[:, 0] -= np.rint(points[:, 0] / period) * period
+    for k, (c, point) in enumerate(zip(connections, points * [1.0, -height], strict=True)):
+        mark = rr.Points2D(
+            [point],
+            colors=[style.rgb(look[c.name])],
+            labels=[str(k + 1)],
+            radii=rr.Radius.ui_points(4),
+        )
+        # The viewer shows the path of what the pointer is on: it holds the name.
+        recording.log(f"{home}/connections/{k + 1}_{_plain(c.name)}", mark, static=True)
+
+
+def _curves(atlas: Atlas, kind: AtlasKind) -> dict[bool, list[tuple[int, Array]]]:
+    """Return the runs of both cuts by (stable): (direction in which they are crossed, points (K, 2))."""
+    out: dict[bool, list[tuple[int, Array]]] = {False: [], True: []}
+    for stable, saddle, hit in ((False, kind.source, kind.hits[0]), (True, kind.target, kind.hits[1])):
+        cut = atlas.cut(saddle, kind.section, hit)
+        _, period = section_axes(cut.section, atlas.periods)
+        for piece in cut.pieces:
+            points = piece.stable_points if stable else piece.points
+            closed = np.vstack([points, points[:1]]) if piece.closed else points
+            sign = stable_direction(atlas, cut, piece.direction) if stable else piece.direction
+            out[stable] += [(1 if sign > 0 else -1, run) for run in wrapped_runs(closed, (period, None))]
+    return out
+
+
+def _height(atlas: Atlas, kind: AtlasKind) -> float:
+    """Return what scales p/p₀ so that the cuts are two thirds as high as wide: the viewer's scales are equal."""
+    points = np.concatenate([run for runs in _curves(atlas, kind).values() for _, run in runs])
+    low, high = np.quantile(points, [0.01, 0.99], axis=0)
+    spans = np.maximum(high - low, 1e-12)
+    return float(2 / 3 * spans[0] / spans[1])
+
+
+def _summary(atlas: Atlas) -> str:
+    rows = [f"# {atlas.title}, {atlas.energy:g} J", "", atlas.status, "", "| from → to | hits | count | cuts |",
+            "|---|---|---|---|"]  # fmt: skip
+    rows += [
+        f"| {k.source} → {k.target} | {list(k.hits)} | {k.count} | {'closed' if k.complete else 'open'} |"
+        for k in atlas.kinds
+    ]
+    rows += ["", "Red: unstable tubes, green: stable ones, pale: the other branch; on the sections pale curves are "
+             "crossed backward. Connections carry their numbers in this list; a dot moves along each flight.", "",
+             "| | connection | angle (°) |", "|---|---|---|"]  # fmt: skip
+    rows += [
+        f"| {k + 1} | {c.name} | {c.transversality_angle:.2f} |"
+        for kind in atlas.kinds
+        for k, c in enumerate(connections_of(atlas, kind))
+    ]
+    return "\n".join(rows)
+
+
+def _hidden(atlas: Atlas) -> list[str]:
+    """Return the tubes that are not shown at first: all but each saddle's to its own section, else nothing is seen."""
+    own = {(k.source, k.section, k.hits[0]) for k in atlas.kinds if k.source == k.target}
+    wanted = own or {(c.saddle, c.section.name, c.hit) for c in atlas.cuts}
+    return [_home(c) for c in atlas.cuts if (c.saddle, c.section.name, c.hit) not in wanted]
+
+
+def _blueprint(atlas: Atlas, shown: _Shown) -> rrb.Blueprint:
+    eye = shown.centre + np.array([-0.9, -1.3, 0.75]) * shown.size * 1.1
+    space = rrb.Spatial3DView(
+        name="Space: θ₁, θ₂, ω₁" if np.isfinite(atlas.periods).any() else "Space: x, y, x rate",
+        origin="/space",
+        eye_controls=rrb.EyeControls3D(position=tuple(eye), look_target=tuple(shown.centre), eye_up=(0.0, 0.0, 1.0)),
+        line_grid=False,
+        background=_DARK,
+        overrides={path: rrb.EntityBehavior(visible=False) for path in _hidden(atlas)},
+    )
+    sections = []
+    for kind in atlas.kinds:
+        if not connections_of(atlas, kind):
+            continue
+        points = np.concatenate([run for runs in _curves(atlas, kind).values() for _, run in runs])
+        points = points * [1.0, -_height(atlas, kind)]
+        low, high = points.min(axis=0), points.max(axis=0)
+        margin = 0.12 * float(max(high - low)) + 1e-6
+        sections.append(
+            rrb.Spatial2DView(
+                name=f"{kind.source} → {kind.target}: {kind.section}, hits {list(kind.hits)}",
+                origin=f"/sections/{_key(kind)}",
+                visual_bounds=rrb.VisualBounds2D(
+                    x_range=(float(low[0]) - margin, float(high[0]) + margin),
+                    y_range=(float(low[1]) - margin, float(high[1]) + margin),
+                ),
+                background=_DARK,
+            )
+        )
+    summary = rrb.TextDocumentView(name="Summary", origin="/summary")
+    beside = [rrb.Grid(*sections, grid_columns=1 if len(sections) < 3 else 2)] if sections else []
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            rrb.Vertical(space, summary, row_shares=[3, 1]), *beside, column_shares=[1, 1][: 1 + len(beside)]
+        ),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        auto_views=False,
+        auto_layout=False,
+    )

@@ -1,0 +1,101 @@
+"""Cuts of two tubes on their section, with the connections where they meet: one panel of several figures."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from dpcontrol.itineraries.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, section_axes
+from dpcontrol.review import style
+from dpcontrol.review.figures.page import FEW, STABLE, UNSTABLE, angle_axis, quiet, wrapped_runs
+
+Array = NDArray[np.float64]
+
+
+def kind_of(atlas: Atlas, source: str, target: str) -> AtlasKind | None:
+    """Return the last kind searched between two saddles (the one with connections, if any has), or None."""
+    kinds = [kind for kind in atlas.kinds if (kind.source, kind.target) == (source, target)]
+    return kinds[-1] if kinds else None
+
+
+def connections_of(atlas: Atlas, kind: AtlasKind) -> tuple[AtlasConnection, ...]:
+    """Return the connections of a kind."""
+    return tuple(c for c in atlas.between(kind.source, kind.target) if c.hits == kind.hits)
+
+
+def stable_direction(atlas: Atlas, cut: AtlasCut, direction: int) -> int:
+    """Return the sign of a stable tube's crossing of the section, given its unstable image's."""
+    normal = np.asarray(cut.section.normal)
+    # Turned around in time, a crossing changes sides unless the reverser turns the section over.
+    return -direction * int(np.sign(normal @ atlas.reverser @ normal))
+
+
+def colours(connections: tuple[AtlasConnection, ...]) -> dict[str, str]:
+    """Return a colour for each connection by name; images under the mirror (the other sense) share one."""
+    chosen: dict[str, str] = {}
+    keys: list[tuple[object, ...]] = []
+    for c in sorted(connections, key=lambda c: -round(c.transversality_angle, 3)):
+        # What a mirror image shares; rounding as coarse as names.
+        key = (round(c.transversality_angle, 3), round(c.time_in + c.time_out, 3))
+        if key not in keys:
+            keys.append(key)
+        chosen[c.name] = FEW[keys.index(key) % len(FEW)]
+    return chosen
+
+
+def draw_cuts(
+    axes: Axes,
+    atlas: Atlas,
+    kind: AtlasKind,
+    *,
+    shown: tuple[AtlasConnection, ...] | None = None,
+    numbers: dict[str, str] | None = None,
+    legend: bool = True,
+) -> None:
+    """Draw both tubes' cuts of a kind and mark its connections (those of `shown`), labelled by `numbers`."""
+    unstable = atlas.cut(kind.source, kind.section, kind.hits[0])
+    stable = atlas.cut(kind.target, kind.section, kind.hits[1])
+    coordinate, period = section_axes(unstable.section, atlas.periods)
+    for cut, colour, is_stable in ((unstable, UNSTABLE, False), (stable, STABLE, True)):
+        for piece in cut.pieces:
+            points = piece.stable_points if is_stable else piece.points
+            direction = stable_direction(atlas, cut, piece.direction) if is_stable else piece.direction
+            closed = np.vstack([points, points[:1]]) if piece.closed else points
+            for run in wrapped_runs(closed, (period, None)):
+                style_ = "-" if direction > 0 else (0, (4, 1.6))
+                axes.plot(run[:, 0], run[:, 1], color=colour, linewidth=1.3, linestyle=style_, zorder=2)
+    connections = connections_of(atlas, kind) if shown is None else shown
+    look = colours(connections)
+    for c in connections:
+        q = float(c.point[0] - (np.rint(c.point[0] / period) * period if period else 0.0))
+        axes.plot(q, c.point[1], "o", color=look[c.name], markeredgecolor="white", markersize=7, zorder=4)
+        if numbers and c.name in numbers:
+            axes.annotate(
+                numbers[c.name], (q, c.point[1]), xytext=(5, 5), textcoords="offset points",
+                fontsize=8.5, color=look[c.name], weight="bold", zorder=5,
+            )  # fmt: skip
+    quiet(axes)
+    axes.set_xlabel(f"{coordinate} on the section" + (" (rad)" if period else ""), fontsize=9)
+    axes.set_ylabel("p / p₀" if period else "momentum", fontsize=9)
+    if period:
+        angle_axis(axes, "x")
+    if legend:
+        axes.legend(
+            handles=[
+                Line2D([], [], color=UNSTABLE, label=f"unstable tube of {kind.source}"),
+                Line2D([], [], color=STABLE, label=f"stable tube of {kind.target}"),
+                Line2D([], [], color=style.INK, marker="o", linestyle="", label="connections"),
+                Line2D([], [], color=style.CART, linestyle=(0, (4, 1.6)), label="crossed backward"),
+            ],
+            fontsize=7.5, labelspacing=0.2, frameon=False, loc="lower left", bbox_to_anchor=(-0.02, 0.995),
+            ncols=2, borderaxespad=0.2, handlelength=1.6, columnspacing=0.8, handletextpad=0.4,
+        )  # fmt: skip
+
+
+def one_of_each(connections: tuple[AtlasConnection, ...]) -> list[AtlasConnection]:
+    """Return one connection of each colour, of the positive sense: the others are its images."""
+    look, kept = colours(connections), {}
+    for c in connections:
+        if c.sense > 0:
+            kept.setdefault(look[c.name], c)
+    return list(kept.values())

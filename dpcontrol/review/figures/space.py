@@ -1,0 +1,49 @@
+"""Tubes, cuts and orbits of an atlas in space: first coordinate, second, first rate."""
+
+from collections.abc import Callable
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from dpcontrol.itineraries.atlas import Atlas, AtlasCut
+from dpcontrol.review import style
+from dpcontrol.review.figures.page import STABLE, UNSTABLE, angle_axis, saddle_colour
+
+PALE_UNSTABLE, PALE_STABLE, CUT = "#e39b96", "#9ccbab", "#8a4fa3"
+
+
+def draw_space(
+    axes: Axes,
+    atlas: Atlas,
+    *,
+    hit_of: Callable[[AtlasCut], int | None],
+    only: str | None = None,
+    one_colour: str | None = None,
+) -> None:
+    """Draw the tubes of cuts for which `hit_of` gives a hit (of one saddle), and all orbits, in 3-D axes."""
+    rate = len(atlas.periods) // 2
+    for cut in atlas.cuts:
+        if hit_of(cut) is None or (only is not None and cut.saddle != only):
+            continue
+        for strand, branch in zip(cut.strands, cut.strand_branches, strict=True):
+            for stable in (False, True):
+                states = atlas.turned(strand, cut.saddle) if stable else strand
+                strong, pale = (STABLE, PALE_STABLE) if stable else (UNSTABLE, PALE_UNSTABLE)
+                colour = strong if branch > 0 else pale
+                axes.plot(*states[:, [0, 1, rate]].T, color=colour, linewidth=0.5, alpha=0.8)
+        for piece in cut.pieces:
+            for states in (piece.states, atlas.turned(piece.states, cut.saddle)):
+                closed = np.vstack([states, states[:1]]) if piece.closed else states
+                axes.plot(*closed[:, [0, 1, rate]].T, color=CUT, linewidth=1.6)
+    for orbit in atlas.orbits:
+        closed = np.vstack([orbit.samples, orbit.samples[:1]])
+        colour = one_colour or saddle_colour(orbit.saddle)
+        axes.plot(*closed[:, [0, 1, rate]].T, color=colour, linewidth=2.5, zorder=10)
+    angular = bool(np.isfinite(atlas.periods).any())
+    for which, label in (("x", "θ₁ (rad)" if angular else "x"), ("y", "θ₂ (rad)" if angular else "y")):
+        getattr(axes, f"set_{which}label")(label, fontsize=9)
+        if angular:
+            angle_axis(axes, which, step=0.25 if which == "x" and only else 1.0)
+    axes.set_zlabel("ω₁ (rad/s)" if angular else "x rate", fontsize=9)  # type: ignore[attr-defined]
+    axes.view_init(elev=22, azim=-122)  # type: ignore[attr-defined]
+    axes.tick_params(labelsize=8, colors=style.CART)
