@@ -6,8 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.output import Hits, json_option, print_json, print_table, progress_bar, reports_failure
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.cli.output import (
+    Hits,
+    checked_suffix,
+    json_option,
+    print_json,
+    print_table,
+    progress_bar,
+    reports_failure,
+)
+from dpcontrol.foundation.errors import GoalMissed
 
 if TYPE_CHECKING:
     from dpcontrol.itineraries.atlas import Atlas
@@ -39,8 +47,8 @@ def command(
     from dpcontrol.scenes.atlas import AtlasSettings, make_atlas
     from dpcontrol.scenes.model import load_model
 
-    if out is not None and out.suffix != ".npz":
-        raise InputError(f"--out {out}: atlases are .npz files; choose a name that ends in .npz")
+    if out is not None:
+        checked_suffix(out, ".npz", option="--out")
     with progress_bar("atlas") as progress:
         found = make_atlas(load_model(model), energy, settings=AtlasSettings(hits=hits), fresh=fresh, progress=progress)
     atlas, file = found.atlas, found.file

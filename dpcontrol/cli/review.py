@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.output import json_option, print_json, progress_bar, reports_failure
+from dpcontrol.cli.output import checked_suffix, json_option, print_json, progress_bar, reports_failure
 
 if TYPE_CHECKING:
     from dpcontrol.review.picture import Picture
@@ -22,11 +22,15 @@ if TYPE_CHECKING:
 def command(*, log: Path, save: Path | None, picture: Path | None, as_json: bool) -> None:
     """Open a log in the Rerun viewer: arms with the reference's ghost, angles, rates, command, errors, phase planes.
 
-    An atlas (.npz) opens as its tubes, orbits and flights in space, and the cuts with the connections named on them.
+    An atlas (.npz) opens as its tubes, orbits and flights in space, and the cuts with the connections numbered on them.
     With --save or --picture the viewer is not opened; where no renderer is installed the picture is drawn by
     matplotlib, and the message says so.
     """
     from dpcontrol.scenes.atlas_file import is_atlas
+
+    for option, file, suffix in (("--save", save, ".rrd"), ("--picture", picture, ".png")):
+        if file is not None:
+            checked_suffix(file, suffix, option=option)
 
     document: dict[str, Any] = {"log": str(log), "recording": None, "picture": None, "status": "done"}
     write_recording, write_picture = _atlas_writers(log) if is_atlas(log) else _log_writers(log)

@@ -19,7 +19,7 @@ from dpcontrol.foundation.files import Progress, content_hash, no_progress
 from dpcontrol.itineraries.atlas import Atlas, AtlasKind, AtlasPoint
 from dpcontrol.scenes.atlas_file import load_atlas, save_atlas
 from dpcontrol.scenes.atlas_records import atlas_status, connection_record, cut_record, orbit_record, with_kind
-from dpcontrol.scenes.cache import cache_folder
+from dpcontrol.scenes.cache import cache_folder, code_hash
 from dpcontrol.scenes.model import Model
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections
 from dpcontrol.tubes.cut import Cut, tube_cut
@@ -73,6 +73,7 @@ def atlas_key(model: Model, energy: float, settings: AtlasSettings) -> str:
     """Return the content that an atlas depends on, as 16 hexadecimal digits."""
     content = {
         "format": FORMAT,
+        "code": code_hash(),
         "model": model.name,
         "parameters": model.system.parameters.tolist(),
         "system": type(model.parameters).__name__,
