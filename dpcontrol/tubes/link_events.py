@@ -60,50 +60,76 @@ def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
     """Locate the turn after point `index` of a path, by the equations of its kind; None where they do not converge."""
     before, after = path.points[index], path.points[index + 1]
     extreme = max((before, after), key=lambda p: abs(p.energy - path.points[0].energy))
-    link, energy = extreme.link, extreme.energy
-    which = problem.symmetry(link)
-    shedding = False
-    if which is None:
-        which = _exchanged(problem, before.link, after.link)
-        shedding = which is not None
-    width = 1e-5
-    small = np.array([width, width, width * link.duration, width * problem.system.energy_scale])
+    reach = 0.2 * abs(path.points[0].energy - extreme.energy) + 1e-3 * problem.system.energy_scale
+    which = problem.symmetry(extreme.link)
+    if which is not None:
+        return _near(_on_mirror(problem, extreme, which, shedding=False), extreme.energy, reach)
+    shed = None
+    for mirror in range(len(problem.system.reversers)):
+        image = problem.mirrored(extreme.link, mirror)
+        # A pair turns back on the mirror; far from it there is no pitchfork to look for.
+        if image is not None and problem.distance_between(extreme.link, image) < 0.1:
+            shed = _near(_on_mirror(problem, extreme, mirror, shedding=True), extreme.energy, reach)
+    if shed is not None and _exchanged(problem, before.link, after.link):
+        return shed
+    turned = _near(_tangent(problem, extreme), extreme.energy, reach)
+    # On the mirror a saddle-node's equations are degenerate: where both kinds are solved there, it is a pitchfork.
+    if shed is not None and (turned is None or abs(turned.energy - shed.energy) < 1e-6 * problem.system.energy_scale):
+        return shed
+    return turned
+
+
+def _near(event: Located | None, energy: float, reach: float) -> Located | None:
+    return event if event is not None and event.residual < 1e-8 and abs(event.energy - energy) < reach else None
+
+
+def _widths(problem: LinkProblem, link: Link) -> Array:
+    """Return the widths (4,) of differences by (φ_u, φ_s, T, H)."""
+    return 1e-5 * np.array([1.0, 1.0, link.duration, problem.system.energy_scale])
+
+
+def _tangent(problem: LinkProblem, point: PathPoint) -> Located | None:
+    """Solve F = 0, σ = 0 from a point near."""
+    link = point.link
+
+    def equations(y: Array) -> Array:
+        match = problem.match(link.at(y[:3]), float(y[3]))
+        return np.append(match.gap, match.tangency)
+
     try:
-        if which is None:
-
-            def tangent_match(y: Array) -> Array:
-                match = problem.match(link.at(y[:3]), float(y[3]))
-                return np.append(match.gap, match.tangency)
-
-            y, residual = _newton(tangent_match, np.append(link.unknowns, energy), small)
-            place = link.at(y[:3])
-        else:
-            image = problem.mirrored(link, which)
-            assert image is not None
-            # Halfway between the link and its image lies the symmetric one.
-            phase = link.phases[0] + phase_gap(image.phases[0], link.phases[0]) / 2
-            mirror_phase = link.phases[1] - link.phases[0] if not shedding else None
-
-            def partner(phase: float) -> float:
-                return phase + (mirror_phase if mirror_phase is not None else 0.5 * which)
-
-            def on_mirror(y: Array) -> Array:
-                here = link.at(np.array([y[0], partner(float(y[0])), y[1]]))
-                m = problem.mirror(here, float(y[2]), which)
-                return np.append(m.miss, m.shedding if shedding else m.fold)
-
-            y, residual = _newton(on_mirror, np.array([phase, link.duration, energy]), small[[0, 2, 3]])
-            place = link.at(np.array([y[0], partner(float(y[0])), y[1]]))
-        if residual > 1e-8 or abs(y[-1] - energy) > 0.2 * abs(path.points[0].energy - energy) + 1e-3:
-            return None
-        state = problem.match(place, float(y[-1])).state
+        y, residual = _newton(equations, np.append(link.unknowns, point.energy), _widths(problem, link))
+        state = problem.match(link.at(y[:3]), float(y[3])).state
     except (ArithmeticError, InputError, np.linalg.LinAlgError):
         return None
-    return Located("pitchfork" if shedding else "saddle-node", float(y[-1]), place, state, residual)
+    return Located("saddle-node", float(y[3]), link.at(y[:3]), state, residual)
 
 
-def _exchanged(problem: LinkProblem, before: Link, after: Link) -> int | None:
-    """Return the reverser that carries one side of a turn towards the other, as at a pitchfork; None if none does."""
+def _on_mirror(problem: LinkProblem, point: PathPoint, which: int, *, shedding: bool) -> Located | None:
+    """Solve off Fix R = 0 with b = 0 (shedding) or a = 0, from a symmetric connection or one of a pair near."""
+    link = point.link
+    image = problem.mirrored(link, which)
+    assert image is not None
+    # Halfway between a link and its image lies the symmetric one.
+    phase = link.phases[0] + phase_gap(image.phases[0], link.phases[0]) / 2
+
+    def placed(y: Array) -> Link:
+        return link.at(np.array([y[0], y[0] + 0.5 * which, y[1]]))
+
+    def equations(y: Array) -> Array:
+        mirror = problem.mirror(placed(y), float(y[2]), which)
+        return np.append(mirror.miss, mirror.shedding if shedding else mirror.fold)
+
+    try:
+        guess = np.array([phase, link.duration, point.energy])
+        y, residual = _newton(equations, guess, _widths(problem, link)[[0, 2, 3]])
+        state = problem.match(placed(y), float(y[2])).state
+    except (ArithmeticError, InputError, np.linalg.LinAlgError):
+        return None
+    return Located("pitchfork" if shedding else "saddle-node", float(y[2]), placed(y), state, residual)
+
+
+def _exchanged(problem: LinkProblem, before: Link, after: Link) -> bool:
+    """Whether a reverser carries one side of a turn towards the other, as at a pitchfork."""
     for which in range(len(problem.system.reversers)):
         image, other = problem.mirrored(before, which), problem.mirrored(after, which)
         if image is None or other is None or image.branches != before.branches:
@@ -111,8 +137,8 @@ def _exchanged(problem: LinkProblem, before: Link, after: Link) -> int | None:
         first = phase_gap(before.phases[0], image.phases[0])
         second = phase_gap(after.phases[0], other.phases[0])
         if first * second < 0:
-            return which
-    return None
+            return True
+    return False
 
 
 def locate_graze(problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint) -> list[Located]:
