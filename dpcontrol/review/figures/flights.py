@@ -31,7 +31,9 @@ def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: s
         axes.set_xlabel("θ₁", fontsize=9, labelpad=1)
         if labelled:
             axes.set_ylabel("θ₂", fontsize=9, labelpad=1)
-    axes.set_aspect("equal", adjustable="datalim" if connection.winding[-1] else "box", anchor="W")
+    # Turns of the inner arm alone are wide and flat: their panels shrink to them.
+    flat = connection.source == connection.target and not connection.winding[-1]
+    axes.set_aspect("equal", adjustable="box" if flat else "datalim", anchor="W")
 
 
 def draw_angles(axes: Axes, atlas: Atlas, connection: AtlasConnection) -> None:
