@@ -319,7 +319,8 @@ FOREIGN: dict[str, tuple[Callable[[], bytes], str]] = {
     "another program's": (foreign_log, "it lacks the topics /joint_states"),
     "without its reference": (lambda: log_carrying({}), "carries no reference.npz"),
     "damaged reference": (lambda: log_carrying({"reference.npz": b"PK\x03\x04" + bytes(100)}), "reference.npz cannot"),
-    "a reference": (lambda: b"PK\x03\x04" + bytes(100), "is not an MCAP file"),
+    # An archive could be an atlas: `score` says that it is no MCAP file, `review` that it is no atlas.
+    "another archive": (lambda: b"PK\x03\x04" + bytes(100), "is not an"),
 }
 """(how a file is made that is no log of a run, what the message must say)."""
 
