@@ -30,8 +30,8 @@ def equilibrium(system: System, name: str) -> Equilibrium:
     state = system.equilibrium(name)
     eigenvalues = np.asarray(np.linalg.eigvals(system.numeric.jacobian(state)), dtype=complex)
     # Eigenvalues are real or imaginary here, so a part a million times smaller is rounding.
-    index = int(np.sum(eigenvalues.real > 1e-6 * np.abs(eigenvalues)))
-    order = np.lexsort((eigenvalues.imag, -eigenvalues.real))
+    index = int(np.sum(np.real(eigenvalues) > 1e-6 * np.abs(eigenvalues)))
+    order = np.lexsort((np.imag(eigenvalues), -np.real(eigenvalues)))
     return Equilibrium(
         name=name,
         state=state,

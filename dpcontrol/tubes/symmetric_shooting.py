@@ -117,7 +117,7 @@ class SymmetricShooting:
 def fixed_and_moved(reverser: Array) -> tuple[Array, Array]:
     """Return a basis (N, n) of the fixed set of an involution (N, N) and rows (n, N) that vanish on it."""
     values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(reverser))
-    fixed = np.real(vectors[:, values.real > 0])
+    fixed = np.real(vectors[:, np.real(values) > 0])
     basis, _ = np.linalg.qr(fixed)
     projector = (np.eye(len(reverser)) - reverser) / 2
     _, s, vt = np.linalg.svd(projector)
@@ -156,7 +156,7 @@ def symmetric_shooting(system: System, saddle: str, family: int) -> tuple[Symmet
 def _linear_centre(problem: SymmetricShooting, saddle: str, family: int) -> LinearCentre:
     system, centre, start = problem.system, problem.centre, problem.start
     values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(system.numeric.jacobian(centre)))
-    rotating = [i for i in np.argsort(np.abs(values.imag)) if values[i].imag > 1e-6 * abs(values[i])]
+    rotating = [i for i in np.argsort(np.abs(np.imag(values))) if np.imag(values[i]) > 1e-6 * abs(values[i])]
     if family >= len(rotating):
         raise InputError(
             f"{saddle} of {system.name} has {len(rotating)} families of Lyapunov orbits; family = {family} "
@@ -172,4 +172,4 @@ def _linear_centre(problem: SymmetricShooting, saddle: str, family: int) -> Line
     lowest = float(system.numeric.hamiltonian(centre))
     height = float(system.numeric.hamiltonian(centre + tiny * mode)) - lowest
     direction = start.T @ mode * tiny / np.sqrt(abs(height))
-    return LinearCentre(lowest, direction, float(values[rotating[family]].imag), float(np.sign(height)))
+    return LinearCentre(lowest, direction, float(np.imag(values[rotating[family]])), float(np.sign(height)))
