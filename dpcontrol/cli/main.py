@@ -1,7 +1,13 @@
 """The command line. Verbs are imported when they are called, so that --help is quick."""
 
+import difflib
+import errno
 import importlib
+import signal
 import sys
+import threading
+from io import TextIOWrapper
+from types import FrameType
 from typing import Any
 
 import click
@@ -35,6 +41,14 @@ class _Verbs(click.Group):
             return None
         return importlib.import_module(f"dpcontrol.cli.{cmd_name}").command
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        close = difflib.get_close_matches(args[0], VERBS, n=1) if args else []
+        if close and args[0] not in VERBS:
+            ctx.fail(f"there is no verb {args[0]!r}; did you mean {close[0]!r}?")
+        return super().resolve_command(ctx, args)
+
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Verbs"):
             formatter.write_dl(list(VERBS.items()))
@@ -56,6 +70,11 @@ def cli() -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit; mistakes of the user are one sentence on stderr, never a traceback."""
     given: Any = sys.argv[1:] if arguments is None else arguments
+    interrupted = _note_interrupts()
+    for stream in (sys.stdout, sys.stderr):
+        # A terminal that cannot show an arrow shows a question mark; it is no reason to fail.
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="replace")
     try:
         cli.main(given, prog_name="dpcontrol", standalone_mode=False)
     except click.ClickException as error:
@@ -72,6 +91,31 @@ def main(arguments: list[str] | None = None) -> None:
         code = 130
     except click.exceptions.Exit as done:
         code = done.exit_code
+    except OSError as error:
+        if error.errno != errno.ENOSPC:
+            raise
+        click.echo("dpcontrol: no space left where the output goes; nothing more was written", err=True)
+        code = 1
+    except (ImportError, SystemError):
+        # Compiled code that is interrupted reports it as an error of its own.
+        if not interrupted:
+            raise
+        click.echo("dpcontrol: interrupted; what was finished is kept", err=True)
+        code = 130
     else:
         code = 0
     sys.exit(code)
+
+
+def _note_interrupts() -> list[int]:
+    """Return a list that grows with each Ctrl-C, which still raises KeyboardInterrupt."""
+    noted: list[int] = []
+
+    def handler(number: int, frame: FrameType | None) -> None:
+        noted.append(number)
+        raise KeyboardInterrupt
+
+    # Only the main thread may set handlers; called from another, Python's own stays.
+    if threading.current_thread() is threading.main_thread():
+        signal.signal(signal.SIGINT, handler)
+    return noted

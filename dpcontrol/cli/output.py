@@ -95,8 +95,8 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
     for row in rows:
         table.add_row(*row)
     console = Console()
-    if not console.is_terminal:
-        console = Console(width=200)
+    # A narrow terminal wraps lines; a narrow table would leave out names and digits.
+    console = Console(width=max(console.width, 130) if console.is_terminal else 200)
     console.print(table)
 
 

@@ -22,6 +22,9 @@ from dpcontrol.foundation.errors import InputError
 
 Array = NDArray[np.float64]
 
+LARGEST = 1e6
+"""No mass, length, inertia or friction of a bench is larger in SI units; beyond it products overflow."""
+
 
 @dataclass(frozen=True)
 class ArmChainParameters:
@@ -60,9 +63,9 @@ class ArmChainParameters:
             if name != "acceleration" and len(values) != count:
                 raise InputError(f"{name} has {len(values)} values but mass has {count}; give one for each arm")
             for value in values:
-                if not np.isfinite(value) or value < 0 or (value == 0 and not zero_allowed):
+                if not np.isfinite(value) or not 0 <= value <= LARGEST or (value == 0 and not zero_allowed):
                     allowed = "zero or positive" if zero_allowed else "positive"
-                    raise InputError(f"{name} = {value!r}: must be a finite number, {allowed}")
+                    raise InputError(f"{name} = {value!r}: must be a finite number, {allowed}, at most {LARGEST:g}")
 
     @property
     def count(self) -> int:

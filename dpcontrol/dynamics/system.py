@@ -17,6 +17,7 @@ from dpcontrol.dynamics.equations import Equations, NumericEquations
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.dynamics.propagator import Propagator, Section
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.tables import suggest
 
 Array = NDArray[np.float64]
 
@@ -68,7 +69,7 @@ class System:
             InputError: there is no equilibrium of that name.
         """
         if name not in self.equilibria:
-            raise InputError(f"{self.name} has no equilibrium {name!r}; choose one of {', '.join(self.equilibria)}")
+            raise InputError(f"{self.name} has no equilibrium {name!r}: {suggest(name, self.equilibria)}")
         return self.equilibria[name]
 
     def nearest_turns(self, difference: Array) -> Array:

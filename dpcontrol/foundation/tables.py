@@ -1,6 +1,7 @@
 """Checked reading of TOML files: every mistake is one sentence naming file, table, key, value and what is allowed."""
 
 import difflib
+import math
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
@@ -47,7 +48,7 @@ class Table:
         if not isinstance(value, str):
             raise InputError(f"{self.where(key)} = {value!r}: must be text in quotes")
         if allowed is not None and value not in (choices := list(allowed)):
-            raise InputError(f"{self.where(key)} = {value!r}: {_choose(value, choices)}")
+            raise InputError(f"{self.where(key)} = {value!r}: {suggest(value, choices)}")
         return value
 
     def number(self, key: str, default: Any = MISSING) -> float:
@@ -124,7 +125,7 @@ class Table:
             if key not in self._taken:
                 known = sorted(self._taken | set(also))
                 place = f"{self.where()} " if self.name else f"{self.where()} at the top level, "
-                raise InputError(f"{place}the key {key!r} is unknown: {_choose(key, known)}")
+                raise InputError(f"{place}the key {key!r} is unknown: {suggest(key, known)}")
 
     def _list(self, key: str, default: Any) -> list[Any] | tuple[Any, ...]:
         value = self._take(key, default)
@@ -135,9 +136,13 @@ class Table:
     def _number(self, value: Any, key: str) -> float:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise InputError(f"{self.where(key)} = {value!r}: must be a number")
-        if value != value or value in (float("inf"), float("-inf")):
+        try:
+            number = float(value)
+        except OverflowError:
+            raise InputError(f"{self.where(key)}: must be a finite number; this one has too many digits") from None
+        if not math.isfinite(number):
             raise InputError(f"{self.where(key)} = {value!r}: must be a finite number")
-        return float(value)
+        return number
 
     def _integer(self, value: Any, key: str, least: int) -> int:
         if isinstance(value, bool) or not isinstance(value, int) or value < least:
@@ -145,7 +150,9 @@ class Table:
         return value
 
 
-def _choose(value: str, choices: list[str]) -> str:
+def suggest(value: str, choices: Iterable[str]) -> str:
+    """Return what is allowed instead of `value`, the nearest spelling first."""
+    choices = list(choices)
     close = difflib.get_close_matches(value, choices, n=1)
     if close:
         return f"did you mean {close[0]!r}? Allowed: {', '.join(choices)}"
@@ -177,3 +184,5 @@ def parse_toml(text: str, file: str) -> Table:
         return Table(tomllib.loads(text), file=file)
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{file} is not valid TOML: {error}") from error
+    except (RecursionError, ValueError) as error:
+        raise InputError(f"{file} is not usable TOML: nested too deeply, or a number of too many digits") from error

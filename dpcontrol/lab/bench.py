@@ -49,10 +49,8 @@ class SensorSettings:
         """
         if self.counts < 1:
             raise InputError(f"sensors: counts = {self.counts!r}: must be at least 1")
-        if not np.isfinite(self.cart_resolution) or self.cart_resolution <= 0:
-            raise InputError(
-                f"sensors: cart_resolution = {self.cart_resolution!r}: must be a positive, finite number of metres"
-            )
+        if not 1e-12 <= self.cart_resolution <= 1.0:
+            raise InputError(f"sensors: cart_resolution = {self.cart_resolution!r}: must be 1e-12 to 1 metres")
 
 
 class Encoders:

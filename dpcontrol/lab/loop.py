@@ -58,8 +58,8 @@ class LoopSettings:
         Raises:
             InputError: names the setting, its value and what is allowed.
         """
-        if not np.isfinite(self.rate) or not 1 <= self.rate <= 100_000:
-            raise InputError(f"run: rate = {self.rate!r}: must be 1 to 100000 Hz")
+        if not np.isfinite(self.rate) or not 1 <= self.rate <= 10_000:
+            raise InputError(f"run: rate = {self.rate!r}: must be 1 to 10000 Hz")
         if not 0 <= self.delay <= 1000:
             raise InputError(f"run: delay = {self.delay!r}: must be 0 to 1000 periods")
         if self.seed < 0:

@@ -5,6 +5,7 @@ that is killed loses no more than that. The file grows as `NAME.mcap.partial` an
 """
 
 import mimetypes
+import os
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -88,7 +89,7 @@ class LogWriter:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             if self.path.is_dir():
                 raise InputError(f"cannot write {self.path}: it is a folder; choose another file name")
-            self._stream = self.partial.open("wb")
+            self._stream = self._open()
             self._start(self._stream)
         except OSError as error:
             raise self._unwritable(error) from error
@@ -100,7 +101,9 @@ class LogWriter:
         if self._stream is None or self._file is None:
             return
         try:
-            self._write_chunk()
+            empty = kind is not None and not self._filled and self._encoder is None
+            if not empty:
+                self._write_chunk()
             if kind is None:
                 if self._result:
                     self._file.add_metadata(layout.RESULT_RECORD, self._result)
@@ -108,11 +111,22 @@ class LogWriter:
             self._stream.close()
             if kind is None:
                 self.partial.replace(self.path)
+            elif empty:
+                # A run that failed before its first tick leaves nothing worth a look.
+                self.partial.unlink(missing_ok=True)
         except OSError as failure:
             raise self._unwritable(failure) from failure
         finally:
             self._stream.close()
             self._stream = self._file = None
+
+    def _open(self) -> BinaryIO:
+        """Open the partial file; where another run writes the same log, one of this process's own."""
+        try:
+            return self.partial.open("xb")
+        except FileExistsError:
+            self.partial = self.path.with_name(f"{self.path.name}.{os.getpid()}.partial")
+            return self.partial.open("wb")
 
     def _unwritable(self, error: OSError) -> InputError:
         return InputError(f"cannot write {self.path}: {error.strerror or error}; choose another file or folder")

@@ -120,6 +120,6 @@ def method_named(name: str) -> Method:
         InputError: there is no such method.
     """
     family, _, count = name.partition("-")
-    if family != "radau" or not count.isdigit():
+    if family != "radau" or not (count.isascii() and count.isdecimal()):
         raise InputError(f"method = {name!r}: allowed are radau-2 to radau-12")
     return radau(int(count))

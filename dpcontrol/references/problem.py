@@ -39,8 +39,8 @@ class Limits:
             InputError: names the limit and its value.
         """
         for name, value in self.named().items():
-            if not np.isfinite(value) or value <= 0:
-                raise InputError(f"limits: {name} = {value!r}: must be a positive, finite number")
+            if not 1e-6 <= value <= 1e6:
+                raise InputError(f"limits: {name} = {value!r}: must be 1e-06 to 1e+06 {LIMIT_UNITS[name]}")
 
     def named(self) -> dict[str, float]:
         """Return {name: bound}."""
@@ -139,9 +139,10 @@ class ReferenceSettings:
         Raises:
             InputError: names the setting, its value and what is allowed.
         """
-        for name in ("interval", "tolerance"):
-            if not np.isfinite(getattr(self, name)) or getattr(self, name) <= 0:
-                raise InputError(f"{name} = {getattr(self, name)!r}: must be a positive, finite number")
+        # Below the least interval a mesh may have more intervals than memory holds.
+        for name, least, most in (("interval", 1e-3, 10.0), ("tolerance", 1e-20, 1.0)):
+            if not least <= getattr(self, name) <= most:
+                raise InputError(f"{name} = {getattr(self, name)!r}: must be {least:g} to {most:g}")
         for name in ("pendulum_weight", "cart_weight", "end_tolerance"):
             if not np.isfinite(getattr(self, name)) or getattr(self, name) < 0:
                 raise InputError(f"{name} = {getattr(self, name)!r}: must be zero or positive")

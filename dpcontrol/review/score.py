@@ -73,10 +73,42 @@ def plan_of(log: RunLog) -> Reference:
     try:
         reference = load_reference(io.BytesIO(data))
     except InputError as error:
-        raise InputError(f"{log.path}: its attachment {REFERENCE_ATTACHMENT} cannot be read; {error}") from error
-    if "stops" not in reference.notes:
+        raise InputError(
+            f"{log.path}: its attachment {REFERENCE_ATTACHMENT} is damaged; run the itinerary again"
+        ) from error
+    if not _whole(reference, log):
         raise InputError(f"{log.path}: its attachment {REFERENCE_ATTACHMENT} holds no plan; run the itinerary again")
     return reference
+
+
+def _whole(reference: Reference, log: RunLog) -> bool:
+    """Tell whether a reference carries all of a plan's notes, for the arms of this log."""
+    notes: Any = dict(reference.notes)
+    n = len(log.arm_lengths)
+    try:
+        stops, symbols, orbits, saddles = (notes[key] for key in ("stops", "symbols", "orbits", "saddles"))
+        homes = {stop["saddle"] for stop in stops} <= set(saddles) and len(stops) == len(symbols) + 1 >= 2
+        angles = [entry["angles"] for entry in (*stops, *saddles.values())]
+        curves = [reference.extra[f"orbit_{k}"] for k in range(len(orbits))]
+        numbers = [s[key] for s in symbols for key in ("time", "time_in", "time_out", "phase_in", "phase_out")]
+        numbers += [s["section"]["value"] for s in symbols] + [saddle["energy"] for saddle in saddles.values()]
+        known = {orbit["saddle"] for orbit in orbits} >= {stop["saddle"] for stop in stops}
+        texts = [notes["title"], notes["itinerary"], *(s["text"] for s in symbols)]
+        return bool(
+            reference.converged
+            and reference.states.shape[-1] == 2 * n + 2
+            and homes
+            and known
+            and all(len(a) == n for a in angles)
+            and all(c.ndim == 2 and c.shape[1] == 2 * n and len(c) > 1 for c in curves)
+            and all(o["period"] > 0 and np.isfinite(o["energy"]) for o in orbits)
+            and np.isfinite(np.array(numbers, dtype=float)).all()
+            and all(len(s["section"]["normal"]) == 2 * n for s in symbols)
+            and len(notes["wraps"]) == len(symbols) - 1
+            and all(isinstance(text, str) for text in texts)
+        )
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError):
+        return False
 
 
 def decode_stops(angles: Array, saddles: Array, *, dwell: int) -> list[Visit]:

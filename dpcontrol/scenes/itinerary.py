@@ -8,7 +8,7 @@ from typing import Any
 from dpcontrol.control.ekf import EkfSettings
 from dpcontrol.control.tracking import ControllerSettings, FeedforwardSettings, TvlqrSettings
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.tables import Table, read_toml
+from dpcontrol.foundation.tables import Table, read_toml, suggest
 from dpcontrol.itineraries.walk import parse_walk
 from dpcontrol.lab.bench import SensorSettings
 from dpcontrol.lab.loop import LoopSettings
@@ -50,7 +50,7 @@ class Itinerary:
         kind = given.pop("controller", None)
         if kind is not None and kind != self.loop.controller.kind:
             if kind not in CONTROLLERS:
-                raise InputError(f"controller = {kind!r}: choose one of {', '.join(CONTROLLERS)}")
+                raise InputError(f"controller = {kind!r}: {suggest(kind, CONTROLLERS)}")
             given["controller"] = CONTROLLERS[kind]()
         return replace(self, loop=replace(self.loop, **given))
 
@@ -114,8 +114,8 @@ def _checked_walk(
     for saddle in {name for s in symbols for name in (s.source, s.target)}:
         if energy <= points[saddle].energy:
             raise InputError(
-                f"{table.where('energy')} = {energy:g} J: {saddle} has Lyapunov orbits only above its own "
-                f"{points[saddle].energy:.6g} J; choose a higher energy"
+                f"{table.where('energy')} = {energy!r} J: {saddle} has Lyapunov orbits only above its own "
+                f"{points[saddle].energy!r} J; choose a higher energy"
             )
 
 

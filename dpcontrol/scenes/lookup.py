@@ -4,6 +4,7 @@ An installed wheel carries them in `dpcontrol/data`; a checkout has them beside 
 """
 
 import difflib
+from contextlib import suppress
 from pathlib import Path
 
 import dpcontrol
@@ -19,8 +20,20 @@ def shipped(kind: str) -> Path:
 
 def known(kind: str) -> list[str]:
     """Return the names that can be given without a path."""
-    folders = (Path.cwd() / kind, shipped(kind))
-    return sorted({file.stem for folder in folders if folder.is_dir() for file in folder.glob("*.toml")})
+    names: set[str] = set()
+    for folder in (Path(kind), shipped(kind)):
+        # A folder that may not be read names nothing.
+        with suppress(OSError):
+            names |= {file.stem for file in folder.glob("*.toml")}
+    return sorted(names)
+
+
+def _is_file(path: Path) -> bool:
+    """Tell whether there is such a file that may be looked at; a name that no file can have is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
 
 
 def find(kind: str, name: str) -> Path:
@@ -32,12 +45,12 @@ def find(kind: str, name: str) -> Path:
     given = Path(name)
     looks_like_path = given.suffix == ".toml" or given.name != name
     if looks_like_path:
-        if given.is_file():
+        if _is_file(given):
             return given
         raise InputError(f"there is no file {name}; give a TOML file or one of: {', '.join(known(kind))}")
-    for folder in (Path.cwd() / kind, shipped(kind)):
+    for folder in (Path(kind), shipped(kind)):
         file = folder / f"{name}.toml"
-        if file.is_file():
+        if _is_file(file):
             return file
     names = known(kind)
     close = difflib.get_close_matches(name, names, n=1)

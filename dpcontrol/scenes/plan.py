@@ -6,6 +6,7 @@ so that a log that carries the reference can be scored and reviewed alone.
 
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -61,6 +62,9 @@ def plan_key(itinerary: Itinerary) -> str:
         "format": FORMAT,
         "code": code_hash(),
         "parameters": asdict(itinerary.model.arms),
+        "name": itinerary.name,
+        "title": itinerary.title,
+        "model": itinerary.model.name,
         "energy": itinerary.energy,
         "walk": itinerary.walk,
         "wraps": itinerary.wraps,
@@ -82,11 +86,11 @@ def make_plan(itinerary: Itinerary, *, progress: Progress = no_progress, fresh: 
     """
     file = cache_folder("plans") / f"{itinerary.name}-{plan_key(itinerary)}.npz"
     if not fresh and file.is_file():
-        try:
-            return Plan(itinerary, load_reference(file), file, cached=True)
-        except InputError:
-            # A damaged cache entry is replaced, as if it were not there.
-            pass
+        # A damaged cache entry, or one under another's name, is replaced as if it were not there.
+        with suppress(InputError):
+            kept = load_reference(file)
+            if kept.notes.get("plan") == plan_key(itinerary):
+                return Plan(itinerary, kept, file, cached=True)
     shadowing = shadowing_orbit(itinerary, progress=_part(progress, 0.0, 0.4))
     equations = arm_chain_equations(itinerary.model.arms.count, Level.CART)
     problem = ReferenceProblem(
@@ -172,6 +176,7 @@ def _notes(itinerary: Itinerary, shadowing: ShadowingOrbit) -> tuple[dict[str, A
         for text, c, time in zip(itinerary.walk, shadowing.connections, shadowing.symbol_times, strict=True)
     ]
     notes = {
+        "plan": plan_key(itinerary),
         "itinerary": itinerary.name,
         "title": itinerary.title,
         "model": itinerary.model.name,

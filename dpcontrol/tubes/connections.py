@@ -133,22 +133,32 @@ def find_connections(
     for k, crossing in enumerate(crossings):
         progress("refining connections", 0.7 + 0.3 * k / len(crossings))
         refined = _refined(system, crossing, curves, settings)
-        if refined.orbit.converged:
+        if not refined.orbit.converged:
+            failed += 1
+        elif not _known(system, refined, found, settings.same):
             found.append(refined)
             if manifolds[0].branches_are_mirrored and manifolds[1].branches_are_mirrored:
                 found.append(_mirrored(refined))
-        else:
-            failed += 1
     # Ties in the position are noise: sorting on rounded values keeps the order from run to run.
     found.sort(key=lambda c: (-c.sense, *np.round(section_points(system, section, c.state), 6)))
     complete = not failed and all(cut.resolved and not cut.open_ends for cut in (unstable, backward))
-    status = f"{len(found)} connections; unstable tube {unstable.status}; stable tube {backward.status}"
+    unresolved = not all(cut.resolved for cut in (unstable, backward))
+    count = f"{'at least ' if failed or unresolved else ''}{len(found)} connections"
+    status = f"{count}; unstable tube {unstable.status}; stable tube {backward.status}"
     if failed:
         status += f"; {failed} crossings of the cuts did not converge: refine the chord"
     if unstable.open_ends or backward.open_ends:
         status += "; the cuts are open (see open_cuts), so crossings beyond their ends belong to other hits"
     progress("connections", 1.0)
     return ConnectionSearch(source, target, tuple(found), (unstable, backward), failed, complete, status)
+
+
+def _known(system: System, connection: Connection, found: list[Connection], tolerance: float) -> bool:
+    """Whether a connection was found before: pieces of scattered cuts overlap where they join."""
+    return any(
+        other.winding == connection.winding and bool(system.scaled_distance(other.state, connection.state) < tolerance)
+        for other in found
+    )
 
 
 def _refined(

@@ -53,6 +53,9 @@ def _newton(function: Callable[[Array], Array], guess: Array, steps: Array) -> t
             break
         columns = [(function(y + h) - function(y - h)) / (2 * s) for h, s in zip(np.diag(steps), steps, strict=True)]
         y = y - np.linalg.lstsq(np.column_stack(columns), value, rcond=1e-13)[0]
+        if np.any(np.abs(y - guess) > 1e4 * steps):
+            # Farther than a tenth of everything is no solution near the guess; beyond it orbits may not even exist.
+            break
     return best, smallest
 
 

@@ -77,8 +77,8 @@ def lyapunov_orbit(
         raise InputError(f"energy = {energy}: must be a finite number of joules")
     if (energy - linear.energy) * linear.sign <= 0:
         raise InputError(
-            f"energy = {energy:g} J: the Lyapunov orbits about {saddle} exist only "
-            f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy:.6g} J"
+            f"energy = {energy!r} J: the Lyapunov orbits about {saddle} exist only "
+            f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy!r} J"
         )
     unknowns, residual, converged, status = _follow(problem, settings, linear, energy)
     return described_orbit(

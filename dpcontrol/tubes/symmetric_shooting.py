@@ -157,7 +157,7 @@ def _linear_centre(problem: SymmetricShooting, saddle: str, family: int) -> Line
     system, centre, start = problem.system, problem.centre, problem.start
     values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(system.numeric.jacobian(centre)))
     rotating = [i for i in np.argsort(np.abs(np.imag(values))) if np.imag(values[i]) > 1e-6 * abs(values[i])]
-    if family >= len(rotating):
+    if not 0 <= family < len(rotating):
         raise InputError(
             f"{saddle} of {system.name} has {len(rotating)} families of Lyapunov orbits; family = {family} "
             f"does not exist, use 0 to {len(rotating) - 1}"
