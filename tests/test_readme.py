@@ -67,7 +67,7 @@ def said(line: str) -> re.Pattern[str]:
 def test_every_command_of_the_walk_through_prints_what_is_shown() -> None:
     shown = conversations()
     assert {command.split()[1] for command, _ in shown} == {
-        "model", "orbit", "connect", "plan", "run", "score", "review",
+        "model", "orbit", "connect", "plan", "run", "score", "review", "atlas", "bifurcations", "figures",
     }  # fmt: skip
     for command, lines in shown:
         words = shlex.split(command, comments=True)
