@@ -61,9 +61,18 @@ def _newton(function: Callable[[Array], Array], guess: Array, steps: Array) -> t
 
 def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
     """Locate the turn after point `index` of a path, by the equations of its kind; None where they do not converge."""
-    before, after = path.points[index], path.points[index + 1]
-    extreme = max((before, after), key=lambda p: abs(p.energy - path.points[0].energy))
-    reach = 0.2 * abs(path.points[0].energy - extreme.energy) + 1e-3 * problem.system.energy_scale
+    start = path.points[0].energy
+    sides = sorted(path.points[index : index + 2], key=lambda p: -abs(p.energy - start))
+    for side in sides:
+        reach = 0.2 * abs(start - side.energy) + 1e-3 * problem.system.energy_scale
+        event = _turn_from(problem, side, path.points[index].link, path.points[index + 1].link, reach)
+        if event is not None:
+            return event
+    return None
+
+
+def _turn_from(problem: LinkProblem, extreme: PathPoint, before: Link, after: Link, reach: float) -> Located | None:
+    """Locate a turn from one of the points beside it."""
     which = problem.symmetry(extreme.link)
     if which is not None:
         return _near(_on_mirror(problem, extreme, which, shedding=False), extreme.energy, reach)
@@ -73,7 +82,7 @@ def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
         # A pair turns back on the mirror; far from it there is no pitchfork to look for.
         if image is not None and problem.distance_between(extreme.link, image) < 0.1:
             shed = _near(_on_mirror(problem, extreme, mirror, shedding=True), extreme.energy, reach)
-    if shed is not None and _exchanged(problem, before.link, after.link):
+    if shed is not None and _exchanged(problem, before, after):
         return shed
     turned = _near(_tangent(problem, extreme), extreme.energy, reach)
     # On the mirror a saddle-node's equations are degenerate: where both kinds are solved there, it is a pitchfork.

@@ -196,7 +196,8 @@ class LinkProblem:
         normal = basis @ (system.numeric.gradient(x) * scale)
         fold = float(d_minus[0] * f_minus[1] - d_minus[1] * f_minus[0]) / float(np.linalg.norm(f_minus))
         shedding = float(d_plus[0] * normal[1] - d_plus[1] * normal[0]) / float(np.linalg.norm(normal))
-        size = float(np.hypot(fold, shedding))
+        # Not by (a, b) itself, which all but vanishes where both kinds of event fall together.
+        size = float(np.linalg.norm(slope / scale))
         return MirrorMatch(miss, np.column_stack([d_minus, f_minus / 2]), fold / size, shedding / size)
 
     def symmetry(self, link: Link, within: float = 1e-6) -> int | None:
