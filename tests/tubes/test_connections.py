@@ -168,7 +168,7 @@ def test_a_cut_that_may_not_be_refined_says_so():
 
 
 def test_no_heteroclinics_below_the_energy_of_up_down():
-    with pytest.raises(InputError, match=r"exist only above its energy of 0\.17543"):
+    with pytest.raises(InputError, match=r"exist only above its energy of 0\.175429746"):
         orbits_between(load_model("lab").system, "down-up", "up-down", 0.17)
 
 
