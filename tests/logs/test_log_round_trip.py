@@ -237,3 +237,20 @@ def test_a_tick_that_does_not_fit_is_refused(tmp_path: Path) -> None:
             tick_all(log, run)
     with pytest.raises(ValueError, match="positive rate"):
         LogWriter(tmp_path / "d.mcap", arm_lengths=(), rate_hz=1000.0)
+
+
+def test_two_runs_of_one_log_do_not_share_a_partial_file(tmp_path: Path) -> None:
+    first, second = sample(40, seed=1), sample(60, seed=2)
+    with open_writer(tmp_path / "run.mcap", first) as one:
+        tick_all(one, first)
+        with open_writer(tmp_path / "run.mcap", second) as other:
+            tick_all(other, second)
+        assert len(read_log(tmp_path / "run.mcap").time) == 60
+    assert len(read_log(tmp_path / "run.mcap").time) == 40
+    assert [file.name for file in tmp_path.iterdir()] == ["run.mcap"]
+
+
+def test_a_run_that_fails_before_its_first_tick_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), open_writer(tmp_path / "run.mcap", sample(5)):
+        raise ZeroDivisionError
+    assert not list(tmp_path.iterdir())
