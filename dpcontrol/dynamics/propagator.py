@@ -66,7 +66,8 @@ class Propagator:
         self._sections: dict[Section, Any] = {}
 
     @cached_property
-    def _system(self) -> list[tuple[Any, Any]]:
+    def taylor_system(self) -> list[tuple[Any, Any]]:
+        """The equations in heyoka's form, (variable, rate) pairs: what every integrator is compiled from."""
         e = self.equations
         states = hy.make_vars(*[f"x{i}" for i in range(e.dimension)])
         count = e.parameters.shape[0]
@@ -81,20 +82,20 @@ class Propagator:
 
     @cached_property
     def _plain(self) -> Any:
-        return self._compile(self._system)
+        return self._compile(self.taylor_system)
 
     @cached_property
     def _variational(self) -> Any:
-        return self._compile(hy.var_ode_sys(self._system, args=hy.var_args.vars, order=1))
+        return self._compile(hy.var_ode_sys(self.taylor_system, args=hy.var_args.vars, order=1))
 
     def _with_section(self, section: Section) -> Any:
         if section not in self._sections:
-            states = [state for state, _ in self._system]
+            states = [state for state, _ in self.taylor_system]
             height: Any = sum((n * x for n, x in zip(section.normal, states, strict=True) if n), hy.expression(0.0))
             if section.offset:
                 height = height - section.offset
             event = height if section.period is None else hy.sin(height * (np.pi / section.period))
-            self._sections[section] = self._compile(self._system, t_events=[hy.t_event(event)])
+            self._sections[section] = self._compile(self.taylor_system, t_events=[hy.t_event(event)])
         return self._sections[section]
 
     def _start(self, integrator: Any, state: ArrayLike, inputs: ArrayLike | None) -> None:

@@ -16,6 +16,7 @@ from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
 from dpcontrol.dynamics.equations import Equations, NumericEquations
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.dynamics.propagator import Propagator, Section
+from dpcontrol.dynamics.segments import SegmentPropagator
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.tables import suggest
 
@@ -53,6 +54,11 @@ class System:
         return self.equations.dimension
 
     @cached_property
+    def turn_lengths(self) -> Array:
+        """Lengths (N,) of a whole turn of each coordinate: its period, zero where it is no angle."""
+        return np.where(np.isfinite(self.periods), self.periods, 0.0)
+
+    @cached_property
     def numeric(self) -> NumericEquations:
         """The equations as numpy functions."""
         return NumericEquations(self.equations, self.parameters)
@@ -61,6 +67,11 @@ class System:
     def propagator(self) -> Propagator:
         """The propagator, compiled when first used."""
         return Propagator(self.equations, self.parameters)
+
+    @cached_property
+    def segments(self) -> SegmentPropagator:
+        """The propagator of many segments at once, compiled when first used."""
+        return SegmentPropagator(self.propagator)
 
     def equilibrium(self, name: str) -> Array:
         """Return the state (N,) of the named equilibrium.
@@ -82,8 +93,7 @@ class System:
     def scaled_distance(self, first: Array, second: Array) -> Array:
         """Return the largest scaled component of the difference of states (…, N), angles modulo a turn."""
         difference = np.asarray(first) - np.asarray(second)
-        angular = np.isfinite(self.periods)
-        difference[..., angular] -= self.nearest_turns(difference)[..., angular] * self.periods[angular]
+        difference = difference - self.nearest_turns(difference) * self.turn_lengths
         return np.max(np.abs(difference) / self.scale, axis=-1)
 
 
