@@ -160,6 +160,11 @@ class Atlas:
     status: str
 
     @property
+    def turn_lengths(self) -> Array:
+        """Lengths (N,) of a whole turn of each coordinate, zero where it is no angle."""
+        return np.where(np.isfinite(self.periods), self.periods, 0.0)
+
+    @property
     def complete(self) -> bool:
         """Whether nothing that was searched may hide a connection at its hits."""
         return all(kind.complete for kind in self.kinds)

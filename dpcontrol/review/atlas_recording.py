@@ -107,7 +107,7 @@ def _plain(name: str) -> str:
 
 
 def _orbits(recording: rr.RecordingStream, atlas: Atlas, shown: _Shown) -> None:
-    turn = np.where(np.isfinite(atlas.periods), atlas.periods, 0.0)
+    turn = atlas.turn_lengths
     half = len(atlas.periods) // 2
     for orbit in atlas.orbits:
         closed = np.vstack([orbit.samples, orbit.samples[:1]])

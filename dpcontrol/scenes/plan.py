@@ -149,7 +149,7 @@ def _notes(itinerary: Itinerary, shadowing: ShadowingOrbit) -> tuple[dict[str, A
     orbits: list[LyapunovOrbit] = []
     for connection in shadowing.connections:
         orbits += [o for o in (connection.source, connection.target) if o.saddle not in [p.saddle for p in orbits]]
-    turn = np.where(np.isfinite(system.periods), system.periods, 0.0)
+    turn = system.turn_lengths
     names = [shadowing.connections[0].source.saddle, *(c.target.saddle for c in shadowing.connections)]
     stops = [
         {"saddle": name, "angles": (system.equilibrium(name) + offset * turn)[:n].tolist()}

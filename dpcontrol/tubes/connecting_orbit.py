@@ -51,8 +51,7 @@ class ManifoldEnd:
             reverser = system.reversers[0]
             state = reverser @ (state - orbit.centre) + orbit.centre
             by_phase, by_amplitude = reverser @ by_phase, reverser @ by_amplitude
-        lengths = np.where(np.isfinite(system.periods), system.periods, 0.0)
-        return state + np.asarray(self.turns) * lengths, by_phase, by_amplitude
+        return state + np.asarray(self.turns) * system.turn_lengths, by_phase, by_amplitude
 
     def moved(self, seconds: float) -> "ManifoldEnd":
         """Return the end after the flow has carried it on by `seconds` (negative: back)."""
@@ -73,7 +72,7 @@ class ManifoldEnd:
         system = orbit.system
         if self.stable:
             states = (states - orbit.centre) @ system.reversers[0].T + orbit.centre
-        return states + np.asarray(self.turns) * np.where(np.isfinite(system.periods), system.periods, 0.0)
+        return states + np.asarray(self.turns) * system.turn_lengths
 
 
 @dataclass(frozen=True)

@@ -219,8 +219,7 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> tuple[Connect
         lead = np.linspace(-settings.lead * period, 0.0, lead_count + 1)[:-1]
         along = np.linspace(0.0, flight, count + 1)
         seeds, _ = manifold.seeds(np.array([phase]), side.branch)
-        lengths = np.where(np.isfinite(system.periods), system.periods, 0.0)
-        flown = side.turned(system.propagator.sample(seeds[0], along)) + turns * lengths
+        flown = side.turned(system.propagator.sample(seeds[0], along)) + turns * system.turn_lengths
         times.append(sign * (np.concatenate([lead, along]) - flight))
         states.append(np.vstack([seed_end.states(sign * lead), flown]))
         ends.append(seed_end.moved(-sign * settings.lead * period))

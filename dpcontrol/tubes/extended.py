@@ -187,5 +187,4 @@ def _end_state(end: ManifoldEnd, refined: ExtendedOrbit, phase: Any, amplitude: 
     if end.stable:
         centre = exact_position(system, refined.orbit.centre)
         state = extended(system.reversers[0]) @ (state - centre) + centre
-    lengths = np.where(np.isfinite(system.periods), system.periods, 0.0)
-    return state + exact_position(system, np.asarray(end.turns) * lengths)
+    return state + exact_position(system, np.asarray(end.turns) * system.turn_lengths)

@@ -84,5 +84,4 @@ class OrbitCurve:
         """Return first - second with whole turns removed."""
         system = self.orbit.system
         difference = first - second
-        lengths = np.where(np.isfinite(system.periods), system.periods, 0.0)
-        return difference - system.nearest_turns(difference) * lengths
+        return difference - system.nearest_turns(difference) * system.turn_lengths

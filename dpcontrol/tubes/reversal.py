@@ -70,7 +70,7 @@ def _reversed(connection: Connection) -> Connection:
     system, section = source.system, connection.section
     reverser = system.reversers[0]
     turns = -reverser @ np.asarray(orbit.end.turns) + 0.0
-    lift = turns * np.where(np.isfinite(system.periods), system.periods, 0.0)
+    lift = turns * system.turn_lengths
     state = reverser @ connection.state + lift
     winding = tuple(int(k) for k in turns[: len(connection.winding)])
     hits = (connection.hits[1], connection.hits[0])

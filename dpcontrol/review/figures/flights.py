@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: str, *, labelled: bool = True) -> None:
     """Draw a flight in the plane of the first two coordinates, from its source's named place, with both orbits."""
     n = len(atlas.periods) // 2
-    lift = np.where(np.isfinite(atlas.periods), atlas.periods, 0.0)
+    lift = atlas.turn_lengths
     turns = np.concatenate([np.asarray(connection.winding, dtype=float), np.zeros(n)])
     for saddle, offset in ((connection.source, 0 * turns), (connection.target, turns)):
         orbit = next(o for o in atlas.orbits if o.saddle == saddle)
