@@ -7,17 +7,22 @@ doubles. Each change is located as a root along the curve, every trial point cor
 Source: Meyer & Offin, Introduction to Hamiltonian Dynamical Systems and the N-Body Problem, 3rd ed., chapter 11.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Progress, no_progress
-from dpcontrol.tubes.rotating import HalfTurn, RotatingOrbit, described, half_turn, kind_of, section_trace
+from dpcontrol.tubes.family_curve import SLOPE, FamilyCurve, FamilyPoint
+from dpcontrol.tubes.family_end import LINGERS, nearest_equilibrium
+from dpcontrol.tubes.rotating import RotatingOrbit, described, half_turn, kind_of, section_trace
+from dpcontrol.tubes.symmetric_shooting import SymmetricShooting
 
 Array = NDArray[np.float64]
+
+_TRACE = "trace"
 
 
 @dataclass(frozen=True)
@@ -68,69 +73,6 @@ class RotatingFamily:
         return np.array([m.trace for m in self.members])
 
 
-@dataclass(frozen=True)
-class _Point:
-    unknowns: Array
-    tangent: Array
-    energy: float
-    slope: float
-    trace: float
-    residual: float
-
-
-class _Curve:
-    def __init__(self, problem: HalfTurn, orbit: RotatingOrbit, settings: RotatingFamilySettings) -> None:
-        self.problem, self.settings, self.arm = problem, settings, orbit.arm
-        self.weights = np.append(problem.system.scale[2:], orbit.period / 2)
-
-    def point(self, unknowns: Array, heading: Array | None, residual: float) -> _Point:
-        _, jacobian = self.problem.arc(unknowns)
-        tangent = np.linalg.svd(jacobian * self.weights)[2][-1]
-        energy, gradient = self.problem.energy(unknowns)
-        slope = float((gradient * self.weights) @ tangent)
-        # The first tangent looks up in energy, every other one along its predecessor.
-        if (slope if heading is None else tangent @ heading) < 0:
-            tangent, slope = -tangent, -slope
-        return _Point(unknowns, tangent, energy, slope, section_trace(self.problem, unknowns)[0], residual)
-
-    def step(self, start: _Point, length: float) -> _Point | None:
-        """Return the curve's point `length` on from `start`, None where Newton's method does not find it."""
-        guess = start.unknowns + length * start.tangent * self.weights
-        found, residual = self.problem.along(
-            guess,
-            start.tangent,
-            self.weights,
-            iterations=self.settings.newton_iterations,
-            tolerance=self.settings.tolerance,
-        )
-        moved = float(np.linalg.norm((found - guess) / self.weights))
-        if residual > self.settings.tolerance or moved > 0.5 * abs(length):
-            return None
-        try:
-            point = self.point(found, start.tangent, residual)
-        except (ArithmeticError, np.linalg.LinAlgError):
-            return None
-        # A tangent that turned by 25 degrees belongs to another curve, or to too long a step.
-        return point if point.tangent @ start.tangent > 0.9 else None
-
-    def orbit(self, point: _Point) -> RotatingOrbit:
-        return described(self.problem, point.unknowns, self.arm, point.energy, point.residual)
-
-    def located(self, start: _Point, length: float, test: str, value: float) -> _Point | None:
-        """Return the point up to `length` on from `start` where an attribute takes a value."""
-
-        def off(h: float) -> float:
-            point = start if h == 0 else self.step(start, h)
-            if point is None:
-                raise ArithmeticError("left the curve")
-            return getattr(point, test) - value
-
-        try:
-            return self.step(start, float(brentq(off, 0.0, length, xtol=1e-13)))  # type: ignore[arg-type]
-        except (ArithmeticError, ValueError):
-            return None
-
-
 def rotating_family(
     orbit: RotatingOrbit,
     energies: tuple[float, float],
@@ -149,14 +91,25 @@ def rotating_family(
         raise InputError(f"energies {low:g} to {high:g} J: must enclose the orbit's, {orbit.energy:g} J")
     sense = 1 if sum(orbit.winding) > 0 else -1
     other = orbit.state[2 - orbit.arm]
-    curve = _Curve(half_turn(orbit.system, orbit.arm, sense, float(other)), orbit, settings)
-    unknowns = np.append(curve.problem.start.T @ (orbit.state - curve.problem.centre), orbit.period / 2)
+    problem = half_turn(orbit.system, orbit.arm, sense, float(other))
+    curve = FamilyCurve(
+        problem,
+        weights=np.append(orbit.system.scale[2:], orbit.period / 2),
+        measure=lambda unknowns: {_TRACE: section_trace(problem, unknowns)[0]},
+        iterations=settings.newton_iterations,
+        tolerance=settings.tolerance,
+        accept=settings.tolerance,
+    )
+
+    def described_point(point: FamilyPoint) -> RotatingOrbit:
+        return described(problem, point.unknowns, orbit.arm, point.energy, point.residual)
+
+    unknowns = np.append(problem.start.T @ (orbit.state - problem.centre), orbit.period / 2)
     first = curve.point(unknowns, None, orbit.newton_residual)
-    up = _follow(curve, first, (low, high), settings, progress)
-    back = replace(first, tangent=-first.tangent, slope=-first.slope)
-    down = _follow(curve, back, (low, high), settings, progress)
+    up = _follow(curve, first, (low, high), described_point, settings, progress)
+    down = _follow(curve, first.reversed(), (low, high), described_point, settings, progress)
     points = [*reversed(down.points), first, *up.points]
-    members = tuple(curve.orbit(p) for p in points)
+    members = tuple(described_point(p) for p in points)
     # Down the curve, what came before a change comes after it.
     changes = [replace(c, before=c.after, after=c.before) for c in reversed(down.changes)] + up.changes
     folds = (*reversed(down.folds), *up.folds)
@@ -172,7 +125,7 @@ def rotating_family(
 class _Run:
     """What one direction of following has met so far."""
 
-    points: list[_Point]
+    points: list[FamilyPoint]
     changes: list[StabilityChange]
     folds: list[RotatingOrbit]
     reason: str = ""
@@ -180,74 +133,77 @@ class _Run:
 
 
 def _follow(
-    curve: _Curve,
-    start: _Point,
+    curve: FamilyCurve,
+    start: FamilyPoint,
     energies: tuple[float, float],
+    described_point: Callable[[FamilyPoint], RotatingOrbit],
     settings: RotatingFamilySettings,
     progress: Progress,
 ) -> _Run:
-    run, here, length = _Run([], [], []), start, min(settings.step, 0.01)
-    while not run.reason:
-        following = curve.step(here, length)
-        if following is None:
-            length /= 2
-            if length < settings.smallest_step:
-                run.reason = _homoclinics(curve.problem, here)
-                run.failed = not run.reason
-                run.reason = run.reason or f"could not be followed beyond {here.energy:.9g} J: no step converges"
-            continue
+    def too_long(here: FamilyPoint, following: FamilyPoint) -> bool:
         # A step across all of the elliptic range would confuse its two ends.
-        if (abs(here.trace) > 2) and (abs(following.trace) > 2) and here.trace * following.trace < 0:
-            length /= 2
-            if length > settings.smallest_step:
-                continue
+        first, second = here.measures[_TRACE], following.measures[_TRACE]
+        return abs(first) > 2 and abs(second) > 2 and first * second < 0
+
+    run, here = _Run([], [], []), start
+    steps = curve.followed(start, step=settings.step, smallest=settings.smallest_step, too_long=too_long)
+    for before, after, length in steps:
+        following = after
         beyond = min(max(following.energy, energies[0]), energies[1])
         if beyond != following.energy:
-            place = curve.located(here, length, "energy", beyond)
+            place = curve.located(before, length, lambda point, beyond=beyond: point.energy - beyond)
             if place is not None:
                 following = replace(place, energy=beyond)
             run.reason = f"left at the asked bound of {beyond:g} J; the family goes on"
-        _events(curve, run, here, following, length)
+        _events(curve, run, before, following, length, described_point)
         run.points.append(following)
         progress("family of rotating orbits", abs(following.energy - start.energy) / (energies[1] - energies[0]))
-        here, length = following, min(settings.step, 1.5 * length)
-        period = curve.problem.period(here.unknowns)
-        if run.reason:
-            break
-        if period > settings.longest:
+        here = following
+        period, trace = curve.problem.period(here.unknowns), abs(here.measures[_TRACE])
+        if not run.reason and period > settings.longest:
             run.reason = f"left at {here.energy:.9g} J: the period has grown to {period:.3g} s"
-        elif abs(here.trace) > settings.largest:
+        elif not run.reason and trace > settings.largest:
             run.reason = f"left at {here.energy:.9g} J: multipliers above {settings.largest:g} are rounding in double"
-        elif len(run.points) >= settings.most_members:
+        elif not run.reason and len(run.points) >= settings.most_members:
             run.reason = f"left after {settings.most_members} members at {here.energy:.9g} J; allow more"
+        if run.reason:
+            return run
+    run.reason = _homoclinics(curve.problem, here)
+    run.failed = not run.reason
+    run.reason = run.reason or f"could not be followed beyond {here.energy:.9g} J: no step converges"
     return run
 
 
-def _events(curve: _Curve, run: _Run, here: _Point, following: _Point, length: float) -> None:
+def _events(
+    curve: FamilyCurve,
+    run: _Run,
+    here: FamilyPoint,
+    following: FamilyPoint,
+    length: float,
+    described_point: Callable[[FamilyPoint], RotatingOrbit],
+) -> None:
     for critical in (2.0, -2.0):
-        if (here.trace - critical) * (following.trace - critical) < 0:
-            place = curve.located(here, length, "trace", critical)
+        sides = [p.measures[_TRACE] - critical for p in (here, following)]
+        if sides[0] * sides[1] < 0:
+            place = curve.located(here, length, lambda point, critical=critical: point.measures[_TRACE] - critical)
             if place is not None:
-                sides = [critical + np.sign(p.trace - critical) for p in (here, following)]
-                before, after = (kind_of(float(side)) for side in sides)
-                run.changes.append(StabilityChange(curve.orbit(place), critical, before, after))
-    if here.slope * following.slope < 0:
-        place = curve.located(here, length, "slope", 0.0)
+                before, after = (kind_of(float(critical + np.sign(side))) for side in sides)
+                run.changes.append(StabilityChange(described_point(place), critical, before, after))
+    if here.measures[SLOPE] * following.measures[SLOPE] < 0:
+        place = curve.located(here, length, lambda point: point.measures[SLOPE])
         if place is not None:
-            run.folds.append(curve.orbit(place))
+            run.folds.append(described_point(place))
 
 
-def _homoclinics(problem: HalfTurn, place: _Point) -> str:
+def _homoclinics(problem: SymmetricShooting, place: FamilyPoint) -> str:
     """Say that the family ends at an equilibrium by which its last orbit lingers; empty if it does not linger."""
     system = problem.system
-    arc = system.propagator.sample(problem.state(place.unknowns), np.linspace(0, place.unknowns[-1], 400))
-    for name, state in system.equilibria.items():
-        height = float(system.numeric.hamiltonian(state))
-        near = float(np.min(system.scaled_distance(arc, state)))
-        if near < 0.05 and abs(height - place.energy) < 1e-3 * system.energy_scale:
-            return (
-                f"ends in the homoclinics of {name}: at {place.energy:.9g} J the period has grown to "
-                f"{problem.period(place.unknowns):.3g} s and the orbit passes {name} ({height:.9g} J) "
-                f"at a scaled distance of {near:.1g}"
-            )
-    return ""
+    name, near = nearest_equilibrium(problem, place)
+    height = float(system.numeric.hamiltonian(system.equilibria[name]))
+    if near > LINGERS or abs(height - place.energy) > 1e-3 * system.energy_scale:
+        return ""
+    return (
+        f"ends in the homoclinics of {name}: at {place.energy:.9g} J the period has grown to "
+        f"{problem.period(place.unknowns):.3g} s and the orbit passes {name} ({height:.9g} J) "
+        f"at a scaled distance of {near:.1g}"
+    )
