@@ -74,7 +74,7 @@ def _document(found: "FoundAtlas", file: Path) -> dict[str, Any]:
         "model": atlas.model,
         "orbits": [orbit_document(orbit) for orbit in atlas.orbits],
         "count": len(atlas.connections),
-        "connections": [connection_document(c) for c in atlas.connections],
+        "connections": [{**connection_document(c), "from": c.source, "to": c.target} for c in atlas.connections],
         "kinds": [
             {
                 "from": kind.source,

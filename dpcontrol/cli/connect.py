@@ -14,7 +14,8 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 if TYPE_CHECKING:
     from dpcontrol.dynamics.extended import Exact
     from dpcontrol.scenes.model import Model
-    from dpcontrol.tubes.connections import Connection, ConnectionSearch
+    from dpcontrol.tubes.connection import Connection
+    from dpcontrol.tubes.connections import ConnectionSearch
 
 
 SHOWN = 8
@@ -70,6 +71,7 @@ def command(
     All connections on the torus of angles are listed: both senses, mirror pairs and reflections. A connection's name
     may stand in an itinerary's walk.
     """
+    from dpcontrol.itineraries.atlas import connection_document
     from dpcontrol.scenes.model import load_model
     from dpcontrol.tubes.connections import find_connections, orbits_between
 
@@ -96,7 +98,7 @@ def command(
         print_json(
             {
                 "count": len(found),
-                "connections": [_document(c) for c in found],
+                "connections": [connection_document(c) for c in found],
                 "open_cuts": [
                     {"branch": f"{tube} {end.branch:+d}", "phase_interval": end.phase_interval, "reason": end.reason}
                     for tube, end in search.open_ends
@@ -134,24 +136,6 @@ def command(
         raise GoalMissed(f"the search between {source} and {target} is not complete: {search.status}")
 
 
-def _document(c: "Connection") -> dict[str, Any]:
-    return {
-        "name": c.name,
-        "section": c.section.name,
-        "state": c.state,
-        "winding": c.winding,
-        "sense": c.sense,
-        "symmetric": c.symmetric,
-        "residual": c.residual,
-        "transversality_angle_deg": c.transversality_angle,
-        "hits": c.hits,
-        "time_in": c.time_in,
-        "time_out": c.time_out,
-        "phase_in": c.phase_in,
-        "phase_out": c.phase_out,
-    }
-
-
 def _named(search: "ConnectionSearch", name: str) -> "Connection":
     names = [c.name for c in search.connections]
     if name in names:
@@ -174,6 +158,7 @@ def _exact_parameters(model: "Model") -> "Sequence[Exact]":
 
 def _extended(model: "Model", connection: "Connection", energy: Decimal, as_json: bool) -> None:
     """Refine and print one connection in extended precision."""
+    from dpcontrol.itineraries.atlas import connection_document
     from dpcontrol.tubes.extended import refine_connection
 
     with progress_bar("refining in 113-bit arithmetic"):
@@ -182,7 +167,7 @@ def _extended(model: "Model", connection: "Connection", energy: Decimal, as_json
         raise GoalMissed(f"{connection.name} in extended precision: {refined.status}")
     state, residual = refined.digits, f"{float(refined.residual):.3e}"
     if as_json:
-        document = {**_document(connection), "state": state, "residual": residual, "precision": "extended"}
+        document = {**connection_document(connection), "state": state, "residual": residual, "precision": "extended"}
         print_json(
             {
                 **document,

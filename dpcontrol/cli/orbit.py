@@ -1,7 +1,7 @@
 """dpcontrol orbit"""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -10,7 +10,6 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 
 if TYPE_CHECKING:
     from dpcontrol.dynamics.system import System
-    from dpcontrol.tubes.lyapunov import LyapunovOrbit
 
 
 @click.command(
@@ -56,13 +55,14 @@ def command(
 
 
 def _orbit(system: "System", saddle: str, energy: float, family: int, as_json: bool) -> None:
+    from dpcontrol.itineraries.atlas import orbit_document
     from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
     orbit = lyapunov_orbit(system, saddle, energy=energy, family=family)
     if not orbit.converged:
         raise GoalMissed(f"the Lyapunov orbit about {saddle} at {energy:g} J: {orbit.status}")
     if as_json:
-        print_json(_document(orbit))
+        print_json(orbit_document(orbit))
         return
     click.echo(f"Lyapunov orbit about {saddle} at {energy:g} J: {orbit.status}")
     click.echo(f"  period       {orbit.period:.15g} s")
@@ -74,6 +74,7 @@ def _orbit(system: "System", saddle: str, energy: float, family: int, as_json: b
 def _family(
     system: "System", saddle: str, energies: tuple[float, float], family: int, picture: Path | None, as_json: bool
 ) -> None:
+    from dpcontrol.itineraries.atlas import orbit_document
     from dpcontrol.tubes.family import lyapunov_family
 
     with progress_bar(f"family of {saddle}") as progress:
@@ -85,9 +86,9 @@ def _family(
     if as_json:
         print_json(
             {
-                "family": [_document(m) for m in found.members],
+                "family": [orbit_document(m) for m in found.members],
                 "ends": [{"energy": e.energy, "kind": e.kind, "reason": e.reason} for e in found.ends],
-                "events": [{"kind": e.kind, **_document(e.orbit)} for e in found.events],
+                "events": [{"kind": e.kind, **orbit_document(e.orbit)} for e in found.events],
                 "saddle": saddle,
                 "energies": energies,
                 "status": found.status,
@@ -113,19 +114,6 @@ def _family(
             click.echo(f"drawn to {picture}")
     if not found.converged:
         raise GoalMissed(f"the family about {saddle}: {found.status}")
-
-
-def _document(orbit: "LyapunovOrbit") -> dict[str, Any]:
-    return {
-        "energy": orbit.energy,
-        "period": orbit.period,
-        "state": orbit.state,
-        "floquet_multipliers": orbit.floquet_multipliers,
-        "residual": orbit.residual,
-        "status": orbit.status,
-        "saddle": orbit.saddle,
-        "family": orbit.family,
-    }
 
 
 def _multiplier(value: complex, digits: int = 12) -> str:

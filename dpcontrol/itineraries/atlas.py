@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.tubes.connection import Connection
+from dpcontrol.tubes.lyapunov import LyapunovOrbit
 
 Array = NDArray[np.float64]
 
@@ -207,7 +209,7 @@ def section_axes(section: Section, periods: Array) -> tuple[str, float | None]:
 Document = dict[str, Any]
 
 
-def orbit_document(orbit: AtlasOrbit) -> Document:
+def orbit_document(orbit: AtlasOrbit | LyapunovOrbit) -> Document:
     """Return an orbit with the keys that `dpcontrol orbit --json` prints."""
     return {
         "energy": orbit.energy,
@@ -221,12 +223,10 @@ def orbit_document(orbit: AtlasOrbit) -> Document:
     }
 
 
-def connection_document(connection: AtlasConnection) -> Document:
-    """Return a connection with the keys that `dpcontrol connect --json` prints, and "from" and "to"."""
+def connection_document(connection: AtlasConnection | Connection) -> Document:
+    """Return a connection with the keys that `dpcontrol connect --json` prints."""
     return {
         "name": connection.name,
-        "from": connection.source,
-        "to": connection.target,
         "section": connection.section.name,
         "state": connection.state,
         "winding": connection.winding,

@@ -5,7 +5,8 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.itineraries.atlas import AtlasConnection, AtlasCut, AtlasKind, AtlasOrbit, AtlasPiece
-from dpcontrol.tubes.connections import Connection, ConnectionSearch
+from dpcontrol.tubes.connection import Connection
+from dpcontrol.tubes.connections import ConnectionSearch
 from dpcontrol.tubes.cut import Cut, Piece, section_points
 from dpcontrol.tubes.lyapunov import LyapunovOrbit
 from dpcontrol.tubes.manifold import UnstableManifold

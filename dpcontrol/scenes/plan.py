@@ -25,7 +25,8 @@ from dpcontrol.references.problem import ReferenceProblem
 from dpcontrol.references.reference import Reference
 from dpcontrol.scenes.cache import cache_folder, code_hash
 from dpcontrol.scenes.itinerary import Itinerary
-from dpcontrol.tubes.connections import Connection, find_connections, orbits_between
+from dpcontrol.tubes.connection import Connection
+from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.equilibria import equilibria
 from dpcontrol.tubes.lyapunov import LyapunovOrbit
 from dpcontrol.tubes.orbit_curve import OrbitCurve

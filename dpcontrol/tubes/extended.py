@@ -19,7 +19,7 @@ from scipy.sparse.linalg import splu
 
 from dpcontrol.dynamics.extended import Exact, Extended, ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.tubes.connecting_orbit import Anchor, ManifoldEnd, shooting_matrix
-from dpcontrol.tubes.connections import Connection
+from dpcontrol.tubes.connection import Connection
 from dpcontrol.tubes.extended_orbit import ExtendedOrbit, RefinementSettings, distance, exact_position, refine_orbit
 from dpcontrol.tubes.orbit_curve import OrbitCurve
 

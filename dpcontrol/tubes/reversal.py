@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System
-from dpcontrol.tubes.connections import Connection, ConnectionSearch, connection_name
+from dpcontrol.tubes.connection import Connection, connection_name
+from dpcontrol.tubes.connections import ConnectionSearch
 from dpcontrol.tubes.cut import section_points
 from dpcontrol.tubes.lyapunov import LyapunovOrbit
 

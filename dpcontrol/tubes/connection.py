@@ -1,0 +1,182 @@
+"""One connection: an orbit from one Lyapunov orbit to another, described and named.
+
+Source: Kaheman et al. (2023), section 3.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import root_scalar
+
+from dpcontrol.dynamics.propagator import Section
+from dpcontrol.dynamics.system import System
+from dpcontrol.tubes.connecting_orbit import ConnectingOrbit
+from dpcontrol.tubes.intersections import ConnectionSettings, Intersection
+from dpcontrol.tubes.lyapunov import LyapunovOrbit
+from dpcontrol.tubes.orbit_curve import OrbitCurve
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Connection:
+    """An orbit from one Lyapunov orbit to another (or the same).
+
+    state (N,): its point on the section, on the lift that starts at the source saddle's named position. winding:
+    whole turns of each coordinate between the source and target saddles' named positions. hits: which crossing of the
+    section this is for the unstable tube forward and the stable tube backward. time_out: s from leaving the source
+    orbit (scaled distance 1e-3) to the section; time_in: s from the section to the target orbit; phase_out, phase_in:
+    the orbits' phases there. transversality_angle: degrees between the cuts in (q, p/p₀). residual: largest gap
+    between the segments of `orbit`, whose time zero is the section.
+    """
+
+    name: str
+    source: LyapunovOrbit
+    target: LyapunovOrbit
+    section: Section
+    state: Array
+    winding: tuple[int, ...]
+    sense: int
+    symmetric: bool
+    residual: float
+    transversality_angle: float
+    hits: tuple[int, int]
+    time_out: float
+    time_in: float
+    phase_out: float
+    phase_in: float
+    orbit: ConnectingOrbit
+
+
+def described_connection(
+    crossing: Intersection,
+    orbit: ConnectingOrbit,
+    curves: tuple[OrbitCurve, OrbitCurve],
+    settings: ConnectionSettings,
+) -> Connection:
+    """Describe a refined orbit, with time zero at the node on the section, that an intersection of cuts led to.
+
+    curves: of the source's and the target's orbit.
+    """
+    section, system = crossing.sides[0].section, orbit.system
+    source, target = crossing.sides[0].manifold.orbit, crossing.sides[1].manifold.orbit
+    state = orbit.states[int(np.argmin(np.abs(orbit.times)))]
+    rate = float(system.numeric.rate(state) @ np.asarray(section.normal))
+    n = system.dimension // 2
+    winding = tuple(int(k) for k in crossing.turns[:n])
+    entries = [k for k in winding if k]
+    direction = int(np.sign(rate))
+    sense = int(np.sign(entries[0])) if source.saddle == target.saddle and entries else direction
+    symmetric = source.saddle == target.saddle and any(
+        float(system.scaled_distance(reverser @ state, state)) < 1e-7 for reverser in system.reversers
+    )
+    first, second = (crossing.tangents[:, k] / np.linalg.norm(crossing.tangents[:, k]) for k in (0, 1))
+    angle = np.degrees(np.arcsin(min(1.0, abs(first[0] * second[1] - first[1] * second[0]))))
+    hits = (crossing.sides[0].hit, crossing.sides[1].hit)
+    time_out, phase_out = _approach(orbit, curves[0], -1, settings.near)
+    time_in, phase_in = _approach(orbit, curves[1], +1, settings.near)
+    return Connection(
+        name=connection_name(system, (source.saddle, target.saddle), winding, hits, state, section),
+        source=source,
+        target=target,
+        section=section,
+        state=state,
+        winding=winding,
+        sense=sense,
+        symmetric=symmetric,
+        residual=orbit.residual,
+        transversality_angle=float(angle),
+        hits=hits,
+        time_out=time_out,
+        time_in=time_in,
+        phase_out=phase_out,
+        phase_in=phase_in,
+        orbit=orbit,
+    )
+
+
+def _approach(orbit: ConnectingOrbit, curve: OrbitCurve, sign: int, near: float) -> tuple[float, float]:
+    """Return (seconds, phase) from the section to the first approach within `near` of a periodic orbit.
+
+    sign +1 looks forward in time, -1 backward; seconds are positive either way.
+    """
+    last = abs(orbit.times[-1] if sign > 0 else orbit.times[0])
+    grid = np.linspace(0.0, last, max(2, int(np.ceil(last / curve.orbit.period * 300))))
+    _, distances = curve.distances(orbit.sample(sign * grid))
+    inside = np.flatnonzero(distances <= near)
+    if inside.size == 0:
+        return float("nan"), float("nan")
+    if inside[0] == 0:
+        return 0.0, float(curve.nearest(orbit.sample(np.array([0.0]))[0])[0])
+
+    def excess(seconds: float) -> float:
+        return curve.nearest(orbit.sample(np.array([sign * seconds]))[0])[1] - near
+
+    # `nearest` minimises the largest component itself, so it never finds more than `distances` does: the first
+    # approach may lie a few steps before the grid's, never after it.
+    first = int(inside[0])
+    while first > 1 and excess(grid[first - 1]) <= 0:
+        first -= 1
+    seconds = float(root_scalar(excess, bracket=(grid[first - 1], grid[first]), xtol=1e-12).root)
+    return seconds, curve.nearest(orbit.sample(np.array([sign * seconds]))[0])[0]
+
+
+def mirrored(connection: Connection) -> Connection:
+    """Return the image under the symmetry S that exchanges both tubes' branches: the other sense."""
+    orbit, source, target = connection.orbit, connection.source, connection.target
+    system = source.system
+    half_turn = orbit.start.manifold.half_turn
+    assert half_turn is not None
+    symmetry = half_turn[0]
+    lengths = np.where(np.isfinite(system.periods), system.periods, 1.0)
+    # S acts about the source saddle; about the target saddle it differs by whole turns.
+    shift = (source.centre - target.centre) - symmetry @ (source.centre - target.centre)
+    end_turns = np.rint(symmetry @ np.asarray(orbit.end.turns) + shift / lengths) + 0.0
+
+    def image(states: Array) -> Array:
+        return (states - source.centre) @ symmetry.T + source.centre
+
+    start = replace(orbit.start, phase=orbit.start.phase + 0.5, amplitude=-orbit.start.amplitude)
+    end = replace(
+        orbit.end,
+        phase=orbit.end.phase + 0.5,
+        amplitude=-orbit.end.amplitude,
+        turns=tuple(float(k) for k in end_turns),
+    )
+    state = image(connection.state)
+    winding = tuple(int(k) for k in end_turns[: len(connection.winding)])
+    saddles = (source.saddle, target.saddle)
+    return replace(
+        connection,
+        name=connection_name(system, saddles, winding, connection.hits, state, connection.section),
+        state=state,
+        winding=winding,
+        sense=-connection.sense,
+        phase_out=(connection.phase_out + 0.5) % 1.0,
+        phase_in=(connection.phase_in + 0.5) % 1.0,
+        orbit=replace(orbit, start=start, end=end, states=image(orbit.states)),
+    )
+
+
+def connection_name(
+    system: System,
+    saddles: tuple[str, str],
+    winding: tuple[int, ...],
+    hits: tuple[int, int],
+    state: Array,
+    section: Section,
+) -> str:
+    """Return a name made of what the connection is, not of the order in which it was found.
+
+    Source, target, winding, hits, and its position and rate on the section to four digits.
+    """
+    coordinate = int(np.argmax(np.abs(section.position)))
+    period = system.periods[coordinate]
+    position = state[coordinate]
+    if np.isfinite(period):
+        position = position - np.rint(position / period) * period
+    # Adding zero turns -0.0 into 0.0.
+    place = ",".join(f"{round(float(v), 4) + 0.0:.4f}" for v in (position, state[coordinate + len(state) // 2]))
+    turns = ",".join(str(k) for k in winding)
+    return f"{saddles[0]}>{saddles[1]}[{turns}]h{hits[0]}.{hits[1]}@{place}"
