@@ -14,6 +14,10 @@ from dpcontrol.tubes.links import Link, LinkProblem
 
 Array = NDArray[np.float64]
 
+_MATCHED = 1e-10  # scaled gap
+_ROUNDED = 1e-8  # scaled gap that rounding alone may leave
+_AT_REST = 1e-7  # of a step of Newton's method, in units of the weights
+
 
 @dataclass(frozen=True)
 class PathPoint:
@@ -167,13 +171,17 @@ def _corrected(
         match = problem.match(here, float(unknowns[3]))
         off = float(tangent @ ((unknowns - guess) / weights))
         residual = float(np.abs(match.gap).max())
-        if residual < 1e-10 and abs(off) < 1e-8:
+        if residual < _MATCHED and abs(off) < 1e-8:
             return unknowns, match.tangency
         if slope is None:
             slope = _energy_slope(problem, here, float(unknowns[3]), 1e-5 * problem.system.energy_scale)
         jacobian = np.vstack([np.column_stack([match.jacobian, slope]) * weights, tangent])
         step = np.linalg.lstsq(jacobian, -np.append(match.gap, off), rcond=1e-13)[0]
-        if float(np.linalg.norm(step)) > 2.0:
+        length = float(np.linalg.norm(step))
+        if length > 2.0:
             return None
+        if length < _AT_REST and residual < _ROUNDED and abs(off) < 1e-8:
+            # Where multipliers are large, rounding keeps the gap from falling, but moves the solution no more.
+            return unknowns, match.tangency
         unknowns = unknowns + step * weights
     return None
