@@ -1,24 +1,27 @@
 """The orbit that shadows a walk: it follows the connections in order and wobbles at each stop as often as asked.
 
 At a stop between connections A and B the orbit stays near the periodic orbit for (N + f) periods T, f the phase gap
-from A's arrival to B's departure (mod 1) and N the wraps. The guess is A + B - γ there (each is within a multiple
-of λ^(-N/2) of the orbit at the middle of the stop), refined by multiple shooting between the local manifolds of the
-first and last periodic orbits. Never integrated on: a wobble is tiled.
+from A's arrival to B's departure (mod 1) and N the wraps. The guess follows A to the middle of the stop and B from
+there, where both are within 1e-3 λ^(-N/2) of the periodic orbit, and is refined by multiple shooting: between the
+local manifolds of the first and last periodic orbits, or closed. Never integrated on: a wobble is tiled.
 
 Source: Kaheman et al. (2023), theorem 4.1, made constructive; the wraps' formula is N = round((Δt - time_in of A -
 time_out of B)/T - f).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.tubes.connecting_orbit import Anchor, ConnectingOrbit, ShootingSettings, solve_connecting_orbit
+from dpcontrol.itineraries.certificate import Certificate, certify
+from dpcontrol.itineraries.closed import ClosedOrbit
+from dpcontrol.itineraries.shooting import NewtonSettings, Shot, solve_shooting
+from dpcontrol.itineraries.shooting_equations import Guess
+from dpcontrol.tubes.connecting_orbit import ConnectingOrbit, ManifoldEnd
 from dpcontrol.tubes.connections import Connection
 
 Array = NDArray[np.float64]
@@ -26,18 +29,24 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ShadowingSettings:
-    """segments: shooting nodes per period of the stop's orbit; longest: s between nodes off the orbits."""
+    """segments: shooting nodes per period of the stop's orbit.
+
+    amplitude: scaled distance at which the ends leave their orbits; what the local manifold leaves out is its square.
+    """
 
     segments: int = 8
-    shooting: ShootingSettings = ShootingSettings()  # noqa: RUF009 - frozen, so it may be shared
+    amplitude: float = 1e-8
+    newton: NewtonSettings = NewtonSettings()  # noqa: RUF009 - frozen, so it may be shared
 
 
 @dataclass(frozen=True)
 class ShadowingOrbit:
     """An orbit on one energy that realises a walk; time runs from 0 to `duration` s.
 
-    symbol_times (k,): s at which each symbol crosses its section. wraps_realised: counted on the result.
-    offsets: whole turns (k + 1, N) added to each symbol's lift, the last that of the final orbit's.
+    symbol_times (k,): s at which each symbol crosses its section. wraps: one for each stop, k - 1 of them, or k if
+    periodic (the last from the last symbol back to the first); wraps_realised: counted on the result. offsets: whole
+    turns (k + 1, N) added to each symbol's lift, the last that of the final orbit's. orbit: its nodes. fault: index of
+    the symbol that failed, None where none did.
     """
 
     walk: tuple[str, ...]
@@ -46,17 +55,17 @@ class ShadowingOrbit:
     wraps_realised: tuple[int, ...]
     lead_in: int
     lead_out: int
+    periodic: bool
     symbol_times: Array
     offsets: Array
-    orbit: ConnectingOrbit
+    duration: float
+    orbit: ConnectingOrbit | ClosedOrbit
+    shot: Shot = field(repr=False)
+    certificate: Certificate | None
     residual: float
     converged: bool
     status: str
-
-    @property
-    def duration(self) -> float:
-        """Seconds from start to end."""
-        return self.orbit.duration
+    fault: int | None
 
     def sample(self, times: Array) -> Array:
         """Return states (M, N) at times (M,) s."""
@@ -68,14 +77,55 @@ def phase_gap(before: Connection, after: Connection) -> float:
     return (after.phase_out - before.phase_in) % 1.0
 
 
-def realised_wraps(connections: Sequence[Connection], crossings: Array) -> tuple[int, ...]:
-    """Count the wraps at each interior stop from the times (k,) at which the sections are crossed."""
+def passage(before: Connection, after: Connection, wraps: int) -> float:
+    """Return the time in s between the crossings of two connections' sections at a stop with that many wraps.
+
+    Phases on the local manifolds are asymptotic, so both connections wobble in step there; the published phase_in and
+    phase_out are those of the nearest point at a distance of 1e-3, off by about as much.
+    """
+    period = before.target.period
+    arrival, departure = before.orbit.end, after.orbit.start
+    since = arrival.orbit_phase - float(before.orbit.times[-1]) / period
+    until = departure.orbit_phase - float(after.orbit.times[0]) / period
+    spare = before.time_in + after.time_out
+    goal = spare / period + wraps + phase_gap(before, after)
+    return (until - since + round(goal - (until - since))) * period
+
+
+def realised_wraps(connections: Sequence[Connection], stays: Array) -> tuple[int, ...]:
+    """Count the wraps at each stop from the times (s,) between the crossings of its two sections.
+
+    Stop k lies between connections k and k + 1; as many stops as connections close the walk.
+    """
     counts = []
-    for k in range(len(connections) - 1):
-        before, after = connections[k], connections[k + 1]
-        spare = crossings[k + 1] - crossings[k] - before.time_in - after.time_out
+    for k, seconds in enumerate(stays):
+        before, after = connections[k], connections[(k + 1) % len(connections)]
+        spare = seconds - before.time_in - after.time_out
         counts.append(round(float(spare) / before.target.period - phase_gap(before, after)))
     return tuple(counts)
+
+
+class Strands:
+    """Connections sampled from their sections on, at a fixed number of nodes per period, once for all walks."""
+
+    def __init__(self, segments: int) -> None:
+        self.segments = segments
+        self._kept: dict[tuple[str, float, int], Array] = {}
+
+    def states(self, connection: Connection, sign: int, count: int) -> tuple[Array, float]:
+        """Return states (count + 1, N) at whole steps after the section (sign -1: before), and the step in s.
+
+        The step is a fixed part of the period of the target (sign -1: source) orbit.
+        """
+        period = (connection.target if sign > 0 else connection.source).period
+        step = period / self.segments
+        key = (connection.name, connection.source.energy, sign)
+        kept = self._kept.get(key)
+        if kept is None or len(kept) <= count:
+            # A period more than asked: longer stays with the same connection come next.
+            kept = connection.orbit.sample(sign * step * np.arange(count + self.segments + 1.0))
+            self._kept[key] = kept
+        return kept[: count + 1], step
 
 
 def shadow(
@@ -84,45 +134,175 @@ def shadow(
     wraps: Sequence[int] = (),
     lead_in: int = 2,
     lead_out: int = 2,
+    periodic: bool = False,
     settings: ShadowingSettings | None = None,
+    strands: Strands | None = None,
+    rivals: Sequence[Connection] = (),
 ) -> ShadowingOrbit:
     """Return the orbit that follows `connections`, with `wraps[k]` wobbles after connection k.
 
     lead_in and lead_out are the wobbles on the first orbit before the first connection leaves it, and on the last.
+    periodic: the walk closes, with one more stop (and wrap count) from its last connection to its first. rivals: other
+    connections that an orbit with too few wraps might follow instead; strands: kept samples, shared between walks.
 
     Raises:
-        InputError: not one wrap count for each interior stop, a negative count, or connections of different energies.
+        InputError: not one wrap count for each stop, a negative count, connections of different energies, or a
+            periodic walk whose end is not its start.
     """
     settings = settings or ShadowingSettings()
     chain = tuple(connections)
-    _check(chain, wraps, lead_in, lead_out)
+    _check(chain, wraps, lead_in, lead_out, periodic)
+    guess = first_guess(chain, wraps, periodic=periodic, settings=settings, strands=strands)
+    shot = solve_shooting(guess, settings.newton)
+    return described(shot, chain, wraps, leads=(lead_in, lead_out), rivals=rivals)
+
+
+def first_guess(
+    chain: Sequence[Connection],
+    wraps: Sequence[int],
+    *,
+    periodic: bool = False,
+    settings: ShadowingSettings | None = None,
+    strands: Strands | None = None,
+) -> Guess:
+    """Return the nodes from which a walk's orbit is sought: strands of its connections, joined in mid-stop."""
+    settings = settings or ShadowingSettings()
+    strands = strands if strands is not None and strands.segments == settings.segments else Strands(settings.segments)
     system = chain[0].source.system
-    lengths = np.where(np.isfinite(system.periods), system.periods, 0.0)
-    offsets = np.zeros((len(chain) + 1, system.dimension))
+    offsets = lattice_offsets(chain)
+    pairs = [(chain[k], chain[(k + 1) % len(chain)]) for k in range(len(wraps))]
+    passages = [passage(a, b, n) for n, (a, b) in zip(wraps, pairs, strict=True)]
+    stays = [seconds - a.time_in - b.time_out for seconds, (a, b) in zip(passages, pairs, strict=True)]
+    states, durations, owners = [], [], []
+    markers: dict[int, tuple[Array, float]] = {}
+    ends: list[ManifoldEnd] = []
+    joints: list[int] = []
+    for k, connection in enumerate(chain):
+        shift = offsets[k] * system.turn_lengths
+        arriving = stays[k - 1] if k > 0 or periodic else None
+        leaving = stays[k] if k < len(stays) else None
+        back = _count(connection, -1, arriving, settings)
+        ahead = _count(connection, +1, leaving, settings)
+        before, early = strands.states(connection, -1, back)
+        after, late = strands.states(connection, +1, ahead)
+        if k == 0 and not periodic:
+            ends.append(connection.orbit.start.moved(-back * early - float(connection.orbit.times[0])))
+        if leaving is None:
+            end = connection.orbit.end.moved(ahead * late - float(connection.orbit.times[-1]))
+            ends.append(replace(end, turns=tuple(float(t) for t in np.asarray(end.turns) + offsets[k])))
+        if k > 0:
+            joints.append(len(durations))
+            # The joint takes up what whole steps leave of the stay.
+            durations.append(_joint(chain[k - 1], connection, stays[k - 1], settings))
+        markers[len(owners) + back] = _level(connection, shift)
+        states += [before[::-1] + shift, after[1:] + shift]
+        durations += [early] * back + [late] * ahead
+        owners += [k] * (back + ahead + 1)
+    turn = None
+    if periodic:
+        turn = offsets[-1] * system.turn_lengths
+        joints.append(len(durations))
+        durations.append(_joint(chain[-1], chain[0], stays[-1], settings))
+        states.append(states[0][:1] + turn)
+        owners.append(0)
+    return Guess(
+        system=system,
+        states=np.vstack(states),
+        durations=np.array(durations),
+        owners=np.array(owners, dtype=np.intp),
+        markers=markers,
+        joints=tuple(joints),
+        energy=chain[0].source.energy,
+        ends=None if periodic else (ends[0], ends[1]),
+        turn=turn,
+    )
+
+
+def lattice_offsets(chain: Sequence[Connection]) -> Array:
+    """Return whole turns (k + 1, N) by which each connection, and the final orbit, is lifted."""
+    offsets = np.zeros((len(chain) + 1, chain[0].source.system.dimension))
     for k, connection in enumerate(chain):
         offsets[k + 1] = offsets[k]
         offsets[k + 1, : len(connection.winding)] += connection.winding
-    crossings = [chain[0].time_out + lead_in * chain[0].source.period]
-    for k, count in enumerate(wraps):
-        stay = (count + phase_gap(chain[k], chain[k + 1])) * chain[k].target.period
-        crossings.append(crossings[-1] + chain[k].time_in + stay + chain[k + 1].time_out)
-    total = crossings[-1] + chain[-1].time_in + lead_out * chain[-1].target.period
-    times, markers = _node_times(np.array(crossings), total, chain, settings)
-    states = _guess(system, chain, np.array(crossings), offsets * lengths, times)
-    first, last = chain[0].orbit, chain[-1].orbit
-    start = first.start.moved(-crossings[0] - float(first.times[0]))
-    end = last.end.moved(total - crossings[-1] - float(last.times[-1]))
-    turns = np.asarray(end.turns) + offsets[-2]
-    end = type(end)(end.manifold, end.stable, end.phase, end.amplitude, tuple(float(k) for k in turns))
-    section = chain[0].section
-    anchor = Anchor(int(markers[0]), section.normal, float(np.dot(section.normal, states[markers[0]])))
-    orbit = solve_connecting_orbit(system, start, end, times, states, anchor=anchor, settings=settings.shooting)
-    realised_times = _crossings(system, chain, orbit, markers)
-    realised = realised_wraps(chain, realised_times)
-    converged, status = orbit.converged, orbit.status
-    if converged and realised != tuple(wraps):
-        converged = False
-        status = f"converged, but with wraps {list(realised)} instead of {list(wraps)}: ask for more wraps"
+    return offsets
+
+
+def _count(connection: Connection, sign: int, stay: float | None, settings: ShadowingSettings) -> int:
+    """Return how many nodes a connection gives before (sign -1) or after its section: to mid-stop, or to its end."""
+    orbit, flight = (connection.target, connection.time_in) if sign > 0 else (connection.source, connection.time_out)
+    step = orbit.period / settings.segments
+    if stay is not None:
+        return max(1, int((flight + stay / 2) / step))
+    end = connection.orbit.end if sign > 0 else connection.orbit.start
+    at = abs(float(connection.orbit.times[-1 if sign > 0 else 0]))
+    periods = np.log(abs(end.amplitude) / settings.amplitude) / end.manifold.exponent
+    return max(1, int(np.ceil((at + periods * orbit.period) / step)))
+
+
+def _joint(before: Connection, after: Connection, stay: float, settings: ShadowingSettings) -> float:
+    """Return the time in s between the last node of one connection and the first of the next: one to three steps."""
+    step = before.target.period / settings.segments
+    counts = _count(before, +1, stay, settings) + _count(after, -1, stay, settings)
+    return before.time_in + stay + after.time_out - counts * step
+
+
+def _level(connection: Connection, shift: Array) -> tuple[Array, float]:
+    """Return the normal and the value of normal · x on a connection's lifted section."""
+    section = connection.section
+    normal = np.asarray(section.normal)
+    lift = 0.0
+    if section.period is not None:
+        away = float(normal @ connection.state) - section.offset
+        lift = float(np.rint(away / section.period)) * section.period
+    return normal, section.offset + lift + float(normal @ shift)
+
+
+def described(
+    shot: Shot,
+    chain: tuple[Connection, ...],
+    wraps: Sequence[int],
+    *,
+    leads: tuple[int, int] = (2, 2),
+    rivals: Sequence[Connection] = (),
+) -> ShadowingOrbit:
+    """Return a solved shot as the orbit of its walk: its times, what it realises, and its certificate."""
+    guess = shot.guess
+    system, periodic = guess.system, guess.closed
+    nodes = np.array(sorted(guess.markers))
+    elapsed = np.concatenate([[0.0], np.cumsum(shot.durations)])
+    crossings = elapsed[nodes]
+    first, last = chain[0], chain[-1]
+    lead_in, lead_out = leads
+    if periodic:
+        duration = float(elapsed[-1])
+        stays = np.append(np.diff(crossings), duration - crossings[-1] + crossings[0])
+        times = elapsed
+    else:
+        stays = np.diff(crossings)
+        times = elapsed - crossings[0] + first.time_out + lead_in * first.source.period
+        duration = float(times[nodes[-1]]) + last.time_in + lead_out * last.target.period
+    realised = realised_wraps(chain, stays)
+    offsets = lattice_offsets(chain)
+    converged, status, fault = shot.converged, shot.status, shot.fault
+    certificate = None
+    if converged:
+        strays = _strays(shot, chain, nodes, offsets, rivals, realised, tuple(wraps))
+        certificate = certify(shot, chain, nodes, stays)
+        if strays is None:
+            fault = None
+        else:
+            converged, (fault, status) = False, strays
+    else:
+        status = f"symbol {fault + 1} of {len(chain)} ({chain[fault].name}): {status}"
+    if guess.turn is not None:
+        orbit: ConnectingOrbit | ClosedOrbit = ClosedOrbit(
+            system, times, shot.states, guess.turn, shot.residual, shot.iterations, converged, status
+        )
+    else:
+        assert shot.ends is not None
+        orbit = ConnectingOrbit(
+            system, *shot.ends, times, shot.states, shot.residual, 0.0, shot.iterations, converged, status
+        )
     return ShadowingOrbit(
         walk=tuple(c.name for c in chain),
         connections=chain,
@@ -130,22 +310,67 @@ def shadow(
         wraps_realised=realised,
         lead_in=lead_in,
         lead_out=lead_out,
-        symbol_times=realised_times,
+        periodic=periodic,
+        symbol_times=times[nodes],
         offsets=offsets,
+        duration=duration,
         orbit=orbit,
-        residual=orbit.residual,
+        shot=shot,
+        certificate=certificate,
+        residual=shot.residual,
         converged=converged,
         status=status,
+        fault=fault,
     )
 
 
-def _check(chain: tuple[Connection, ...], wraps: Sequence[int], lead_in: int, lead_out: int) -> None:
+def _strays(
+    shot: Shot,
+    chain: tuple[Connection, ...],
+    nodes: NDArray[np.intp],
+    offsets: Array,
+    rivals: Sequence[Connection],
+    realised: tuple[int, ...],
+    wraps: tuple[int, ...],
+) -> tuple[int, str] | None:
+    """Return (symbol, sentence) where a converged orbit is not the one that was asked for, None where it is."""
+    system = shot.guess.system
+    for k, (connection, node) in enumerate(zip(chain, nodes, strict=True)):
+        state = shot.states[node] - offsets[k] * system.turn_lengths
+        own = _apart(system, state, connection.state)
+        for rival in rivals:
+            same_kind = (rival.source.saddle, rival.target.saddle, rival.winding) == (
+                connection.source.saddle,
+                connection.target.saddle,
+                connection.winding,
+            )
+            # Equality of both is no crime: the walk's own connection is among the rivals.
+            if same_kind and _apart(system, state, rival.state) < own:
+                return k, (
+                    f"symbol {k + 1} of {len(chain)}: converged, but the orbit follows {rival.name} there instead of "
+                    f"{connection.name}: ask for more wraps beside it"
+                )
+    for k, (count, asked) in enumerate(zip(realised, wraps, strict=True)):
+        if count != asked:
+            return k, (
+                f"symbol {k + 1} of {len(chain)}: converged, but with wraps {list(realised)} instead of {list(wraps)}: "
+                "ask for more wraps"
+            )
+    return None
+
+
+def _apart(system: System, first: Array, second: Array) -> float:
+    return float(np.max(np.abs(first - second) / system.scale))
+
+
+def _check(chain: tuple[Connection, ...], wraps: Sequence[int], lead_in: int, lead_out: int, periodic: bool) -> None:
     if not chain:
         raise InputError("walk = []: a walk has at least one symbol")
-    if len(wraps) != len(chain) - 1:
+    stops = len(chain) if periodic else len(chain) - 1
+    if len(wraps) != stops:
+        kind = "stops, as it closes" if periodic else "interior stops"
         raise InputError(
-            f"wraps = {list(wraps)}: a walk of {len(chain)} symbols has {len(chain) - 1} interior stops; give one "
-            "integer for each"
+            f"wraps = {list(wraps)}: a walk of {len(chain)} symbols has {stops} {kind}; give one integer for each"
         )
     for name, values in (("wraps", wraps), ("lead_in", (lead_in,)), ("lead_out", (lead_out,))):
         for value in values:
@@ -153,70 +378,12 @@ def _check(chain: tuple[Connection, ...], wraps: Sequence[int], lead_in: int, le
                 raise InputError(f"{name} = {value!r}: must be a whole number, zero or more")
     energies = {c.source.energy for c in chain}
     if len(energies) > 1:
-        raise InputError(f"the walk mixes energies {sorted(energies)} J: one orbit keeps one energy")
-
-
-def _node_times(
-    crossings: Array, total: float, chain: tuple[Connection, ...], settings: ShadowingSettings
-) -> tuple[Array, NDArray[np.intp]]:
-    """Return node times (K + 1,) with a node at every section crossing, and the indices (k,) of those."""
-    marks = np.concatenate([[0.0], crossings, [total]])
-    periods = [chain[0].source.period, *(c.target.period for c in chain)]
-    times, markers = [0.0], []
-    for k, (begin, finish) in enumerate(pairwise(marks)):
-        count = max(1, int(np.ceil((finish - begin) / periods[k] * settings.segments)))
-        times += list(np.linspace(begin, finish, count + 1)[1:])
-        markers.append(len(times) - 1)
-    return np.array(times), np.array(markers[:-1])
-
-
-def _guess(system: System, chain: tuple[Connection, ...], crossings: Array, shifts: Array, times: Array) -> Array:
-    """Return guessed states (K + 1, N): the connections, and A + B - γ between two of them."""
-    states = np.empty((len(times), system.dimension))
-    owner = np.clip(np.searchsorted(crossings, times, side="right") - 1, -1, len(chain) - 1)
-    for k in range(-1, len(chain)):
-        where = np.flatnonzero(owner == k)
-        if where.size == 0:
-            continue
-        t = times[where]
-        if k < 0:
-            states[where] = chain[0].orbit.sample(t - crossings[0]) + shifts[0]
-        elif k == len(chain) - 1:
-            states[where] = chain[k].orbit.sample(t - crossings[k]) + shifts[k]
-        else:
-            states[where] = _between(chain[k], chain[k + 1], crossings[k : k + 2], shifts[k : k + 2], t)
-    return states
-
-
-def _between(before: Connection, after: Connection, crossings: Array, shifts: Array, t: Array) -> Array:
-    """Return guesses between two sections: each connection alone far from the stop, their sum on it."""
-    manifold = after.orbit.start.manifold
-    since, until = t - crossings[0], t - crossings[1]
-    arriving = before.orbit.sample(since) + shifts[0]
-    leaving = after.orbit.sample(until) + shifts[1]
-    phases = after.phase_out + (until + after.time_out) / manifold.orbit.period
-    periodic = manifold.frame(phases).states + shifts[1]
-    near_a, near_b = since >= before.time_in, until <= -after.time_out
-    both = (near_a & near_b)[:, None]
-    # A short stop's flights overlap: whichever section is nearer in time decides.
-    nearer = ((since - before.time_in) < (-until - after.time_out))[:, None]
-    return np.where(both, arriving + leaving - periodic, np.where(nearer, arriving, leaving))
-
-
-def _crossings(
-    system: System, chain: tuple[Connection, ...], orbit: ConnectingOrbit, markers: NDArray[np.intp]
-) -> Array:
-    """Return the times (k,) at which the solved orbit crosses the sections, by Newton steps from its nodes there."""
-    out = np.empty(len(chain))
-    for k, (connection, node) in enumerate(zip(chain, markers, strict=True)):
-        section = connection.section
-        normal = np.asarray(section.normal)
-        state, time = orbit.states[node], float(orbit.times[node])
-        for _ in range(4):
-            height = float(section.height(state))
-            if section.period is not None:
-                height -= np.rint(height / section.period) * section.period
-            step = -height / float(system.numeric.rate(state) @ normal)
-            state, time = system.propagator.flow(state, step), time + step
-        out[k] = time
-    return out
+        raise InputError(
+            f"the walk mixes energies {sorted(energies)} J: one orbit keeps one energy; join references of different "
+            "energies instead"
+        )
+    if periodic and chain[0].source.saddle != chain[-1].target.saddle:
+        raise InputError(
+            f"the walk starts at {chain[0].source.saddle} and ends at {chain[-1].target.saddle}: a periodic walk "
+            "ends where it starts"
+        )

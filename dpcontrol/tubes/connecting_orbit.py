@@ -39,6 +39,17 @@ class ManifoldEnd:
     amplitude: float
     turns: tuple[float, ...]
 
+    @property
+    def orbit_phase(self) -> float:
+        """The phase at which the periodic orbit runs in step with this point: its asymptotic phase."""
+        if not self.stable:
+            return self.phase
+        orbit = self.manifold.orbit
+        turned = orbit.system.reversers[0] @ (orbit.state - orbit.centre) + orbit.centre
+        # A reverser runs the orbit backward from its own start, or from half a period on.
+        fixed = float(orbit.system.scaled_distance(turned, orbit.state)) < 1e-9
+        return (0.0 if fixed else 0.5) - self.phase
+
     def point(self) -> tuple[Array, Array, Array]:
         """Return the state (N,) and its derivatives by phase (N,) and amplitude (N,)."""
         frame = self.manifold.frame(np.array([self.phase]))

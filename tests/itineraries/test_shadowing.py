@@ -5,9 +5,9 @@ import pytest
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.itineraries.shadowing import ShadowingSettings, phase_gap, shadow
+from dpcontrol.itineraries.shooting import NewtonSettings
 from dpcontrol.itineraries.walk import choose, parse_symbol, parse_walk
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.connecting_orbit import ShootingSettings
 from dpcontrol.tubes.connections import find_connections, orbits_between
 
 SADDLES = ("down-up", "up-down")
@@ -97,11 +97,12 @@ def test_the_orbit_does_not_depend_on_the_number_of_segments(connections):
 def test_segments_too_long_for_the_multiplier_are_noticed(connections):
     """One segment of a whole period multiplies rounding by λ = 2,000: the gap cannot close to 1e-12."""
     walked = chain(connections, ["down-up +", "down-up -"])
-    tight = ShootingSettings(tolerance=1e-12)
-    long, short = (shadow(walked, wraps=[6], settings=ShadowingSettings(n, tight)) for n in (1, 8))
+    tight = NewtonSettings(tolerance=1e-12)
+    long, short = (shadow(walked, wraps=[6], settings=ShadowingSettings(n, newton=tight)) for n in (1, 8))
     assert short.converged
     assert not long.converged
-    assert "use shorter segments" in long.status
+    assert long.status.startswith("symbol ")
+    assert "put nodes nearer together" in long.status
     assert long.residual > 5 * short.residual
 
 

@@ -1,0 +1,207 @@
+"""The equations of multiple shooting with free segment lengths, as residuals and a sparse Jacobian.
+
+Nodes x_0 … x_K and durations τ_0 … τ_{K-1} satisfy
+
+    Φ(x_k, τ_k) - x_{k+1} + ε ∇H(x_{k+1}) [k a joint] = 0,      n_k·(x_k - r_k) = 0 at the inner nodes.
+
+Marked nodes stay on a named section (n_k its normal); at all others n_k is the flow's own direction, so that a node
+never slides along its orbit and a wrong flight time is mended by its own segment instead of by all that follow.
+Open: x_0 = γ(φ₀) + a₀ v(φ₀) and x_K alike, phases fixed, amplitudes free. Closed: x_K = x_0 + whole turns and
+H(x_0) = h. Energy makes one equation redundant; ε makes the system square and vanishes at the solution
+(Muñoz-Almaraz et al., Continuation of periodic orbits in conservative and Hamiltonian systems, 2003).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_array
+
+from dpcontrol.dynamics.system import System
+from dpcontrol.tubes.connecting_orbit import ManifoldEnd
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Guess:
+    """Where Newton's method starts.
+
+    states (K + 1, N); durations (K,) s; owners (K + 1,): index of the symbol that a node belongs to, for naming who is
+    at fault; markers: node -> (normal (N,), value) of the section on which it stays. ends: the two manifold ends, or
+    None for a closed orbit, whose last node is its first plus `turn` (N,). energy in the system's unit.
+    """
+
+    system: System
+    states: Array
+    durations: Array
+    owners: NDArray[np.intp]
+    markers: dict[int, tuple[Array, float]]
+    energy: float
+    joints: tuple[int, ...] = ()
+    ends: tuple[ManifoldEnd, ManifoldEnd] | None = None
+    turn: Array | None = None
+
+    @property
+    def closed(self) -> bool:
+        """Whether the orbit is to be periodic."""
+        return self.ends is None
+
+
+@dataclass(frozen=True)
+class Ends:
+    """Points and vectors of both manifold ends at their fixed phases: point = base + amplitude · slope."""
+
+    bases: tuple[Array, ...]
+    slopes: tuple[Array, ...]
+
+    @staticmethod
+    def of(guess: Guess) -> "Ends":
+        if guess.ends is None:
+            return Ends((), ())
+        points = [end.point() for end in guess.ends]
+        slopes = tuple(point[2] for point in points)
+        bases = tuple(
+            point[0] - end.amplitude * slope for point, end, slope in zip(points, guess.ends, slopes, strict=True)
+        )
+        return Ends(bases, slopes)
+
+
+class ShootingEquations:
+    """The equations of one guess, their sparsity worked out once; unknowns are scaled."""
+
+    def __init__(self, guess: Guess) -> None:
+        self.guess, self.system, self.ends = guess, guess.system, Ends.of(guess)
+        self.n, self.count = guess.system.dimension, len(guess.durations)
+        n, count = self.n, self.count
+        closed = guess.closed
+        # Columns: each node's state but for the open ends', then the durations, then (a₀, a_K) if open, then ε.
+        # A jump leaves the energy by its square: where ε takes it up, the pieces between the jumps keep theirs.
+        self.unfolded = list(guess.joints) or [0]
+        self.first_node = 0 if closed else 1
+        self.nodes = count if closed else count - 1
+        self.states_end = n * self.nodes
+        self.durations_end = self.states_end + count
+        self.size = self.durations_end + (1 if closed else 3)
+        scale = guess.system.scale
+        lengths = np.abs(guess.durations)
+        # Amplitudes stay in scaled length: relative to themselves they would be 1e10 times worse conditioned.
+        ends = [] if closed else [1.0, 1.0]
+        self.columns = np.concatenate([np.tile(scale, self.nodes), np.full(count, lengths.mean()), ends, [1.0]])
+        # ε multiplies an energy gradient: rad/s per unit of energy.
+        self.columns[-1] = guess.system.energy_scale
+        flow = np.ones(self.nodes)
+        self.rows = np.concatenate([np.tile(1 / scale, count), flow, [1 / guess.system.energy_scale] if closed else []])
+        self._places()
+
+    def _column(self, node: int) -> int:
+        """Return the first column of a node's state; -1 for an open end."""
+        node = node % self.count if self.guess.closed else node
+        inside = self.first_node <= node < self.first_node + self.nodes
+        return self.n * (node - self.first_node) if inside else -1
+
+    def _places(self) -> None:
+        """List the rows and columns of all entries, in the order in which `matrix` fills them."""
+        n, count = self.n, self.count
+        rows, columns = [], []
+
+        def block(row: int, column: int, height: int, width: int) -> None:
+            r, c = np.indices((height, width))
+            rows.append((row + r).ravel())
+            columns.append((column + c).ravel())
+
+        for k in range(count):
+            if self._column(k) >= 0:
+                block(n * k, self._column(k), n, n)
+        for k in range(count):
+            if self._column(k + 1) >= 0:
+                block(n * k, self._column(k + 1), n, n)
+        for k in range(count):
+            block(n * k, self.states_end + k, n, 1)
+        for j in range(self.nodes):
+            block(n * count + j, n * j, 1, n)
+        if self.guess.closed:
+            block(self.size - 1, 0, 1, n)
+        else:
+            block(0, self.durations_end, n, 1)
+            block(n * (count - 1), self.durations_end + 1, n, 1)
+        for k in self.unfolded:
+            block(n * k, self.size - 1, n, 1)
+        self._row, self._col = np.concatenate(rows), np.concatenate(columns)
+        self._scaling = self.rows[self._row] * self.columns[self._col]
+
+    def normals(self, states: Array) -> Array:
+        """Return the rows (nodes, N) on which inner nodes stay: a section's where marked, else the flow's."""
+        inner = states[self.first_node : self.first_node + self.nodes]
+        rates = self.system.numeric.rate(inner)
+        normals = rates / self.system.scale**2
+        normals /= np.sum(normals * rates, axis=1, keepdims=True)
+        for node, (normal, _) in self.guess.markers.items():
+            normals[node - self.first_node] = normal / np.linalg.norm(normal)
+        return normals
+
+    def matrix(self, states: Array, stms: Array, arrived: Array) -> csc_array:
+        """Return the scaled Jacobian; arrived (K, N): where the segments end."""
+        n, count = self.n, self.count
+        rates = self.system.numeric.rate(arrived)
+        gradients = self.system.numeric.gradient(states[1:][self.unfolded])
+        minus = -np.eye(n).ravel()
+        inner = [k for k in range(count) if self._column(k) >= 0]
+        following = sum(self._column(k + 1) >= 0 for k in range(count))
+        values = [stms[inner].ravel(), np.tile(minus, following), rates.ravel(), self.normals(states).ravel()]
+        if self.guess.closed:
+            values.append(self.system.numeric.gradient(states[0]))
+        else:
+            values += [stms[0] @ self.ends.slopes[0], -self.ends.slopes[1]]
+        values.append(gradients.ravel())
+        entries = np.concatenate(values) * self._scaling
+        return csc_array((entries, (self._row, self._col)), shape=(self.size, self.size))
+
+    def residuals(self, states: Array, arrived: Array, unfolding: float) -> Array:
+        """Return the scaled right-hand side: gaps, distances from marked sections, and the energy if closed."""
+        gaps = arrived - states[1:]
+        gaps[self.unfolded] += unfolding * self.system.numeric.gradient(states[1:][self.unfolded])
+        off = np.zeros(self.nodes)
+        for node, (normal, value) in self.guess.markers.items():
+            off[node - self.first_node] = (normal @ states[node] - value) / np.linalg.norm(normal)
+        parts = [gaps.ravel(), off]
+        if self.guess.closed:
+            parts.append(np.array([float(self.system.numeric.hamiltonian(states[0])) - self.guess.energy]))
+        return np.concatenate(parts) * self.rows
+
+    def moved(self, unknowns: "Unknowns", step: Array) -> "Unknowns":
+        """Return the unknowns after a scaled step."""
+        change = step * self.columns
+        states = unknowns.states.copy()
+        inner = slice(self.first_node, self.first_node + self.nodes)
+        states[inner] += change[: self.states_end].reshape(-1, self.n)
+        durations = unknowns.durations + change[self.states_end : self.durations_end]
+        amplitudes = unknowns.amplitudes + change[self.durations_end : -1]
+        return self.placed(Unknowns(states, durations, amplitudes, unknowns.unfolding + float(change[-1])))
+
+    def placed(self, unknowns: "Unknowns") -> "Unknowns":
+        """Return the unknowns with the last node (and the first, if open) where amplitudes, or closure, put them."""
+        states = unknowns.states
+        if self.guess.turn is not None:
+            states[-1] = states[0] + self.guess.turn
+        else:
+            for k, place in enumerate((0, -1)):
+                states[place] = self.ends.bases[k] + unknowns.amplitudes[k] * self.ends.slopes[k]
+        return unknowns
+
+    def sizes(self, step: Array) -> Array:
+        """Return the largest scaled change (K,) of each node and of the segment that leaves it."""
+        out = np.abs(step[self.states_end : self.durations_end])
+        inner = slice(self.first_node, self.first_node + self.nodes)
+        out[inner] = np.maximum(out[inner], np.abs(step[: self.states_end]).reshape(-1, self.n).max(axis=1))
+        return out
+
+
+@dataclass(frozen=True)
+class Unknowns:
+    """A point of Newton's method: states (K + 1, N), durations (K,) s, amplitudes (2,) or (0,), and ε."""
+
+    states: Array
+    durations: Array
+    amplitudes: Array
+    unfolding: float
