@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dpcontrol.cli.output import json_option, print_json, print_table, progress_bar, reports_failure
+from dpcontrol.cli.output import json_option, multiplier_text, print_json, print_table, progress_bar, reports_failure
 from dpcontrol.foundation.errors import GoalMissed, InputError
 
 if TYPE_CHECKING:
@@ -17,11 +17,12 @@ if TYPE_CHECKING:
     epilog="Example:  dpcontrol orbit lab --saddle down-up --energy -0.07",
 )
 @click.argument("model")
-@click.option("--saddle", required=True, help="Saddle that the orbit surrounds, inner arm first: down-up, up-down.")
-@click.option("--energy", type=float, help="Energy in J, zero at the pivot's height.")
+@click.option("--saddle", help="Saddle that the orbit surrounds, inner arm first: down-up, up-down.")
 @click.option(
-    "--energies", type=float, nargs=2, metavar="LO HI", help="Follow the family between two energies in J instead."
+    "--rotating", type=click.Choice(["inner", "outer"]), help="Orbits that turn this arm over and over, instead."
 )
+@click.option("--energy", type=float, help="Energy in J, zero at the pivot's height.")
+@click.option("--energies", type=float, nargs=2, metavar="LO HI", help="Follow the family between two energies in J.")
 @click.option("--family", default=0, show_default=True, help="Which of the saddle's families, slowest first.")
 @click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw the family to this PNG.")
 @json_option
@@ -29,7 +30,8 @@ if TYPE_CHECKING:
 def command(
     *,
     model: str,
-    saddle: str,
+    saddle: str | None,
+    rotating: str | None,
     energy: float | None,
     energies: tuple[float, float] | None,
     family: int,
@@ -39,19 +41,48 @@ def command(
     """Compute the Lyapunov orbit about a saddle at an energy, or its family, with Floquet multipliers.
 
     A family is followed from its saddle until it ends, loses hyperbolicity or leaves the energies asked for.
+
+    With --rotating: the symmetric orbits on which one arm turns over and over, with their stability. Their families
+    start from the orbits at --energy, or at the middle of --energies.
     """
     from dpcontrol.scenes.model import load_model
 
-    if (energy is None) == (energies is None):
-        raise InputError("give either --energy for one orbit or --energies LO HI for its family")
+    if (saddle is None) == (rotating is None):
+        raise click.UsageError("give either --saddle for Lyapunov orbits or --rotating inner|outer for rotating ones")
     if picture is not None and energies is None:
         raise InputError("--picture draws a family: give --energies LO HI with it")
+    if rotating is not None:
+        _rotating(model, rotating, energy, energies, picture, as_json)
+        return
+    assert saddle is not None
+    if (energy is None) == (energies is None):
+        raise InputError("give either --energy for one orbit or --energies LO HI for its family")
     system = load_model(model).system
     if energies is not None:
         _family(system, saddle, energies, family, picture, as_json)
     else:
         assert energy is not None
         _orbit(system, saddle, energy, family, as_json)
+
+
+def _rotating(
+    model: str,
+    arm: str,
+    energy: float | None,
+    energies: tuple[float, float] | None,
+    picture: Path | None,
+    as_json: bool,
+) -> None:
+    from dpcontrol.cli.rotating import show_families, show_orbits
+    from dpcontrol.scenes.model import load_model
+
+    if energies is not None:
+        start = (energies[0] + energies[1]) / 2 if energy is None else energy
+        show_families(load_model(model).system, arm, start, energies, picture, as_json=as_json)
+    elif energy is not None:
+        show_orbits(load_model(model).system, arm, energy, as_json=as_json)
+    else:
+        raise InputError("give --energy for the orbits of an energy or --energies LO HI for their families")
 
 
 def _orbit(system: "System", saddle: str, energy: float, family: int, as_json: bool) -> None:
@@ -67,7 +98,7 @@ def _orbit(system: "System", saddle: str, energy: float, family: int, as_json: b
     click.echo(f"Lyapunov orbit about {saddle} at {energy:g} J: {orbit.status}")
     click.echo(f"  period       {orbit.period:.15g} s")
     click.echo(f"  state        {'  '.join(f'{v:.15g}' for v in orbit.state)}   (rad, rad/s)")
-    click.echo(f"  multipliers  {'  '.join(_multiplier(complex(m)) for m in orbit.floquet_multipliers)}")
+    click.echo(f"  multipliers  {'  '.join(multiplier_text(complex(m)) for m in orbit.floquet_multipliers)}")
     click.echo(f"  closure      {orbit.residual:.1e} (largest component of x(T) - x(0))")
 
 
@@ -101,7 +132,7 @@ def _family(
             (
                 f"{m.energy:.9g}",
                 f"{m.period:.9g}",
-                "  ".join(_multiplier(complex(v), 6) for v in m.floquet_multipliers if abs(abs(v) - 1) > 1e-3),
+                "  ".join(multiplier_text(complex(v), 6) for v in m.floquet_multipliers if abs(abs(v) - 1) > 1e-3),
                 "  ".join(f"{v:.6f}" for v in m.state),
             )
             for m in chosen
@@ -114,9 +145,3 @@ def _family(
             click.echo(f"drawn to {picture}")
     if not found.converged:
         raise GoalMissed(f"the family about {saddle}: {found.status}")
-
-
-def _multiplier(value: complex, digits: int = 12) -> str:
-    if abs(value.imag) < 1e-12:
-        return f"{value.real:.{digits}g}"
-    return f"{value.real:.{min(digits, 10)}g}{value.imag:+.{min(digits, 10)}g}i"

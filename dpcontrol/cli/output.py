@@ -84,6 +84,13 @@ def checked_suffix(path: Path, suffix: str, *, option: str) -> None:
         raise InputError(f"{option} {path}: this writes a {suffix} file; choose a name that ends in {suffix}")
 
 
+def multiplier_text(value: complex, digits: int = 12) -> str:
+    """Return a Floquet multiplier for people: real where it is."""
+    if abs(value.imag) < 1e-12:
+        return f"{value.real:.{digits}g}"
+    return f"{value.real:.{min(digits, 10)}g}{value.imag:+.{min(digits, 10)}g}i"
+
+
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table on stdout; as wide as it needs when stdout is no terminal."""
     from rich.console import Console

@@ -12,6 +12,7 @@ over ψ, and refined where the other arm's angle on arrival jumps; each change o
 Source: Kaheman et al. (2023), section 3; Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -232,16 +233,21 @@ def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: R
     def rates(angle: float) -> Array:
         return axes @ np.array([np.cos(angle), np.sin(angle)])
 
-    def arrive(angle: float) -> _Arrival:
-        state = problem.centre + problem.start @ (problem.start[2:].T @ rates(angle))
-        crossing = system.propagator.crossing(state, section, longest=longest)
-        if crossing is None or sense * crossing.state[turning] < 0:
-            return _Arrival(angle, None, np.inf)
-        return _Arrival(angle, float(crossing.state[other] - problem.centre[other]), crossing.time)
+    def arrive(angles: Array) -> list[_Arrival]:
+        arrivals = []
+        for angle in angles:
+            state = problem.centre + problem.start @ (problem.start[2:].T @ rates(angle))
+            crossing = system.propagator.crossing(state, section, longest=longest)
+            if crossing is None or sense * crossing.state[turning] < 0:
+                arrivals.append(_Arrival(float(angle), None, np.inf))
+            else:
+                miss = float(crossing.state[other] - problem.centre[other])
+                arrivals.append(_Arrival(float(angle), miss, crossing.time))
+        return arrivals
 
     # The scan starts where no symmetry of the ellipse can put an orbit on a grid point.
     grid = 0.1234 + np.linspace(0, 2 * np.pi, settings.first_angles + 1)
-    arrivals = _refined([arrive(a) for a in grid], arrive, settings)
+    arrivals = _refined(arrive(grid), arrive, settings)
     guesses = []
     for a, b in pairwise(arrivals):
         if a.miss is None or b.miss is None or abs(a.miss - b.miss) > settings.jump or a.miss * b.miss > 0:
@@ -258,7 +264,9 @@ def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: R
     return guesses
 
 
-def _refined(arrivals: list[_Arrival], arrive: Any, settings: RotatingSettings) -> list[_Arrival]:
+def _refined(
+    arrivals: list[_Arrival], arrive: Callable[[Array], list[_Arrival]], settings: RotatingSettings
+) -> list[_Arrival]:
     """Halve the scan's steps where neighbours arrive far apart, or only one does, down to the finest step."""
 
     def smooth(a: _Arrival, b: _Arrival) -> bool:
@@ -270,10 +278,12 @@ def _refined(arrivals: list[_Arrival], arrive: Any, settings: RotatingSettings) 
         fine = [smooth(a, b) or b.angle - a.angle < settings.finest for a, b in pairwise(arrivals)]
         if all(fine):
             break
+        middles = iter(
+            arrive(np.array([(a.angle + b.angle) / 2 for (a, b), done in zip(pairwise(arrivals), fine, strict=True)
+                             if not done]))
+        )  # fmt: skip
         merged = arrivals[:1]
-        for (a, b), done in zip(pairwise(arrivals), fine, strict=True):
-            if not done:
-                merged.append(arrive((a.angle + b.angle) / 2))
-            merged.append(b)
+        for b, done in zip(arrivals[1:], fine, strict=True):
+            merged += [b] if done else [next(middles), b]
         arrivals = merged
     return arrivals

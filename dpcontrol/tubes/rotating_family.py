@@ -7,8 +7,9 @@ doubles. Each change is located as a root along the curve, every trial point cor
 Source: Meyer & Offin, Introduction to Hamiltonian Dynamical Systems and the N-Body Problem, 3rd ed., chapter 11.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,6 +120,46 @@ def rotating_family(
     if failed:
         status += "; " + "; ".join(failed)
     return RotatingFamily(members, tuple(changes), folds, (down.reason, up.reason), not failed, status)
+
+
+def rotating_families(
+    orbits: Sequence[RotatingOrbit],
+    energies: tuple[float, float],
+    *,
+    settings: RotatingFamilySettings | None = None,
+    progress: Progress = no_progress,
+) -> tuple[RotatingFamily, ...]:
+    """Follow the families of several orbits of one energy, each family once: where it folds it holds several.
+
+    Raises:
+        InputError: the bounds do not enclose the orbits' energy.
+    """
+    families: list[RotatingFamily] = []
+    for k, orbit in enumerate(orbits):
+        if not any(_passes(family, orbit) for family in families):
+
+            def share(what: str, done: float, k: int = k) -> None:
+                progress(what, (k + done) / len(orbits))
+
+            families.append(rotating_family(orbit, energies, settings=settings, progress=share))
+    return tuple(families)
+
+
+def _passes(family: RotatingFamily, orbit: RotatingOrbit) -> bool:
+    """Whether a family's curve passes an orbit: near where it crosses the orbit's energy, in scaled units."""
+    scale = orbit.system.scale
+    for a, b in pairwise(family.members):
+        if (a.energy - orbit.energy) * (b.energy - orbit.energy) > 0 or a.energy == b.energy:
+            continue
+        share = (orbit.energy - a.energy) / (b.energy - a.energy)
+        state = a.state + share * (b.state - a.state)
+        period = a.period + share * (b.period - a.period)
+        # Members lie a few hundredths apart: a chord is off its curve by less than a tenth of that.
+        reach = 0.1 * max(float(np.abs((b.state - a.state) / scale).max()), abs(b.period / a.period - 1)) + 1e-6
+        off = max(float(np.abs((state - orbit.state) / scale).max()), abs(period / orbit.period - 1))
+        if off < reach:
+            return True
+    return False
 
 
 @dataclass

@@ -1,14 +1,17 @@
 """Rotating orbits and their families, against independent values, scipy and the orbits' own symmetries."""
 
+import json
+
 import casadi as ca
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from dpcontrol.cli.main import main
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.rotating import RotatingSettings, rotating_orbits
-from dpcontrol.tubes.rotating_family import RotatingFamilySettings, rotating_family
+from dpcontrol.tubes.rotating_family import RotatingFamilySettings, rotating_families, rotating_family
 
 STATE = 1e-9  # the bar; what is reached is about 1e-13
 PERIOD = 1e-11
@@ -154,6 +157,65 @@ def test_changes_of_stability_do_not_depend_on_the_steps(found, family):
     assert len(finer.changes) == len(family.changes)
     for a, b in zip(finer.changes, family.changes, strict=True):
         assert a.orbit.energy == pytest.approx(b.orbit.energy, abs=LOCATED)
+
+
+def test_families_of_one_energy_are_followed_once_each(system, found):
+    """The fold at -0.1107 J joins the two fastest of the six: five families."""
+    families = rotating_families(found[2, -0.06985], (-0.115, -0.05))
+    assert len(found[2, -0.06985]) == 6
+    assert [len(f.folds) for f in families] == [0, 0, 0, 0, 1]
+    folded = families[-1]
+    # Only the folded family has members of both periods at the energy: 0.498 and 0.781 s.
+    there = [m.period for m in folded.members if abs(m.energy + 0.06985) < 0.02]
+    assert min(there) < 0.52
+    assert max(there) > 0.75
+
+
+def test_the_verb_lists_rotating_orbits_with_their_stability(capsys):
+    with pytest.raises(SystemExit) as done:
+        main(["orbit", "lab", "--rotating", "inner", "--energy", "0.2", "--json"])
+    shown = json.loads(capsys.readouterr().out)
+    state, period, multipliers, kind = REFERENCE[1, 0.2]
+    fastest = shown["rotating_orbits"][-1]
+    assert done.value.code == 0
+    assert shown["count"] == len(shown["rotating_orbits"]) == 2
+    assert fastest["kind"] == kind
+    assert fastest["winding"] == [1, 0]
+    assert np.abs(np.array(fastest["state"]) - state).max() < STATE
+    assert fastest["period"] == pytest.approx(period, abs=PERIOD)
+    assert np.abs([complex(*m) for m in fastest["floquet_multipliers"]] - np.array(multipliers)).max() < MULTIPLIER
+
+
+def test_the_verb_follows_their_families_and_draws_them(capsys, tmp_path):
+    picture = tmp_path / "inner.png"
+    with pytest.raises(SystemExit) as done:
+        main(["orbit", "lab", "--rotating", "inner", "--energies", "0.19", "0.21", "--picture", str(picture), "--json"])
+    shown = json.loads(capsys.readouterr().out)
+    assert done.value.code == 0
+    assert shown["count"] == 2
+    for family in shown["families"]:
+        energies = [member["energy"] for member in family["members"]]
+        assert (min(energies), max(energies)) == (0.19, 0.21)
+        assert all("left at the asked bound" in end for end in family["ends"])
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "fragment"),
+    [
+        ("orbit lab --rotating inner --energy -0.3", 1, "no symmetric orbit that turns the inner arm"),
+        ("orbit lab --rotating inner --saddle down-up --energy 0.2", 2, "either --saddle"),
+        ("orbit lab --energy 0.2", 2, "either --saddle"),
+        ("orbit lab --rotating inner", 2, "give --energy"),
+        ("orbit lab --rotating inner --energies 0.3 0.2", 2, "must enclose"),
+        ("orbit three-body --rotating inner --energy -1.5", 2, "no two arms"),
+    ],
+)
+def test_the_verb_refuses_rotating_orbits_that_there_are_not(capsys, line, code, fragment):
+    with pytest.raises(SystemExit) as done:
+        main(line.split())
+    assert done.value.code == code
+    assert fragment in capsys.readouterr().err
 
 
 def test_where_the_arm_cannot_turn_there_are_no_orbits(system):
