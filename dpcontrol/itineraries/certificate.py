@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.itineraries.closed import ClosedMultipliers, closed_multipliers
 from dpcontrol.itineraries.shooting import Shot
-from dpcontrol.tubes.connections import Connection
+from dpcontrol.tubes.connection import Connection
 from dpcontrol.tubes.orbit_curve import OrbitCurve
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from dpcontrol.itineraries.closed import ClosedOrbit
 from dpcontrol.itineraries.shooting import NewtonSettings, Shot, solve_shooting
 from dpcontrol.itineraries.shooting_equations import Guess
 from dpcontrol.tubes.connecting_orbit import ConnectingOrbit, ManifoldEnd
-from dpcontrol.tubes.connections import Connection
+from dpcontrol.tubes.connection import Connection
 
 Array = NDArray[np.float64]
 

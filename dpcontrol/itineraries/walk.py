@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.tubes.connections import Connection
+from dpcontrol.tubes.connection import Connection
 
 _HOMOCLINIC = re.compile(r"^(?P<source>[\w-]*\w)\s+(?P<sense>[+-])$")
 _HETEROCLINIC = re.compile(r"^(?P<source>[\w-]*\w)\s*>\s*(?P<target>[\w-]*\w)(?:\s+(?P<sense>[+-]))?$")

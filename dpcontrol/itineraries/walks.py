@@ -1,0 +1,167 @@
+"""Walks on the connection graph: resolved from symbols, listed, counted, drawn at random.
+
+Counting and uniform drawing use powers of the matrix that holds the number of connections between saddles.
+"""
+
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+
+import networkx as nx
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.tables import suggest
+from dpcontrol.itineraries.edges import Edges, saddles_with_tubes
+from dpcontrol.itineraries.walk import Symbol, choose, parse_walk
+from dpcontrol.tubes.connection import Connection
+
+Walk = tuple[Connection, ...]
+
+
+def resolve(texts: Sequence[str], edges: Edges) -> Walk:
+    """Return the connections that the symbols of a walk stand for.
+
+    Raises:
+        InputError: a text that is no symbol, a walk that is not connected, or a connection that does not exist at this
+            energy; with the reason and the nearest walk that exists.
+    """
+    symbols = parse_walk(texts, saddles_with_tubes(edges.system))
+    chain: list[Connection] = []
+    for k, symbol in enumerate(symbols, start=1):
+        try:
+            chain.append(choose(symbol, edges.between(symbol.source, symbol.target)))
+        except InputError as error:
+            reasons = [why for saddle, why in edges.absent if saddle in (symbol.source, symbol.target)]
+            why = f" ({'; '.join(reasons)})" if reasons else ""
+            raise InputError(f"symbol {k} of {len(symbols)}: {error}{why}{_nearest(symbols, edges)}") from error
+    return tuple(chain)
+
+
+def _nearest(symbols: Sequence[Symbol], edges: Edges) -> str:
+    """Return a sentence that names the nearest walk that exists: through the same stops, or as many as have orbits."""
+    stops = [symbols[0].source, *(s.target for s in symbols)]
+    left = [stop for stop in stops if stop in edges.orbits]
+    if len(left) < 2:
+        return ""
+    try:
+        walk = through(left, edges)
+    except InputError:
+        return ""
+    return "; the nearest walk that exists is " + " , ".join(f"{c.name!r}" for c in walk)
+
+
+def through(stops: Sequence[str], edges: Edges) -> Walk:
+    """Return the shortest walk that visits saddles in order, each step by its most transversal symmetric connection.
+
+    A stop that follows itself asks for a homoclinic connection.
+
+    Raises:
+        InputError: fewer than two stops, an unknown saddle, or no way from one to the next.
+    """
+    if len(stops) < 2:
+        raise InputError(f"stops = {list(stops)}: a walk needs two at least, where it starts and where it ends")
+    graph = edges.graph()
+    chain: list[Connection] = []
+    for stop in stops:
+        if stop not in graph:
+            raise InputError(f"{stop!r} has no orbit at {edges.energy:g} J: {suggest(stop, edges.orbits)}")
+    for here, there in pairwise(stops):
+        if here == there:
+            path = [here, there] if graph.has_edge(here, there) else []
+        else:
+            path = nx.shortest_path(graph, here, there) if nx.has_path(graph, here, there) else []
+        if not path:
+            raise InputError(f"no walk at {edges.energy:g} J leads from {here} to {there}; try a higher energy")
+        chain += [choose(Symbol(f"{a} > {b}", a, b, None, None), edges.between(a, b)) for a, b in pairwise(path)]
+    return tuple(chain)
+
+
+def _matrix(edges: Edges) -> tuple[list[str], NDArray[np.object_]]:
+    """Return the saddles and how many connections lead from each to each, as whole numbers of any size."""
+    names = list(edges.orbits)
+    counts = np.zeros((len(names), len(names)), dtype=object)
+    for c in edges.connections:
+        counts[names.index(c.source.saddle), names.index(c.target.saddle)] += 1
+    return names, counts
+
+
+def count_walks(edges: Edges, length: int, *, source: str | None = None, target: str | None = None) -> int:
+    """Return how many walks of `length` symbols there are (from `source`, to `target`).
+
+    Raises:
+        InputError: a length below one, or a saddle without an orbit.
+    """
+    names, counts = _matrix(edges)
+    _check(edges, length, source, target)
+    power = np.linalg.matrix_power(counts, length)
+    rows = [k for k, name in enumerate(names) if source in (None, name)]
+    columns = [k for k, name in enumerate(names) if target in (None, name)]
+    return int(power[np.ix_(rows, columns)].sum())
+
+
+def all_walks(edges: Edges, length: int, *, source: str | None = None, target: str | None = None) -> Iterator[Walk]:
+    """Yield every walk of `length` symbols (from `source`, to `target`).
+
+    Raises:
+        InputError: a length below one, or a saddle without an orbit.
+    """
+    _check(edges, length, source, target)
+    for start in edges.orbits if source is None else (source,):
+        yield from _walks(edges, start, target, length)
+
+
+def _walks(edges: Edges, at: str, target: str | None, left: int) -> Iterator[Walk]:
+    if left == 0:
+        if target in (None, at):
+            yield ()
+        return
+    for connection in edges.leaving(at):
+        for rest in _walks(edges, connection.target.saddle, target, left - 1):
+            yield (connection, *rest)
+
+
+def random_walk(edges: Edges, length: int, generator: np.random.Generator, *, periodic: bool = False) -> Walk:
+    """Draw one of all walks of `length` symbols (of those that close, if periodic), each as likely as any other.
+
+    Raises:
+        InputError: a length below one, or no such walk.
+    """
+    _check(edges, length, None, None)
+    names, counts = _matrix(edges)
+    powers = [np.linalg.matrix_power(counts, k) for k in range(length + 1)]
+    onward = np.ones(len(names), dtype=object)
+    first = np.array([powers[length][k, k] if periodic else (powers[length] @ onward)[k] for k in range(len(names))])
+    if not first.sum():
+        raise InputError(f"there is no {'closed ' if periodic else ''}walk of {length} symbols at {edges.energy:g} J")
+    at = start = _drawn(first, generator)
+    chain: list[Connection] = []
+    for left in range(length - 1, -1, -1):
+        leaving = edges.leaving(names[at])
+        ends = [names.index(c.target.saddle) for c in leaving]
+        weights = np.array([powers[left][e, start] if periodic else (powers[left] @ onward)[e] for e in ends])
+        chosen = leaving[_drawn(weights, generator)]
+        chain.append(chosen)
+        at = names.index(chosen.target.saddle)
+    return tuple(chain)
+
+
+def _drawn(weights: NDArray[np.object_], generator: np.random.Generator) -> int:
+    """Draw an index with probability proportional to whole-number weights of any size."""
+    total = weights.sum()
+    shares = np.array([float(weight / total) for weight in weights])
+    return int(generator.choice(len(shares), p=shares / shares.sum()))
+
+
+def _check(edges: Edges, length: int, source: str | None, target: str | None) -> None:
+    if length < 1:
+        raise InputError(f"length = {length}: a walk has at least one symbol")
+    for saddle in (source, target):
+        if saddle is not None and saddle not in edges.orbits:
+            reasons = [why for name, why in edges.absent if name == saddle]
+            raise InputError(f"{saddle!r}: {reasons[0] if reasons else suggest(saddle, edges.orbits)}")
+
+
+def is_closed(chain: Sequence[Connection]) -> bool:
+    """Tell whether a walk ends where it starts."""
+    return chain[0].source.saddle == chain[-1].target.saddle
