@@ -3,6 +3,7 @@
 The stable tube is the unstable one turned around by a reverser. The cuts' polylines give first guesses, also where
 they only nearly touch; Newton's method on (phase_u, phase_s) with the variational equations solves
 P(W^u(phase_u)) = P(W^s(phase_s)) in the section's coordinates (q, p/p₀). No window, no count is given beforehand.
+Beside every crossing others are looked for where the cuts' slopes and bend place them.
 
 Source: Koon, Lo, Marsden, Ross, Heteroclinic connections between periodic orbits and resonance transitions in
 celestial mechanics (2000), section 4; Kaheman et al. (2023), section 3.
@@ -21,6 +22,9 @@ from dpcontrol.tubes.plane_curves import near_touches, polyline_crossings
 
 Array = NDArray[np.float64]
 
+_BESIDE = 1e-3  # phase over which the cuts' bend is measured, less than the 1/100 between the first samples of a cut
+_FARTHEST_PARTNER = 0.05  # phase; the polylines tell partners apart that are farther off
+
 
 @dataclass(frozen=True)
 class ConnectionSettings:
@@ -33,7 +37,7 @@ class ConnectionSettings:
 
     distance: float = 1e-4
     cut: CutSettings = field(default_factory=CutSettings)
-    newton_iterations: int = 12
+    newton_iterations: int = 24
     accept: float = 1e-9
     same: float = 1e-7
     lead: float = 1.0
@@ -131,8 +135,10 @@ def intersect_cuts(
                 solution = _newton(system, sides, guess, settings)
                 if solution is None:
                     failed += int(sure)
-                elif not any(_same(system, solution, other, settings.same) for other in here):
-                    here.append(solution)
+                    continue
+                for one in (solution, *_partners(system, solution, settings)):
+                    if not any(_same(system, one, other, settings.same) for other in here):
+                        here.append(one)
             found += here
     return found, failed
 
@@ -174,38 +180,73 @@ def _gap(system: System, first: Array, second: Array) -> tuple[Array, Array]:
     return difference - turns * lengths, turns
 
 
+def _meeting(
+    system: System, sides: tuple[TubeSide, TubeSide], phases: Array
+) -> tuple[Intersection, Array, Array] | None:
+    """Return how the trajectories from two phases miss each other on the section, None where one does not arrive.
+
+    Returns (the would-be intersection, state gap (N,), gap (2,) in section coordinates).
+    """
+    section = sides[0].section
+    scale = momentum_scale(system, section)
+    position, along = np.asarray(section.position), np.asarray(section.momentum)
+    forward, backward = sides[0].arrive(float(phases[0])), sides[1].arrive(float(phases[1]))
+    if forward is None or backward is None:
+        return None
+    (xu, du, tu), (xs, ds, ts) = forward, backward
+    gap, turns = _gap(system, xu, xs)
+    tangents = np.array(
+        [[position @ d, along @ (system.numeric.momentum_jacobian(x) @ d) / scale] for x, d in ((xu, du), (xs, ds))]
+    ).T
+    points = section_points(system, section, np.array([xu, xu - gap]))
+    return Intersection(sides, phases.copy(), (xu, xs), turns, tangents, (tu, ts)), gap, points[0] - points[1]
+
+
+def _slopes(crossing: Intersection) -> Array:
+    """Return the derivative (2, 2) of the gap in section coordinates by both phases."""
+    return np.column_stack([crossing.tangents[:, 0], -crossing.tangents[:, 1]])
+
+
 def _newton(
     system: System, sides: tuple[TubeSide, TubeSide], guess: Array, settings: ConnectionSettings
 ) -> Intersection | None:
     """Solve for the two phases; None where Newton leaves the neighbourhood or does not converge."""
-    section = sides[0].section
-    scale = momentum_scale(system, section)
-    position, along = np.asarray(section.position), np.asarray(section.momentum)
-    phases, best = guess.copy(), None
-    smallest = np.inf
+    phases = guess.copy()
     for _ in range(settings.newton_iterations):
-        forward, backward = sides[0].arrive(float(phases[0])), sides[1].arrive(float(phases[1]))
-        if forward is None or backward is None:
+        met = _meeting(system, sides, phases)
+        if met is None:
             return None
-        (xu, du, tu), (xs, ds, ts) = forward, backward
-        gap, turns = _gap(system, xu, xs)
-        tangents = np.array(
-            [[position @ d, along @ (system.numeric.momentum_jacobian(x) @ d) / scale] for x, d in ((xu, du), (xs, ds))]
-        ).T
-        residual = float(np.abs(gap).max())
-        if residual < smallest:
-            smallest, best = residual, Intersection(sides, phases.copy(), (xu, xs), turns, tangents, (tu, ts))
-        if smallest < settings.accept:
-            return best
-        points = section_points(system, section, np.array([xu, xu - gap]))
-        matrix = np.column_stack([tangents[:, 0], -tangents[:, 1]])
-        step = np.linalg.lstsq(matrix, points[0] - points[1], rcond=1e-12)[0]
+        crossing, gap, miss = met
+        if float(np.abs(gap).max()) < settings.accept:
+            return crossing
+        step = np.linalg.lstsq(_slopes(crossing), miss, rcond=1e-12)[0]
         # A step of more than a few hundredths of a phase would leave the guess's neighbourhood.
         longest = float(np.max(np.abs(step)))
         phases = phases - step * min(1.0, 0.05 / longest if longest else 1.0)
         if np.max(np.abs(phases - guess)) > 0.2:
             return None
     return None
+
+
+def _partners(system: System, crossing: Intersection, settings: ConnectionSettings) -> list[Intersection]:
+    """Return the crossings within about one chord of the cuts from a known one, which polylines do not tell apart.
+
+    Along the direction in which the gap changes least it is a s + ½ b s² + c s³/6, with a, b, c from its derivative
+    there and on both sides: beside a saddle-node a second zero is near -2a/b, beside a pitchfork (b = 0) two more are
+    near ±√(-6a/c). The angle between the cuts does not tell: where they bend sharply a pair a hundredth of a phase
+    apart may meet at 60°.
+    """
+    slopes = _slopes(crossing)
+    left, _, right = np.linalg.svd(slopes)
+    across, flat = left[:, -1], right[-1] / np.abs(right[-1]).max()
+    around = [_meeting(system, crossing.sides, crossing.phases + s * _BESIDE * flat) for s in (-1, 1)]
+    if around[0] is None or around[1] is None:
+        return []
+    before, here, after = (float(across @ m @ flat) for m in (_slopes(around[0][0]), slopes, _slopes(around[1][0])))
+    zeros = np.roots([(before - 2 * here + after) / (6 * _BESIDE**2), (after - before) / (4 * _BESIDE), here])
+    near = [float(s.real) for s in zeros if abs(s.imag) < abs(s.real) and abs(s) < _FARTHEST_PARTNER]
+    found = [_newton(system, crossing.sides, crossing.phases + s * flat, settings) for s in near]
+    return [f for f in found if f is not None]
 
 
 def _same(system: System, first: Intersection, second: Intersection, tolerance: float) -> bool:

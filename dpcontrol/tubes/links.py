@@ -244,6 +244,9 @@ class LinkProblem:
             elif best[0] < 1e-10:
                 break
             step = np.linalg.lstsq(match.jacobian, match.gap, rcond=1e-13)[0]
+            # Where multipliers are large, rounding keeps the gap from falling, but moves the solution no more.
+            if residual < 1e-8 and np.all(np.abs(step) < 1e-7 * reach):
+                return link, match
             shrink = min(1.0, 0.3 / float(np.max(np.abs(step) / reach)) if np.any(step) else 1.0)
             link = link.at(link.unknowns - shrink * step)
             if np.any(np.abs(link.unknowns - guess) > reach) or link.duration <= 0:

@@ -27,15 +27,13 @@ class SweepSettings:
     """How energies are swept. energies: how many at first; halvings: of an interval that does not add up.
 
     same: largest difference of phases at which two links are one; closest: energies nearer to a saddle's than this
-    part of the energy scale are left out, tubes being thinner there than their seeds are far; tangent: links with a
-    smaller tangency σ than this are searched for a near partner.
+    part of the energy scale are left out, tubes being thinner there than their seeds are far.
     """
 
     energies: int = 24
     halvings: int = 3
     same: float = 1e-4
     closest: float = 1e-4
-    tangent: float = 0.1
     search: ConnectionSettings = field(default_factory=ConnectionSettings)
 
 
@@ -133,7 +131,6 @@ class Sweep:
                 continue
             if self.among(link, points) is None:
                 points.append(PathPoint(link, energy, match.tangency))
-                points += self._partners(points[-1], points)
         if failed:
             caveat = f"{failed} crossings of the cuts did not converge"
         for cut in (unstable, stable):
@@ -152,24 +149,6 @@ class Sweep:
     def count(self, point: PathPoint) -> int:
         """Return how often a solved link crosses the section."""
         return profile(self.problem, point.link, point.energy, self.section).count
-
-    def _partners(self, point: PathPoint, known: list[PathPoint]) -> list[PathPoint]:
-        """Look for a second solution beside an almost tangent one, which the cuts' polylines do not tell apart."""
-        if abs(point.tangency) > self.settings.tangent:
-            return []
-        found: list[PathPoint] = []
-        match = self.problem.match(point.link, point.energy)
-        flat = np.linalg.svd(match.jacobian)[2][-1]
-        flat = flat / np.abs(flat[:2]).max()
-        for size in (1e-3, -1e-3, 4e-3, -4e-3, 1.6e-2, -1.6e-2):
-            try:
-                link, beside = self.problem.solved(point.link.at(point.link.unknowns + size * flat), point.energy)
-            except ArithmeticError:
-                continue
-            other = PathPoint(link, point.energy, beside.tangency)
-            if self.among(link, [*known, *found]) is None and self.count(other) == self.crossings:
-                found.append(other)
-        return found
 
     def between(self, low: float, high: float) -> Interval:
         """Explain what two neighbouring searches do not share; kept until one of them is amended."""

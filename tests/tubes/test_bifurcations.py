@@ -15,6 +15,7 @@ from dpcontrol.tubes.connecting_orbit import Anchor, solve_connecting_orbit
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import CutSettings
 from dpcontrol.tubes.intersections import ConnectionSettings
+from dpcontrol.tubes.link_paths import carry, follow
 from dpcontrol.tubes.links import LinkProblem
 from dpcontrol.tubes.manifold import UnstableManifold
 from dpcontrol.tubes.sweep import Sweep, SweepSettings
@@ -46,8 +47,8 @@ def events(system):
     return {name: f.events[0] for name, f in found.items()}
 
 
-def connections_at(system, energy):
-    return find_connections(*orbits_between(system, "down-up", "down-up", energy)).connections
+def connections_at(system, energy, saddles=("down-up", "down-up")):
+    return find_connections(*orbits_between(system, saddles[0], saddles[1], energy)).connections
 
 
 def off_mirror(connection):
@@ -71,6 +72,25 @@ def test_counts_by_the_search_alone_change_at_the_located_energies(system, event
         sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
         counts = [sweep.search(event.energy + d).count for d in (-2e-6, 2e-6)]
         assert counts == [event.count_below, event.count_above]
+
+
+@pytest.mark.parametrize(
+    ("saddles", "energies", "kind"),
+    [
+        (("down-up", "down-up"), SADDLE_NODE, "saddle-node"),
+        (("down-up", "down-up"), PITCHFORK, "pitchfork"),
+        (("up-down", "up-down"), (0.1780, 0.1782), "saddle-node"),
+        (("up-down", "up-down"), (0.1782, 0.1785), "pitchfork"),
+        (("down-up", "up-down"), (0.1883, 0.1885), "saddle-node"),
+    ],
+)
+def test_cuts_that_all_but_touch_give_every_crossing_from_a_tenth_of_a_microjoule_on(system, saddles, energies, kind):
+    """Pairs a few ten-thousandths of a phase apart, where the polylines cross nowhere or not at all transversally."""
+    (event,) = located(system, energies, source=saddles[0], target=saddles[1]).events
+    assert event.kind == kind
+    assert event.count_above == event.count_below + 4
+    counts = [len(connections_at(system, event.energy + d, saddles)) for d in (-2e-7, 2e-7, 2e-6, 2e-5)]
+    assert counts == [event.count_below, *[event.count_above] * 3]
 
 
 def test_an_interval_that_ends_a_hair_beyond_a_pitchfork_holds_it(system, events):
@@ -176,6 +196,46 @@ def test_a_tangency_between_samples_is_found_from_the_far_side_too(system):
     problem.manifolds(PITCHFORK[1])
     assert [problem.symmetry(p.link) for p in below.points] == [1, 1]
     assert sorted(str(problem.symmetry(p.link)) for p in above.points) == ["1", "1", "None", "None"]
+
+
+def test_a_path_goes_round_a_fold_and_comes_back_as_the_partner(system, events):
+    """From one member of a pair down to the saddle-node and up as the other, which the search finds there too."""
+    fold = events[SADDLE_NODE].energy
+    sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
+    start, goal = SADDLE_NODE[1], SADDLE_NODE[0]
+    first, second = sweep.search(start).points
+    path = follow(sweep.problem, first.link, start, goal)
+    assert path.outcome == "back"
+    energies = np.array([p.energy for p in path.points])
+    (turn,) = path.turns
+    # Down to the fold, never below it, and up again.
+    assert np.all(np.diff(energies[: turn + 1]) < 0)
+    assert np.all(np.diff(energies[turn + 1 :]) > 0)
+    assert 0 < energies.min() - fold < 0.1 * (start - fold)
+    assert sweep.problem.distance_between(path.points[-1].link, second.link) < 1e-8
+    # The tangency changes its sign once, at the fold, and every point is a connection.
+    signs = np.sign([p.tangency for p in path.points])
+    assert np.count_nonzero(np.diff(signs)) == 1
+    assert max(np.abs(sweep.problem.match(p.link, p.energy).gap).max() for p in path.points) < 1e-8
+
+
+def test_carrying_a_connection_refuses_to_pass_a_fold(system):
+    sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
+    point = sweep.search(SADDLE_NODE[1]).points[0]
+    assert carry(sweep.problem, point, SADDLE_NODE[0]) is None
+    arrived = carry(sweep.problem, point, -0.1400)
+    assert arrived is not None
+    assert sweep.among(arrived.link, sweep.search(-0.1400).points) is not None
+
+
+def test_connections_of_a_strongly_unstable_orbit_are_followed_down_to_their_fold():
+    """The printed pendulum: its multiplier of 9e4 lets no gap fall below 1e-10, and still nothing is lost."""
+    found = located(load_model("printed").system, (0.1783, 0.1790), target="up-down")
+    assert found.complete
+    assert [(e.kind, e.count_below, e.count_above) for e in found.events] == [
+        ("saddle-node", 4, 8),
+        ("saddle-node", 8, 12),
+    ]
 
 
 def test_a_cut_that_scatters_is_a_caveat_not_a_count(system):
