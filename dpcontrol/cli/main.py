@@ -22,6 +22,7 @@ VERBS = {
     "connect": "Find all homoclinic or heteroclinic connections of an energy.",
     "bifurcations": "Find the energies at which connections appear, split or change their hits.",
     "atlas": "Compute all of an energy: orbits, tubes, connections, their graph.",
+    "walk": "List, count and make walks on the connection graph, and their orbits.",
     "plan": "Plan an itinerary: shadowing orbit and reference.",
     "run": "Run an itinerary in closed loop and write its log.",
     "score": "Say whether logged runs did what was asked.",

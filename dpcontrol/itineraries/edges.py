@@ -3,7 +3,7 @@
 Source: Kaheman et al. (2023), section 4.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import networkx as nx
@@ -66,12 +66,12 @@ def find_edges(
     energy: float,
     *,
     pairs: Sequence[tuple[str, str]] | None = None,
-    hits: int = 1,
+    hits: Iterable[tuple[int, int]] = ((1, 1),),
     progress: Progress = no_progress,
 ) -> Edges:
     """Find the connections at `energy` between all saddles that have orbits there, or between those of `pairs`.
 
-    hits: the last crossing of the section by either tube that counts; 1 finds first hits only.
+    hits: crossings of the section by the unstable and the stable tube, one search for each; first hits by default.
 
     Raises:
         InputError: no saddle has an orbit at this energy, or a saddle of `pairs` has none.
@@ -96,7 +96,9 @@ def find_edges(
     kinds = [p for p in system.sections if p[0] in orbits and p[1] in orbits and (not pairs or p in pairs)]
     found: dict[tuple[str, str], tuple[Connection, ...]] = {}
     notes: list[str] = []
-    numbers = [(a, b) for a in range(1, hits + 1) for b in range(1, hits + 1)]
+    numbers = sorted(set(hits))
+    # An image under time reversal has its hits exchanged: it serves where both are asked for.
+    both_ways = all((b, a) in numbers for a, b in numbers)
     for k, (source, target) in enumerate(kinds):
         here: Progress = lambda what, done, k=k: progress(what, (k + done) / len(kinds))  # noqa: E731
         if (source, target) in found:
@@ -107,7 +109,8 @@ def find_edges(
             listed += search.connections
             if search.failed or not all(cut.resolved for cut in search.cuts):
                 notes.append(f"{source} → {target}, hits {hit[0]}.{hit[1]}: {search.status}")
-            if source != target and (target, source) in kinds and can_be_reversed(system, source, target):
+            opposite = source != target and (target, source) in kinds and both_ways
+            if opposite and can_be_reversed(system, source, target):
                 image = reversed_search(search).connections
                 found[target, source] = (*found.get((target, source), ()), *image)
         found[source, target] = tuple(listed)

@@ -20,18 +20,19 @@ from dpcontrol.tubes.connection import Connection
 
 _HOMOCLINIC = re.compile(r"^(?P<source>[\w-]*\w)\s+(?P<sense>[+-])$")
 _HETEROCLINIC = re.compile(r"^(?P<source>[\w-]*\w)\s*>\s*(?P<target>[\w-]*\w)(?:\s+(?P<sense>[+-]))?$")
-_NAME = re.compile(r"^(?P<source>[\w-]+)>(?P<target>[\w-]+)\[[-\d,]+\]h\d+\.\d+@\S+$")
+_NAME = re.compile(r"^(?P<source>[\w-]+)>(?P<target>[\w-]+)\[[-\d,]+\]h(?P<out>\d+)\.(?P<in>\d+)@\S+$")
 
 
 @dataclass(frozen=True)
 class Symbol:
-    """What a symbol asks for. sense +1, -1 or None (either); name where one connection is named."""
+    """What a symbol asks for. sense +1, -1 or None (either); name, and its hits, where one connection is named."""
 
     text: str
     source: str
     target: str
     sense: int | None
     name: str | None
+    hits: tuple[int, int] | None = None
 
 
 def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
@@ -57,7 +58,8 @@ def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
     sense = {"+": 1, "-": -1, None: None}[parts.get("sense")]
     if not named and source == target and sense is None:
         raise InputError(f'{text!r} does not say which way to turn; write "{source} +" or "{source} -"')
-    return Symbol(text, source, target, sense, text if named else None)
+    hits = (int(parts["out"]), int(parts["in"])) if named else None
+    return Symbol(text, source, target, sense, text if named else None, hits)
 
 
 def parse_walk(texts: Sequence[str], saddles: Sequence[str]) -> tuple[Symbol, ...]:

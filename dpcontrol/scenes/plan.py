@@ -17,16 +17,17 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import Progress, content_hash, no_progress
-from dpcontrol.itineraries.shadowing import ShadowingOrbit, shadow
-from dpcontrol.itineraries.walk import choose, parse_walk
+from dpcontrol.itineraries.edges import find_edges, saddles_with_tubes
+from dpcontrol.itineraries.shadowing import ShadowingOrbit
+from dpcontrol.itineraries.walk import parse_walk
+from dpcontrol.itineraries.walks import resolve
+from dpcontrol.itineraries.wraps import WalkSolver
 from dpcontrol.references.archive import load_reference, save_reference
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import ReferenceProblem
 from dpcontrol.references.reference import Reference
 from dpcontrol.scenes.cache import cache_folder, code_hash
 from dpcontrol.scenes.itinerary import Itinerary
-from dpcontrol.tubes.connection import Connection
-from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.equilibria import equilibria
 from dpcontrol.tubes.lyapunov import LyapunovOrbit
 from dpcontrol.tubes.orbit_curve import OrbitCurve
@@ -117,23 +118,18 @@ def shadowing_orbit(itinerary: Itinerary, *, progress: Progress = no_progress) -
         GoalMissed: an orbit or the shadowing orbit did not converge.
     """
     system = itinerary.model.system
-    saddles = [name for name, e in equilibria(system).items() if e.kind.startswith("index-1")]
-    symbols = parse_walk(itinerary.walk, saddles)
+    symbols = parse_walk(itinerary.walk, saddles_with_tubes(system))
     pairs = list(dict.fromkeys((s.source, s.target) for s in symbols))
-    found: dict[tuple[str, str], tuple[Connection, ...]] = {}
-    for k, (source, target) in enumerate(pairs):
-        first, last = orbits_between(system, source, target, itinerary.energy)
-        for orbit in (first, last):
-            if not orbit.converged:
-                raise GoalMissed(f"the Lyapunov orbit about {orbit.saddle}: {orbit.status}")
-        share = 0.9 / len(pairs)
-        search = find_connections(first, last, progress=_part(progress, k * share, (k + 1) * share))
-        found[source, target] = search.connections
-    chain = [choose(symbol, found[symbol.source, symbol.target]) for symbol in symbols]
+    hits = {(1, 1), *(s.hits for s in symbols if s.hits is not None)}
+    edges = find_edges(system, itinerary.energy, pairs=pairs, hits=hits, progress=_part(progress, 0.0, 0.9))
+    if edges.absent:
+        raise GoalMissed("; ".join(reason for _, reason in edges.absent))
+    chain = resolve(itinerary.walk, edges)
     progress("shadowing orbit", 0.9)
-    result = shadow(chain, wraps=itinerary.wraps, lead_in=itinerary.lead_in, lead_out=itinerary.lead_out)
+    solver = WalkSolver(edges.connections)
+    result = solver.solve(chain, itinerary.wraps, lead_in=itinerary.lead_in, lead_out=itinerary.lead_out)
     if not result.converged:
-        raise GoalMissed(f"the shadowing orbit: {result.status}")
+        raise GoalMissed(f"the shadowing orbit: {result.status}; {solver.advice(result)}")
     return result
 
 

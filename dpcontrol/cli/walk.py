@@ -1,0 +1,269 @@
+"""dpcontrol walk"""
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dpcontrol.cli.output import Hits, json_option, print_json, print_table, progress_bar, reports_failure
+from dpcontrol.foundation.errors import GoalMissed, InputError
+
+if TYPE_CHECKING:
+    from dpcontrol.itineraries.edges import Edges
+    from dpcontrol.scenes.walks import WalkAnswer, WalkRequest
+
+LISTED = 100_000
+"""Walks that --length may list; beyond that they are counted."""
+
+
+class _Wraps(click.ParamType):
+    """Wraps at the stops, as in 2,3,2."""
+
+    name = "n,n,…"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[int, ...]:
+        if isinstance(value, tuple):
+            return value
+        try:
+            return tuple(int(n) for n in re.split(r"[,\s]+", str(value).strip()) if n)
+        except ValueError:
+            self.fail(f"{value!r} is not a list of whole numbers, as in 2,3,2.", param, ctx)
+
+
+@click.command("walk", epilog='Example:  dpcontrol walk lab --energy 0.2 -s "down-up +" -s "down-up > up-down" --solve')
+@click.argument("model")
+@click.option("--energy", required=True, type=float, help="Energy in J, zero at the pivot's height.")
+@click.option("-s", "--symbol", "symbols", multiple=True, help="A symbol of one walk, in order: as in an itinerary.")
+@click.option("--through", multiple=True, metavar="SADDLE", help="A stop of the shortest walk through given stops.")
+@click.option("--length", type=click.IntRange(1), help="List all walks of this many symbols.")
+@click.option("--from", "source", help="With --length: only walks from this saddle.")
+@click.option("--to", "target", help="With --length: only walks to this saddle.")
+@click.option("--random", "count", type=click.IntRange(1), help="Draw this many walks.")
+@click.option("--lengths", type=(int, int), default=(1, 8), show_default=True, help="Symbols of a drawn walk.")
+@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the walks that are drawn.")
+@click.option(
+    "--wraps", type=_Wraps(), help="Wraps at the stops of -s or --through.  [default: the least that suffice]"
+)
+@click.option(
+    "--extra-wraps",
+    type=(int, int),
+    default=(0, 0),
+    show_default=True,
+    help="Wraps beyond the least that suffice at each stop: drawn from this range.",
+)
+@click.option("--lead-in", type=click.IntRange(0), default=2, show_default=True, help="Wobbles before the walk.")
+@click.option("--lead-out", type=click.IntRange(0), default=2, show_default=True, help="Wobbles after it.")
+@click.option("--periodic", is_flag=True, help="Walks that close: periodic orbits, with one more stop.")
+@click.option("--hits", type=Hits(), default="1", show_default=True, help="Last crossings of the sections that count.")
+@click.option("--solve", is_flag=True, help="Find the orbit of each walk.")
+@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Write each orbit to this folder (.npz).")
+@json_option
+@reports_failure
+def command(
+    *,
+    model: str,
+    energy: float,
+    symbols: tuple[str, ...],
+    through: tuple[str, ...],
+    length: int | None,
+    source: str | None,
+    target: str | None,
+    count: int | None,
+    lengths: tuple[int, int],
+    seed: int,
+    wraps: tuple[int, ...] | None,
+    extra_wraps: tuple[int, int],
+    lead_in: int,
+    lead_out: int,
+    periodic: bool,
+    hits: tuple[int, int],
+    solve: bool,
+    out: Path | None,
+    as_json: bool,
+) -> None:
+    """List, count and make walks on the connection graph of an energy, and the orbits that follow them.
+
+    One walk is given by its symbols (-s) or its stops (--through); --length lists all walks of a length, --random
+    draws some. With none of these the graph itself is shown. --solve finds each walk's orbit: homoclinic, heteroclinic,
+    or periodic with --periodic, with its certificate.
+    """
+    from dpcontrol.itineraries.edges import find_edges
+    from dpcontrol.itineraries.walks import resolve
+    from dpcontrol.itineraries.walks import through as shortest
+    from dpcontrol.scenes.model import load_model
+    from dpcontrol.scenes.walks import drawn_requests, request
+
+    ways = {"-s": symbols, "--through": through, "--length": length, "--random": count}
+    chosen = [name for name, given in ways.items() if given]
+    if len(chosen) > 1:
+        raise InputError(f"{' and '.join(chosen)} both choose walks: give one of them")
+    if wraps is not None and not (symbols or through):
+        raise InputError("--wraps are those of one walk: give its symbols (-s) or stops (--through), or --extra-wraps")
+    if out is not None and not solve:
+        raise InputError("--out writes orbits: give --solve as well")
+    system = load_model(model).system
+    numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
+    numbers |= {(int(a), int(b)) for text in symbols for a, b in re.findall(r"\]h([1-9])\.([1-9])@", text)}
+    with progress_bar("connections") as progress:
+        edges = find_edges(system, energy, hits=numbers, progress=progress)
+    leads = (lead_in, lead_out)
+    if symbols or through:
+        chain = resolve(symbols, edges) if symbols else shortest(through, edges)
+        requests = [request(chain, wraps=wraps, extra=extra_wraps[0], periodic=periodic, leads=leads)]
+    elif length is not None:
+        requests = _listed(edges, length, source, target, periodic, extra_wraps[0], leads)
+    elif count is not None:
+        requests = drawn_requests(
+            edges, count, lengths=lengths, extra=extra_wraps, seed=seed, periodic=periodic, leads=leads
+        )
+    elif solve:
+        raise InputError("--solve needs walks: give -s, --through, --length or --random")
+    else:
+        _show_graph(edges, as_json)
+        return
+    if not solve:
+        _show_walks(edges, requests, as_json)
+        return
+    _solve(edges, requests, model, out, as_json)
+
+
+def _listed(
+    edges: "Edges",
+    length: int,
+    source: str | None,
+    target: str | None,
+    periodic: bool,
+    extra: int,
+    leads: tuple[int, int],
+) -> "list[WalkRequest]":
+    from dpcontrol.itineraries.walks import all_walks, count_walks, is_closed
+    from dpcontrol.scenes.walks import request
+
+    total = count_walks(edges, length, source=source, target=target)
+    if total > LISTED:
+        raise InputError(
+            f"--length {length}: there are {total:,} such walks, more than the {LISTED:,} that are listed; draw some "
+            "with --random"
+        )
+    walks = all_walks(edges, length, source=source, target=target)
+    return [request(walk, wraps=None, extra=extra, periodic=periodic, leads=leads)
+            for walk in walks if not periodic or is_closed(walk)]  # fmt: skip
+
+
+def _show_graph(edges: "Edges", as_json: bool) -> None:
+    from dpcontrol.itineraries.walks import count_walks
+
+    counts = {str(k): count_walks(edges, k) for k in range(1, 9)}
+    if as_json:
+        print_json(
+            {
+                "energy": edges.energy,
+                "saddles": edges.saddles,
+                "absent": [{"saddle": saddle, "reason": reason} for saddle, reason in edges.absent],
+                "edges": [
+                    {"name": c.name, "from": c.source.saddle, "to": c.target.saddle, "winding": c.winding,
+                     "sense": c.sense, "transversality_angle_deg": c.transversality_angle}
+                    for c in edges.connections
+                ],
+                "walks_by_length": counts,
+                "notes": edges.notes,
+            }
+        )  # fmt: skip
+        return
+    rows = [(f"{a} → {b}", str(len(edges.between(a, b)))) for a, b in edges.searched]
+    print_table(f"connections at {edges.energy:g} J", ("from → to", "count"), rows)
+    for c in edges.connections:
+        click.echo(f"  {c.name}")
+    click.echo("walks by number of symbols: " + ", ".join(f"{k}: {n:,}" for k, n in counts.items()))
+    for _, reason in edges.absent:
+        click.echo(f"not there: {reason}")
+    for note in edges.notes:
+        click.echo(f"perhaps more: {note}")
+
+
+def _show_walks(edges: "Edges", requests: "Sequence[WalkRequest]", as_json: bool) -> None:
+    from dpcontrol.scenes.walks import asked_document
+
+    if as_json:
+        print_json(
+            {"energy": edges.energy, "count": len(requests), "walks": [asked_document(r) for r in requests],
+             "notes": edges.notes}
+        )  # fmt: skip
+        return
+    for asked in requests:
+        click.echo("  ".join(c.name for c in asked.chain))
+    click.echo(f"{len(requests)} walks; --solve finds their orbits")
+
+
+def _solve(edges: "Edges", requests: "Sequence[WalkRequest]", model: str, out: Path | None, as_json: bool) -> None:
+    from dpcontrol.itineraries.wraps import WalkSolver
+    from dpcontrol.scenes.walks import save_walk, solved, walk_document
+
+    solver = WalkSolver(edges.connections)
+    answers: list[WalkAnswer] = []
+    files: list[str | None] = []
+    with progress_bar("walks") as progress:
+        for k, answer in enumerate(solved(requests, solver)):
+            answers.append(answer)
+            file = None
+            if out is not None and answer.orbit is not None and answer.converged:
+                out.mkdir(parents=True, exist_ok=True)
+                file = str(out / f"walk-{k + 1}.npz")
+                save_walk(Path(file), model, answer.orbit)
+            files.append(file)
+            progress("walks", (k + 1) / len(requests))
+    failed = [k for k, answer in enumerate(answers, start=1) if not answer.converged]
+    status = f"{len(answers) - len(failed)} of {len(answers)} walks converged"
+    if failed:
+        status += f"; walk {failed[0]}: {answers[failed[0] - 1].status}"
+    if as_json:
+        print_json(
+            {
+                "energy": edges.energy,
+                "walks": [{**walk_document(a), "file": file} for a, file in zip(answers, files, strict=True)],
+                "least_seen": [
+                    {"before": a, "after": b, "wraps": n} for (a, b), n in sorted(solver.least_seen.items())
+                ],
+                "notes": edges.notes,
+                "status": status,
+            }
+        )
+    else:
+        for k, answer in enumerate(answers, start=1):
+            _print_answer(k, answer, files[k - 1])
+        click.echo(status)
+    if failed:
+        raise GoalMissed(status)
+
+
+def _print_answer(number: int, answer: "WalkAnswer", file: str | None) -> None:
+    click.echo(f"walk {number}: " + "  ".join(c.name for c in answer.request.chain))
+    orbit = answer.orbit
+    if orbit is None or not answer.converged:
+        click.echo(f"  {answer.status}")
+        return
+    least = "" if answer.least is None else f" (least {_listing(answer.least)})"
+    click.echo(
+        f"  {'periodic, ' if orbit.periodic else ''}wraps {_listing(orbit.wraps_realised)}{least}, "
+        f"{orbit.duration:.3f} s; {orbit.status}"
+    )
+    certificate = orbit.certificate
+    assert certificate is not None
+    click.echo(
+        f"  certificate: condition {certificate.condition:.1e}, Kantorovich h {certificate.kantorovich:.1e}, "
+        f"nodes within {certificate.radius:.1e}, energy within {certificate.energy_error:.1e}"
+    )
+    if certificate.multipliers is not None:
+        multipliers = certificate.multipliers
+        click.echo(
+            f"  multipliers: ±exp(±{multipliers.log_unstable:.9g}), sign {multipliers.sign:+d}, product off 1 by "
+            f"{multipliers.reciprocity:.1e}"
+        )
+    if file is not None:
+        click.echo(f"  {file}")
+
+
+def _listing(wraps: Sequence[int]) -> str:
+    return f"[{','.join(map(str, wraps))}]"

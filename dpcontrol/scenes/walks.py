@@ -1,0 +1,213 @@
+"""Walks of a model at an energy, as `dpcontrol walk` asks for them: drawn, given wraps, solved, kept in files."""
+
+import json
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.files import whole_file
+from dpcontrol.itineraries.edges import Edges
+from dpcontrol.itineraries.shadowing import ShadowingOrbit
+from dpcontrol.itineraries.walks import Walk, is_closed, random_walk
+from dpcontrol.itineraries.wraps import WalkSolver
+
+FORMAT = 1
+"""Raised whenever the file of a walk's orbit changes its meaning."""
+
+
+@dataclass(frozen=True)
+class WalkRequest:
+    """A walk to be made: its connections and either its wraps or how many to add to the least that suffice."""
+
+    chain: Walk
+    periodic: bool
+    wraps: tuple[int, ...] | None
+    extra: tuple[int, ...]
+    lead_in: int = 2
+    lead_out: int = 2
+
+
+@dataclass(frozen=True)
+class WalkAnswer:
+    """What came of a request. least: the fewest wraps that suffice; orbit: None where not even these were found.
+
+    seconds: what the orbit with the wraps asked for took; the search for the least is apart.
+    """
+
+    request: WalkRequest
+    least: tuple[int, ...] | None
+    orbit: ShadowingOrbit | None
+    seconds: float
+    status: str
+
+    @property
+    def converged(self) -> bool:
+        """Whether the orbit that was asked for was found."""
+        return self.orbit is not None and self.orbit.converged
+
+
+def drawn_requests(
+    edges: Edges,
+    count: int,
+    *,
+    lengths: tuple[int, int],
+    extra: tuple[int, int],
+    seed: int,
+    periodic: bool,
+    leads: tuple[int, int] = (2, 2),
+) -> list[WalkRequest]:
+    """Draw `count` walks with lengths and extra wraps (both ends included) from a seeded generator.
+
+    Raises:
+        InputError: an empty range, or no such walk at this energy.
+    """
+    for name, (low, high), least in (("lengths", lengths, 1), ("extra wraps", extra, 0)):
+        if not least <= low <= high:
+            raise InputError(f"{name} {low} to {high}: must be two whole numbers from {least} up, the smaller first")
+    generator = np.random.default_rng(seed)
+    requests = []
+    for _ in range(count):
+        length = int(generator.integers(lengths[0], lengths[1] + 1))
+        chain = random_walk(edges, length, generator, periodic=periodic)
+        stops = length if periodic else length - 1
+        more = tuple(int(n) for n in generator.integers(extra[0], extra[1] + 1, stops))
+        requests.append(WalkRequest(chain, periodic, None, more, *leads))
+    return requests
+
+
+def request(
+    chain: Walk, *, wraps: Sequence[int] | None, extra: int, periodic: bool, leads: tuple[int, int] = (2, 2)
+) -> WalkRequest:
+    """Return the request for one walk: with `wraps`, or `extra` more than the least at each stop.
+
+    Raises:
+        InputError: not one wrap count for each stop, or a periodic walk whose end is not its start.
+    """
+    stops = len(chain) if periodic else len(chain) - 1
+    if periodic and not is_closed(chain):
+        raise InputError(
+            f"the walk starts at {chain[0].source.saddle} and ends at {chain[-1].target.saddle}: a periodic walk "
+            "ends where it starts"
+        )
+    if wraps is not None and len(wraps) != stops:
+        kind = "stops, as it closes" if periodic else "interior stops"
+        raise InputError(
+            f"wraps = {list(wraps)}: a walk of {len(chain)} symbols has {stops} {kind}; give one integer for each"
+        )
+    return WalkRequest(chain, periodic, None if wraps is None else tuple(wraps), (extra,) * stops, *leads)
+
+
+def solved(requests: Sequence[WalkRequest], solver: WalkSolver) -> Iterator[WalkAnswer]:
+    """Solve one request after the other."""
+    if requests:
+        # What is compiled, and sampled, once for all is not the first walk's time.
+        solver.solve(requests[0].chain[:1], ())
+    for asked in requests:
+        yield _answer(asked, solver)
+
+
+def _answer(asked: WalkRequest, solver: WalkSolver) -> WalkAnswer:
+    least: tuple[int, ...] | None = None
+    wraps = asked.wraps
+    if wraps is None:
+        try:
+            least = solver.least(asked.chain, periodic=asked.periodic)
+        except GoalMissed as error:
+            return WalkAnswer(asked, None, None, 0.0, str(error))
+        wraps = tuple(n + more for n, more in zip(least, asked.extra, strict=True))
+    began = time.perf_counter()
+    orbit = solver.solve(asked.chain, wraps, periodic=asked.periodic, lead_in=asked.lead_in, lead_out=asked.lead_out)
+    seconds = time.perf_counter() - began
+    status = orbit.status
+    if not orbit.converged:
+        status = f"{status}; {solver.advice(orbit)}"
+    return WalkAnswer(asked, least, orbit, seconds, status)
+
+
+def walk_document(answer: WalkAnswer) -> dict[str, Any]:
+    """Return what `dpcontrol walk --json` says about one walk that was solved."""
+    orbit = answer.orbit
+    document: dict[str, Any] = {
+        **asked_document(answer.request),
+        "least_wraps": answer.least,
+        "wraps": None if orbit is None else orbit.wraps,
+        "wraps_realised": None if orbit is None else orbit.wraps_realised,
+        "residual": None if orbit is None else orbit.residual,
+        "duration": None if orbit is None else orbit.duration,
+        "seconds": answer.seconds,
+        "iterations": None if orbit is None else orbit.orbit.iterations,
+        "converged": answer.converged,
+        "status": answer.status,
+    }
+    if orbit is not None:
+        document["symbol_times"] = orbit.symbol_times
+        document["certificate"] = certificate_document(orbit)
+    return document
+
+
+def asked_document(asked: WalkRequest) -> dict[str, Any]:
+    """Return the part of a walk's document that is known before it is solved."""
+    return {"walk": [c.name for c in asked.chain], "wraps": asked.wraps, "periodic": asked.periodic}
+
+
+def certificate_document(orbit: ShadowingOrbit) -> dict[str, Any] | None:
+    """Return the certificate's numbers; of a periodic orbit also its multipliers, as natural logarithms."""
+    certificate = orbit.certificate
+    if certificate is None:
+        return None
+    document: dict[str, Any] = {
+        "condition": certificate.condition,
+        "kantorovich": certificate.kantorovich,
+        "radius": certificate.radius,
+        "energy_error": certificate.energy_error,
+        "departure": certificate.departure,
+        "stops": certificate.stops,
+    }
+    if certificate.multipliers is not None:
+        multipliers = certificate.multipliers
+        document["multipliers"] = {
+            "log_unstable": multipliers.log_unstable,
+            "log_stable": multipliers.log_stable,
+            "sign": multipliers.sign,
+            "reciprocity": multipliers.reciprocity,
+        }
+    return document
+
+
+def save_walk(path: Path, model: str, orbit: ShadowingOrbit) -> None:
+    """Write an orbit to one .npz: `header` (JSON text) and the arrays times, states, symbol_times, turn.
+
+    times (K + 1,) s and states (K + 1, N) (rad, rad/s) are its nodes: between two of them the conservative equations
+    hold. turn (N,): what a periodic orbit adds with each round, zeros for others.
+    """
+    header = {
+        "format": FORMAT,
+        "kind": "shadowing orbit",
+        "model": model,
+        "energy": orbit.connections[0].source.energy,
+        "walk": list(orbit.walk),
+        "wraps": list(orbit.wraps),
+        "wraps_realised": list(orbit.wraps_realised),
+        "periodic": orbit.periodic,
+        "lead_in": orbit.lead_in,
+        "lead_out": orbit.lead_out,
+        "duration": orbit.duration,
+        "residual": orbit.residual,
+        "certificate": certificate_document(orbit),
+        "status": orbit.status,
+    }
+    turn = orbit.shot.guess.turn
+    with whole_file(path, suffix=".npz") as temporary:
+        np.savez_compressed(
+            temporary,
+            header=np.array(json.dumps(header)),
+            times=orbit.orbit.times,
+            states=orbit.orbit.states,
+            symbol_times=orbit.symbol_times,
+            turn=np.zeros(orbit.orbit.states.shape[1]) if turn is None else turn,
+        )
