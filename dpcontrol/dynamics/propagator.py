@@ -6,7 +6,6 @@ costs nothing. heyoka keeps compiled code on disk between processes.
 Source: Biscani & Izzo, Revisiting high-order Taylor methods for astrodynamics and celestial mechanics (2021).
 """
 
-from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -14,44 +13,12 @@ import heyoka as hy
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dpcontrol.dynamics.crossings import CrossingFinder
 from dpcontrol.dynamics.equations import Equations
+from dpcontrol.dynamics.section import Crossing, Section
 from dpcontrol.dynamics.taylor import to_heyoka
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Section:
-    """A Poincaré section n·x = offset (+ period · k where the coordinate is an angle), and coordinates on it.
-
-    normal, position (N,): n and the row that gives the section's coordinate q = position · x. momentum (n,): the
-    combination of canonical momenta conjugate to q. period: of n·x, or None on a line. side: (N,) and the
-    crossing counts only where side · x > 0, or None.
-    """
-
-    name: str
-    normal: tuple[float, ...]
-    position: tuple[float, ...]
-    momentum: tuple[float, ...]
-    offset: float = 0.0
-    period: float | None = None
-    side: tuple[float, ...] | None = None
-
-    def height(self, states: Array) -> Array:
-        """Return n·x - offset for states (…, N): zero, or a multiple of the period, on the section."""
-        return np.asarray(states) @ np.asarray(self.normal) - self.offset
-
-    def admits(self, state: Array) -> bool:
-        """Tell whether a crossing at `state` (N,) counts."""
-        return self.side is None or float(np.dot(self.side, state)) > 0
-
-
-@dataclass(frozen=True)
-class Crossing:
-    """Where a trajectory met a section: state (N,), time in s. None in its place means it never did."""
-
-    state: Array
-    time: float
 
 
 class Propagator:
@@ -63,7 +30,6 @@ class Propagator:
     def __init__(self, equations: Equations, parameters: ArrayLike) -> None:
         self.equations = equations
         self.parameters = np.asarray(parameters, dtype=float)
-        self._sections: dict[Section, Any] = {}
 
     @cached_property
     def taylor_system(self) -> list[tuple[Any, Any]]:
@@ -88,24 +54,22 @@ class Propagator:
     def _variational(self) -> Any:
         return self._compile(hy.var_ode_sys(self.taylor_system, args=hy.var_args.vars, order=1))
 
-    def _with_section(self, section: Section) -> Any:
-        if section not in self._sections:
-            states = [state for state, _ in self.taylor_system]
-            height: Any = sum((n * x for n, x in zip(section.normal, states, strict=True) if n), hy.expression(0.0))
-            if section.offset:
-                height = height - section.offset
-            event = height if section.period is None else hy.sin(height * (np.pi / section.period))
-            self._sections[section] = self._compile(self.taylor_system, t_events=[hy.t_event(event)])
-        return self._sections[section]
+    @cached_property
+    def _finder(self) -> CrossingFinder:
+        return CrossingFinder(self.taylor_system, self._values(None))
+
+    def _values(self, inputs: ArrayLike | None) -> Array:
+        """Return parameters and inputs, zero if not given, as the compiled code takes them."""
+        if not self.equations.input_count:
+            return self.parameters
+        given = np.zeros(self.equations.input_count) if inputs is None else np.atleast_1d(inputs)
+        return np.concatenate([self.parameters, given])
 
     def _start(self, integrator: Any, state: ArrayLike, inputs: ArrayLike | None) -> None:
         integrator.time = 0.0
         n = self.equations.dimension
         integrator.state[:n] = state
-        values = self.parameters
-        if self.equations.input_count:
-            given = np.zeros(self.equations.input_count) if inputs is None else np.atleast_1d(inputs)
-            values = np.concatenate([values, given])
+        values = self._values(inputs)
         # Parameters that the equations never use are not part of the compiled code.
         integrator.pars[:] = values[: len(integrator.pars)]
         if integrator.is_variational:
@@ -157,21 +121,18 @@ class Propagator:
         states = np.array(result[-1])
         return states if np.size(times) == len(states) else states[1:]
 
+    def crossings(self, states: ArrayLike, section: Section, *, longest: float, hit: int = 1) -> list[Crossing | None]:
+        """Return each state's (K, N) `hit`-th crossing of the section within `longest` s (negative: backward), or None.
+
+        Flown many at once, which is four times cheaper than one by one; a result does not depend on its companions.
+        """
+        many = np.asarray(states, dtype=float).reshape(-1, self.equations.dimension)
+        return self._finder.find(many, section, longest=float(longest), hit=hit)
+
     def crossing(self, state: ArrayLike, section: Section, *, longest: float, hit: int = 1) -> Crossing | None:
         """Return the `hit`-th crossing of the section within `longest` seconds (negative: backward), or None."""
-        integrator = self._with_section(section)
-        self._start(integrator, state, None)
-        integrator.reset_cooldowns()
-        seen = 0
-        while True:
-            outcome = integrator.propagate_until(float(longest))[0]
-            # A stopping terminal event reports -1 - its index; everything else ends the search.
-            if int(outcome) != -1:
-                return None
-            if section.admits(integrator.state):
-                seen += 1
-                if seen == hit:
-                    return Crossing(integrator.state.copy(), float(integrator.time))
+        # An integrator for one state alone takes 0.6 times as long per flight, but has to be compiled as well.
+        return self.crossings(state, section, longest=longest, hit=hit)[0]
 
     def sample_with_stm(self, state: ArrayLike, times: ArrayLike) -> tuple[Array, Array]:
         """Return states (K, N) and state-transition matrices (K, N, N) at monotonic `times` (K,) from zero.

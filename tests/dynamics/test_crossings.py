@@ -1,0 +1,124 @@
+"""Crossings of many trajectories at once, against roots sought on plain propagation."""
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+
+from dpcontrol.dynamics.propagator import Section
+from dpcontrol.scenes.model import load_model
+
+TIME = 1e-11  # s: brentq's own tolerance, and rounding grown over three seconds
+STATE = 1e-9
+LONGEST = 3.0
+LIFTED = Section("angle_2 = 2 pi k", (0, 1, 0, 0), (1, 0, 0, 0), (1, 0), period=2 * np.pi)
+RISING = Section("rising", (0, 1, 0, 0), (1, 0, 0, 0), (1, 0), period=2 * np.pi, side=(0, 0, 0, 1))
+ALIGNED = Section("angle_1 = angle_2", (1, -1, 0, 0), (1, 0, 0, 0), (1, 1), period=2 * np.pi)
+LEVEL = Section("angle_1 = 0.3", (1, 0, 0, 0), (0, 1, 0, 0), (0, 1), offset=0.3)
+FASTER = Section("rate_1 = rate_2, above", (0, 0, 1, -1), (1, 0, 0, 0), (1, 0), offset=0.5, side=(1, 0, 0, 0))
+SECTIONS = [LIFTED, RISING, ALIGNED, LEVEL, FASTER]
+
+
+@pytest.fixture(scope="module")
+def pendulum():
+    return load_model("lab").system.propagator
+
+
+@pytest.fixture(scope="module")
+def states():
+    """From hardly moving to turning over several times, eleven of them: more than fly side by side."""
+    spread = np.random.default_rng(3)
+    fast = spread.uniform(-1, 1, (8, 4)) * [np.pi, np.pi, 12.0, 12.0]
+    slow = spread.uniform(-1, 1, (3, 4)) * [0.05, 0.05, 0.1, 0.1]
+    return np.vstack([slow[:1], fast[:5], slow[1:2], fast[5:], slow[2:]])
+
+
+def by_bracketing(propagator, section, state, longest):
+    """Return all crossing times that count, by signs on a fine grid and bracketed roots of the height."""
+    grid = np.linspace(0, longest, 3001)[1:]
+    flown = propagator.sample(state, grid)
+    heights = section.height(flown)
+    sheets = np.zeros(len(grid)) if section.period is None else np.floor(heights / section.period)
+    signs = np.sign(heights) if section.period is None else sheets
+    times = []
+    for k in np.flatnonzero(signs[1:] != signs[:-1]):
+        level = 0.0 if section.period is None else section.period * max(sheets[k], sheets[k + 1])
+
+        def height(after, start=flown[k], level=level):
+            return section.height(propagator.flow(start, after)) - level
+
+        time = grid[k] + brentq(height, 0.0, grid[k + 1] - grid[k], xtol=1e-15)
+        if section.admits(propagator.flow(state, time)):
+            times.append(time)
+    return times
+
+
+@pytest.mark.parametrize("longest", [LONGEST, -LONGEST], ids=["forward", "backward"])
+@pytest.mark.parametrize("section", SECTIONS, ids=lambda section: section.name)
+def test_every_crossing_is_a_bracketed_root_of_the_height(pendulum, states, section, longest):
+    expected = [by_bracketing(pendulum, section, state, longest) for state in states]
+    counts = [len(times) for times in expected]
+    assert max(counts) >= 3
+    for hit in range(1, max(counts) + 2):
+        found = pendulum.crossings(states, section, longest=longest, hit=hit)
+        assert [c is not None for c in found] == [count >= hit for count in counts]
+        for crossing, times, state in zip(found, expected, states, strict=True):
+            if crossing is not None:
+                assert crossing.time == pytest.approx(times[hit - 1], abs=TIME)
+                assert np.abs(crossing.state - pendulum.flow(state, times[hit - 1])).max() < STATE
+
+
+def test_a_trajectory_does_not_depend_on_its_companions(pendulum, states):
+    together = pendulum.crossings(states, LIFTED, longest=LONGEST)
+    order = np.random.default_rng(5).permutation(len(states))
+    shuffled = pendulum.crossings(states[order], LIFTED, longest=LONGEST)
+    for k, state in enumerate(states):
+        alone = pendulum.crossing(state, LIFTED, longest=LONGEST)
+        for other in (alone, shuffled[int(np.flatnonzero(order == k)[0])]):
+            assert (other is None) == (together[k] is None)
+            if other is not None:
+                assert other.time == together[k].time
+                assert np.array_equal(other.state, together[k].state)
+
+
+def test_a_trajectory_that_turns_over_many_times_meets_every_sheet(pendulum):
+    state = np.array([0.3, 0.2, 25.0, 60.0])
+    expected = by_bracketing(pendulum, LIFTED, state, 1.0)
+    assert len(expected) >= 6
+    found = [pendulum.crossing(state, LIFTED, longest=1.0, hit=k + 1) for k in range(len(expected))]
+    assert np.allclose([c.time for c in found], expected, atol=TIME)
+    sheets = [c.state[1] / (2 * np.pi) for c in found]
+    assert np.allclose(sheets, np.rint(sheets), atol=1e-14)
+    assert len(set(np.rint(sheets))) >= 6
+
+
+def test_a_state_that_is_not_finite_never_arrives_and_spoils_no_other(pendulum, states):
+    expected = pendulum.crossings(states[1:4], LIFTED, longest=LONGEST)
+    spoilt = np.vstack([states[1], [np.nan] * 4, states[2:4], [0, 0, np.inf, 0]])
+    found = pendulum.crossings(spoilt, LIFTED, longest=LONGEST)
+    assert found[1] is None
+    assert found[4] is None
+    for crossing, before in zip([found[0], found[2], found[3]], expected, strict=True):
+        assert (crossing is None) == (before is None)
+        assert crossing is None or crossing.time == before.time
+    assert pendulum.crossings(np.full((2, 4), np.nan), LIFTED, longest=LONGEST) == [None, None]
+    assert pendulum.crossings(np.empty((0, 4)), LIFTED, longest=LONGEST) == []
+
+
+def test_a_switched_off_sheet_leaves_the_step_as_precise(pendulum):
+    """Energy after a long flight to a section with one sheet only: as well kept as in plain propagation."""
+    system = load_model("lab").system
+    state = np.array([0.4, 2.9, 6.0, -3.0])
+    crossing = pendulum.crossing(state, LEVEL, longest=5.0, hit=4)
+    assert abs(system.numeric.hamiltonian(crossing.state) - system.numeric.hamiltonian(state)) < 1e-13
+
+
+def test_a_collision_ends_one_flight_only():
+    """Falling straight into a mass has no end in finite steps; its companion crosses all the same."""
+    system = load_model("three-body").system
+    section = Section("x = 2", (1, 0, 0, 0), (0, 1, 0, 0), (0, 1), offset=2.0)
+    leaving = np.array([1.5, 0.0, 3.0, 0.0])
+    centre = np.array([-9.537e-4, 0.0, 0.0, 0.0])  # on the large mass: the rate is not finite
+    found = system.propagator.crossings(np.array([centre, leaving]), section, longest=2.0)
+    assert found[0] is None
+    assert found[1] is not None
+    assert found[1].state[0] == pytest.approx(2.0, abs=1e-14)
