@@ -1,7 +1,6 @@
 """dpcontrol connect"""
 
 import difflib
-import re
 from collections.abc import Sequence
 from decimal import Decimal, InvalidOperation
 from typing import TYPE_CHECKING, Any
@@ -45,6 +44,20 @@ class _DecimalNumber(click.ParamType):
     help="How-manieth crossing of the section: of both tubes, or N,M of the unstable and the stable one. "
     "[default: 1, or what --name says]",
 )
+@click.option(
+    "--section",
+    "section_name",
+    metavar="NAME",
+    help="Seek on this section: outer-down (θ₂ = 2πk), inner-down "
+    "(θ₁ = 2πk), aligned (θ₁ = θ₂ + 2πk); three-body: opposite, between. [default: the saddles' own]",
+)
+@click.option(
+    "--longest",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="PERIODS",
+    help="Time that trajectories are given to the section, in periods of their orbit. Tubes that scatter are "
+    "resolved when it is short. [default: the model's, 12 for pendulums]",
+)
 @click.option("--name", help="Show this connection only; names are those that the verb lists.")
 @click.option(
     "--precision",
@@ -62,6 +75,8 @@ def command(
     target: str,
     energy: Decimal,
     hits: tuple[int, int] | None,
+    section_name: str | None,
+    longest: float | None,
     name: str | None,
     precision: str,
     as_json: bool,
@@ -70,24 +85,31 @@ def command(
 
     All connections on the torus of angles are listed: both senses, mirror pairs and reflections. A connection's name
     may stand in an itinerary's walk.
+
+    On another --section other connections come first: homoclinics that pass by the other saddle's side cross "aligned"
+    and cross back, and so are found there at --hits 1,2.
     """
     from dpcontrol.itineraries.atlas import connection_document
     from dpcontrol.scenes.model import load_model
+    from dpcontrol.tubes.connection import searched_at
     from dpcontrol.tubes.connections import find_connections, orbits_between
+    from dpcontrol.tubes.cut import CutSettings
+    from dpcontrol.tubes.intersections import ConnectionSettings
 
     if precision == "extended" and name is None:
         raise InputError("--precision extended refines one connection: give its --name as `dpcontrol connect` lists it")
-    if hits is None:
-        named = re.search(r"\]h([1-9])\.([1-9])@", name or "")
-        hits = (int(named[1]), int(named[2])) if named else (1, 1)
+    named_hits, named_section = searched_at(name or "") or ((1, 1), None)
+    hits = hits or named_hits
     loaded = load_model(model)
     system = loaded.system
+    settings = ConnectionSettings(cut=CutSettings(longest=longest))
     with progress_bar("connections") as progress:
         orbits = orbits_between(system, source, target, float(energy))
         for orbit in orbits:
             if not orbit.converged:
                 raise GoalMissed(f"the Lyapunov orbit about {orbit.saddle} at {energy} J: {orbit.status}")
-        search = find_connections(*orbits, hits=hits, progress=progress)
+        section = system.section_between(source, target, section_name or named_section)
+        search = find_connections(*orbits, hits=hits, section=section, settings=settings, progress=progress)
     found = search.connections
     if name is not None:
         found = (_named(search, name),)
@@ -109,6 +131,7 @@ def command(
                 "from": source,
                 "to": target,
                 "hits": hits,
+                "section": section.name,
             }
         )
     else:
@@ -125,7 +148,7 @@ def command(
             for c in found
         ]
         columns = ("name", "sense", "symmetric", "angle (°)", "residual", "time out (s)", "time in (s)")
-        print_table(f"{source} → {target} at {energy} J on {system.sections[source, target].name}", columns, rows)
+        print_table(f"{source} → {target} at {energy} J on {section.name}", columns, rows)
         click.echo(search.status)
         for tube, end in search.open_ends[:SHOWN]:
             low, high = end.phase_interval

@@ -5,7 +5,7 @@ are rows of numbers.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
 
@@ -30,8 +30,9 @@ class System:
     equilibria: name -> state (N,). periods (N,): 2π for angles, infinity otherwise. reversers: matrices (N, N)
     that turn the flow around in time, x(t) -> A x(-t). orientation (N,): a periodic orbit starts where it crosses
     its saddle's fixed set with orientation · (x - saddle) > 0. scale (N,): divides a state error. energy_scale: in
-    the energy's unit. sections: (from, to) -> section on which connections are sought; section_scale: the size of
-    what happens there in (q, p/p₀). flight_periods: how many periods of its orbit a tube's trajectory is given to
+    the energy's unit. sections: (from, to) -> section on which connections are sought unless another is named;
+    named_sections: all there are, by short names; section_scale: the size of what happens there in (q, p/p₀).
+    flight_periods: how many periods of its orbit a tube's trajectory is given to
     reach a section.
     """
 
@@ -45,6 +46,7 @@ class System:
     scale: Array
     energy_scale: float
     sections: Mapping[tuple[str, str], Section]
+    named_sections: Mapping[str, Section] = field(default_factory=dict)
     section_scale: float = 1.0
     flight_periods: float = 12.0
 
@@ -83,6 +85,20 @@ class System:
             raise InputError(f"{self.name} has no equilibrium {name!r}: {suggest(name, self.equilibria)}")
         return self.equilibria[name]
 
+    def section_between(self, source: str, target: str, name: str | None = None) -> Section:
+        """Return the section on which connections between two saddles are sought, or the one of a short name.
+
+        Raises:
+            InputError: there is no section of that name, or none between the saddles.
+        """
+        if name is not None:
+            if name not in self.named_sections:
+                raise InputError(f"{self.name} has no section {name!r}: {suggest(name, self.named_sections)}")
+            return self.named_sections[name]
+        if (source, target) not in self.sections:
+            raise InputError(f"{self.name} has no section between {source} and {target}")
+        return self.sections[source, target]
+
     def nearest_turns(self, difference: Array) -> Array:
         """Return the whole periods (…, N) nearest to a difference of states: integers, zero off angles."""
         angular = np.isfinite(self.periods)
@@ -110,8 +126,8 @@ def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
     """Return the frictionless pendulum on a fixed pivot as a system: level conservative.
 
     Saddles are named by the arms' directions, inner arm first. For two arms the sections are those of the paper:
-    the turning arm passes straight down (θ₂ = 2πk about Down-Up, θ₁ = 2πk about Up-Down), and between different
-    saddles both arms align (θ₁ - θ₂ = 2πk).
+    the turning arm passes straight down ("outer-down", θ₂ = 2πk, about Down-Up; "inner-down", θ₁ = 2πk, about
+    Up-Down), and between different saddles both arms align ("aligned", θ₁ - θ₂ = 2πk).
     """
     n = parameters.count
     equations = arm_chain_equations(n, Level.CONSERVATIVE)
@@ -122,10 +138,12 @@ def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
         for words in product(("down", "up"), repeat=n)
     }
     sections: dict[tuple[str, str], Section] = {}
+    named: dict[str, Section] = {}
     if n == 2:
         outer = _angle_section("angle_2 = 2 pi k", (0.0, 1.0), (1.0, 0.0))
         inner = _angle_section("angle_1 = 2 pi k", (1.0, 0.0), (0.0, 1.0))
         aligned = _angle_section("angle_1 = angle_2 + 2 pi k", (1.0, -1.0), (1.0, 1.0))
+        named = {"outer-down": outer, "inner-down": inner, "aligned": aligned}
         sections = {
             ("down-up", "down-up"): outer,
             ("up-down", "up-down"): inner,
@@ -144,6 +162,7 @@ def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
         scale=np.concatenate([np.full(n, np.pi), np.full(n, 10.0)]),
         energy_scale=float(2 * weights.sum()),
         sections=sections,
+        named_sections=named,
     )
 
 

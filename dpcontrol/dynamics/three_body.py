@@ -98,6 +98,7 @@ def three_body_system(name: str, parameters: ThreeBodyParameters) -> System:
             ("L1", "L2"): between,
             ("L2", "L1"): between,
         },
+        named_sections={"opposite": opposite, "between": between},
         section_scale=0.1,
         # Half a lap of the larger primary takes three; beyond four, passages of the smaller one scatter the tubes.
         flight_periods=4.0,

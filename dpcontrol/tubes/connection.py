@@ -3,6 +3,7 @@
 Source: Kaheman et al. (2023), section 3.
 """
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +18,9 @@ from dpcontrol.tubes.lyapunov import LyapunovOrbit
 from dpcontrol.tubes.orbit_curve import OrbitCurve
 
 Array = NDArray[np.float64]
+
+_SAME_PHASE = 1e-7
+"""Rounding moves the phase of a connection by about 1e-10; members of a pair differ by more but at their pitchfork."""
 
 
 @dataclass(frozen=True)
@@ -68,9 +72,7 @@ def described_connection(
     entries = [k for k in winding if k]
     direction = int(np.sign(rate))
     sense = int(np.sign(entries[0])) if source.saddle == target.saddle and entries else direction
-    symmetric = source.saddle == target.saddle and any(
-        float(system.scaled_distance(reverser @ state, state)) < 1e-7 for reverser in system.reversers
-    )
+    symmetric = source.saddle == target.saddle and _is_mirrored_into_itself(orbit)
     first, second = (crossing.tangents[:, k] / np.linalg.norm(crossing.tangents[:, k]) for k in (0, 1))
     angle = np.degrees(np.arcsin(min(1.0, abs(first[0] * second[1] - first[1] * second[0]))))
     hits = (crossing.sides[0].hit, crossing.sides[1].hit)
@@ -94,6 +96,23 @@ def described_connection(
         phase_in=phase_in,
         orbit=orbit,
     )
+
+
+def _is_mirrored_into_itself(orbit: ConnectingOrbit) -> bool:
+    """Whether a reverser turns a homoclinic orbit into itself, wherever on it the section lies.
+
+    φ - ln|a|/μ is the same all along an orbit of the unstable manifold, and with the side tells it from the others; the
+    stable end carries that of the turned-around orbit.
+    """
+    start, end = orbit.start, orbit.end
+    manifold = start.manifold
+    apart = (end.phase - start.phase) - np.log(abs(end.amplitude / start.amplitude)) / manifold.exponent
+    if end.amplitude * start.amplitude < 0:
+        # The half turn S leads from one side to the other: the orbit may be mirrored by the other reverser.
+        if not manifold.branches_are_mirrored:
+            return False
+        apart += 0.5
+    return bool(abs(apart - np.rint(apart)) < _SAME_PHASE)
 
 
 def _approach(orbit: ConnectingOrbit, curve: OrbitCurve, sign: int, near: float) -> tuple[float, float]:
@@ -169,7 +188,7 @@ def connection_name(
 ) -> str:
     """Return a name made of what the connection is, not of the order in which it was found.
 
-    Source, target, winding, hits, and its position and rate on the section to four digits.
+    Source, target, winding, hits, section where it is not the saddles' own, position and rate there to four digits.
     """
     coordinate = int(np.argmax(np.abs(section.position)))
     period = system.periods[coordinate]
@@ -179,4 +198,12 @@ def connection_name(
     # Adding zero turns -0.0 into 0.0.
     place = ",".join(f"{round(float(v), 4) + 0.0:.4f}" for v in (position, state[coordinate + len(state) // 2]))
     turns = ",".join(str(k) for k in winding)
-    return f"{saddles[0]}>{saddles[1]}[{turns}]h{hits[0]}.{hits[1]}@{place}"
+    own = system.sections.get(saddles) == section
+    on = "" if own else f":{next((key for key, named in system.named_sections.items() if named == section), 'other')}"
+    return f"{saddles[0]}>{saddles[1]}[{turns}]h{hits[0]}.{hits[1]}{on}@{place}"
+
+
+def searched_at(name: str) -> tuple[tuple[int, int], str | None] | None:
+    """Return the (hits, short name of the section) of a connection's name, None where it is no such name."""
+    match = re.search(r"\]h([1-9])\.([1-9])(?::([a-z][a-z-]*))?@", name)
+    return None if match is None else ((int(match[1]), int(match[2])), match[3])

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Progress, no_progress
@@ -62,27 +63,36 @@ def find_connections(
     target: LyapunovOrbit,
     *,
     hits: tuple[int, int] = (1, 1),
+    section: Section | None = None,
     settings: ConnectionSettings | None = None,
     cuts: tuple[Cut, Cut] | None = None,
     progress: Progress = no_progress,
 ) -> ConnectionSearch:
-    """Find every connection from `source` to `target` that meets their section at `hits`.
+    """Find every connection from `source` to `target` that meets a section at `hits`: their own, or another.
+
+    An orbit that meets the section more than once is found at each pair of hits that add up to one more than it has
+    crossings: one that passes by another saddle's side and comes back has at least two.
 
     cuts: of the unstable tubes of source and target, where they are known already, made with the same settings (the
     stable tube's cut is its unstable one's, turned around).
 
     Raises:
-        InputError: the orbits differ in energy, or no section is known between their saddles.
+        InputError: the orbits differ in energy, no section is known between their saddles, or one crosses it itself.
     """
     settings = settings or ConnectionSettings()
     system = source.system
-    if (source.saddle, target.saddle) not in system.sections:
-        raise InputError(f"{system.name} has no section between {source.saddle} and {target.saddle}")
+    section = section or system.section_between(source.saddle, target.saddle)
     if source.energy != target.energy:
         raise InputError(
             f"orbits at {source.energy:g} J and {target.energy:g} J cannot be connected: the flow keeps its energy"
         )
-    section = system.sections[source.saddle, target.saddle]
+    curves = (OrbitCurve(source), OrbitCurve(target))
+    for curve in curves:
+        if _crosses(curve, section):
+            raise InputError(
+                f"the orbit about {curve.orbit.saddle} itself crosses {section.name}: its tubes have no first crossing "
+                "there; choose another section"
+            )
     manifolds = (
         UnstableManifold(source, settings.distance),
         UnstableManifold(target, settings.distance),
@@ -98,7 +108,6 @@ def find_connections(
     progress("intersections", 0.6)
     crossings, failed = intersect_cuts(system, section, manifolds, (unstable, backward), settings)
     found = []
-    curves = (OrbitCurve(source), OrbitCurve(target))
     for k, crossing in enumerate(crossings):
         progress("refining connections", 0.7 + 0.3 * k / len(crossings))
         orbit = _shot(crossing, settings)
@@ -122,6 +131,14 @@ def find_connections(
         status += "; the cuts are open (see open_cuts), so crossings beyond their ends belong to other hits"
     progress("connections", 1.0)
     return ConnectionSearch(source, target, tuple(found), (unstable, backward), failed, complete, status)
+
+
+def _crosses(curve: OrbitCurve, section: Section) -> bool:
+    """Whether a periodic orbit meets a section, by its samples."""
+    states = np.vstack([curve.samples, curve.samples[:1]])
+    heights = section.height(states)
+    side = heights > 0 if section.period is None else np.floor(heights / section.period)
+    return any(section.admits(states[k]) for k in np.flatnonzero(np.diff(side)))
 
 
 def _known(system: System, connection: Connection, found: list[Connection], tolerance: float) -> bool:
@@ -153,12 +170,15 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ConnectingOrb
         states.append(np.vstack([seed_end.states(sign * lead), flown]))
         ends.append(seed_end.moved(-sign * settings.lead * period))
     middle = len(times[0]) - 1
-    normal = crossing.sides[0].section.normal
+    section = crossing.sides[0].section
+    # The section itself, not where the flown crossing lies to rounding: states must not depend on how it was flown.
+    off = float(section.height(states[0][-1]))
+    level = section.offset + (0.0 if section.period is None else float(np.rint(off / section.period)) * section.period)
     return solve_connecting_orbit(
         crossing.sides[0].manifold.orbit.system,
         ends[0],
         ends[1],
         np.concatenate([times[0], times[1][::-1][1:]]),
         np.vstack([states[0], states[1][::-1][1:]]),
-        anchor=Anchor(middle, normal, float(np.dot(normal, states[0][-1]))),
+        anchor=Anchor(middle, section.normal, level),
     )

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.tubes.connection import Connection, connection_name
 from dpcontrol.tubes.connections import ConnectionSearch
@@ -18,10 +19,14 @@ from dpcontrol.tubes.lyapunov import LyapunovOrbit
 Array = NDArray[np.float64]
 
 
-def can_be_reversed(system: System, source: str, target: str) -> bool:
-    """Tell whether the reverser keeps both saddles and the section between them, and so every search on it."""
+def can_be_reversed(system: System, source: str, target: str, *, section: Section | None = None) -> bool:
+    """Tell whether the reverser keeps both saddles and a section, and so every search on it.
+
+    section: the one that was searched on, None for the one between the saddles either way.
+    """
     reverser = system.reversers[0]
-    forward, backward = system.sections.get((source, target)), system.sections.get((target, source))
+    forward = section or system.sections.get((source, target))
+    backward = section or system.sections.get((target, source))
     if forward is None or forward != backward:
         return False
     kept = all(np.allclose(reverser @ system.equilibrium(name), system.equilibrium(name)) for name in (source, target))
@@ -40,7 +45,7 @@ def reversed_search(search: ConnectionSearch) -> ConnectionSearch:
         ValueError: the section or a saddle is not kept by the reverser (`can_be_reversed` tells).
     """
     system = search.source.system
-    if not can_be_reversed(system, search.source.saddle, search.target.saddle):
+    if not can_be_reversed(system, search.source.saddle, search.target.saddle, section=search.cuts[0].section):
         raise ValueError(f"time reversal does not keep the section from {search.source.saddle}")
     found = [_reversed(connection) for connection in search.connections]
     if found:

@@ -1,0 +1,115 @@
+"""Connections on another section than the saddles' own, and later hits: orbits that come back, arms that turn twice."""
+
+import json
+
+import numpy as np
+import pytest
+
+from dpcontrol.cli.main import main
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.connections import find_connections, orbits_between
+from dpcontrol.tubes.cut import CutSettings
+from dpcontrol.tubes.intersections import ConnectionSettings
+from tests.tubes.test_connections import flown_by_scipy, on_torus
+
+RESIDUAL = 1e-11
+SAME = 1e-7  # two flights of half a second with one scipy crossing between
+SHORT = 2.0  # periods: what arrives later scatters
+
+
+@pytest.fixture(scope="module")
+def lab():
+    return load_model("lab").system
+
+
+@pytest.fixture(scope="module")
+def back(lab):
+    """Homoclinics of Down-Up at 0.2 J that cross θ₁ = θ₂ twice."""
+    orbits = orbits_between(lab, "down-up", "down-up", 0.2)
+    settings = ConnectionSettings(cut=CutSettings(longest=SHORT))
+    return find_connections(*orbits, hits=(1, 2), section=lab.named_sections["aligned"], settings=settings)
+
+
+def crossings_of(system, connection):
+    """Return the states at which a connection's free flight meets its section, from orbit to orbit."""
+    section, found = connection.section, [connection.state]
+    for sign, last in ((1, connection.time_in), (-1, connection.time_out)):
+        state, left = system.propagator.flow(connection.state, sign * 1e-6), last - 1e-6
+        while (crossing := system.propagator.crossing(state, section, longest=sign * left)) is not None:
+            found += [crossing.state]
+            state, left = system.propagator.flow(crossing.state, sign * 1e-6), left - abs(crossing.time) - 1e-6
+    return found
+
+
+def test_homoclinics_that_come_back_cross_where_the_arms_align_both_ways(lab, back):
+    assert "at least" not in back.status
+    assert len(back.connections) == 16
+    assert sum(c.winding == (0, 0) for c in back.connections) == 8
+    for c in back.connections:
+        assert c.residual <= RESIDUAL
+        assert c.winding[0] == 0
+        assert c.winding[1] in (0, 2, -2)
+        first, second = crossings_of(lab, c)
+        there, again = first[2] - first[3], second[2] - second[3]
+        assert (there * again < 0) == (c.winding == (0, 0)), "what does not come back turns twice"
+
+
+def test_orbits_that_come_back_are_symmetric_where_a_mirror_exchanges_their_crossings(lab, back):
+    symmetric = 0
+    for c in back.connections:
+        first, second = crossings_of(lab, c)
+        mirrored = min(on_torus(reverser @ first, second) for reverser in lab.reversers)
+        assert c.symmetric == (mirrored < SAME), c.name
+        symmetric += c.symmetric
+    assert symmetric == 4
+
+
+def test_arms_that_turn_twice_do_so_by_an_independent_flight(lab, back):
+    double = [c for c in back.connections if abs(c.winding[1]) == 2]
+    assert len(double) == 8
+    for c in double:
+        after, before = (flown_by_scipy(lab, c.state, t) for t in (c.time_in, -c.time_out))
+        assert np.abs(before[:2] - [0, np.pi]).max() < np.pi
+        assert np.abs(after[:2] - [0, np.pi] - 2 * np.pi * np.array(c.winding)).max() < np.pi
+
+
+def test_the_same_orbits_are_found_from_their_other_crossing(lab, back):
+    orbits = orbits_between(lab, "down-up", "down-up", 0.2)
+    settings = ConnectionSettings(cut=CutSettings(longest=SHORT))
+    other = find_connections(*orbits, hits=(2, 1), section=lab.named_sections["aligned"], settings=settings)
+    for c in other.connections:
+        assert min(on_torus(crossings_of(lab, c)[1], d.state) for d in back.connections) < SAME
+
+
+def test_names_tell_the_section_and_the_verb_finds_them_by_it(back, capsys):
+    names = [c.name for c in back.connections]
+    assert len(set(names)) == len(names)
+    assert all("h1.2:aligned@" in name for name in names)
+    name = names[1]
+    line = ["connect", "lab", "--from", "down-up", "--to", "down-up", "--energy", "0.2", "--longest", "2"]
+    with pytest.raises(SystemExit) as done:
+        main([*line, "--name", name, "--json"])
+    shown = json.loads(capsys.readouterr().out)
+    assert done.value.code == 0
+    assert shown["section"] == "angle_1 = angle_2 + 2 pi k"
+    assert shown["hits"] == [1, 2]
+    (only,) = shown["connections"]
+    assert only["name"] == name
+    assert only["winding"] == [0, 2]
+    assert np.abs(np.array(only["state"]) - back.connections[1].state).max() < 1e-11
+
+
+@pytest.mark.parametrize(
+    ("options", "fragment"),
+    [
+        ("--section allined", "did you mean"),
+        ("--section inner-down", "the orbit about down-up itself crosses angle_1"),
+        ("--longest 0", "x>0"),
+    ],
+)
+def test_sections_that_do_not_serve_are_refused(options, fragment, capsys):
+    line = "connect lab --from down-up --to down-up --energy 0.2 "
+    with pytest.raises(SystemExit) as done:
+        main((line + options).split())
+    assert done.value.code == 2
+    assert fragment in capsys.readouterr().err
