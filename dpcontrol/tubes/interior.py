@@ -38,6 +38,10 @@ SKIP = 1e-6
 """Seconds flown before the next return is looked for, so that the start is not taken for it."""
 
 
+_TOGETHER = 200
+"""Points flown to a return between two reports of progress."""
+
+
 @dataclass(frozen=True)
 class InteriorSettings:
     """across: grid points over the cut's width and over its height; returns: either way; longest: periods to each."""
@@ -196,19 +200,24 @@ def _carried(
     flown = np.repeat(states[:, None, :], settings.returns, axis=1)
     seconds = np.zeros(shape)
     longest = settings.longest * orbit.period
-    every = max(1, len(states) // 50)
-    for k, start in enumerate(states):
-        if k % every == 0:
-            progress("forward returns" if sign > 0 else "backward returns", k / len(states))
-        here, elapsed = start, 0.0
-        for r in range(settings.returns):
-            crossing = system.propagator.crossing(
-                system.propagator.flow(here, sign * SKIP), section, longest=sign * longest
+    here, elapsed, going = states, np.zeros(len(states)), np.arange(len(states))
+    for r in range(settings.returns):
+        following = []
+        for part in np.array_split(going, max(1, len(going) // _TOGETHER)):
+            started = np.array([system.propagator.flow(here[k], sign * SKIP) for k in part]).reshape(
+                -1, system.dimension
             )
-            if crossing is None:
-                break
-            here, elapsed = crossing.state, elapsed + SKIP + abs(crossing.time)
-            arrived[k, r], flown[k, r], seconds[k, r] = True, here, elapsed
+            crossings = system.propagator.crossings(started, section, longest=sign * longest)
+            for k, crossing in zip(part, crossings, strict=True):
+                if crossing is None:
+                    continue
+                elapsed[k] += SKIP + abs(crossing.time)
+                arrived[k, r], flown[k, r], seconds[k, r] = True, crossing.state, elapsed[k]
+                following.append(k)
+            done = (r + (int(part[-1]) / len(states) if len(part) else 1.0)) / settings.returns
+            progress("forward returns" if sign > 0 else "backward returns", done)
+        going = np.array(following, dtype=int)
+        here = flown[:, r]
     points, direction = place_on_section(system, section, flown)
     n = system.dimension // 2
     winding = system.nearest_turns(flown - states[:, None, :])[..., :n].astype(np.int64)

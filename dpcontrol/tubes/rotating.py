@@ -235,9 +235,8 @@ def _guesses(problem: HalfTurn, arm: int, sense: int, energy: float, settings: R
 
     def arrive(angles: Array) -> list[_Arrival]:
         arrivals = []
-        for angle in angles:
-            state = problem.centre + problem.start @ (problem.start[2:].T @ rates(angle))
-            crossing = system.propagator.crossing(state, section, longest=longest)
+        states = np.array([problem.centre + problem.start @ (problem.start[2:].T @ rates(angle)) for angle in angles])
+        for angle, crossing in zip(angles, system.propagator.crossings(states, section, longest=longest), strict=True):
             if crossing is None or sense * crossing.state[turning] < 0:
                 arrivals.append(_Arrival(float(angle), None, np.inf))
             else:
