@@ -76,8 +76,8 @@ def described_connection(
     first, second = (crossing.tangents[:, k] / np.linalg.norm(crossing.tangents[:, k]) for k in (0, 1))
     angle = np.degrees(np.arcsin(min(1.0, abs(first[0] * second[1] - first[1] * second[0]))))
     hits = (crossing.sides[0].hit, crossing.sides[1].hit)
-    time_out, phase_out = _approach(orbit, curves[0], -1, settings.near)
-    time_in, phase_in = _approach(orbit, curves[1], +1, settings.near)
+    time_out, phase_out = approach(orbit, curves[0], -1, settings.near)
+    time_in, phase_in = approach(orbit, curves[1], +1, settings.near)
     return Connection(
         name=connection_name(system, (source.saddle, target.saddle), winding, hits, state, section),
         source=source,
@@ -115,7 +115,7 @@ def _is_mirrored_into_itself(orbit: ConnectingOrbit) -> bool:
     return bool(abs(apart - np.rint(apart)) < _SAME_PHASE)
 
 
-def _approach(orbit: ConnectingOrbit, curve: OrbitCurve, sign: int, near: float) -> tuple[float, float]:
+def approach(orbit: ConnectingOrbit, curve: OrbitCurve, sign: int, near: float) -> tuple[float, float]:
     """Return (seconds, phase) from the section to the first approach within `near` of a periodic orbit.
 
     sign +1 looks forward in time, -1 backward; seconds are positive either way.
