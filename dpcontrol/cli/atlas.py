@@ -10,6 +10,7 @@ from dpcontrol.cli.output import (
     Hits,
     checked_suffix,
     json_option,
+    multiplier_text,
     print_json,
     print_table,
     progress_bar,
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
 def command(
     *, model: str, energy: float, hits: tuple[int, int] | None, fresh: bool, out: Path | None, as_json: bool
 ) -> None:
-    """Compute all of one energy: every Lyapunov orbit, their tubes, and every connection between them.
+    """Compute all of one energy: every Lyapunov orbit, their tubes, every connection between them, rotating orbits.
 
     The atlas is one file (orbits, cuts, connections with their flights), kept by content: it is computed once. Look at
     it with `dpcontrol review FILE`. Exits with 1 if crossings of the tubes' cuts did not converge.
@@ -66,13 +67,14 @@ def command(
 
 
 def _document(found: "FoundAtlas", file: Path) -> dict[str, Any]:
-    from dpcontrol.itineraries.atlas import connection_document, orbit_document
+    from dpcontrol.itineraries.atlas import connection_document, orbit_document, rotating_document
 
     atlas = found.atlas
     return {
         "energy": atlas.energy,
         "model": atlas.model,
         "orbits": [orbit_document(orbit) for orbit in atlas.orbits],
+        "rotating_orbits": [rotating_document(orbit) for orbit in atlas.rotating_orbits],
         "count": len(atlas.connections),
         "connections": [{**connection_document(c), "from": c.source, "to": c.target} for c in atlas.connections],
         "kinds": [
@@ -110,6 +112,21 @@ def _print(atlas: "Atlas") -> None:
             for o in atlas.orbits
         ],
     )
+    if atlas.rotating_orbits:
+        print_table(
+            "orbits that turn one arm forward",
+            ("arm", "period (s)", "stability", "multipliers", "closure"),
+            [
+                (
+                    ("inner", "outer")[o.arm - 1],
+                    f"{o.period:.12g}",
+                    o.kind,
+                    "  ".join(multiplier_text(complex(m), 8) for m in o.floquet_multipliers),
+                    f"{o.residual:.0e}",
+                )
+                for o in atlas.rotating_orbits
+            ],
+        )
     print_table(
         "connections",
         ("from → to", "section", "hits", "count", "cuts"),

@@ -23,10 +23,12 @@ def show_orbits(system: "System", arm: str, energy: float, *, as_json: bool) -> 
     Raises:
         GoalMissed: the scan finds none.
     """
+    from dpcontrol.itineraries.atlas import rotating_document
+
     orbits = _orbits(system, arm, energy)
     if as_json:
         print_json({
-            "rotating_orbits": [orbit.document() for orbit in orbits],
+            "rotating_orbits": [rotating_document(orbit) for orbit in orbits],
             "count": len(orbits),
             "arm": arm,
             "energy": energy,
@@ -46,6 +48,7 @@ def show_families(
         InputError: the bounds do not enclose the energy, or the picture cannot be written.
         GoalMissed: the scan finds no orbit, or a family could not be followed to an end.
     """
+    from dpcontrol.itineraries.atlas import rotating_document
     from dpcontrol.tubes.rotating_family import rotating_families
 
     with progress_bar("families of rotating orbits") as progress:
@@ -58,13 +61,13 @@ def show_families(
         print_json({
             "families": [
                 {
-                    "members": [member.document() for member in family.members],
+                    "members": [rotating_document(member) for member in family.members],
                     "changes": [
                         {"critical_trace": c.critical_trace, "before": c.before, "after": c.after,
-                         **c.orbit.document()}
+                         **rotating_document(c.orbit)}
                         for c in family.changes
                     ],
-                    "folds": [fold.document() for fold in family.folds],
+                    "folds": [rotating_document(fold) for fold in family.folds],
                     "ends": family.ends,
                     "status": family.status,
                 }

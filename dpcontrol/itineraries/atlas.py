@@ -15,6 +15,7 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.tubes.lyapunov import LyapunovOrbit
+from dpcontrol.tubes.rotating import RotatingOrbit
 
 Array = NDArray[np.float64]
 
@@ -47,6 +48,26 @@ class AtlasOrbit:
     def name(self) -> str:
         """The saddle, and the family where it is not the first."""
         return self.saddle if self.family == 0 else f"{self.saddle} family {self.family}"
+
+
+@dataclass(frozen=True)
+class AtlasRotatingOrbit:
+    """An orbit that turns one arm forward: what `dpcontrol orbit --rotating` publishes, and samples (M, N).
+
+    Each stands for its reflection as well, which turns backward.
+    """
+
+    arm: int
+    winding: tuple[int, ...]
+    energy: float
+    period: float
+    state: Array
+    floquet_multipliers: NDArray[np.complex128]
+    trace: float
+    kind: str
+    residual: float
+    status: str
+    samples: Array
 
 
 @dataclass(frozen=True)
@@ -143,8 +164,8 @@ class Atlas:
     """All of one energy of one model.
 
     periods (N,): 2π for angles, infinity otherwise. reverser (N, N): turns unstable tubes into stable ones about
-    their saddle. absent: (saddle, reason) where there is no orbit. seconds: what orbits, tubes, connections and
-    compiling took when the atlas was made.
+    their saddle. absent: (saddle, reason) where there is no orbit. rotating_orbits: of either arm, forward, for
+    double pendulums only. seconds: what orbits, tubes, connections and compiling took when the atlas was made.
     """
 
     model: str
@@ -154,6 +175,7 @@ class Atlas:
     reverser: Array
     points: tuple[AtlasPoint, ...]
     orbits: tuple[AtlasOrbit, ...]
+    rotating_orbits: tuple[AtlasRotatingOrbit, ...]
     absent: tuple[tuple[str, str], ...]
     cuts: tuple[AtlasCut, ...]
     kinds: tuple[AtlasKind, ...]
@@ -220,6 +242,22 @@ def orbit_document(orbit: AtlasOrbit | LyapunovOrbit) -> Document:
         "status": orbit.status,
         "saddle": orbit.saddle,
         "family": orbit.family,
+    }
+
+
+def rotating_document(orbit: AtlasRotatingOrbit | RotatingOrbit) -> Document:
+    """Return a rotating orbit with the keys that `dpcontrol orbit --rotating --json` prints."""
+    return {
+        "arm": orbit.arm,
+        "winding": orbit.winding,
+        "energy": orbit.energy,
+        "period": orbit.period,
+        "state": orbit.state,
+        "floquet_multipliers": orbit.floquet_multipliers,
+        "trace": orbit.trace,
+        "kind": orbit.kind,
+        "residual": orbit.residual,
+        "status": orbit.status,
     }
 
 

@@ -18,7 +18,14 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Progress, content_hash, no_progress
 from dpcontrol.itineraries.atlas import Atlas, AtlasKind, AtlasPoint
 from dpcontrol.scenes.atlas_file import load_atlas, save_atlas
-from dpcontrol.scenes.atlas_records import atlas_status, connection_record, cut_record, orbit_record, with_kind
+from dpcontrol.scenes.atlas_records import (
+    atlas_status,
+    connection_record,
+    cut_record,
+    orbit_record,
+    rotating_record,
+    with_kind,
+)
 from dpcontrol.scenes.cache import cache_folder, code_hash
 from dpcontrol.scenes.model import Model
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections
@@ -28,6 +35,7 @@ from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.tubes.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.tubes.manifold import UnstableManifold
 from dpcontrol.tubes.reversal import can_be_reversed, reversed_search
+from dpcontrol.tubes.rotating import can_rotate, rotating_orbits
 
 Array = NDArray[np.float64]
 
@@ -158,6 +166,12 @@ def compute_atlas(
         connections = tuple(connection_record(c) for search, _ in searches for c in search.connections)
     with _timed(seconds, "orbits"):
         samples = tuple(orbit_record(orbit) for orbit in orbits)
+        progress("rotating orbits", 0.95)
+        rotating = tuple(
+            rotating_record(orbit)
+            for arm in ((1, 2) if can_rotate(system) else ())
+            for orbit in rotating_orbits(system, arm, energy)
+        )
     kinds = tuple(kind for _, kind in searches)
     progress("atlas", 1.0)
     return Atlas(
@@ -168,6 +182,7 @@ def compute_atlas(
         reverser=system.reversers[0],
         points=tuple(AtlasPoint(p.name, p.state, p.energy, p.kind) for p in points.values()),
         orbits=samples,
+        rotating_orbits=rotating,
         absent=tuple(absent),
         cuts=cuts,
         kinds=kinds,

@@ -3,10 +3,12 @@
 Keys; arrays are float64 unless said otherwise. K-th orbit, cut, piece and connection, counted from 0:
 
     header   JSON text (a 0-d string array), numbers with all their digits, null for what is not finite:
-             {"format": "dpcontrol-atlas", "version": 1, "model", "title", "energy" (J), "status", "seconds",
+             {"format": "dpcontrol-atlas", "version": 2, "model", "title", "energy" (J), "status", "seconds",
               "points": [{name, state, energy, kind}], "absent": [[saddle, reason]],
               "sections": [{name, normal, position, momentum, offset, period, side}],
               "orbits": [{saddle, family, energy, period, state, floquet_multipliers: [[re, im]], residual, status}],
+              "rotating_orbits": [{arm, winding, energy, period, state, floquet_multipliers, trace, kind, residual,
+                                   status}],
               "cuts": [{saddle, section (index), hit, trajectories, resolved, status, open_ends,
                         pieces: [{branch, direction, closed}]}],
               "kinds": [{source, target, section, hits, count, failed, complete, open_ends, by_reversal, status}],
@@ -14,7 +16,7 @@ Keys; arrays are float64 unless said otherwise. K-th orbit, cut, piece and conne
                                residual, transversality_angle (degrees), hits, time_out, time_in (s), phase_out,
                                phase_in}]}
     periods  (N,)      2π for angles, inf otherwise;   reverser (N, N): turns unstable tubes into stable ones
-    orbit_K_samples                        (M, N)  one period, equally spaced phases from 0
+    orbit_K_samples, rotating_orbit_K_samples     (M, N)  one period, equally spaced phases from 0
     cut_K_strands                          (B, M, N)  trajectories of the unstable tube, seed to section
     cut_K_strand_branches (int64), cut_K_strand_phases    (B,)
     cut_K_piece_J_phases, _times           (P,)    of the seeds; s of flight
@@ -48,10 +50,11 @@ from dpcontrol.itineraries.atlas import (
     AtlasOrbit,
     AtlasPiece,
     AtlasPoint,
+    AtlasRotatingOrbit,
 )
 
 FORMAT = "dpcontrol-atlas"
-VERSION = 1
+VERSION = 2
 _IN_HEADER = ("state", "point")
 """Short arrays that stand in the header; the others are arrays of their own."""
 
@@ -78,6 +81,9 @@ def save_atlas(path: Path, atlas: Atlas) -> None:
         "points": [_split(point, "", arrays, sections) for point in atlas.points],
         "sections": [_split(section, "", arrays, sections) for section in sections],
         "orbits": [_split(orbit, f"orbit_{k}_", arrays, sections) for k, orbit in enumerate(atlas.orbits)],
+        "rotating_orbits": [
+            _split(orbit, f"rotating_orbit_{k}_", arrays, sections) for k, orbit in enumerate(atlas.rotating_orbits)
+        ],
         "cuts": [_split(cut, f"cut_{k}_", arrays, sections) for k, cut in enumerate(atlas.cuts)],
         "kinds": [_split(kind, "", arrays, sections) for kind in atlas.kinds],
         "connections": [
@@ -194,6 +200,9 @@ def _atlas(header: Any, arrays: Arrays) -> Atlas:
         reverser=_checked(arrays["reverser"], "reverser", size),
         points=tuple(record(AtlasPoint, entry, "") for entry in header["points"]),
         orbits=tuple(record(AtlasOrbit, e, f"orbit_{k}_") for k, e in enumerate(header["orbits"])),
+        rotating_orbits=tuple(
+            record(AtlasRotatingOrbit, e, f"rotating_orbit_{k}_") for k, e in enumerate(header["rotating_orbits"])
+        ),
         absent=_tuples(header["absent"]),
         cuts=tuple(record(AtlasCut, e, f"cut_{k}_") for k, e in enumerate(header["cuts"])),
         kinds=tuple(record(AtlasKind, entry, "") for entry in header["kinds"]),

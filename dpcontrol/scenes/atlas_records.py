@@ -4,12 +4,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System
-from dpcontrol.itineraries.atlas import AtlasConnection, AtlasCut, AtlasKind, AtlasOrbit, AtlasPiece
+from dpcontrol.itineraries.atlas import (
+    AtlasConnection,
+    AtlasCut,
+    AtlasKind,
+    AtlasOrbit,
+    AtlasPiece,
+    AtlasRotatingOrbit,
+    rotating_document,
+)
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.tubes.connections import ConnectionSearch
 from dpcontrol.tubes.cut import Cut, Piece, section_points
 from dpcontrol.tubes.lyapunov import LyapunovOrbit
 from dpcontrol.tubes.manifold import UnstableManifold
+from dpcontrol.tubes.rotating import RotatingOrbit
 
 Array = NDArray[np.float64]
 
@@ -31,6 +40,14 @@ def orbit_record(orbit: LyapunovOrbit) -> AtlasOrbit:
         residual=orbit.residual,
         status=orbit.status,
         samples=UnstableManifold(orbit).frame(np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES).states,
+    )
+
+
+def rotating_record(orbit: RotatingOrbit) -> AtlasRotatingOrbit:
+    """Return the record of a rotating orbit, sampled at 256 equally spaced phases."""
+    phases = np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES
+    return AtlasRotatingOrbit(
+        **rotating_document(orbit), samples=orbit.system.propagator.sample(orbit.state, phases * orbit.period)
     )
 
 

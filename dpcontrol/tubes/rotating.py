@@ -15,7 +15,6 @@ Source: Kaheman et al. (2023), section 3; Lamb & Roberts, Time-reversal symmetry
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -69,21 +68,6 @@ class RotatingOrbit:
     newton_residual: float
     converged: bool
     status: str
-
-    def document(self) -> dict[str, Any]:
-        """Return what describes the orbit, without its system: numbers, arrays and texts."""
-        return {
-            "arm": self.arm,
-            "winding": self.winding,
-            "energy": self.energy,
-            "state": self.state,
-            "period": self.period,
-            "floquet_multipliers": self.floquet_multipliers,
-            "trace": self.trace,
-            "kind": self.kind,
-            "residual": self.residual,
-            "status": self.status,
-        }
 
 
 @dataclass(frozen=True)
@@ -188,8 +172,13 @@ def kind_of(trace: float) -> str:
     return "inverse hyperbolic" if trace < -2 else "elliptic"
 
 
+def can_rotate(system: System) -> bool:
+    """Tell whether a system has two arms and both reversers, as the search for rotating orbits needs."""
+    return system.dimension == 4 and bool(np.isfinite(system.periods[:2]).all()) and len(system.reversers) > 1
+
+
 def _check(system: System, arm: int, energy: float, sense: int) -> None:
-    if system.dimension != 4 or not np.isfinite(system.periods[:2]).all() or len(system.reversers) < 2:
+    if not can_rotate(system):
         raise InputError(f"{system.name} has no two arms: rotating orbits are those of a double pendulum")
     if arm not in (1, 2):
         raise InputError(f"arm = {arm}: must be 1 (inner) or 2 (outer)")

@@ -74,6 +74,21 @@ def test_orbits_are_the_reference_ones_and_their_samples_lie_on_the_flow(model, 
         assert np.abs(orbit.samples[quarter] - flown).max() < FLIGHT
 
 
+def test_rotating_orbits_of_both_arms_are_there_with_their_stability(model, high):
+    """The elliptic one of the inner arm at 0.2 J has an independently computed period and multipliers."""
+    assert {o.arm for o in high.rotating_orbits} == {1, 2}
+    (elliptic,) = (o for o in high.rotating_orbits if o.kind == "elliptic")
+    assert elliptic.arm == 1
+    assert elliptic.period == pytest.approx(0.7111087096946145, abs=PERIOD)
+    assert (
+        np.abs(elliptic.floquet_multipliers - [-0.2998122599 + 0.9539982227j, -0.2998122599 - 0.9539982227j]).max()
+        < 1e-8
+    )
+    quarter = len(elliptic.samples) // 4
+    flown = flown_by_scipy(model.system, elliptic.state, elliptic.period / 4)
+    assert np.abs(elliptic.samples[quarter] - flown).max() < FLIGHT
+
+
 def test_below_up_downs_energy_there_are_only_down_ups_homoclinics_and_the_reason_is_said(low):
     assert [(k.source, k.target) for k in low.kinds] == [("down-up", "down-up")]
     assert len(low.connections) == 8
@@ -216,7 +231,7 @@ def test_what_is_not_finite_comes_back(low, tmp_path):
 def test_an_atlas_is_readable_with_numpy_alone_and_holds_no_pickles(saved):
     with np.load(saved, allow_pickle=False) as file:
         header = json.loads(str(file["header"]))
-        assert (header["format"], header["version"]) == ("dpcontrol-atlas", 1)
+        assert (header["format"], header["version"]) == ("dpcontrol-atlas", 2)
         assert file["orbit_0_samples"].shape[1] == 4
         assert all(file[name].dtype != object for name in file.files)
 
@@ -234,7 +249,7 @@ def rewritten(path, change):
     ("change", "reason"),
     [
         (lambda h, a: h.update(format="other"), "its format is 'other'"),
-        (lambda h, a: h.update(version=99), "its version is 99, this program reads version 1"),
+        (lambda h, a: h.update(version=99), "its version is 99, this program reads version 2"),
         (lambda h, a: h.pop("orbits"), "it lacks 'orbits'"),
         (lambda h, a: a.pop("orbit_0_samples"), "it lacks 'orbit_0_samples'"),
         (lambda h, a: a.update(orbit_0_samples=np.zeros((4, 3))), "orbit_0_samples has shape"),
