@@ -3,12 +3,13 @@
 from pathlib import Path
 
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.itineraries.atlas import Atlas
 from dpcontrol.review.figures.cuts import connections_of, draw_cuts
-from dpcontrol.review.figures.page import new_figure
-from dpcontrol.review.figures.space import draw_space
+from dpcontrol.review.figures.page import STABLE, UNSTABLE, new_figure, saddle_colour
+from dpcontrol.review.figures.space import CUT, FLIGHT, draw_space
 from dpcontrol.review.picture import Picture
 from dpcontrol.review.viewer import picture_of
 
@@ -48,7 +49,12 @@ def draw_atlas(atlas: Atlas) -> Figure:
     figure = new_figure(16, 8.6, title)
     wide = 0.42 if kinds else 0.9
     space = figure.add_axes((0.03, 0.0, wide - 0.03, 0.95), projection="3d")
-    draw_space(space, atlas, hit_of=lambda cut: cut.hit)
+    draw_space(space, atlas, hit_of=lambda cut: cut.hit, flights=atlas.connections)
+    looks = ((UNSTABLE, "unstable tubes"), (STABLE, "stable tubes"), (CUT, "cuts"), (FLIGHT, "connections"))
+    handles = [Line2D([], [], color=colour, label=label) for colour, label in looks]
+    handles += [Line2D([], [], color=saddle_colour(o.saddle), linewidth=2.5, label=f"orbit about {o.name}")
+                for o in atlas.orbits]  # fmt: skip
+    figure.legend(handles=handles, loc="lower left", fontsize=8.5, frameon=False, ncols=3)
     columns = 1 if len(kinds) < 2 else 2
     rows = (len(kinds) + columns - 1) // columns
     for k, kind in enumerate(kinds):

@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.review.atlas_picture import write_atlas_picture
+from dpcontrol.review.atlas_picture import draw_atlas, write_atlas_picture
 from dpcontrol.review.atlas_recording import write_atlas_recording
 from dpcontrol.review.figures.cuts import colours, connections_of, kind_of, one_of_each, stable_direction
 from dpcontrol.review.figures.page import Gallery, in_pi, wrapped_runs
 from dpcontrol.review.figures.registry import FIGURES, draw_figures
+from dpcontrol.review.figures.space import FLIGHT
 from dpcontrol.review.viewer import viewer_program
 from dpcontrol.scenes.atlas import AtlasSettings, compute_atlas, make_atlas
 from dpcontrol.scenes.model import load_model
@@ -53,6 +54,15 @@ def test_every_figure_is_drawn_with_a_caption_and_what_differs(name, gallery, tm
     assert words == {name: {"file": f"{name}.png", "caption": drawn.caption, "differs": drawn.differs}}
     assert len(drawn.caption) > 100
     assert len(drawn.differs) > 50
+
+
+def test_the_drawn_atlas_shows_every_flight_in_space(low):
+    figure = draw_atlas(low)
+    space = next(axes for axes in figure.axes if axes.name == "3d")
+    flights = [line.get_data_3d() for line in space.lines if line.get_color() == FLIGHT]
+    assert len(flights) == len(low.connections) == 8
+    for drawn, c in zip(flights, low.connections, strict=True):
+        assert np.array_equal(np.array(drawn).T, c.states[:, [0, 1, 2]])
 
 
 @pytest.mark.slow

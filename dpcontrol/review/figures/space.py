@@ -5,11 +5,11 @@ from collections.abc import Callable
 import numpy as np
 from matplotlib.axes import Axes
 
-from dpcontrol.itineraries.atlas import Atlas, AtlasCut
+from dpcontrol.itineraries.atlas import Atlas, AtlasConnection, AtlasCut
 from dpcontrol.review import style
 from dpcontrol.review.figures.page import STABLE, UNSTABLE, angle_axis, saddle_colour
 
-PALE_UNSTABLE, PALE_STABLE, CUT = "#e39b96", "#9ccbab", "#8a4fa3"
+PALE_UNSTABLE, PALE_STABLE, CUT, FLIGHT = "#e39b96", "#9ccbab", "#8a4fa3", "#2b2f33"
 
 
 def draw_space(
@@ -19,8 +19,12 @@ def draw_space(
     hit_of: Callable[[AtlasCut], int | None],
     only: str | None = None,
     one_colour: str | None = None,
+    flights: tuple[AtlasConnection, ...] = (),
 ) -> None:
-    """Draw the tubes of cuts for which `hit_of` gives a hit (of one saddle), and all orbits, in 3-D axes."""
+    """Draw the tubes of cuts for which `hit_of` gives a hit (of one saddle), all orbits, and flights, in 3-D axes.
+
+    Flights leave their source's named place; where they end whole turns away, the orbit that they join is drawn there.
+    """
     rate = len(atlas.periods) // 2
     for cut in atlas.cuts:
         if hit_of(cut) is None or (only is not None and cut.saddle != only):
@@ -39,6 +43,13 @@ def draw_space(
         closed = np.vstack([orbit.samples, orbit.samples[:1]])
         colour = one_colour or saddle_colour(orbit.saddle)
         axes.plot(*closed[:, [0, 1, rate]].T, color=colour, linewidth=2.5, zorder=10)
+    for c in flights:
+        axes.plot(*c.states[:, [0, 1, rate]].T, color=FLIGHT, linewidth=0.9, alpha=0.9, zorder=8)
+    samples = {orbit.saddle: orbit.samples for orbit in atlas.orbits if orbit.family == 0}
+    for saddle, winding in sorted({(c.target, c.winding) for c in flights if any(c.winding)}):
+        copy = samples[saddle] + np.r_[np.asarray(winding, float), np.zeros(rate)] * atlas.turn_lengths
+        colour = one_colour or saddle_colour(saddle)
+        axes.plot(*np.vstack([copy, copy[:1]])[:, [0, 1, rate]].T, color=colour, linewidth=1.6, alpha=0.6, zorder=9)
     angular = bool(np.isfinite(atlas.periods).any())
     for which, label in (("x", "θ₁ (rad)" if angular else "x"), ("y", "θ₂ (rad)" if angular else "y")):
         getattr(axes, f"set_{which}label")(label, fontsize=9)
