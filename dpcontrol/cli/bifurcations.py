@@ -28,10 +28,11 @@ def command(
     saddle-node: two connections meet and vanish. pitchfork: a symmetric connection sheds a mirror pair.
     section-artefact: the connection goes on, but an earlier crossing of the section is born or lost, so that its number
     of hits changes. Every change of the count is explained by such events, or reported.
+    Where trajectories scatter before they arrive, connections accumulate without end: counts are lower bounds there.
     """
     from dpcontrol.scenes.model import load_model
     from dpcontrol.tubes.bifurcations import find_bifurcations
-    from dpcontrol.tubes.sweep import SweepSettings
+    from dpcontrol.tubes.sweep_steps import SweepSettings
 
     system = load_model(model).system
     with progress_bar("bifurcations") as progress:
@@ -54,9 +55,11 @@ def command(
                         "state": e.state,
                         "count_below": e.count_below,
                         "count_above": e.count_above,
+                        "at_least": e.at_least,
                         "symmetric": e.symmetric,
                         "winding": e.winding,
                         "residual": e.residual,
+                        "point": e.point,
                     }
                     for e in found.events
                 ],
@@ -65,6 +68,7 @@ def command(
                     for c in found.counts
                 ],
                 "unexplained": [{"energies": [low, high], "reason": reason} for low, high, reason in found.unexplained],
+                "scatters_from": found.scatters_from,
                 "complete": found.complete,
                 "status": found.status,
                 "section": found.section.name,
@@ -79,7 +83,7 @@ def command(
             (
                 f"{e.energy:.10f}",
                 e.kind,
-                f"{e.count_below} → {e.count_above}",
+                f"{'at least ' if e.at_least else ''}{e.count_below} → {e.count_above}",
                 "yes" if e.symmetric else "pair",
                 ", ".join(str(k) for k in e.winding),
                 f"{e.residual:.0e}",

@@ -28,7 +28,8 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Progress, no_progress
 from dpcontrol.tubes.equilibria import equilibrium
 from dpcontrol.tubes.links import Link
-from dpcontrol.tubes.sweep import Change, Found, Sweep, SweepSettings
+from dpcontrol.tubes.sweep import Sweep
+from dpcontrol.tubes.sweep_steps import Change, Found, Run, SweepSettings
 
 Array = NDArray[np.float64]
 
@@ -39,9 +40,10 @@ class Bifurcation:
 
     energy in J; kind: "saddle-node", "pitchfork" or "section-artefact"; state (N,): of the connection there, on the
     section where it touches it, midway in its flight otherwise. count_below, count_above: connections with the
-    crossings asked for, just below and above, on the torus. residual: of the equations that located it. connections:
-    how many connections, images included, share the event. symmetric: whether a reverser carries the connection to
-    itself.
+    crossings asked for, just below and above, on the torus; at_least: lower bounds only, cuts being unresolved next to
+    it. residual: of the equations that located it. connections: how many connections, images included, share the
+    event. symmetric: whether a reverser carries the connection to itself. point (2,): the first of its crossings of
+    the section, in (q, p/p₀).
     """
 
     energy: float
@@ -49,10 +51,12 @@ class Bifurcation:
     state: Array
     count_below: int
     count_above: int
+    at_least: bool
     residual: float
     connections: int
     symmetric: bool
     link: Link
+    point: Array
 
     @property
     def winding(self) -> tuple[int, ...]:
@@ -74,7 +78,11 @@ class SweepPoint:
 class BifurcationSearch:
     """Events in order of energy, the counts they explain, and the changes of count without a located cause.
 
-    unexplained: (low, high, sentence) of energy intervals. complete: none, and every cut was closed or ends at a graze.
+    unexplained: (low, high, sentence) of energy intervals. complete: none, and every search was complete.
+    scatters_from: the lowest energy in J from which on no search is complete, trajectories of a tube scattering
+    before they arrive so that connections accumulate without end; counts are lower bounds there, of those connections
+    that were found and followed; None where there is none. runs: every connection as it was followed; where a
+    symmetry exchanges the branches of the tubes, one of every two.
     """
 
     system: System
@@ -85,6 +93,8 @@ class BifurcationSearch:
     events: tuple[Bifurcation, ...]
     counts: tuple[SweepPoint, ...]
     unexplained: tuple[tuple[float, float, str], ...]
+    runs: tuple[Run, ...]
+    scatters_from: float | None
     complete: bool
     status: str
 
@@ -145,8 +155,8 @@ def find_bifurcations(
     changes = [c for a, b in pairs for c in sweep.between(a, b).changes]
     unexplained = [(a, b, _why(sweep, a, b)) for a, b in pairs if not _adds_up(sweep, a, b)]
     events = _with_counts(sweep, changes, counts)
-    caveats = [f"at {c.energy:.6g} J {c.caveat}" for c in counts if c.caveat]
-    complete = not unexplained and not caveats
+    incomplete = [c for c in counts if not c.complete]
+    scatters_from = next((c.energy for k, c in enumerate(counts) if not any(d.complete for d in counts[k:])), None)
     status = f"{len(events)} events explain every change of the count over {len(counts)} energies"
     if unexplained:
         status = f"{len(events)} events located, but {len(unexplained)} changes of the count have no located cause: "
@@ -155,11 +165,29 @@ def find_bifurcations(
         first = counts[0].count
         there = f"{first} connections exist already there" if first else "none exist there yet"
         status += f"; swept from {start:.6g} J, just above the energy {max(births):.6g} J of the later saddle: {there}"
-    if caveats:
-        status += f"; {len(caveats)} searches are not complete: " + "; ".join(caveats[:3])
-    points = tuple(SweepPoint(c.energy, c.count, c.complete, c.caveat) for c in counts)
+    if scatters_from is not None:
+        status += (
+            f"; from {scatters_from:.6g} J on counts are lower bounds (at least), of connections found and followed: "
+            f"{counts[-1].caveat}"
+        )
+    single = [c for c in incomplete if scatters_from is None or c.energy < scatters_from]
+    if single:
+        where = "" if scatters_from is None else " below"
+        status += f"; {len(single)} searches{where} are not complete: "
+        status += "; ".join(f"at {c.energy:.6g} J {c.caveat}" for c in single[:3])
     return BifurcationSearch(
-        system, source, target, sweep.section, crossings, events, points, tuple(unexplained), complete, status
+        system=system,
+        source=source,
+        target=target,
+        section=sweep.section,
+        crossings=crossings,
+        events=events,
+        counts=tuple(SweepPoint(c.energy, c.count, c.complete, c.caveat) for c in counts),
+        unexplained=tuple(unexplained),
+        runs=tuple(run for a, b in pairs for run in sweep.between(a, b).runs),
+        scatters_from=scatters_from,
+        complete=not unexplained and not incomplete,
+        status=status,
     )
 
 
@@ -203,6 +231,9 @@ def _with_counts(sweep: Sweep, changes: list[Change], counts: list[Found]) -> tu
             running = below[-1].count + weight * sum(c.gain for g in since for c in g)
         gain = weight * sum(c.gain for c in group)
         event = first.event
+        around = [c for c in counts if c.energy <= event.energy][-1:] + [c for c in counts if c.energy > event.energy][
+            :1
+        ]
         events.append(
             Bifurcation(
                 energy=event.energy,
@@ -210,10 +241,12 @@ def _with_counts(sweep: Sweep, changes: list[Change], counts: list[Found]) -> tu
                 state=event.state,
                 count_below=running,
                 count_above=running + gain,
+                at_least=not all(c.complete for c in around),
                 residual=max(c.event.residual for c in group),
                 connections=weight * sum(abs(c.gain) for c in group),
                 symmetric=first.symmetric,
                 link=replace(event.link, phases=(event.link.phases[0] % 1.0, event.link.phases[1] % 1.0)),
+                point=sweep.place(event),
             )
         )
     return tuple(events)

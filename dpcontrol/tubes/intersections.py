@@ -31,8 +31,8 @@ class ConnectionSettings:
     """distance: of seeds from their orbits, scaled (truncation falls as its cube, rounding grows as its inverse).
 
     accept: largest gap between the two tubes' arrivals that the search takes for a connection before it is refined;
-    lead: periods of each orbit, and segments: nodes per period, in the multiple-shooting refinement; near: scaled
-    distance at which a connection is said to have joined its orbit.
+    lead: periods of each orbit at least, farthest: scaled distance from it at most (its square is left out), and
+    segments: nodes per period, in the multiple-shooting refinement; near: scaled distance at which a connection is said to have joined its orbit.
     """
 
     distance: float = 1e-4
@@ -41,6 +41,7 @@ class ConnectionSettings:
     accept: float = 1e-9
     same: float = 1e-7
     lead: float = 1.0
+    farthest: float = 3e-7
     segments: int = 8
     near: float = 1e-3
 
@@ -60,7 +61,7 @@ class TubeSide:
         """Map states (…, N) of the unstable tube to this tube: themselves, or turned around in time."""
         if not self.stable:
             return states
-        reverser, centre = self.manifold.orbit.system.reversers[0], self.manifold.orbit.centre
+        reverser, centre = self.manifold.orbit.reverser, self.manifold.orbit.centre
         return (states - centre) @ reverser.T + centre
 
     def arrive(self, phase: float) -> tuple[Array, Array, float] | None:
@@ -75,7 +76,7 @@ class TubeSide:
         normal = np.asarray(self.section.normal)
         slope = slope - rate * (normal @ slope) / (normal @ rate)
         if self.stable:
-            slope = system.reversers[0] @ slope
+            slope = self.manifold.orbit.reverser @ slope
         return self.turned(crossing.state), slope, crossing.time
 
 
@@ -135,10 +136,11 @@ def intersect_cuts(
                 solution = _newton(system, sides, guess, settings)
                 if solution is None:
                     failed += int(sure)
-                    continue
-                for one in (solution, *_partners(system, solution, settings)):
-                    if not any(_same(system, one, other, settings.same) for other in here):
-                        here.append(one)
+                elif not _known(system, solution, here, settings):
+                    here.append(solution)
+                    for other in _partners(system, solution, settings):
+                        if not _known(system, other, here, settings):
+                            here.append(other)
             found += here
     return found, failed
 
@@ -249,6 +251,6 @@ def _partners(system: System, crossing: Intersection, settings: ConnectionSettin
     return [f for f in found if f is not None]
 
 
-def _same(system: System, first: Intersection, second: Intersection, tolerance: float) -> bool:
-    """Whether two solutions are one orbit: the same point of the torus."""
-    return bool(system.scaled_distance(first.states[0], second.states[0]) < tolerance)
+def _known(system: System, one: Intersection, found: list[Intersection], settings: ConnectionSettings) -> bool:
+    """Whether a solution is one of those found: the same point of the torus."""
+    return any(bool(system.scaled_distance(one.states[0], f.states[0]) < settings.same) for f in found)

@@ -20,11 +20,13 @@ from scipy.optimize import brentq
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.tubes.link_paths import Path, PathPoint
+from dpcontrol.tubes.link_paths import Path, PathPoint, halfway
 from dpcontrol.tubes.link_profile import Profile, fly_whole, profile
 from dpcontrol.tubes.links import Link, LinkProblem, phase_gap
 
 Array = NDArray[np.float64]
+
+_HALVINGS = 8  # of the stretch of a path around a turn, before it is given up
 
 
 @dataclass(frozen=True)
@@ -62,12 +64,18 @@ def _newton(function: Callable[[Array], Array], guess: Array, steps: Array) -> t
 def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
     """Locate the turn after point `index` of a path, by the equations of its kind; None where they do not converge."""
     start = path.points[0].energy
-    sides = sorted(path.points[index : index + 2], key=lambda p: -abs(p.energy - start))
-    for side in sides:
-        reach = 0.2 * abs(start - side.energy) + 1e-3 * problem.system.energy_scale
-        event = _turn_from(problem, side, path.points[index].link, path.points[index + 1].link, reach)
-        if event is not None:
-            return event
+    before, after = path.points[index : index + 2]
+    for _ in range(_HALVINGS):
+        for side in sorted((before, after), key=lambda p: -abs(p.energy - start)):
+            reach = 0.2 * abs(start - side.energy) + 1e-3 * problem.system.energy_scale
+            event = _turn_from(problem, side, before.link, after.link, reach)
+            if event is not None:
+                return event
+        # Where the fold is sharp its equations converge from nearer points only: σ changes its sign across it.
+        middle = halfway(problem, before, after)
+        if middle is None or before.tangency * after.tangency > 0:
+            return None
+        before, after = (middle, after) if middle.tangency * before.tangency > 0 else (before, middle)
     return None
 
 

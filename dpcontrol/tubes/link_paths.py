@@ -128,6 +128,22 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
     return _lost(points, turns, problem, f"not arrived after {steps} steps")
 
 
+def halfway(problem: LinkProblem, first: PathPoint, second: PathPoint) -> PathPoint | None:
+    """Return the point of a path on the plane halfway between two of its points and across their chord; None where
+    Newton's method does not find it."""
+    start = np.append(first.link.unknowns, first.energy)
+    chord = np.append(second.link.unknowns, second.energy) - start
+    weights = np.maximum(np.abs(chord), 1e-3 * np.array([1.0, 1.0, first.link.duration, problem.system.energy_scale]))
+    tangent = chord / weights / np.linalg.norm(chord / weights)
+    try:
+        arrived = _corrected(problem, first.link, start + chord / 2, tangent, weights)
+    except (ArithmeticError, InputError, np.linalg.LinAlgError):
+        return None
+    if arrived is None:
+        return None
+    return PathPoint(first.link.at(arrived[0][:3]), float(arrived[0][3]), arrived[1])
+
+
 def _lost(points: list[PathPoint], turns: list[int], problem: LinkProblem, why: str) -> Path:
     if not points:
         return Path((), (), "lost", f"a connection could not be matched: {why}")

@@ -69,6 +69,25 @@ def profile(problem: LinkProblem, link: Link, energy: float, section: Section) -
     return Profile(np.array(knots_t), np.array(knots_h), tuple(levels), sum(levels))
 
 
+def crossing_states(problem: LinkProblem, link: Link, energy: float, section: Section) -> Array:
+    """Return the states (C, N) at which a solved connection crosses a section, in order of time, on the lift."""
+    system = problem.system
+    _, states = fly_whole(problem, link, energy)
+    heights = section.height(states)
+    level = np.floor(heights / section.period) if section.period else (heights >= 0).astype(float)
+    crossed = []
+    for k in np.flatnonzero(np.diff(level)):
+        height = max(level[k], level[k + 1]) * section.period if section.period else 0.0
+        x = states[k] + (states[k + 1] - states[k]) * (height - heights[k]) / (heights[k + 1] - heights[k])
+        for _ in range(3):
+            x = system.propagator.flow(
+                x, float((height - section.height(x)) / (system.numeric.rate(x) @ section.normal))
+            )
+        if section.side is None or section.admits(x):
+            crossed.append(x)
+    return np.array(crossed).reshape(-1, system.dimension)
+
+
 def _extremum(
     problem: LinkProblem,
     state: Array,

@@ -4,74 +4,24 @@ Connections found at one energy are carried to the next by Newton's method; a co
 tangency's sign unchanged has met no turn. Those left over on either side are followed round their turns.
 """
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.tubes.cut import tube_cut
+from dpcontrol.tubes.cut import section_points, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
 from dpcontrol.tubes.link_events import Located, locate_graze, locate_turn
 from dpcontrol.tubes.link_paths import Path, PathPoint, carry, follow
-from dpcontrol.tubes.link_profile import profile
+from dpcontrol.tubes.link_profile import crossing_states, profile
 from dpcontrol.tubes.links import Link, LinkProblem
 from dpcontrol.tubes.manifold import UnstableManifold
+from dpcontrol.tubes.sweep_steps import Change, Found, Interval, Run, SweepSettings
 
 Array = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class SweepSettings:
-    """How energies are swept. energies: how many at first; halvings: of an interval that does not add up.
-
-    same: largest difference of phases at which two links are one; closest: energies nearer to a saddle's than this
-    part of the energy scale are left out, tubes being thinner there than their seeds are far.
-    """
-
-    energies: int = 24
-    halvings: int = 3
-    same: float = 1e-4
-    closest: float = 1e-4
-    search: ConnectionSettings = field(default_factory=ConnectionSettings)
-
-
-@dataclass(frozen=True)
-class Found:
-    """Links found at one energy, each solved, one of every two that the symmetry S exchanges."""
-
-    energy: float
-    points: tuple[PathPoint, ...]
-    weight: int
-    complete: bool
-    caveat: str
-
-    @property
-    def count(self) -> int:
-        return self.weight * len(self.points)
-
-
-@dataclass(frozen=True)
-class Change:
-    """An event of one link between two energies and what it adds to the number of links, going up in energy."""
-
-    event: Located
-    gain: int
-    symmetric: bool
-
-
-@dataclass(frozen=True)
-class Interval:
-    """What happened between two energies: the changes, and sentences on what could not be followed or located."""
-
-    changes: tuple[Change, ...]
-    reasons: tuple[str, ...]
-
-    @property
-    def gain(self) -> int:
-        """How many links the changes add, going up in energy."""
-        return sum(c.gain for c in self.changes)
 
 
 class Sweep:
@@ -84,6 +34,7 @@ class Sweep:
         self.same_saddle = source == target
         self._found: dict[float, Found] = {}
         self._intervals: dict[tuple[float, float], Interval] = {}
+        self._counts: dict[tuple[Link, float], int] = {}
 
     def search(self, energy: float) -> Found:
         """Find the links with the asked number of crossings at one energy; kept, and amended by later finds.
@@ -148,19 +99,44 @@ class Sweep:
 
     def count(self, point: PathPoint) -> int:
         """Return how often a solved link crosses the section."""
-        return profile(self.problem, point.link, point.energy, self.section).count
+        key = (point.link, point.energy)
+        if key not in self._counts:
+            self._counts[key] = profile(self.problem, point.link, point.energy, self.section).count
+        return self._counts[key]
+
+    def place(self, event: Located) -> Array:
+        """Return (q, p/p₀), (2,), where an event's connection crosses the section; of an artefact, where it touches."""
+        system = self.problem.system
+        if event.kind == "section-artefact":
+            return section_points(system, self.section, event.state)
+        states = crossing_states(self.problem, event.link, event.energy, self.section)
+        return section_points(system, self.section, states[0]) if len(states) else np.full(2, np.nan)
+
+    def _runs(self, points: Sequence[PathPoint]) -> list[Run]:
+        """Return where a connection, followed through points, crosses the section, for points that cross as asked."""
+        runs: list[list[tuple[float, Array]]] = [[]]
+        for point in points:
+            if self.count(point) != self.crossings:
+                runs.append([])
+                continue
+            states = crossing_states(self.problem, point.link, point.energy, self.section)
+            if len(states):
+                place = section_points(self.problem.system, self.section, states[0])
+                runs[-1].append((point.energy, place))
+        return [Run(np.array([e for e, _ in run]), np.array([x for _, x in run])) for run in runs if len(run) > 1]
 
     def between(self, low: float, high: float) -> Interval:
         """Explain what two neighbouring searches do not share; kept until one of them is amended."""
         before, after = self.search(low), self.search(high)
         if (low, high) not in self._intervals:
-            changes, reasons, missed = self._changes(before, after)
+            interval, missed = self._changes(before, after)
             amended = [self._amend(e, [p for p in missed if p.energy == e]) for e in sorted({p.energy for p in missed})]
             if any(amended):
                 return self.between(low, high)
             if missed:
-                reasons.append(f"continuation meets {len(missed)} connections that the searches do not find")
-            self._intervals[low, high] = Interval(tuple(changes), tuple(reasons))
+                reason = f"continuation meets {len(missed)} connections that the searches do not find"
+                interval = replace(interval, reasons=(*interval.reasons, reason))
+            self._intervals[low, high] = interval
         return self._intervals[low, high]
 
     def explained(self, low: float, high: float) -> bool:
@@ -181,17 +157,19 @@ class Sweep:
         self._intervals = {k: v for k, v in self._intervals.items() if energy not in k}
         return len(points) > before
 
-    def _changes(self, before: Found, after: Found) -> tuple[list[Change], list[str], list[PathPoint]]:
+    def _changes(self, before: Found, after: Found) -> tuple[Interval, list[PathPoint]]:
         """Follow what two neighbouring searches do not share.
 
-        Returns the changes, what stays unexplained, and connections that the searches should have found.
+        Returns what happened, and connections that the searches should have found.
         """
+        runs: list[Run] = []
         lost, born = set(range(len(before.points))), set(range(len(after.points)))
         for k, point in enumerate(before.points):
             match = self._carried(point, after)
             if match is not None and match in born:
                 lost.discard(k)
                 born.discard(match)
+                runs += self._runs((point, after.points[match]))
         changes: list[Change] = []
         reasons: list[str] = []
         missed: list[PathPoint] = []
@@ -212,7 +190,8 @@ class Sweep:
                 elif arrived is None and self.count(end) == self.crossings:
                     missed.append(end)
                 self._along(path, changes, reasons)
-        return self._distinct(changes), reasons, missed
+                runs += self._runs(path.points)
+        return Interval(tuple(self._distinct(changes)), tuple(reasons), tuple(runs)), missed
 
     def _carried(self, point: PathPoint, after: Found) -> int | None:
         """Carry a link to the next energy in a few predicted steps; return which of the next it is, None if none."""

@@ -13,12 +13,13 @@ from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.bifurcations import find_bifurcations
 from dpcontrol.tubes.connecting_orbit import Anchor, solve_connecting_orbit
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.tubes.cut import CutSettings
+from dpcontrol.tubes.cut import CutSettings, section_points
 from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.tubes.link_paths import carry, follow
 from dpcontrol.tubes.links import LinkProblem
 from dpcontrol.tubes.manifold import UnstableManifold
-from dpcontrol.tubes.sweep import Sweep, SweepSettings
+from dpcontrol.tubes.sweep import Sweep
+from dpcontrol.tubes.sweep_steps import SweepSettings
 
 REPEATABLE = 1e-7  # J: the bar; 1e-11 is reached
 RESIDUAL = 1e-8
@@ -238,10 +239,33 @@ def test_connections_of_a_strongly_unstable_orbit_are_followed_down_to_their_fol
     ]
 
 
-def test_a_cut_that_scatters_is_a_caveat_not_a_count(system):
-    found = Sweep(system, "down-up", "up-down", 1, SweepSettings()).search(0.26)
+def test_where_cuts_scatter_counts_are_lower_bounds_and_changes_still_have_causes(system):
+    """Trajectories part by the other orbit before they arrive: connections accumulate, and the answer says so.
+
+    The fold between is sharp: from one point of its path to the next σ goes from -0.78 to +0.81.
+    """
+    found = located(system, (0.2358, 0.2370), target="up-down")
+    assert not found.unexplained
     assert not found.complete
-    assert "not resolved" in found.caveat
+    assert found.scatters_from == 0.2370
+    assert [c.complete for c in found.counts] == [True, False]
+    assert "counts are lower bounds (at least)" in found.status
+    assert "scatters before crossing 1" in found.status
+    assert [(e.kind, e.count_below, e.count_above, e.at_least) for e in found.events] == [("saddle-node", 20, 24, True)]
+    assert found.events[0].residual < RESIDUAL
+
+
+def test_runs_follow_every_connection_round_its_fold(system):
+    """One of each two that the symmetry exchanges: the lower and the upper part of one parabola."""
+    top = -0.1380
+    found = located(system, (SADDLE_NODE[0], top), samples=3)
+    fold = min(found.runs, key=lambda run: run.energies.min())
+    assert 0 < fold.energies.min() - found.events[0].energy < 1e-5
+    assert np.abs(fold.points[int(np.argmin(fold.energies))] - found.events[0].point).max() < 0.01
+    arrived = sorted(abs(run.points[-1][1]) for run in found.runs if run.energies[-1] == top)
+    connections = connections_at(system, top)
+    expected = {round(abs(float(section_points(system, c.section, c.state)[1])), 8) for c in connections}
+    assert arrived == pytest.approx(sorted(expected), abs=1e-7)
 
 
 @pytest.mark.parametrize(
