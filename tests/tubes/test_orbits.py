@@ -12,7 +12,7 @@ from dpcontrol.tubes.orbit_curve import OrbitCurve
 from tests.reference_values import LYAPUNOV_ORBITS, SQUARED_EIGENVALUES
 
 EIGENVALUES = 1e-10
-PERIOD = 1e-10
+PERIOD = 1e-11
 MULTIPLIER = 1e-8
 RECIPROCAL = 1e-9
 CLOSURE = 5e-14  # times λ (1 + largest state): a few ulp of a rate, amplified over one period

@@ -1,0 +1,121 @@
+"""Where methods fail: a hair above a saddle, far up, at a grazing crossing; and energies of no reference value."""
+
+from decimal import Decimal
+
+import numpy as np
+import pytest
+
+from dpcontrol.dynamics.system import momentum_scale
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.connections import find_connections, orbits_between
+from dpcontrol.tubes.cut import tube_cut
+from dpcontrol.tubes.extended import refine_connection
+from dpcontrol.tubes.lyapunov import lyapunov_orbit
+from dpcontrol.tubes.manifold import UnstableManifold
+from dpcontrol.tubes.orbit_curve import OrbitCurve
+
+STATE = 1e-9  # the bars; what is reached is about 1e-13
+PERIOD = 1e-11
+RESIDUAL = 1e-11
+AREA = 3e-5  # of a cut that is an ellipse but for terms of the energy above the saddle
+TOUCH = 1e-4  # rad: how near a trajectory passes the section beside the phase at which one grazes it
+NEAR_ORBIT = 2e-6
+
+
+@pytest.fixture(scope="module")
+def lab():
+    return load_model("lab")
+
+
+@pytest.mark.parametrize("saddle", ["down-up", "up-down"])
+@pytest.mark.parametrize("above", [1e-6, 1e-9])
+def test_a_hair_above_the_saddle_the_tube_encloses_the_orbits_action(lab, saddle, above):
+    """dJ/dH = T: the cut encloses T (H - H₀), although at 1e-9 J the orbit is no larger than the seeds' distance."""
+    system = lab.system
+    orbit = lyapunov_orbit(system, saddle, energy=float(system.numeric.hamiltonian(system.equilibrium(saddle))) + above)
+    assert orbit.converged
+    assert abs(orbit.floquet_multipliers[0] * orbit.floquet_multipliers[3] - 1) < 1e-9
+    section = system.sections[saddle, saddle]
+    cut = tube_cut(UnstableManifold(orbit, 1e-4), section)
+    assert all(piece.closed for piece in cut.pieces)
+    for piece in cut.pieces:
+        x, y = piece.points[:-1].T
+        area = abs(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))) / 2 * momentum_scale(system, section)
+        # A polygon of n points of an ellipse encloses sin(2π/n) / (2π/n) of it.
+        step = 2 * np.pi / len(x)
+        assert area == pytest.approx(orbit.period * above * np.sin(step) / step, rel=AREA)
+
+
+@pytest.mark.parametrize("saddle", ["down-up", "up-down"])
+def test_far_up_an_orbit_near_the_end_of_its_family_still_closes_and_pairs_its_multipliers(lab, saddle):
+    """At 0.489 J, 1.6 mJ below the homoclinics of Up-Up, multipliers exceed 1e7."""
+    orbit = lyapunov_orbit(lab.system, saddle, energy=0.489)
+    assert orbit.converged
+    assert orbit.unstable_multiplier > 1e7
+    assert orbit.residual < 1e-14 * orbit.unstable_multiplier
+    assert abs(orbit.floquet_multipliers[0] * orbit.floquet_multipliers[3] - 1) < 1e-15 * orbit.unstable_multiplier
+
+
+def test_beyond_the_end_of_the_family_the_reason_is_the_answer(lab):
+    orbit = lyapunov_orbit(lab.system, "down-up", energy=0.6)
+    assert not orbit.converged
+    assert "could be followed only to 0.49" in orbit.status
+
+
+def test_a_phase_that_grazes_is_where_a_trajectory_touches_the_section(lab):
+    """On one side of the phase the crossing's normal rate vanishes; on the other the section is missed by a hair."""
+    system = lab.system
+    section, orbit = system.sections["down-up", "down-up"], lyapunov_orbit(system, "down-up", energy=0.2)
+    manifold = UnstableManifold(orbit, 1e-4)
+    cut = tube_cut(manifold, section)
+    grazing = [end for end in cut.open_ends if "grazes" in end.reason]
+    assert grazing
+    normal = np.asarray(section.normal)
+    for end in grazing:
+        low, high = end.phase_interval
+        assert (high - low) % 1 < 1e-8
+        # 1e-7 beside it the rate has grown to a few hundredths, and differences are above rounding.
+        sides = []
+        for phase in (low - 1e-7, high + 1e-7):
+            seed = manifold.seeds(np.array([phase]), end.branch)[0][0]
+            crossing = system.propagator.crossing(seed, section, longest=5 * orbit.period)
+            assert crossing is not None
+            sides.append((abs(float(system.numeric.rate(crossing.state) @ normal)), crossing.time, seed))
+        touching, missing = sorted(sides, key=lambda side: side[0])
+        assert touching[0] < 0.01 * missing[0]
+        assert missing[1] > touching[1]
+        near = system.propagator.sample(missing[2], touching[1] + np.linspace(-2e-3, 2e-3, 401))
+        off = section.height(near)
+        assert np.abs(off - np.rint(off / (2 * np.pi)) * 2 * np.pi).min() < TOUCH
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "energy"),
+    [
+        ("down-up", "down-up", "-0.12"),
+        ("down-up", "down-up", "0.05"),
+        ("down-up", "down-up", "0.15"),
+        ("down-up", "up-down", "0.24"),
+    ],
+)
+def test_energies_of_no_reference_value_agree_with_extended_precision(lab, source, target, energy):
+    found = find_connections(*orbits_between(lab.system, source, target, float(energy)))
+    assert found.connections
+    assert max(c.residual for c in found.connections) <= RESIDUAL
+    connection = found.connections[0]
+    exact = refine_connection(connection, energy=Decimal(energy), parameters=lab.parameters.decimal_base())
+    assert exact.converged
+    assert float(exact.residual) <= 1e-20
+    assert exact.correction < STATE
+    for orbit in exact.orbits:
+        assert float(orbit.period) == pytest.approx(orbit.orbit.period, abs=PERIOD)
+        assert np.abs(orbit.state.astype(float) - orbit.orbit.state).max() < STATE
+
+
+@pytest.mark.parametrize("energy", [-0.12, 0.05, 0.15])
+def test_connections_of_other_energies_flow_back_to_their_orbits_both_ways(lab, energy):
+    found = find_connections(*orbits_between(lab.system, "down-up", "down-up", energy))
+    for c in found.connections:
+        for orbit, sign in ((c.source, -1), (c.target, 1)):
+            flown = orbit.system.propagator.sample(c.state, sign * np.linspace(0, 3.0, 1500))
+            assert OrbitCurve(orbit).distances(flown)[1].min() < NEAR_ORBIT

@@ -1,0 +1,76 @@
+"""How far from their orbit a tube's seeds should start: the error of the cuts' crossings charted against it.
+
+Truth is computed apart from this project in 113-bit arithmetic. Too near, rounding over the distance turns into an
+error of phase; too far, the straight vector leaves the curved manifold. The default must be at the best.
+"""
+
+import numpy as np
+import pytest
+
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.connections import find_connections, orbits_between
+from dpcontrol.tubes.cut import tube_cut
+from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
+from dpcontrol.tubes.manifold import UnstableManifold
+from tests.reference_values import CONNECTIONS
+
+DISTANCES = (1e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 1e-2)
+CHARTED = (("down-up", "down-up", -0.07), ("up-down", "up-down", 0.2))
+BESIDE_THE_BEST = 3.01  # the bar: a factor of three
+REFINED = 1e-12  # after multiple shooting no distance shows any more
+
+
+def images(key):
+    """The reference states, their mirror images and reflections."""
+    states = [np.array(s) for s in CONNECTIONS[key][1]]
+    states += [x * [-1, -1, 1, 1] for x in states]
+    return np.array(states + [-x for x in states])
+
+
+def off(state, truths):
+    """Scaled distance of a state from the nearest of the truths, angles modulo a turn."""
+    gap = np.abs(state - truths)
+    gap[:, :2] = np.abs(2 * np.sin(gap[:, :2] / 2)) / np.pi
+    gap[:, 2:] /= 10
+    return float(gap.max(axis=1).min())
+
+
+def unrefined_errors(key, distance):
+    """The errors of all crossings of the cuts, before they are refined from farther out."""
+    system, settings = load_model("lab").system, ConnectionSettings(distance=distance)
+    orbit, _ = orbits_between(system, *key)
+    manifold, section = UnstableManifold(orbit, distance), system.sections[key[:2]]
+    cut = tube_cut(manifold, section, settings=settings.cut)
+    found, _ = intersect_cuts(system, section, (manifold, manifold), (cut, cut), settings)
+    return [off(crossing.states[0], images(key)) for crossing in found]
+
+
+@pytest.fixture(scope="module")
+def chart():
+    """Geometric mean of the errors at each distance: single ones are as lucky as rounding is."""
+    return np.array([
+        np.exp(np.mean(np.log([e for key in CHARTED for e in unrefined_errors(key, distance)])))
+        for distance in DISTANCES
+    ])  # fmt: skip
+
+
+def test_the_default_distance_is_at_the_best(chart):
+    best = DISTANCES[int(np.argmin(chart))]
+    default = ConnectionSettings().distance
+    assert max(best / default, default / best) < BESIDE_THE_BEST
+    assert chart[DISTANCES.index(default)] < 3 * chart.min()
+
+
+def test_errors_grow_either_way_as_rounding_and_truncation_do(chart):
+    assert chart[0] > 5 * chart.min(), "rounding, which falls as the distance grows"
+    growth = np.log(chart[-1] / chart[-2]) / np.log(DISTANCES[-1] / DISTANCES[-2])
+    assert 1.5 < growth < 3.5, "truncation, a power of the distance"
+
+
+@pytest.mark.parametrize("distance", [DISTANCES[0], DISTANCES[-1]])
+def test_what_is_refined_does_not_depend_on_the_distance(distance):
+    key = CHARTED[0]
+    orbits = orbits_between(load_model("lab").system, *key)
+    found = find_connections(*orbits, settings=ConnectionSettings(distance=distance))
+    assert len(found.connections) == CONNECTIONS[key][0]
+    assert max(off(c.state, images(key)) for c in found.connections) < REFINED
