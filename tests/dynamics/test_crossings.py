@@ -7,9 +7,9 @@ from scipy.optimize import brentq
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.scenes.model import load_model
 
-TIME = 1e-11  # s: brentq's own tolerance, and rounding grown over three seconds
-STATE = 1e-9
-LONGEST = 3.0
+TIME = 1e-11  # s: brentq's own tolerance, and rounding grown over two seconds
+STATE = 1e-9  # the same rounding times accelerations of a hundred
+LONGEST = 2.0
 LIFTED = Section("angle_2 = 2 pi k", (0, 1, 0, 0), (1, 0, 0, 0), (1, 0), period=2 * np.pi)
 RISING = Section("rising", (0, 1, 0, 0), (1, 0, 0, 0), (1, 0), period=2 * np.pi, side=(0, 0, 0, 1))
 ALIGNED = Section("angle_1 = angle_2", (1, -1, 0, 0), (1, 0, 0, 0), (1, 1), period=2 * np.pi)

@@ -1,0 +1,49 @@
+"""Benchmarks: run when asked for, by `pytest -m benchmark tests/benchmarks`; they compare side by side, for minutes.
+
+Ratios found are held against those in ratios.json; DPCONTROL_STORE_RATIOS=1 replaces them.
+"""
+
+import json
+import os
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+STORED = HERE / "ratios.json"
+KEPT = 0.5  # of a stored ratio: other machines and busy ones differ by less, a lost vector unit by more
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Skip benchmarks unless the marker expression names them."""
+    if "benchmark" in config.getoption("markexpr"):
+        return
+    reason = pytest.mark.skip(reason="a benchmark: run it with pytest -m benchmark tests/benchmarks")
+    for item in items:
+        if item.get_closest_marker("benchmark"):
+            item.add_marker(reason)
+
+
+@pytest.fixture
+def one_core() -> Iterator[int]:
+    """Keep this process, and those it starts, on one core; its number."""
+    before = os.sched_getaffinity(0)
+    core = max(before)
+    os.sched_setaffinity(0, {core})
+    yield core
+    os.sched_setaffinity(0, before)
+
+
+@pytest.fixture
+def hold() -> Callable[[str, float], None]:
+    """Hold a ratio against the stored one of its name, or store it."""
+
+    def check(name: str, ratio: float) -> None:
+        stored = json.loads(STORED.read_text()) if STORED.exists() else {}
+        if os.environ.get("DPCONTROL_STORE_RATIOS") == "1":
+            STORED.write_text(json.dumps({**stored, name: float(f"{ratio:.3g}")}, indent=1, sort_keys=True) + "\n")
+        elif name in stored:
+            assert ratio >= KEPT * stored[name], f"{name} was {stored[name]}, is {ratio:.3g}"
+
+    return check
