@@ -2,12 +2,13 @@
 
 Keys, all float64 unless said otherwise:
 
-    header   JSON text (a 0-d string array): {"format": "dpcontrol-reference", "version": 1, "method": "radau-5",
+    header   JSON text (a 0-d string array): {"format": "dpcontrol-reference", "version": 2, "method": "radau-5",
              "status": text, "converged": bool, "limits": {"position", "velocity", "acceleration"},
              "numbers": {the result's figures by name}, "notes": {what the caller stored}}
     mesh     (N+1,)        interval ends, s
     points   (K,)          collocation points of an interval scaled to 0 … 1
-    states   (N, K+1, nx)  at the interval's start and its points: angles, rates, cart position, cart velocity
+    support  (K+1,)        where the states are given on it (version 1: 0 and the points)
+    states   (N, K+1, nx)  at the support: angles, rates, cart position, cart velocity
     inputs   (N, K, nu)    at the points: cart acceleration, m/s²
     extra_*  any shape     arrays the caller stored, by name
 
@@ -33,7 +34,9 @@ from dpcontrol.references.reference import Reference
 Array = NDArray[np.float64]
 
 FORMAT = "dpcontrol-reference"
-VERSION = 1
+VERSION = 2
+READ = (1, 2)
+"""Versions that are read."""
 _EXTRA = "extra_"
 _NUMBERS = (
     "max_error_between_nodes",
@@ -75,6 +78,7 @@ def save_reference(path: Path, reference: Reference) -> None:
             header=np.array(text),
             mesh=reference.mesh,
             points=reference.method.points,
+            support=reference.method.support,
             states=reference.states,
             inputs=reference.inputs,
             **arrays,
@@ -85,13 +89,15 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
     """Make a reference of a file's parts; any of the raised errors means that the file is not one."""
     if header["format"] != FORMAT:
         raise ValueError(f"its format is {header['format']!r}")
-    if header["version"] != VERSION:
-        raise ValueError(f"its version is {header['version']!r}, this program reads version {VERSION}")
+    if header["version"] not in READ:
+        raise ValueError(f"its version is {header['version']!r}, this program reads {' and '.join(map(str, READ))}")
     method = method_named(header["method"])
     mesh, states, inputs = (np.asarray(arrays[k], dtype=float) for k in ("mesh", "states", "inputs"))
     intervals, count = len(mesh) - 1, len(method.points)
     if not np.allclose(arrays["points"], method.points, rtol=0, atol=1e-12):
         raise ValueError(f"its points are not those of {method.name}")
+    if "support" in arrays and not np.allclose(arrays["support"], method.support, rtol=0, atol=1e-12):
+        raise ValueError(f"its states are not given where {method.name} has them")
     if intervals < 1 or not (np.diff(mesh) > 0).all():
         raise ValueError("its mesh does not rise")
     if states.shape[:2] != (intervals, count + 1) or inputs.shape[:2] != (intervals, count):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
-from dpcontrol.references.method import Method, interpolation_matrix
+from dpcontrol.references.method import Method, differentiation_matrix, interpolation_matrix
 from dpcontrol.references.problem import Limits, ReferenceProblem, state_scale
 from dpcontrol.references.transcription import Trajectory
 
@@ -78,13 +78,16 @@ def largest_on_intervals(points: Array, values: Array, *, above: float) -> float
 
 
 def largest_values(trajectory: Trajectory, *, method: Method, limits: Limits) -> dict[str, float]:
-    """Return the largest |position|, |velocity| and |acceleration| of the cart, between nodes too."""
+    """Return the largest size of each limited quantity of the cart, between nodes too."""
     curves = {
         "position": (method.support, trajectory.states[..., -2]),
         "velocity": (method.support, trajectory.states[..., -1]),
         "acceleration": (method.points, trajectory.inputs[..., 0]),
     }
     bounds = limits.named()
+    if "jerk" in bounds:
+        slopes = trajectory.inputs[..., 0] @ differentiation_matrix(method.points).T
+        curves["jerk"] = (method.points, slopes / np.diff(trajectory.mesh)[:, None])
     # A curve that stays below nine tenths of its bound on the dense grid does not pass it in between.
     return {
         name: largest_on_intervals(points, values, above=0.9 * bounds[name])

@@ -67,18 +67,20 @@ def first_mesh(problem: ReferenceProblem, settings: ReferenceSettings, *, method
 
 def on_mesh(trajectory: Trajectory, mesh: Array, *, method: Method) -> Trajectory:
     """Return `trajectory` evaluated on another mesh of the same span."""
-    times = mesh[:-1, None] + np.diff(mesh)[:, None] * method.support
-    # Points belong to the interval that holds the middle of their own, also at shared ends.
+    # Places belong to the interval that holds the middle of their own, also at shared ends.
     middle = (mesh[:-1] + mesh[1:]) / 2
     index = np.searchsorted(trajectory.mesh, middle, side="right") - 1
-    tau = (times - trajectory.mesh[index][:, None]) / np.diff(trajectory.mesh)[index][:, None]
-    shape = tau.shape
-    at_states = interpolation_matrix(method.support, tau.ravel()).reshape(*shape, -1)
-    at_inputs = interpolation_matrix(method.points, tau[:, 1:].ravel()).reshape(shape[0], shape[1] - 1, -1)
+    empty = Trajectory(mesh, np.empty(0), np.empty(0))
+
+    def moved(times: Array, places: Array, values: Array) -> Array:
+        tau = (times - trajectory.mesh[index][:, None]) / np.diff(trajectory.mesh)[index][:, None]
+        rows = interpolation_matrix(places, tau.ravel()).reshape(*tau.shape, -1)
+        return np.asarray(np.einsum("ikj,ijn->ikn", rows, values[index]), dtype=np.float64)
+
     return Trajectory(
         mesh,
-        np.einsum("ikj,ijn->ikn", at_states, trajectory.states[index]),
-        np.einsum("ikj,ijn->ikn", at_inputs, trajectory.inputs[index]),
+        moved(empty.node_times(method), method.support, trajectory.states),
+        moved(empty.input_times(method), method.points, trajectory.inputs),
     )
 
 
@@ -170,7 +172,7 @@ def find_reference(
     while True:
         progress(f"reference, {len(first.mesh) - 1} intervals", round_number / settings.rounds)
         round_number += 1
-        solved = solve(problem, method, settings=settings, first=first, limits=limits)
+        solved = solve(problem, method, settings=settings, first=first, limits=limits, warm=round_number > 1)
         iterations += solved.iterations
         seconds += solved.seconds
         if not solved.succeeded:

@@ -1,11 +1,13 @@
-"""Collocation methods as data: points, differentiation matrix, quadrature weights, end weights.
+"""Collocation methods as data: points, support, differentiation matrix, quadrature weights, end weights.
 
-On one interval, scaled to 0 ≤ τ ≤ 1, the state is the polynomial through its value at τ = 0 and its values at the
-K collocation points; there its derivative equals the equations' rate. The input is the polynomial through its
-values at the collocation points. A method supplies numbers only; the transcription is one for all.
+On one interval, scaled to 0 ≤ τ ≤ 1, the state is a polynomial of degree K through its values at K + 1 support places,
+the first of them τ = 0; at the K collocation points its derivative equals the equations' rate. The input is the
+polynomial through its values at the collocation points. A method supplies numbers only; the transcription is one for
+all: Legendre–Gauss (radau, gauss, lobatto) with any number of points, Hermite–Simpson as three Lobatto points.
 
-Source: Garg, Patterson, Hager, Rao, Benson & Huntington, A unified framework for the numerical solution of
-optimal control problems using pseudospectral methods, Automatica 46 (2010).
+Sources: Garg, Patterson, Hager, Rao, Benson & Huntington, A unified framework for the numerical solution of optimal
+control problems using pseudospectral methods, Automatica 46 (2010); Hairer & Wanner, Solving Ordinary Differential
+Equations II, section IV.5 (orders; Lobatto IIIA).
 """
 
 from dataclasses import dataclass
@@ -23,26 +25,30 @@ Array = NDArray[np.float64]
 class Method:
     """A collocation method on 0 ≤ τ ≤ 1 with K points.
 
-    points (K,): where the rate is matched, rising. differentiation (K, K+1): values at 0 and the points ->
-    derivatives at the points. weights (K,): of the quadrature. end (K+1,): values at 0 and the points -> value
-    at τ = 1.
+    points (K,): where the rate is matched, rising. support (K+1,): where the state's polynomial has its values, from 0.
+    places (K,): index in `support` of each point. differentiation (K, K+1): values at the support -> derivatives at the
+    points. weights (K,): of the quadrature. end (K+1,): values at the support -> value at τ = 1. order: of the error at
+    the ends of intervals, as their length falls.
     """
 
     name: str
     points: Array
+    support: Array
+    places: NDArray[np.intp]
     differentiation: Array
     weights: Array
     end: Array
-
-    @property
-    def support(self) -> Array:
-        """Return where the state's polynomial has its values: 0 and the points, (K+1,)."""
-        return np.concatenate([[0.0], self.points])
+    order: int
 
     @property
     def closes(self) -> bool:
-        """Tell whether the last point ends the interval, so that it is the next interval's start."""
-        return bool(self.points[-1] == 1.0)
+        """Tell whether the last support place ends the interval, so that it is the next interval's start."""
+        return bool(self.support[-1] == 1.0)
+
+    @property
+    def shares_inputs(self) -> bool:
+        """Tell whether points lie on both ends, where neighbouring intervals have one input."""
+        return bool(self.points[0] == 0.0 and self.points[-1] == 1.0)
 
 
 def barycentric_weights(points: Array) -> Array:
@@ -76,50 +82,102 @@ def differentiation_matrix(points: Array) -> Array:
     return matrix
 
 
+def _roots(polynomial: np.polynomial.Legendre) -> Array:
+    """Return the real roots of a Legendre series on -1 … 1, rising, polished by Newton steps, as places in 0 … 1."""
+    slope = polynomial.deriv()
+    roots = np.sort(polynomial.roots().real)
+    for _ in range(3):
+        roots = roots - polynomial(roots) / slope(roots)
+    return (roots + 1) / 2
+
+
+def _checked_count(name: str, count: int, least: int) -> None:
+    if not least <= count <= 12:
+        raise InputError(f"{name}-{count}: the method has {least} to 12 points here; radau-5 serves the pendulum")
+
+
 @cache
 def radau(count: int) -> Method:
     """Return the flipped Legendre–Gauss–Radau method with `count` points, the last at the interval's end.
 
-    State of degree `count`, input of degree `count` - 1; exact quadrature to degree 2 `count` - 2.
+    State of degree `count`, input of degree `count` - 1; exact quadrature to degree 2 `count` - 2; order 2 `count` - 1.
 
     Raises:
         InputError: `count` is not between 2 and 12.
     """
-    if not 2 <= count <= 12:
-        raise InputError(f"radau-{count}: the method has 2 to 12 points here; radau-5 serves the pendulum")
+    _checked_count("radau", count, 2)
     # The points are 1 and the zeros of (P_{K-1} - P_K)/(1 - x), on -1 to 1.
-    legendre = np.polynomial.legendre.Legendre
-    difference = legendre.basis(count - 1) - legendre.basis(count)
-    slope = difference.deriv()
-    inner = np.sort(difference.roots().real)[:-1]
-    for _ in range(3):
-        inner = inner - difference(inner) / slope(inner)
-    points = np.concatenate([(inner + 1) / 2, [1.0]])
-    return collocation_method(f"radau-{count}", points)
+    legendre = np.polynomial.Legendre
+    inner = _roots(legendre.basis(count - 1) - legendre.basis(count))[:-1]
+    points = np.concatenate([inner, [1.0]])
+    return collocation_method(f"radau-{count}", points, order=2 * count - 1)
 
 
-def collocation_method(name: str, points: Array) -> Method:
-    """Return the method that collocates at `points` (K,) in (0, 1]."""
-    support = np.concatenate([[0.0], points])
+@cache
+def gauss(count: int) -> Method:
+    """Return the Legendre–Gauss method with `count` points inside the interval; order 2 `count`.
+
+    Raises:
+        InputError: `count` is not between 1 and 12.
+    """
+    _checked_count("gauss", count, 1)
+    return collocation_method(f"gauss-{count}", _roots(np.polynomial.Legendre.basis(count)), order=2 * count)
+
+
+@cache
+def lobatto(count: int, *, name: str = "") -> Method:
+    """Return the Legendre–Gauss–Lobatto method with `count` points, on both ends of the interval; order 2 `count` - 2.
+
+    The state is of degree `count`, one more than its points bear: its value halfway to the second point is free and
+    makes up for the rate that is matched at τ = 0.
+
+    Raises:
+        InputError: `count` is not between 2 and 12.
+    """
+    _checked_count("lobatto", count, 2)
+    inner = _roots(np.polynomial.Legendre.basis(count - 1).deriv()) if count > 2 else np.empty(0)
+    points = np.concatenate([[0.0], inner, [1.0]])
+    return collocation_method(name or f"lobatto-{count}", points, order=2 * count - 2)
+
+
+def collocation_method(name: str, points: Array, *, order: int) -> Method:
+    """Return the method that collocates at `points` (K,) in [0, 1]."""
+    if points[0] == 0.0:
+        support = np.concatenate([[0.0, points[1] / 2], points[1:]])
+        places = np.concatenate([[0], np.arange(2, len(support))]).astype(np.intp)
+    else:
+        support = np.concatenate([[0.0], points])
+        places = np.arange(1, len(support), dtype=np.intp)
     # Interpolatory weights: exact for the powers 0 … K-1.
     powers = np.arange(len(points))
     weights = np.linalg.solve(points[None, :] ** powers[:, None], 1 / (powers + 1.0))
     return Method(
         name=name,
         points=points,
-        differentiation=differentiation_matrix(support)[1:],
+        support=support,
+        places=places,
+        differentiation=differentiation_matrix(support)[places],
         weights=np.asarray(weights, dtype=np.float64),
         end=interpolation_matrix(support, [1.0])[0],
+        order=order,
     )
 
 
+FAMILIES = {"radau": radau, "gauss": gauss, "lobatto": lobatto}
+
+
 def method_named(name: str) -> Method:
-    """Return the method of a name such as "radau-5".
+    """Return the method of a name such as "radau-5", "gauss-4", "lobatto-4" or "hermite-simpson".
 
     Raises:
         InputError: there is no such method.
     """
+    if name == "hermite-simpson":
+        return lobatto(3, name=name)
     family, _, count = name.partition("-")
-    if family != "radau" or not (count.isascii() and count.isdecimal()):
-        raise InputError(f"method = {name!r}: allowed are radau-2 to radau-12")
-    return radau(int(count))
+    if family not in FAMILIES or not (count.isascii() and count.isdecimal()):
+        raise InputError(
+            f"method = {name!r}: allowed are radau-2 to radau-12, gauss-1 to gauss-12, lobatto-2 to lobatto-12 and "
+            "hermite-simpson"
+        )
+    return FAMILIES[family](int(count))

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.tables import suggest
 
 Array = NDArray[np.float64]
 Guess = Callable[[Array], Array]
 """From times (K,) in s to pendulum states (K, 2n): a conservative shadowing orbit."""
 
+SOLVERS = ("ipopt", "fatrop")
 ANGLE_SCALE = np.pi
 RATE_SCALE = 10.0
 CART_VELOCITY_SCALE = 3.0
@@ -26,11 +28,15 @@ CART_VELOCITY_SCALE = 3.0
 
 @dataclass(frozen=True)
 class Limits:
-    """Symmetric bounds of the cart: position m (half the stroke), velocity m/s, acceleration m/s²."""
+    """Symmetric bounds of the cart: position m (half the stroke), velocity m/s, acceleration m/s²; jerk m/s³.
+
+    jerk: zero for none; a bound makes the acceleration continuous.
+    """
 
     position: float = 0.4
     velocity: float = 3.0
     acceleration: float = 30.0
+    jerk: float = 0.0
 
     def __post_init__(self) -> None:
         """Refuse bounds that leave no room.
@@ -38,16 +44,35 @@ class Limits:
         Raises:
             InputError: names the limit and its value.
         """
+        if not np.isfinite(self.jerk) or self.jerk < 0:
+            raise InputError(f"limits: jerk = {self.jerk!r}: must be zero (no limit) or positive, in m/s³")
         for name, value in self.named().items():
             if not 1e-6 <= value <= 1e6:
                 raise InputError(f"limits: {name} = {value!r}: must be 1e-06 to 1e+06 {LIMIT_UNITS[name]}")
 
     def named(self) -> dict[str, float]:
-        """Return {name: bound}."""
-        return {"position": self.position, "velocity": self.velocity, "acceleration": self.acceleration}
+        """Return {name: bound} of those that there are."""
+        bounds = {"position": self.position, "velocity": self.velocity, "acceleration": self.acceleration}
+        return {**bounds, "jerk": self.jerk} if self.jerk > 0 else bounds
 
 
-LIMIT_UNITS = {"position": "m", "velocity": "m/s", "acceleration": "m/s²"}
+LIMIT_UNITS = {"position": "m", "velocity": "m/s", "acceleration": "m/s²", "jerk": "m/s³"}
+
+
+@dataclass(frozen=True, eq=False)
+class Ends:
+    """What holds at the ends of a reference.
+
+    start, end (N,): where it starts and ends, not-a-number for what is free; None: the guess's pendulum state with the
+    cart at rest in the middle. closing (N,): it ends where it starts, plus this (whole turns), wherever that is.
+    energy: of the pendulum at the start in J, or None. stretch: share by which the duration may change, zero for none.
+    """
+
+    start: Array | None = None
+    end: Array | None = None
+    closing: Array | None = None
+    energy: float | None = None
+    stretch: float = 0.0
 
 
 def state_scale(dimension: int, limits: Limits) -> Array:
@@ -65,7 +90,8 @@ class ReferenceProblem:
 
     equations: at the cart level, state (N,) = angles, rates, cart position and velocity, one input;
     parameters (p,): base parameters with friction; guess: the orbit to follow from time 0 to `duration` s;
-    limits of the cart.
+    limits of the cart; ends: what holds at start and end. cart_guess: from times (K,) to cart position, velocity and
+    acceleration (K, 3) where the search starts; None: at rest in the middle.
     """
 
     equations: Equations
@@ -73,6 +99,8 @@ class ReferenceProblem:
     guess: Guess
     duration: float
     limits: Limits = field(default_factory=Limits)
+    ends: Ends = field(default_factory=Ends)
+    cart_guess: Guess | None = None
 
     def __post_init__(self) -> None:
         """Refuse what cannot be transcribed.
@@ -92,6 +120,25 @@ class ReferenceProblem:
             )
         if not np.isfinite(self.duration) or self.duration <= 0:
             raise InputError(f"duration = {self.duration!r}: must be a positive, finite number of seconds")
+        for name in ("start", "end", "closing"):
+            value = getattr(self.ends, name)
+            if value is not None and np.shape(value) != (e.dimension,):
+                raise InputError(f"ends: {name} has shape {np.shape(value)}: the state is ({e.dimension},)")
+        if not 0 <= self.ends.stretch < 1:
+            raise InputError(f"ends: stretch = {self.ends.stretch!r}: must be zero or more and less than 1")
+
+    def end_states(self) -> tuple[Array, Array]:
+        """Return the fixed states (N,) at start and end, not-a-number where free."""
+        given = self.guess_at(np.array([0.0, self.duration]))
+        ends = [self.ends.start, self.ends.end]
+        if self.ends.closing is not None:
+            return (np.full(self.equations.dimension, np.nan) if ends[0] is None else ends[0],
+                    np.full(self.equations.dimension, np.nan))  # fmt: skip
+        start, end = (
+            np.concatenate([given[k], [0.0, 0.0]]) if fixed is None else np.asarray(fixed, dtype=float)
+            for k, fixed in enumerate(ends)
+        )
+        return start, end
 
     @property
     def pendulum_dimension(self) -> int:
@@ -118,13 +165,14 @@ class ReferenceProblem:
 class ReferenceSettings:
     """How a reference is sought.
 
-    method: by name; interval: first length of an interval, s; tolerance: allowed error between nodes (scaled);
-    pendulum_weight w_z and cart_weight w_x of the cost; end_tolerance: how far (scaled) the pendulum may end from
-    the guess's end; rounds: of refinement of the mesh or tightening of limits; iterations: of the solver, each
-    round.
+    method: by name; solver: "ipopt" or "fatrop"; interval: first length of an interval, s; tolerance: allowed error
+    between nodes (scaled); pendulum_weight w_z and cart_weight w_x of the cost; end_tolerance: how far (scaled) the
+    pendulum may end from the guess's end; rounds: of refinement of the mesh or tightening of limits; iterations: of the
+    solver, each round.
     """
 
     method: str = "radau-5"
+    solver: str = "ipopt"
     interval: float = 0.02
     tolerance: float = 1e-6
     pendulum_weight: float = 0.1
@@ -139,6 +187,8 @@ class ReferenceSettings:
         Raises:
             InputError: names the setting, its value and what is allowed.
         """
+        if self.solver not in SOLVERS:
+            raise InputError(f"solver = {self.solver!r}: {suggest(self.solver, SOLVERS)}")
         # Below the least interval a mesh may have more intervals than memory holds.
         for name, least, most in (("interval", 1e-3, 10.0), ("tolerance", 1e-20, 1.0)):
             if not least <= getattr(self, name) <= most:

@@ -2,9 +2,9 @@
 
     Σ_j D_kj x_j = h f(x_k, u_k)   at the points k of each interval of length h,   x(τ = 1) = next interval's start
 
-The interval is one casadi function, mapped over the mesh; IPOPT solves with exact Hessians. Variables are scaled
-by `state_scale`. Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., ch. 4;
-Wächter & Biegler, Mathematical Programming 106 (2006), for IPOPT.
+The interval is one casadi function, mapped over the mesh; variables are scaled by `state_scale` and ordered by stage,
+an interval's start, its inner values, its inputs: what a structure-exploiting solver needs, and a sparse one does not
+mind. Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., ch. 4.
 """
 
 import time
@@ -15,7 +15,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.references.method import Method
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.references.derivatives import interval_derivatives
+from dpcontrol.references.method import Method, differentiation_matrix, interpolation_matrix
 from dpcontrol.references.problem import (
     ANGLE_SCALE,
     RATE_SCALE,
@@ -24,13 +26,14 @@ from dpcontrol.references.problem import (
     ReferenceSettings,
     state_scale,
 )
+from dpcontrol.references.solvers import solver_options
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """Values on a mesh: mesh (N+1,) s, states (N, K+1, nx) at interval starts and points, inputs (N, K, nu)."""
+    """Values on a mesh: mesh (N+1,) s, states (N, K+1, nx) at the method's support, inputs (N, K, nu) at its points."""
 
     mesh: Array
     states: Array
@@ -39,6 +42,10 @@ class Trajectory:
     def node_times(self, method: Method) -> Array:
         """Return the times (N, K+1) of `states`."""
         return self.mesh[:-1, None] + np.diff(self.mesh)[:, None] * method.support
+
+    def input_times(self, method: Method) -> Array:
+        """Return the times (N, K) of `inputs`."""
+        return self.mesh[:-1, None] + np.diff(self.mesh)[:, None] * method.points
 
 
 @dataclass(frozen=True)
@@ -55,51 +62,229 @@ class Solved:
 
 
 def first_trajectory(problem: ReferenceProblem, method: Method, mesh: Array) -> Trajectory:
-    """Return the guess on the mesh, with the cart at rest in the middle and no input."""
-    shape = (len(mesh) - 1, len(method.support))
-    times = mesh[:-1, None] + np.diff(mesh)[:, None] * method.support
-    states = np.zeros((*shape, problem.equations.dimension))
-    states[..., : problem.pendulum_dimension] = problem.guess_at(times.ravel()).reshape(*shape, -1)
-    return Trajectory(mesh, states, np.zeros((shape[0], len(method.points), 1)))
+    """Return the guess on the mesh; the cart rests in the middle unless the problem says where it goes."""
+    empty = Trajectory(mesh, np.empty(0), np.empty(0))
+    times, input_times = empty.node_times(method), empty.input_times(method)
+    states = np.zeros((*times.shape, problem.equations.dimension))
+    states[..., : problem.pendulum_dimension] = problem.guess_at(times.ravel()).reshape(*times.shape, -1)
+    inputs = np.zeros((*input_times.shape, 1))
+    if problem.cart_guess is not None:
+        states[..., problem.pendulum_dimension :] = problem.cart_guess(times.ravel())[:, :2].reshape(*times.shape, 2)
+        inputs[..., 0] = problem.cart_guess(input_times.ravel())[:, 2].reshape(input_times.shape)
+    return Trajectory(mesh, states, inputs)
 
 
 def _interval(problem: ReferenceProblem, method: Method, settings: ReferenceSettings) -> ca.Function:
-    """Return (start, points, inputs, length, guess) -> (defects, end, cost) of one interval, states scaled."""
+    """Return (start, values, inputs, length, guess) -> (defects, end, cost, jerk) of one interval, states scaled.
+
+    values (nx, K): at the support but for its first place; guess (nz, K): at the points.
+    """
     e = problem.equations
     count, nx, nz = len(method.points), e.dimension, problem.pendulum_dimension
     scale = ca.DM(state_scale(nx, problem.limits))
-    start, points = ca.SX.sym("start", nx), ca.SX.sym("points", nx, count)
+    start, values = ca.SX.sym("start", nx), ca.SX.sym("values", nx, count)
     inputs, length = ca.SX.sym("inputs", 1, count), ca.SX.sym("length")
     guess = ca.SX.sym("guess", nz, count)
     rate = e.function()
-    values = ca.horzcat(start, points)
-    derivative = ca.mtimes(values, ca.DM(method.differentiation).T)
+    supported = ca.horzcat(start, values)
+    derivative = ca.mtimes(supported, ca.DM(method.differentiation).T)
     pendulum_scale = ca.DM([ANGLE_SCALE] * (nz // 2) + [RATE_SCALE] * (nz // 2))
     defects, cost = [], ca.SX(0)
-    for k in range(count):
-        x = scale * points[:, k]
+    for k, place in enumerate(method.places):
+        x = scale * supported[:, int(place)]
         defects.append(derivative[:, k] - length * rate(x, inputs[:, k], ca.DM(problem.parameters)) / scale)
         away = (x[:nz] - guess[:, k]) / pendulum_scale
         running = inputs[0, k] ** 2 + settings.pendulum_weight * ca.sumsqr(away) + settings.cart_weight * x[nz] ** 2
         cost += length * float(method.weights[k]) * running
-    end = ca.mtimes(values, ca.DM(method.end))
-    return ca.Function(
-        "interval", [start, points, inputs, length, guess], [ca.vertcat(*defects), end, cost], {"cse": True}
-    )
+    end = ca.mtimes(supported, ca.DM(method.end))
+    slopes = differentiation_matrix(method.points) if count > 1 else np.zeros((1, 1))
+    jerk = ca.mtimes(inputs, ca.DM(slopes).T) / length
+    outputs = [ca.vertcat(*defects), end, cost, jerk.T]
+    return ca.Function("interval", [start, values, inputs, length, guess], outputs, {"cse": True})
 
 
-def _options(settings: ReferenceSettings) -> dict[str, Any]:
-    return {
-        "print_time": False,
-        "error_on_fail": False,
-        "ipopt.print_level": 0,
-        "ipopt.sb": "yes",
-        "ipopt.max_iter": settings.iterations,
-        "ipopt.tol": 1e-8,
-        "ipopt.constr_viol_tol": 1e-10,
-        # IPOPT would otherwise widen every bound by 1e-8 before it starts.
-        "ipopt.bound_relax_factor": 0.0,
-    }
+class _Program:
+    """The nonlinear program of one mesh: its expressions, bounds, and where its variables lie.
+
+    Variables, by column: an interval's start, its support values (but for one that is the next interval's start, unless
+    the solver wants every stage on its own), its inputs. Then the last state, then the duration's factor if it is free.
+    """
+
+    def __init__(
+        self, problem: ReferenceProblem, method: Method, settings: ReferenceSettings, mesh: Array, limits: Limits
+    ) -> None:
+        self.problem, self.method, self.settings, self.mesh, self.limits = problem, method, settings, mesh, limits
+        self.nx, self.nz = problem.equations.dimension, problem.pendulum_dimension
+        self.count, self.intervals = len(method.points), len(mesh) - 1
+        self.scale = state_scale(self.nx, problem.limits)
+        self.staged = settings.solver == "fatrop"
+        self.shared = method.closes and not self.staged
+        self.free = self.count - 1 if self.shared else self.count
+        self.stretches = problem.ends.stretch > 0
+        self.coupled = method.shares_inputs or limits.jerk > 0
+        if self.staged and (self.stretches or self.coupled or problem.ends.closing is not None):
+            raise InputError(
+                'solver = "fatrop" takes stages one by one: it serves fixed times, open ends and inputs that may jump; '
+                'use "ipopt" for a free duration, a periodic orbit, a jerk limit, lobatto or hermite-simpson'
+            )
+        # What couples more than neighbouring intervals is left to casadi's own derivatives.
+        self.plain = not (self.staged or self.stretches or self.coupled or problem.ends.closing is not None)
+        self.plain = self.plain and problem.ends.energy is None
+        self.options: dict[str, Any] = {}
+        if self.plain:
+            self._assemble_by_interval()
+        else:
+            self._assemble()
+
+    def _assemble_by_interval(self) -> None:
+        """Make the program, and its derivatives, from one interval's."""
+        nx, count, n, free = self.nx, self.count, self.intervals, self.free
+        width = nx * (1 + free) + count
+        v, length, aim = ca.SX.sym("v", width + nx), ca.SX.sym("length"), ca.SX.sym("aim", self.nz * count)
+        inner, following = v[nx : nx * (1 + free)], v[width:]
+        values = ca.vertcat(inner, following) if self.shared else inner
+        defects, end, cost, _ = _interval(self.problem, self.method, self.settings)(
+            v[:nx],
+            ca.reshape(values, nx, count),
+            v[nx * (1 + free) : width].T,
+            length,
+            ca.reshape(aim, self.nz, count),
+        )
+        rows = defects if self.shared else ca.vertcat(following - end, defects)
+        parts = interval_derivatives(
+            ca.Function("interval", [v, length, aim], [rows, cost]),
+            columns=(np.arange(width + nx)[:, None] + width * np.arange(n)).astype(np.intp),
+            lengths=np.diff(self.mesh),
+            guess=self._aims().reshape(n, count * self.nz).T,
+            size=width * n + nx,
+        )
+        self.program, self.options = parts["program"], parts["options"]
+        zeros = np.zeros(rows.shape[0] * n)
+        self.low_g, self.high_g = [zeros], [zeros]
+
+    def _aims(self) -> Array:
+        """Return the guess (N * K, nz) at the points."""
+        times = self.mesh[:-1, None] + np.diff(self.mesh)[:, None] * self.method.points
+        return self.problem.guess_at(times.ravel())
+
+    def _assemble(self) -> None:
+        nx, count, n, free = self.nx, self.count, self.intervals, self.free
+        stages = ca.MX.sym("stages", nx * (1 + free) + count, n)
+        last = ca.MX.sym("last", nx)
+        factor = ca.MX.sym("factor") if self.stretches else ca.MX(1)
+        starts, inner = stages[:nx, :], stages[nx : nx * (1 + free), :]
+        inputs = stages[nx * (1 + free) :, :]
+        following = ca.horzcat(starts[:, 1:], last)
+        values = ca.vertcat(inner, following) if self.shared else inner
+        defects, ends, costs, jerks = _interval(self.problem, self.method, self.settings).map(n)(
+            starts,
+            ca.reshape(values, nx, count * n),
+            ca.reshape(inputs, 1, count * n),
+            ca.DM(np.diff(self.mesh)).T * factor,
+            ca.DM(self._aims().T),
+        )
+        blocks = [defects] if self.shared else [following - ends, defects]
+        low = [np.zeros((nx * count + (0 if self.shared else nx), n))]
+        high = [low[0]]
+        if self.limits.jerk > 0:
+            blocks.append(jerks)
+            low.append(np.full((count, n), -self.limits.jerk))
+            high.append(-low[-1])
+        matrix = ca.vertcat(*blocks)
+        rows, self.low_g, self.high_g = [ca.vec(matrix)], [np.vstack(low).T.ravel()], [np.vstack(high).T.ravel()]
+        self._join_ends(rows, starts[:, 0], last, matrix)
+        if self.coupled and n > 1:
+            left, right = (interpolation_matrix(self.method.points, [tau])[0] for tau in (1.0, 0.0))
+            jumps = ca.mtimes(ca.DM(left).T, inputs[:, :-1]) - ca.mtimes(ca.DM(right).T, inputs[:, 1:])
+            self._equal(rows, ca.vec(jumps), np.zeros(n - 1))
+        variables = [ca.vec(stages), last]
+        if self.stretches:
+            variables.append(factor)
+        self.program = {"x": ca.vertcat(*variables), "f": ca.sum2(costs), "g": ca.vertcat(*rows)}
+        self.ng = [matrix.shape[0]] * n
+
+    def _equal(self, rows: list[ca.MX], expression: ca.MX, values: Array) -> None:
+        rows.append(expression)
+        self.low_g.append(values)
+        self.high_g.append(values)
+
+    def _join_ends(self, rows: list[ca.MX], first: ca.MX, last: ca.MX, matrix: ca.MX) -> None:
+        """Add what holds at the ends beyond bounds: closing, energy; and all of it where stages have no bounds."""
+        ends, e = self.problem.ends, self.problem.equations
+        if ends.closing is not None:
+            self._equal(rows, last - first, np.asarray(ends.closing) / self.scale)
+        if ends.energy is not None:
+            energy = ca.Function("energy", [e.state, e.parameters], [e.hamiltonian])
+            value = energy(ca.DM(self.scale) * first, ca.DM(self.problem.parameters))
+            self._equal(rows, value, np.array([ends.energy]))
+        if self.staged:
+            start, end = (x / self.scale for x in self.problem.end_states())
+            rest = ca.vec(matrix[:, 1:])
+            fixed, held = np.flatnonzero(np.isfinite(start)), np.flatnonzero(np.isfinite(end))
+            width = matrix.shape[0]
+            rows[:] = [matrix[:, 0], first[fixed.tolist()], rest, last[held.tolist()]]
+            low, high = self.low_g[0], self.high_g[0]
+            slack = np.where(held < self.nz, self.settings.end_tolerance, 0.0)
+            self.low_g[:] = [low[:width], start[fixed], low[width:], end[held] - slack]
+            self.high_g[:] = [high[:width], start[fixed], high[width:], end[held] + slack]
+            self.fixed_counts = (len(fixed), len(held))
+
+    def bounds(self) -> tuple[Array, Array]:
+        """Return the lower and upper bounds of the variables."""
+        box = np.full(self.nx, np.inf)
+        box[self.nz :] = np.array([self.limits.position, self.limits.velocity]) / self.scale[self.nz :]
+        stage = np.concatenate([np.tile(box, 1 + self.free), np.full(self.count, self.limits.acceleration)])
+        high = np.concatenate([np.tile(stage, self.intervals), box])
+        low = -high
+        if self.staged:
+            # These stand among the constraints; a bound that leaves no room would not be strictly feasible.
+            high[: self.nx], low[: self.nx] = np.inf, -np.inf
+            high[-self.nx :], low[-self.nx :] = np.inf, -np.inf
+        else:
+            start, end = (x / self.scale for x in self.problem.end_states())
+            slack = np.where(np.arange(self.nx) < self.nz, self.settings.end_tolerance, 0.0)
+            fixed, held = np.isfinite(start), np.isfinite(end)
+            low[: self.nx][fixed] = high[: self.nx][fixed] = start[fixed]
+            low[-self.nx :][held], high[-self.nx :][held] = (end - slack)[held], (end + slack)[held]
+        if self.stretches:
+            stretch = self.problem.ends.stretch
+            low, high = np.append(low, 1 - stretch), np.append(high, 1 + stretch)
+        return low, high
+
+    def packed(self, first: Trajectory) -> Array:
+        """Return the variables of a trajectory."""
+        scaled = first.states / self.scale
+        stages = np.hstack(
+            [
+                scaled[:, : 1 + self.free].reshape(self.intervals, -1),
+                first.inputs.reshape(self.intervals, -1),
+            ]
+        )
+        values = np.concatenate([stages.ravel(), self.method.end @ scaled[-1]])
+        return np.append(values, 1.0) if self.stretches else values
+
+    def unpacked(self, values: Array) -> Trajectory:
+        """Return the trajectory of the variables."""
+        factor = float(values[-1]) if self.stretches else 1.0
+        body = values[:-1] if self.stretches else values
+        last = body[-self.nx :]
+        stages = body[: -self.nx].reshape(self.intervals, -1)
+        split = self.nx * (1 + self.free)
+        states = stages[:, :split].reshape(self.intervals, 1 + self.free, self.nx)
+        if self.shared:
+            following = np.vstack([states[1:, 0], last[None]])
+            states = np.concatenate([states, following[:, None]], axis=1)
+        inputs = stages[:, split:].reshape(self.intervals, self.count, 1)
+        mesh = self.mesh[0] + (self.mesh - self.mesh[0]) * factor
+        return Trajectory(mesh, states * self.scale, inputs.copy())
+
+    def structure(self) -> tuple[list[int], list[int], list[int], list[bool]]:
+        """Return, stage by stage, the numbers of states, inputs and constraints, and which constraints are equal."""
+        n, width = self.intervals, self.nx * self.free + self.count
+        gaps = self.ng[0] - self.nx
+        counts = [gaps + self.fixed_counts[0], *([gaps] * (n - 1)), self.fixed_counts[1]]
+        equal = np.concatenate(self.low_g) == np.concatenate(self.high_g)
+        return [self.nx] * (n + 1), [width] * n + [0], counts, [bool(value) for value in equal]
 
 
 def solve(
@@ -109,73 +294,29 @@ def solve(
     settings: ReferenceSettings,
     first: Trajectory,
     limits: Limits,
+    warm: bool = False,
 ) -> Solved:
-    """Solve the program on the mesh of `first`, starting from it, with `limits` at all nodes."""
+    """Solve the program on the mesh of `first`, starting from it, with `limits` at all nodes.
+
+    warm: `first` is nearly a solution.
+
+    Raises:
+        InputError: a formulation that the solver does not serve.
+    """
     began = time.perf_counter()
-    mesh = first.mesh
-    count, intervals = len(method.points), len(mesh) - 1
-    nx, nz = problem.equations.dimension, problem.pendulum_dimension
-    scale = state_scale(nx, problem.limits)
-    free = count - 1 if method.closes else count
-    starts = ca.MX.sym("starts", nx, intervals + 1)
-    inner = ca.MX.sym("inner", nx * free, intervals)
-    inputs = ca.MX.sym("inputs", count, intervals)
-    points = ca.vertcat(inner, starts[:, 1:]) if method.closes else inner
-    times = first.node_times(method)[:, 1:]
-    guess = problem.guess_at(times.ravel()).reshape(intervals, count * nz)
-    # casadi keeps a matrix (nz, K) of each interval side by side, which is numpy's order of (N, K, nz).
-    wide = guess.reshape(intervals * count, nz).T
-    defects, ends, costs = _interval(problem, method, settings).map(intervals)(
-        starts[:, :-1],
-        ca.reshape(points, nx, count * intervals),
-        ca.reshape(inputs, 1, count * intervals),
-        ca.DM(np.diff(mesh)).T,
-        ca.DM(wide),
-    )
-    constraints = [ca.vec(defects)]
-    if not method.closes:
-        constraints.append(ca.vec(ends - starts[:, 1:]))
-    program = {
-        "x": ca.veccat(starts, inner, inputs),
-        "f": ca.sum2(costs),
-        "g": ca.vertcat(*constraints),
-    }
-    solver = ca.nlpsol("reference", "ipopt", program, _options(settings))
-
-    box = np.full(nx, np.inf)
-    box[nz:] = np.array([limits.position, limits.velocity]) / scale[nz:]
-    high_starts = np.tile(box, (intervals + 1, 1))
-    low_starts = -high_starts
-    ends_at = problem.guess_at(np.array([mesh[0], mesh[-1]])) / scale[:nz]
-    low_starts[0], high_starts[0] = (np.concatenate([ends_at[0], [0.0, 0.0]]),) * 2
-    low_starts[-1], high_starts[-1] = (np.concatenate([ends_at[1], [0.0, 0.0]]),) * 2
-    low_starts[-1, :nz] -= settings.end_tolerance
-    high_starts[-1, :nz] += settings.end_tolerance
-    high = np.concatenate(
-        [high_starts.ravel(), np.tile(box, intervals * free), np.full(count * intervals, limits.acceleration)]
-    )
-    low = np.concatenate([low_starts.ravel(), -high[high_starts.size :]])
-    scaled = first.states / scale
-    last = scaled[-1] if method.closes else np.vstack([scaled[-1], method.end @ scaled[-1]])
-    guess_starts = np.vstack([scaled[:, 0], last[-1:]])
-    x0 = np.concatenate([guess_starts.ravel(), scaled[:, 1 : 1 + free].ravel(), first.inputs.ravel()])
-    out = solver(x0=np.clip(x0, low, high), lbx=low, ubx=high, lbg=0.0, ubg=0.0)
-
-    w = np.array(out["x"]).ravel()
-    split = nx * (intervals + 1)
-    found_starts = w[:split].reshape(intervals + 1, nx)
-    found_inner = w[split : split + nx * free * intervals].reshape(intervals, free, nx)
-    states = [found_starts[:-1, None], found_inner]
-    if method.closes:
-        states.append(found_starts[1:, None])
-    trajectory = Trajectory(
-        mesh,
-        np.concatenate(states, 1) * scale,
-        w[split + nx * free * intervals :].reshape(intervals, count, 1),
-    )
+    program = _Program(problem, method, settings, first.mesh, limits)
+    options = solver_options(settings, program.structure() if program.staged else None, warm=warm) | program.options
+    solver = ca.nlpsol("reference", settings.solver, program.program, options)
+    low, high = program.bounds()
+    x0 = np.clip(program.packed(first), low, high)
+    low_g, high_g = np.concatenate(program.low_g), np.concatenate(program.high_g)
+    out = solver(x0=x0, lbx=low, ubx=high, lbg=low_g, ubg=high_g)
+    found = np.array(out["x"]).ravel()
+    residuals = np.array(out["g"]).ravel()
     stats = solver.stats()
-    finite = bool(np.isfinite(w).all())
-    violation = float(np.abs(np.array(out["g"])).max())
+    finite = bool(np.isfinite(found).all())
+    violation = float(np.maximum(np.maximum(residuals - high_g, low_g - residuals), 0.0).max())
+    trajectory = program.unpacked(found)
     return Solved(
         trajectory=trajectory,
         violation=violation if np.isfinite(violation) else float("inf"),
@@ -183,5 +324,5 @@ def solve(
         iterations=int(stats["iter_count"]),
         seconds=time.perf_counter() - began,
         succeeded=bool(stats["success"]) and finite,
-        outcome=str(stats["return_status"]).replace("_", " ").lower(),
+        outcome=str(stats.get("return_status") or stats.get("unified_return_status")).replace("_", " ").lower(),
     )

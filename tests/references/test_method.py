@@ -40,7 +40,7 @@ def test_interpolation_gives_the_values_at_the_points_and_the_polynomial_between
     assert interpolation_matrix(points, at) @ curve(points) == pytest.approx(curve(at), abs=ROUNDING)
 
 
-@pytest.mark.parametrize("name", ["radau-1", "radau-13", "radau", "gauss-5", "radau-x", ""])
+@pytest.mark.parametrize("name", ["radau-1", "radau-13", "radau", "gauss-0", "radau-x", ""])
 def test_an_unknown_method_is_refused_with_what_is_allowed(name: str) -> None:
     with pytest.raises(InputError, match="radau"):
         method_named(name)
