@@ -33,9 +33,9 @@ def interval_derivatives(
     jacobian = ca.jacobian(constraints, v)
     hessian = ca.triu(ca.hessian(weight * cost + ca.dot(multipliers, constraints), v)[0])
     inputs = [v, length, aim]
-    one_jacobian = ca.Function("j", inputs, [constraints, ca.vertcat(*jacobian.nonzeros())], {"cse": True})
+    one_jacobian = ca.Function("j", inputs, [constraints, jacobian.nz[:]], {"cse": True})
     one_gradient = ca.Function("d", inputs, [cost, ca.densify(ca.gradient(cost, v))], {"cse": True})
-    one_hessian = ca.Function("h", [*inputs, weight, multipliers], [ca.vertcat(*hessian.nonzeros())], {"cse": True})
+    one_hessian = ca.Function("h", [*inputs, weight, multipliers], [hessian.nz[:]], {"cse": True})
 
     x, p = ca.MX.sym("x", size), ca.MX.sym("p", 0)
     gathered = ca.reshape(x[columns.T.ravel().tolist()], nv, intervals)
