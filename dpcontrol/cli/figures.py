@@ -24,7 +24,8 @@ def command(*, names: tuple[str, ...], out: Path, as_json: bool) -> None:
     """Draw the paper's computational figures from atlases: each a PNG with a caption and what differs from the paper.
 
     Names: energy-landscape, families, tubes, homoclinics-low, homoclinics-high, heteroclinics, graph,
-    double-homoclinics, colour-wheels, three-body. All are drawn where none is named. Atlases are kept by content.
+    double-homoclinics, triple-homoclinics, colour-wheels, three-body. All are drawn where none is named. Atlases are
+    kept by content.
     """
     from dpcontrol.review.figures.page import Gallery
     from dpcontrol.review.figures.registry import CAPTIONS, draw_figures

@@ -20,6 +20,7 @@ from dpcontrol.scenes.atlas import AtlasSettings, compute_atlas, make_atlas
 from dpcontrol.scenes.model import load_model
 from tests.command_line import dpcontrol
 
+LATER = ("double-homoclinics", "triple-homoclinics", "three-body")
 LEAST_BYTES = 20_000  # of a PNG: empty axes of these sizes take about 8,000
 
 
@@ -44,7 +45,7 @@ def size_of(picture):
     return struct.unpack(">II", content[16:24])
 
 
-@pytest.mark.parametrize("name", [n for n in FIGURES if n not in ("double-homoclinics", "three-body")])
+@pytest.mark.parametrize("name", [n for n in FIGURES if n not in LATER])
 def test_every_figure_is_drawn_with_a_caption_and_what_differs(name, gallery, tmp_path):
     (drawn,) = draw_figures([name], gallery, tmp_path)
     assert drawn.file == tmp_path / f"{name}.png"
@@ -66,7 +67,7 @@ def test_the_drawn_atlas_shows_every_flight_in_space(low):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["double-homoclinics", "three-body"])
+@pytest.mark.parametrize("name", LATER)
 def test_figures_of_later_hits_are_drawn(name, gallery, tmp_path):
     (drawn,) = draw_figures([name], gallery, tmp_path)
     assert drawn.file.stat().st_size > LEAST_BYTES

@@ -3,6 +3,7 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
+from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from dpcontrol.itineraries.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, section_axes
@@ -73,6 +74,7 @@ def draw_cuts(
             axes.annotate(
                 numbers[c.name], (q, c.point[1]), xytext=(5, 5), textcoords="offset points",
                 fontsize=8.5, color=look[c.name], weight="bold", zorder=5,
+                path_effects=[withStroke(linewidth=2.5, foreground="white")],
             )  # fmt: skip
     quiet(axes)
     axes.set_xlabel(f"{coordinate} on the section" + (" (rad)" if period else ""), fontsize=9)

@@ -9,12 +9,12 @@ from pathlib import Path
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Progress, no_progress, whole_file, write_whole
 from dpcontrol.review.figures import (
-    double,
     families,
     graph,
     heteroclinics,
     homoclinics,
     landscape,
+    repeated,
     three_body,
     tubes,
     wheels,
@@ -29,7 +29,8 @@ FIGURES: dict[str, Callable[[Gallery], Page]] = {
     "homoclinics-high": homoclinics.draw_high,
     "heteroclinics": heteroclinics.draw,
     "graph": graph.draw,
-    "double-homoclinics": double.draw,
+    "double-homoclinics": repeated.draw_double,
+    "triple-homoclinics": repeated.draw_triple,
     "colour-wheels": wheels.draw,
     "three-body": three_body.draw,
 }
