@@ -83,13 +83,27 @@ def passage(before: Connection, after: Connection, wraps: int) -> float:
     Phases on the local manifolds are asymptotic, so both connections wobble in step there; the published phase_in and
     phase_out are those of the nearest point at a distance of 1e-3, off by about as much.
     """
+    since, until = _asymptotic_phases(before, after)
+    return (until - since + stop_rounds(before, after, wraps)) * before.target.period
+
+
+def stop_rounds(before: Connection, after: Connection, wraps: int) -> int:
+    """Return by how many whole periods the phase of one connection is ahead of the next one's, at the same time.
+
+    At a stop that turns, each of them puts the next connection a turn farther on.
+    """
+    since, until = _asymptotic_phases(before, after)
+    goal = (before.time_in + after.time_out) / before.target.period + wraps + phase_gap(before, after)
+    return round(goal - (until - since))
+
+
+def _asymptotic_phases(before: Connection, after: Connection) -> tuple[float, float]:
+    """Return the phases, at the crossings of their sections, of the orbit that two connections join and leave."""
     period = before.target.period
     arrival, departure = before.orbit.end, after.orbit.start
     since = arrival.orbit_phase - float(before.orbit.times[-1]) / period
     until = departure.orbit_phase - float(after.orbit.times[0]) / period
-    spare = before.time_in + after.time_out
-    goal = spare / period + wraps + phase_gap(before, after)
-    return (until - since + round(goal - (until - since))) * period
+    return since, until
 
 
 def realised_wraps(connections: Sequence[Connection], stays: Array) -> tuple[int, ...]:
@@ -169,7 +183,7 @@ def first_guess(
     settings = settings or ShadowingSettings()
     strands = strands if strands is not None and strands.segments == settings.segments else Strands(settings.segments)
     system = chain[0].source.system
-    offsets = lattice_offsets(chain)
+    offsets = lattice_offsets(chain, wraps)
     pairs = [(chain[k], chain[(k + 1) % len(chain)]) for k in range(len(wraps))]
     passages = [passage(a, b, n) for n, (a, b) in zip(wraps, pairs, strict=True)]
     stays = [seconds - a.time_in - b.time_out for seconds, (a, b) in zip(passages, pairs, strict=True)]
@@ -218,12 +232,15 @@ def first_guess(
     )
 
 
-def lattice_offsets(chain: Sequence[Connection]) -> Array:
+def lattice_offsets(chain: Sequence[Connection], wraps: Sequence[int]) -> Array:
     """Return whole turns (k + 1, N) by which each connection, and the final orbit, is lifted."""
     offsets = np.zeros((len(chain) + 1, chain[0].source.system.dimension))
     for k, connection in enumerate(chain):
         offsets[k + 1] = offsets[k]
         offsets[k + 1, : len(connection.winding)] += connection.winding
+        if k < len(wraps):
+            rounds = stop_rounds(connection, chain[(k + 1) % len(chain)], wraps[k])
+            offsets[k + 1] += rounds * connection.target.whole_turns
     return offsets
 
 
@@ -282,7 +299,7 @@ def described(
         times = elapsed - crossings[0] + first.time_out + lead_in * first.source.period
         duration = float(times[nodes[-1]]) + last.time_in + lead_out * last.target.period
     realised = realised_wraps(chain, stays)
-    offsets = lattice_offsets(chain)
+    offsets = lattice_offsets(chain, wraps)
     converged, status, fault = shot.converged, shot.status, shot.fault
     certificate = None
     if converged:

@@ -45,7 +45,7 @@ class ManifoldEnd:
         if not self.stable:
             return self.phase
         orbit = self.manifold.orbit
-        turned = orbit.system.reversers[0] @ (orbit.state - orbit.centre) + orbit.centre
+        turned = orbit.reverser @ (orbit.state - orbit.centre) + orbit.centre
         # A reverser runs the orbit backward from its own start, or from half a period on.
         fixed = float(orbit.system.scaled_distance(turned, orbit.state)) < 1e-9
         return (0.0 if fixed else 0.5) - self.phase
@@ -59,7 +59,7 @@ class ManifoldEnd:
         orbit = self.manifold.orbit
         system = orbit.system
         if self.stable:
-            reverser = system.reversers[0]
+            reverser = orbit.reverser
             state = reverser @ (state - orbit.centre) + orbit.centre
             by_phase, by_amplitude = reverser @ by_phase, reverser @ by_amplitude
         return state + np.asarray(self.turns) * system.turn_lengths, by_phase, by_amplitude
@@ -82,7 +82,7 @@ class ManifoldEnd:
         orbit = self.manifold.orbit
         system = orbit.system
         if self.stable:
-            states = (states - orbit.centre) @ system.reversers[0].T + orbit.centre
+            states = (states - orbit.centre) @ orbit.reverser.T + orbit.centre
         return states + np.asarray(self.turns) * system.turn_lengths
 
 

@@ -20,8 +20,8 @@ from dpcontrol.tubes.connection import Connection, described_connection, mirrore
 from dpcontrol.tubes.cut import Cut, OpenEnd, section_points, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, Intersection, intersect_cuts
 from dpcontrol.tubes.lyapunov import LyapunovOrbit, lyapunov_orbit
-from dpcontrol.tubes.manifold import UnstableManifold
 from dpcontrol.tubes.orbit_curve import OrbitCurve
+from dpcontrol.tubes.vertex import local_manifold
 
 Array = NDArray[np.float64]
 
@@ -88,14 +88,14 @@ def find_connections(
         )
     curves = (OrbitCurve(source), OrbitCurve(target))
     for curve in curves:
-        if _crosses(curve, section):
+        if not curve.orbit.laps and _crosses(curve, section):
             raise InputError(
                 f"the orbit about {curve.orbit.saddle} itself crosses {section.name}: its tubes have no first crossing "
                 "there; choose another section"
             )
     manifolds = (
-        UnstableManifold(source, settings.distance),
-        UnstableManifold(target, settings.distance),
+        local_manifold(source, settings.distance),
+        local_manifold(target, settings.distance),
     )
     if cuts is None:
         progress(f"tube of {source.saddle}", 0.0)
@@ -161,14 +161,14 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ConnectingOrb
         # Time runs from the seed to the section here, whichever way the tube flows.
         sign = -1.0 if side.stable else 1.0
         count = max(2, int(np.ceil(flight / period * settings.segments)))
-        lead_count = max(1, int(np.ceil(settings.lead * settings.segments)))
-        lead = np.linspace(-settings.lead * period, 0.0, lead_count + 1)[:-1]
+        out = max(settings.lead, float(np.log(manifold.distance / settings.farthest)) / manifold.exponent)
+        lead = np.linspace(-out * period, 0.0, max(1, int(np.ceil(out * settings.segments))) + 1)[:-1]
         along = np.linspace(0.0, flight, count + 1)
         seeds, _ = manifold.seeds(np.array([phase]), side.branch)
         flown = side.turned(system.propagator.sample(seeds[0], along)) + turns * system.turn_lengths
         times.append(sign * (np.concatenate([lead, along]) - flight))
         states.append(np.vstack([seed_end.states(sign * lead), flown]))
-        ends.append(seed_end.moved(-sign * settings.lead * period))
+        ends.append(seed_end.moved(-sign * out * period))
     middle = len(times[0]) - 1
     section = crossing.sides[0].section
     # The section itself, not where the flown crossing lies to rounding: states must not depend on how it was flown.

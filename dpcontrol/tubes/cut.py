@@ -103,8 +103,10 @@ def _pieces(samples: list[Sample], sampler: Sampler) -> tuple[list[Piece], list[
     if never:
         gaps.append(_never(never, sampler))
     runs = [run for run in runs if len(run) > 1]
-    closed = all(joins) and bool(runs)
-    if not closed and len(runs) > 1 and samples[-1].point is not None and samples[0].point is not None:
+    # An orbit that crosses the section itself: its seeds gain a crossing where they pass it, and phases no circle.
+    circle = not sampler.manifold.orbit.laps
+    closed = circle and all(joins) and bool(runs)
+    if circle and not closed and len(runs) > 1 and samples[-1].point is not None and samples[0].point is not None:
         # Phases are a circle: the last run continues into the first.
         head, tail = runs[0], runs[-1]
         if head[0].phase == samples[0].phase and tail[-1].phase == samples[-1].phase:

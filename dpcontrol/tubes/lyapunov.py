@@ -57,6 +57,26 @@ class LyapunovOrbit:
         """State (N,) of the saddle that the orbit surrounds."""
         return self.system.equilibrium(self.saddle)
 
+    @property
+    def reverser(self) -> Array:
+        """The reverser (N, N) that, about the centre, turns the orbit's unstable manifold into its stable one."""
+        return self.system.reversers[0]
+
+    @property
+    def whole_turns(self) -> Array:
+        """Whole turns (N,) that a period adds to the coordinates: none, a Lyapunov orbit does not turn."""
+        return np.zeros(self.system.dimension)
+
+    @property
+    def turn(self) -> Array:
+        """Lengths (N,) that a period adds to the coordinates."""
+        return self.whole_turns * self.system.turn_lengths
+
+    @property
+    def laps(self) -> bool:
+        """Whether the orbit may itself cross sections, so that its tubes cross them with every lap."""
+        return False
+
 
 def lyapunov_orbit(
     system: System,

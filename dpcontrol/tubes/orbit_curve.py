@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial import KDTree
 
 from dpcontrol.tubes.lyapunov import LyapunovOrbit
-from dpcontrol.tubes.manifold import UnstableManifold
+from dpcontrol.tubes.vertex import local_manifold
 
 Array = NDArray[np.float64]
 
@@ -25,11 +25,13 @@ class OrbitCurve:
     @cached_property
     def samples(self) -> Array:
         """States (SAMPLES, N) at equally spaced phases from 0."""
-        return UnstableManifold(self.orbit).frame(np.arange(SAMPLES) / SAMPLES).states
+        return local_manifold(self.orbit).frame(np.arange(SAMPLES) / SAMPLES).states
 
     @cached_property
     def _spline(self) -> CubicSpline:
-        closed = np.vstack([self.samples, self.samples[:1]])
+        # What the orbit turns is taken out: only the rest is periodic.
+        still = self.samples - np.arange(SAMPLES)[:, None] / SAMPLES * self.orbit.turn
+        closed = np.vstack([still, still[:1]])
         return CubicSpline(np.arange(SAMPLES + 1) / SAMPLES, closed, bc_type="periodic")
 
     @cached_property
@@ -47,7 +49,8 @@ class OrbitCurve:
 
     def states(self, phases: Array) -> Array:
         """Return states (…, N) at phases (…)."""
-        return self._spline(np.asarray(phases) % 1.0)
+        within = np.asarray(phases) % 1.0
+        return self._spline(within) + within[..., None] * self.orbit.turn
 
     def nearest(self, state: Array) -> tuple[float, float]:
         """Return (phase, scaled distance) of the orbit's point nearest to a state (N,)."""
@@ -74,7 +77,7 @@ class OrbitCurve:
         phases = np.asarray(self._tree.query(self._embedded(x))[1], dtype=float) / SAMPLES
         for _ in range(4):
             gap = self._gaps(x, self.states(phases)) / system.scale
-            slope = self._spline(phases % 1.0, 1) / system.scale
+            slope = (self._spline(phases % 1.0, 1) + self.orbit.turn) / system.scale
             step = np.sum(gap * slope, axis=-1) / np.sum(slope**2, axis=-1)
             phases = phases + np.clip(step, -1 / SAMPLES, 1 / SAMPLES)
         gap = self._gaps(x, self.states(phases)) / system.scale
