@@ -70,7 +70,8 @@ def _draw(gallery: Gallery, turns: int) -> Page:
         figure,
         f"Left: the cuts of the unstable tube at its {ordinal} crossing of θ₂ = 2πk and of the stable tube at its "
         "first one back, with the connections shown at right. Above: their flights in the plane of the angles: the "
-        f"outer arm turns {times} before the arms settle about Down-Up again, {number} turns on (dot: the section at time zero). "
+        f"outer arm turns {times} before the arms settle about Down-Up again, {number} turns on (dot: the section at "
+        "time zero). "
         "Below: both angles against time; dotted lines mark where the flight leaves one orbit and joins the other. "
         f"{'In all' if resolved else 'At least'} {len(connections)} connections were found at these hits: {counts}; "
         "those of smaller winding turn there and back. The cut is in pieces: part of the tube has been torn apart by "
