@@ -24,7 +24,10 @@ CONTROLLERS: Mapping[str, type[ControllerSettings]] = {"tvlqr": TvlqrSettings, "
 
 @dataclass(frozen=True)
 class Itinerary:
-    """One scene: the walk and the settings of every stage. `loop` carries seed 0 until a run gives another."""
+    """One scene: the walk and the settings of every stage. `loop` carries seed 0 until a run gives another.
+
+    walk and wraps are those of the file done `repeat` times: what is planned, run and scored.
+    """
 
     name: str
     path: Path
@@ -33,6 +36,7 @@ class Itinerary:
     energy: float
     walk: tuple[str, ...]
     wraps: tuple[int, ...]
+    repeat: int
     lead_in: int
     lead_out: int
     limits: Limits
@@ -70,8 +74,8 @@ def load_itinerary(name: str) -> Itinerary:
     _ = model.arms  # an itinerary needs arms on a cart
     energy = table.number("energy")
     saddles = [name for name, e in equilibria(model.system).items() if e.kind.startswith("index-1")]
-    walk, wraps = table.texts("walk"), table.integers("wraps", ())
-    _checked_walk(table, walk, wraps, saddles, model, energy)
+    walk, wraps, repeat = _walk(table, saddles)
+    _check_energy(table, walk, saddles, model, energy)
     lead_in, lead_out = table.integer("lead_in", 2), table.integer("lead_out", 2)
     table.text("start", "orbit", allowed=("orbit",))
     limits = table.table("limits").settings(Limits)
@@ -79,7 +83,7 @@ def load_itinerary(name: str) -> Itinerary:
     loop = _loop(table.table("run"), _controller(table.table("controller")), _estimator(table.table("estimator")))
     table.finish()
     return Itinerary(
-        path.stem, path, title, model, energy, walk, wraps, lead_in, lead_out, limits, reference, loop, text
+        path.stem, path, title, model, energy, walk, wraps, repeat, lead_in, lead_out, limits, reference, loop, text
     )  # fmt: skip
 
 
@@ -92,26 +96,41 @@ def _model(table: Table, path: Path) -> Model:
         raise InputError(f"{table.where('model')} = {name!r}: {error}") from error
 
 
-def _checked_walk(
-    table: Table,
-    walk: tuple[str, ...],
-    wraps: tuple[int, ...],
-    saddles: list[str],
-    model: Model,
-    energy: float,
-) -> None:
-    """Refuse a walk that no energy or wrap count could save, before anything is computed."""
+def _walk(table: Table, saddles: list[str]) -> tuple[tuple[str, ...], tuple[int, ...], int]:
+    """Return the walk and its wraps, repeated as often as asked, and how often that is.
+
+    Raises:
+        InputError: a walk or wraps that no energy could save; before anything is computed.
+    """
+    walk, wraps, repeat = table.texts("walk"), table.integers("wraps", ()), table.integer("repeat", 1, least=1)
     try:
         symbols = parse_walk(walk, saddles)
     except InputError as error:
         raise InputError(f"{table.where('walk')}: {error}") from error
-    if len(wraps) != len(walk) - 1:
+    if repeat == 1 and len(wraps) != len(walk) - 1:
         raise InputError(
             f"{table.where('wraps')} = {list(wraps)}: a walk of {len(walk)} symbols has {len(walk) - 1} interior "
             "stops; give one whole number for each"
         )
+    if repeat == 1:
+        return walk, wraps, repeat
+    if symbols[0].source != symbols[-1].target:
+        raise InputError(
+            f"{table.where('repeat')} = {repeat}: the walk starts at {symbols[0].source} and ends at "
+            f"{symbols[-1].target}; only a walk that ends where it starts can be repeated"
+        )
+    if len(wraps) != len(walk):
+        raise InputError(
+            f"{table.where('wraps')} = {list(wraps)}: a walk of {len(walk)} symbols that is repeated has {len(walk)} "
+            "stops, the last from its last symbol back to its first; give one whole number for each"
+        )
+    return walk * repeat, (wraps * repeat)[:-1], repeat
+
+
+def _check_energy(table: Table, walk: tuple[str, ...], saddles: list[str], model: Model, energy: float) -> None:
+    """Refuse an energy at which a saddle of the walk has no orbits."""
     points = equilibria(model.system)
-    for saddle in {name for s in symbols for name in (s.source, s.target)}:
+    for saddle in {name for s in parse_walk(walk, saddles) for name in (s.source, s.target)}:
         if energy <= points[saddle].energy:
             raise InputError(
                 f"{table.where('energy')} = {energy!r} J: {saddle} has Lyapunov orbits only above its own "

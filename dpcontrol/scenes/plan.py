@@ -70,6 +70,7 @@ def plan_key(itinerary: Itinerary) -> str:
         "energy": itinerary.energy,
         "walk": itinerary.walk,
         "wraps": itinerary.wraps,
+        "repeat": itinerary.repeat,
         "leads": (itinerary.lead_in, itinerary.lead_out),
         "limits": asdict(itinerary.limits),
         "reference": asdict(itinerary.reference),
