@@ -92,7 +92,7 @@ def find_edges(
         else:
             absent.append((saddle, f"the Lyapunov orbit about {saddle}: {orbit.status}"))
     if not orbits:
-        raise InputError("; ".join(reason for _, reason in absent))
+        raise InputError("; ".join(dict.fromkeys(reason for _, reason in absent)))
     kinds = [p for p in system.sections if p[0] in orbits and p[1] in orbits and (not pairs or p in pairs)]
     found: dict[tuple[str, str], tuple[Connection, ...]] = {}
     notes: list[str] = []

@@ -4,6 +4,7 @@ Counting and uniform drawing use powers of the matrix that holds the number of c
 """
 
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from itertools import pairwise
 
 import networkx as nx
@@ -39,16 +40,16 @@ def resolve(texts: Sequence[str], edges: Edges) -> Walk:
 
 
 def _nearest(symbols: Sequence[Symbol], edges: Edges) -> str:
-    """Return a sentence that names the nearest walk that exists: through the same stops, or as many as have orbits."""
+    """Return a sentence that names the nearest walk that exists: through the same stops, or as many as can be had."""
     stops = [symbols[0].source, *(s.target for s in symbols)]
     left = [stop for stop in stops if stop in edges.orbits]
-    if len(left) < 2:
-        return ""
-    try:
-        walk = through(left, edges)
-    except InputError:
-        return ""
-    return "; the nearest walk that exists is " + " , ".join(f"{c.name!r}" for c in walk)
+    # A walk that must lose stops loses its end; where none of it can be had, any connection is nearer than none.
+    tries = [left[:count] for count in range(len(left), 1, -1)]
+    tries += sorted(edges.searched, key=lambda pair: -len(set(pair) & set(stops)))
+    for wanted in tries:
+        with suppress(InputError):
+            return "; the nearest walk that exists is " + ", ".join(f"{c.name!r}" for c in through(wanted, edges))
+    return ""
 
 
 def through(stops: Sequence[str], edges: Edges) -> Walk:

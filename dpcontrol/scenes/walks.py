@@ -95,7 +95,7 @@ def request(
             "ends where it starts"
         )
     if wraps is not None and len(wraps) != stops:
-        kind = "stops, as it closes" if periodic else "interior stops"
+        kind = "stops, as it closes" if periodic else f"interior stop{'s' if stops != 1 else ''}"
         raise InputError(
             f"wraps = {list(wraps)}: a walk of {len(chain)} symbols has {stops} {kind}; give one integer for each"
         )
