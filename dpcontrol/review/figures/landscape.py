@@ -44,7 +44,9 @@ def draw(gallery: Gallery) -> Page:
                     axes.plot(a, b, mark, color="#2c8a4b" if reached else style.LIMIT, clip_on=False, markersize=6)
             if reached and point.kind != "centre":
                 passable.append(name)
-        words = {0: "no saddle reached", 3: "everything reached"}.get(len(passable), " and ".join(passable) + " open")
+        words = {0: "no saddle reached", 2: "both saddles open", 3: "everything reached"}.get(
+            len(passable), " and ".join(passable) + " open"
+        )
         quiet(axes, f"{energy:g} J: {words}")
         axes.title.set_fontsize(8.5)
         axes.grid(False)

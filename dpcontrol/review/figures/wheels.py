@@ -22,7 +22,7 @@ def draw(gallery: Gallery) -> Page:
         draw_interior(interior),
         f"A grid over the inside of the unstable tube of Down-Up at {ENERGY:g} J, coloured like a wheel where it first "
         "meets the section, and where its points are at each return forward (above) and backward (below) in time. "
-        f"What lands inside a tube's cut will pass, or has passed, the neck at Down-Up again. {interior.status}",
+        f"What lands inside a tube's cut will pass, or has passed, the neck at Down-Up again. {interior.status}.",
         "Coordinates are canonical, so that coloured areas keep their size from return to return, and returns are "
         "drawn in both directions of time.",
     )
