@@ -1,0 +1,81 @@
+"""Swing-ups, landings, and pieces joined."""
+
+import numpy as np
+import pytest
+from shadowing_stand_in import LAB
+
+from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
+from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.references.errors import power_coefficients
+from dpcontrol.references.joining import joined, still
+from dpcontrol.references.method import method_named
+from dpcontrol.references.problem import Limits, ReferenceSettings, state_scale
+from dpcontrol.references.transfer import TransferSettings, find_transfer, smooth_guess
+
+EQUATIONS = arm_chain_equations(2, Level.CART)
+SETTINGS = ReferenceSettings(method="radau-7", interval=0.05)
+HANGING = np.zeros(6)
+UP = np.array([np.pi, np.pi, 0, 0, 0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def swing_up():
+    return find_transfer(EQUATIONS, LAB.base(), start=HANGING, ends=[UP], limits=Limits(), settings=SETTINGS)
+
+
+def test_a_swing_up_is_a_motion_of_the_arms(swing_up):
+    """Every interval, flown again by a tight propagator from its start, ends where the next begins."""
+    assert swing_up.converged
+    assert np.abs(swing_up.state(0.0) - HANGING).max() < 1e-12
+    assert np.abs(swing_up.state(swing_up.duration) - UP).max() < 1e-9
+    method, lengths = swing_up.method, np.diff(swing_up.mesh)
+    propagator = PolynomialInputPropagator(EQUATIONS, LAB.base(), degree=len(method.points) - 1)
+    coefficients = power_coefficients(method.points, swing_up.inputs[..., 0])
+    for k in range(len(lengths) - 1):
+        powers = coefficients[k] / lengths[k] ** np.arange(len(method.points))
+        landed = propagator.flow(swing_up.states[k, 0], powers, lengths[k])
+        gap = np.abs(landed - swing_up.states[k + 1, 0]) / state_scale(6, Limits())
+        assert gap.max() < 1e-6
+
+
+def test_a_swing_up_keeps_to_the_limits(swing_up):
+    assert swing_up.max_cart_position <= 0.4 + 1e-9
+    assert swing_up.max_cart_velocity <= 3.0 + 1e-9
+    assert swing_up.max_cart_acceleration <= 30.0 + 1e-9
+
+
+def test_a_transfer_that_no_duration_allows_says_what_stands_in_the_way():
+    tight = Limits(position=0.01, velocity=0.05, acceleration=0.2)
+    with pytest.raises(GoalMissed, match=r"no transfer within the limits in 0.5 s: .*cart (position|velocity|accel)"):
+        find_transfer(
+            EQUATIONS, LAB.base(), start=HANGING, ends=[UP], limits=tight, settings=SETTINGS,
+            transfer=TransferSettings(durations=(0.5,), iterations=200),
+        )  # fmt: skip
+
+
+def test_the_guess_joins_states_with_their_rates():
+    start, end = np.array([0.1, -0.2, 3.0, 4.0]), np.array([2.0, 1.0, -5.0, 6.0])
+    guess = smooth_guess(start, end, 1.7)
+    times = np.linspace(0, 1.7, 4001)
+    states = guess(times)
+    assert states[0] == pytest.approx(start, abs=1e-14)
+    assert states[-1] == pytest.approx(end, abs=1e-12)
+    slope = np.gradient(states[:, :2], times, axis=0)
+    assert np.abs(slope - states[:, 2:])[1:-1].max() < 1e-4
+
+
+def test_pieces_are_joined_in_time_and_a_jump_between_them_is_seen(swing_up):
+    method = method_named("radau-7")
+    hold = still(UP, 0.5, method=method, limits=Limits(), interval=0.1)
+    whole, begins = joined([swing_up, hold])
+    assert begins == pytest.approx([0.0, swing_up.duration, swing_up.duration + 0.5])
+    assert whole.duration == pytest.approx(begins[-1])
+    assert whole.constraint_violation < 1e-9
+    for t in (0.3, 1.1, swing_up.duration - 0.01):
+        assert whole.state(t) == pytest.approx(swing_up.state(t), abs=1e-12)
+    assert whole.state(swing_up.duration + 0.2) == pytest.approx(UP, abs=1e-12)
+    _, jump = joined([swing_up, hold])[0], joined([hold, swing_up])[0]
+    assert jump.constraint_violation == pytest.approx(1.0)
+    effort = swing_up.rms_cart_acceleration**2 * swing_up.duration
+    assert whole.rms_cart_acceleration**2 * whole.duration == pytest.approx(effort)
