@@ -47,14 +47,17 @@ def as_connection(orbit: ShadowingOrbit, *, settings: ConnectionSettings | None 
     system = source.system
     nodes = sorted(orbit.shot.guess.markers)
     whole = replace(orbit.orbit, times=orbit.orbit.times - orbit.symbol_times[0])
-    state, arrival = whole.states[nodes[0]], whole.states[nodes[-1]]
+    state = whole.states[nodes[0]]
     winding = tuple(int(k) for k in orbit.offsets[-1][: len(first.winding)])
     entries = [k for k in winding if k]
     direction = int(np.sign(system.numeric.rate(state) @ np.asarray(section.normal)))
     homoclinic = source.saddle == target.saddle
-    # The mirror image of an orbit starts where its original ends: at the last symbol.
+    # The mirror image of an orbit starts where its original ends: at the last symbol. In between it may still differ.
+    stay = float(orbit.symbol_times[-1] - orbit.symbol_times[0])
+    along = whole.sample(np.linspace(0.0, stay, 1 + 16 * (len(orbit.walk) - 1)))
     symmetric = homoclinic and any(
-        float(system.scaled_distance(reverser @ arrival, state)) < _MIRRORED for reverser in system.reversers
+        float(system.scaled_distance(along[::-1] @ reverser.T, along).max()) < _MIRRORED
+        for reverser in system.reversers
     )
     time_out, phase_out = approach(whole, OrbitCurve(source), -1, settings.near)
     curve = OrbitCurve(target)

@@ -161,8 +161,8 @@ def _hits_since(orbit: ConnectingOrbit, connection: Connection, near: float) -> 
             counts.append(connection.hits[0 if sign < 0 else 1])
             continue
         # The crossing at time zero lies on a node, to rounding on either side of the section.
-        step = reach / max(2, int(np.ceil(reach / orbit_end.period * 200)))
-        times = np.arange(step / 2, reach, step)
+        count = 2 + int(np.ceil(reach / orbit_end.period * 200))
+        times = (np.arange(count) + 0.5) * reach / count
         heights = section.height(orbit.sample(sign * times))
         side = (heights > 0).astype(float) if section.period is None else np.floor(heights / section.period)
         counts.append(1 + int(np.count_nonzero(np.diff(side))))

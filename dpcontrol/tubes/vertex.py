@@ -170,7 +170,7 @@ def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None, segments: 
     # γ(1 - φ) = R γ(φ) + a whole turn.
     second = (first[:-1][::-1] - rest) @ mirror.T + rest + winding * system.turn_lengths
     large = complex(orbit.floquet_multipliers[0])
-    return _vertex(
+    return hyperbolic_orbit(
         system,
         name or default,
         energy=orbit.energy,
@@ -186,7 +186,7 @@ def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None, segments: 
     )
 
 
-def _vertex(
+def hyperbolic_orbit(
     system: System,
     name: str,
     *,
@@ -201,6 +201,11 @@ def _vertex(
     newton_residual: float,
     status: str,
 ) -> HyperbolicOrbit:
+    """Return a vertex from its nodes, the first of which lies on the mirror.
+
+    times (M + 1,) s from 0 to the period; states (M + 1, N); multiplier: λ. mirror (N, N), rest (N,) and winding (N,)
+    as in HyperbolicOrbit; energy in the system's unit.
+    """
     _, stms = system.segments.flows_with_stm(states[:-1], np.diff(times))
     monodromy = np.eye(system.dimension)
     for stm in stms:

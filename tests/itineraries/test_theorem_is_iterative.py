@@ -119,6 +119,7 @@ def test_a_symmetric_edge_is_its_own_mirror_image(turn, back, found):
     assert as_connection(shadow([turn, turn], wraps=[2])).symmetric
     lopsided = next(c for c in found if not c.symmetric)
     assert not as_connection(shadow([turn, lopsided], wraps=[2])).symmetric
+    assert not as_connection(shadow([turn, lopsided, turn], wraps=[2, 2])).symmetric
 
 
 def test_a_heteroclinic_round_trip_becomes_a_homoclinic_edge(system):
