@@ -23,19 +23,21 @@ from dpcontrol.cli.output import json_option, print_json, progress_bar, reports_
 def command(*, names: tuple[str, ...], out: Path, as_json: bool) -> None:
     """Draw the paper's computational figures from atlases: each a PNG with a caption and what differs from the paper.
 
-    Names: energy-landscape, families, tubes, homoclinics-low, homoclinics-high, heteroclinics, graph,
+    Names: energy-landscape, families, tubes, homoclinics-low, homoclinics-high, heteroclinics, branches, graph,
     double-homoclinics, triple-homoclinics, colour-wheels, three-body. All are drawn where none is named. Atlases are
     kept by content.
     """
     from dpcontrol.review.figures.page import Gallery
     from dpcontrol.review.figures.registry import CAPTIONS, draw_figures
     from dpcontrol.scenes.atlas import AtlasSettings, make_atlas
+    from dpcontrol.scenes.branches import make_branches
     from dpcontrol.scenes.model import load_model
 
     model = cache(load_model)
     gallery = Gallery(
         system=lambda name: model(name).system,
         atlas=lambda name, energy, hits: make_atlas(model(name), energy, settings=AtlasSettings(hits=hits)).atlas,
+        branches=lambda name, source, target: make_branches(model(name), source, target),
     )
     with progress_bar("figures") as progress:
         drawn = draw_figures(names, gallery, out, progress=progress)

@@ -17,10 +17,17 @@ from dpcontrol.review.figures.registry import FIGURES, draw_figures
 from dpcontrol.review.figures.space import FLIGHT
 from dpcontrol.review.viewer import viewer_program
 from dpcontrol.scenes.atlas import AtlasSettings, compute_atlas, make_atlas
+from dpcontrol.scenes.branches import make_branches
 from dpcontrol.scenes.model import load_model
 from tests.command_line import dpcontrol
 
 LATER = ("double-homoclinics", "triple-homoclinics", "three-body")
+FEW_ENERGIES = {
+    ("down-up", "down-up"): (-0.145, -0.138),
+    ("up-down", "up-down"): (0.1775, 0.1790),
+    ("down-up", "up-down"): (0.1880, 0.1890),
+}
+"""In J, about a first event of each kind of connection: whole sweeps take minutes."""
 LEAST_BYTES = 20_000  # of a PNG: empty axes of these sizes take about 8,000
 
 
@@ -35,6 +42,9 @@ def gallery():
     return Gallery(
         system=lambda name: load_model(name).system,
         atlas=lambda name, energy, hits: make_atlas(load_model(name), energy, settings=AtlasSettings(hits=hits)).atlas,
+        branches=lambda name, source, target: make_branches(
+            load_model(name), source, target, energies=FEW_ENERGIES[source, target], samples=3
+        ),
     )
 
 

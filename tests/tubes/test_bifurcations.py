@@ -125,6 +125,36 @@ def test_energies_repeat_under_doubled_sampling_and_halved_seed_distance(system,
     assert np.abs(again.events[0].state - events[name].state)[2:].max() < 1e-5
 
 
+@pytest.mark.parametrize(
+    ("model", "saddles", "energies", "kinds"),
+    [
+        ("lab", ("up-down", "up-down"), (0.1780, 0.1785), ["saddle-node", "pitchfork"]),
+        ("lab", ("down-up", "up-down"), (0.1883, 0.1885), ["saddle-node"]),
+        ("printed", ("down-up", "down-up"), (-0.1637, -0.1633), ["saddle-node"]),
+        ("printed", ("down-up", "down-up"), (-0.1536, -0.1532), ["pitchfork"]),
+    ],
+)
+def test_energies_of_other_saddles_and_parameters_repeat_as_well(model, saddles, energies, kinds):
+    pendulum = load_model(model).system
+    once, again = (
+        located(pendulum, energies, source=saddles[0], target=saddles[1], distance=distance, chord=chord).events
+        for distance, chord in ((1e-4, 0.05), (5e-5, 0.025))
+    )
+    assert [e.kind for e in once] == [e.kind for e in again] == kinds
+    assert max(abs(a.energy - b.energy) for a, b in zip(once, again, strict=True)) < REPEATABLE
+
+
+def test_every_change_of_a_small_sweep_has_a_cause(system):
+    found = located(system, (-0.15, -0.09), samples=7)
+    assert found.complete
+    assert [(e.kind, e.count_below, e.count_above) for e in found.events] == [
+        ("saddle-node", 0, 4),
+        ("pitchfork", 4, 8),
+    ]
+    assert [c.count for c in found.counts] == [0, 4, 4, 4, 4, 8, 8]
+    assert "2 events explain every change of the count over 7 energies" in found.status
+
+
 @pytest.mark.parametrize("name", [SADDLE_NODE, PITCHFORK], ids=["saddle-node", "pitchfork"])
 def test_the_state_at_a_bifurcation_flows_to_its_orbit_both_ways_by_scipy(system, events, name):
     event = events[name]

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.system import System
 from dpcontrol.itineraries.atlas import Atlas
 from dpcontrol.review import style
+from dpcontrol.tubes.branch_diagram import BranchDiagram
 
 Array = NDArray[np.float64]
 
@@ -29,10 +30,12 @@ class Gallery:
     """What figures are drawn from; each figure asks for what it needs.
 
     system: of a model by name. atlas: of a model, an energy in J and hits (None: the first that there are).
+    branches: of a model, a source and a target: their connections against energy.
     """
 
     system: Callable[[str], System]
     atlas: Callable[[str, float, tuple[int, int] | None], Atlas]
+    branches: Callable[[str, str, str], BranchDiagram]
 
 
 @dataclass(frozen=True)

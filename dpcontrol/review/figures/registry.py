@@ -9,6 +9,7 @@ from pathlib import Path
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Progress, no_progress, whole_file, write_whole
 from dpcontrol.review.figures import (
+    branches,
     families,
     graph,
     heteroclinics,
@@ -28,6 +29,7 @@ FIGURES: dict[str, Callable[[Gallery], Page]] = {
     "homoclinics-low": homoclinics.draw_low,
     "homoclinics-high": homoclinics.draw_high,
     "heteroclinics": heteroclinics.draw,
+    "branches": branches.draw,
     "graph": graph.draw,
     "double-homoclinics": repeated.draw_double,
     "triple-homoclinics": repeated.draw_triple,
