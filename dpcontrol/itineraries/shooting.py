@@ -18,6 +18,11 @@ from dpcontrol.tubes.connecting_orbit import ManifoldEnd
 
 Array = NDArray[np.float64]
 
+_NO_STEP = (
+    "no step towards an orbit, however short, brings it nearer: there may be none so near to a tangency of two tubes; "
+    "ask for more wraps beside it"
+)
+
 
 @dataclass(frozen=True)
 class NewtonSettings:
@@ -32,7 +37,7 @@ class NewtonSettings:
     iterations: int = 30
     tolerance: float = 1e-11
     smallest_damping: float = 1e-3
-    settled: float = 1e-12
+    settled: float = 1e-13
     certain: float = 1e-8
     stretched: float = 5.0
     stalled: int = 4
@@ -118,7 +123,7 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
             if iteration == settings.iterations:
                 break
             lowest = min(lowest, linear.residual)
-            first = 1.0 if taken is None or before is None else _predicted(before, linear, taken)
+            first = 1.0 if taken is None or before is None else _predicted(equations, before, linear, taken)
             try:
                 taken = _step(equations, now, linear, first, settings)
             except _Lost:
@@ -132,6 +137,8 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
     except (_Lost, ArithmeticError) as error:
         failure = str(error)
     residual = np.inf if linear is None else linear.residual
+    if not failure and _on_the_other_side(guess, now):
+        failure = "the orbit left its first orbit, or met its last, on the other side of the tube"
     converged = residual <= settings.tolerance and not failure
     if converged:
         status = f"converged in {iteration} iterations to a gap of {residual:.1e}"
@@ -169,7 +176,7 @@ def _linearised(equations: ShootingEquations, now: Unknowns) -> _Linear:
     try:
         factors = splu(matrix)
     except RuntimeError:
-        raise _Lost("the linear system is singular: two tubes are tangent here") from None
+        raise _Lost("the linear system is singular: two tubes are tangent here; choose another energy") from None
     step = factors.solve(-right)
     sizes = equations.sizes(step)
     residual = float(np.abs(arrived - now.states[1:]).max())
@@ -177,33 +184,34 @@ def _linearised(equations: ShootingEquations, now: Unknowns) -> _Linear:
     return _Linear(factors, matrix, step, float(sizes.max()), fault, residual, stms)
 
 
-def _predicted(before: _Linear, linear: _Linear, taken: _Step) -> float:
+def _predicted(equations: ShootingEquations, before: _Linear, linear: _Linear, taken: _Step) -> float:
     """Return the damping that the last step's error suggests (NLEQ-ERR, equation 3.48)."""
-    wrong = _length(taken.simplified - linear.step)
+    wrong = _length(equations, taken.simplified - linear.step)
     if wrong == 0.0 or linear.length == 0.0:
         return 1.0
-    return min(1.0, before.length * _length(taken.simplified) / (wrong * linear.length) * taken.damping)
+    return min(1.0, before.length * _length(equations, taken.simplified) / (wrong * linear.length) * taken.damping)
 
 
 def _step(
     equations: ShootingEquations, now: Unknowns, linear: _Linear, damping: float, settings: NewtonSettings
 ) -> _Step:
     """Return the longest damped step that passes the natural monotonicity test."""
-    reason = "no step towards an orbit, however short, brings it nearer"
+    reason = _NO_STEP
     while damping >= settings.smallest_damping:
         trial = equations.moved(now, damping * linear.step)
         reason = _lost_guess(equations, trial, settings)
         if reason:
             damping /= 4
             continue
-        reason = "no step towards an orbit, however short, brings it nearer"
+        reason = _NO_STEP
         try:
             landed = equations.system.segments.flows(trial.states[:-1], trial.durations)
         except ArithmeticError as error:
             reason, damping = str(error), damping / 4
             continue
         simplified = linear.factors.solve(-equations.residuals(trial.states, landed, trial.unfolding))
-        after, bent = _length(simplified), _length(simplified - (1 - damping) * linear.step)
+        after = _length(equations, simplified)
+        bent = _length(equations, simplified - (1 - damping) * linear.step)
         # Steps this short are good; what rounding leaves of the test would refuse them.
         if after <= (1 - damping / 4) * linear.length or damping * linear.length <= settings.certain:
             # Below 1e-7 the bend of the equations is hidden in rounding.
@@ -218,14 +226,21 @@ def _lost_guess(equations: ShootingEquations, trial: Unknowns, settings: NewtonS
     ratios = trial.durations / equations.guess.durations
     if ratios.min() < 1 / settings.stretched or ratios.max() > settings.stretched:
         return "a segment lost its length: the walk needs more wraps, or nodes nearer together"
-    ends = equations.guess.ends
-    if ends is not None and any(a * end.amplitude <= 0 for a, end in zip(trial.amplitudes, ends, strict=True)):
-        return "the orbit left its first orbit, or met its last, on the other side of the tube"
     return ""
 
 
-def _length(step: Array) -> float:
-    return float(np.abs(step).max())
+def _on_the_other_side(guess: Guess, found: Unknowns) -> bool:
+    """Whether an end's amplitude changed its sign.
+
+    On the way it may: amplitudes are so small that any error of the guess moves them across and the next step back.
+    """
+    ends = guess.ends or ()
+    return any(float(a) * end.amplitude <= 0 for a, end in zip(found.amplitudes, ends, strict=True))
+
+
+def _length(equations: ShootingEquations, step: Array) -> float:
+    """Return the length of a step: that of nodes and durations, for ε is no part of the orbit."""
+    return float(equations.sizes(step).max())
 
 
 def _condition(linear: _Linear) -> float:
