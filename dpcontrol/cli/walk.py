@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.output import Hits, json_option, print_json, print_table, progress_bar, reports_failure
+from dpcontrol.cli.output import Hits, checked_suffix, json_option, print_json, progress_bar, reports_failure
+from dpcontrol.cli.walk_output import print_answer, show_graph, show_walks
 from dpcontrol.foundation.errors import GoalMissed, InputError
 
 if TYPE_CHECKING:
@@ -59,6 +60,7 @@ class _Wraps(click.ParamType):
 @click.option("--hits", type=Hits(), default="1", show_default=True, help="Last crossings of the sections that count.")
 @click.option("--solve", is_flag=True, help="Find the orbit of each walk.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Write each orbit to this folder (.npz).")
+@click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw the walk's orbit to this PNG.")
 @json_option
 @reports_failure
 def command(
@@ -81,6 +83,7 @@ def command(
     hits: tuple[int, int],
     solve: bool,
     out: Path | None,
+    picture: Path | None,
     as_json: bool,
 ) -> None:
     """List, count and make walks on the connection graph of an energy, and the orbits that follow them.
@@ -103,6 +106,10 @@ def command(
         raise InputError("--wraps are those of one walk: give its symbols (-s) or stops (--through), or --extra-wraps")
     if out is not None and not solve:
         raise InputError("--out writes orbits: give --solve as well")
+    if picture is not None:
+        checked_suffix(picture, ".png", option="--picture")
+        if not solve:
+            raise InputError("--picture draws an orbit: give --solve as well")
     system = load_model(model).system
     numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
     numbers |= {(int(a), int(b)) for text in symbols for a, b in re.findall(r"\]h([1-9])\.([1-9])@", text)}
@@ -121,12 +128,14 @@ def command(
     elif solve:
         raise InputError("--solve needs walks: give -s, --through, --length or --random")
     else:
-        _show_graph(edges, as_json)
+        show_graph(edges, as_json)
         return
     if not solve:
-        _show_walks(edges, requests, as_json)
+        show_walks(edges, requests, as_json)
         return
-    _solve(edges, requests, model, out, as_json)
+    if picture is not None and len(requests) != 1:
+        raise InputError(f"--picture draws one walk, and here are {len(requests)}: give its symbols with -s")
+    _solve(edges, requests, model, out, picture, as_json)
 
 
 def _listed(
@@ -152,52 +161,14 @@ def _listed(
             for walk in walks if not periodic or is_closed(walk)]  # fmt: skip
 
 
-def _show_graph(edges: "Edges", as_json: bool) -> None:
-    from dpcontrol.itineraries.walks import count_walks
-
-    counts = {str(k): count_walks(edges, k) for k in range(1, 9)}
-    if as_json:
-        print_json(
-            {
-                "energy": edges.energy,
-                "saddles": edges.saddles,
-                "absent": [{"saddle": saddle, "reason": reason} for saddle, reason in edges.absent],
-                "edges": [
-                    {"name": c.name, "from": c.source.saddle, "to": c.target.saddle, "winding": c.winding,
-                     "sense": c.sense, "transversality_angle_deg": c.transversality_angle}
-                    for c in edges.connections
-                ],
-                "walks_by_length": counts,
-                "notes": edges.notes,
-            }
-        )  # fmt: skip
-        return
-    rows = [(f"{a} → {b}", str(len(edges.between(a, b)))) for a, b in edges.searched]
-    print_table(f"connections at {edges.energy:g} J", ("from → to", "count"), rows)
-    for c in edges.connections:
-        click.echo(f"  {c.name}")
-    click.echo("walks by number of symbols: " + ", ".join(f"{k}: {n:,}" for k, n in counts.items()))
-    for _, reason in edges.absent:
-        click.echo(f"not there: {reason}")
-    for note in edges.notes:
-        click.echo(f"perhaps more: {note}")
-
-
-def _show_walks(edges: "Edges", requests: "Sequence[WalkRequest]", as_json: bool) -> None:
-    from dpcontrol.scenes.walks import asked_document
-
-    if as_json:
-        print_json(
-            {"energy": edges.energy, "count": len(requests), "walks": [asked_document(r) for r in requests],
-             "notes": edges.notes}
-        )  # fmt: skip
-        return
-    for asked in requests:
-        click.echo("  ".join(c.name for c in asked.chain))
-    click.echo(f"{len(requests)} walks; --solve finds their orbits")
-
-
-def _solve(edges: "Edges", requests: "Sequence[WalkRequest]", model: str, out: Path | None, as_json: bool) -> None:
+def _solve(
+    edges: "Edges",
+    requests: "Sequence[WalkRequest]",
+    model: str,
+    out: Path | None,
+    picture: Path | None,
+    as_json: bool,
+) -> None:
     from dpcontrol.itineraries.wraps import WalkSolver
     from dpcontrol.scenes.walks import save_walk, solved, walk_document
 
@@ -209,11 +180,11 @@ def _solve(edges: "Edges", requests: "Sequence[WalkRequest]", model: str, out: P
             answers.append(answer)
             file = None
             if out is not None and answer.orbit is not None and answer.converged:
-                out.mkdir(parents=True, exist_ok=True)
                 file = str(out / f"walk-{k + 1}.npz")
                 save_walk(Path(file), model, answer.orbit)
             files.append(file)
             progress("walks", (k + 1) / len(requests))
+    drawn = picture if picture is not None and _drawn(answers[0], picture, model) else None
     failed = [k for k, answer in enumerate(answers, start=1) if not answer.converged]
     status = f"{len(answers) - len(failed)} of {len(answers)} walks converged"
     if failed:
@@ -227,43 +198,30 @@ def _solve(edges: "Edges", requests: "Sequence[WalkRequest]", model: str, out: P
                     {"before": a, "after": b, "wraps": n} for (a, b), n in sorted(solver.least_seen.items())
                 ],
                 "notes": edges.notes,
+                "picture": None if drawn is None else str(drawn),
                 "status": status,
             }
         )
     else:
         for k, answer in enumerate(answers, start=1):
-            _print_answer(k, answer, files[k - 1])
+            print_answer(k, answer, files[k - 1])
+        if drawn is not None:
+            click.echo(f"drawn to {drawn}")
         click.echo(status)
     if failed:
         raise GoalMissed(status)
 
 
-def _print_answer(number: int, answer: "WalkAnswer", file: str | None) -> None:
-    click.echo(f"walk {number}: " + "  ".join(c.name for c in answer.request.chain))
-    orbit = answer.orbit
-    if orbit is None or not answer.converged:
-        click.echo(f"  {answer.status}")
-        return
-    least = "" if answer.least is None else f" (least {_listing(answer.least)})"
-    click.echo(
-        f"  {'periodic, ' if orbit.periodic else ''}wraps {_listing(orbit.wraps_realised)}{least}, "
-        f"{orbit.duration:.3f} s; {orbit.status}"
-    )
-    certificate = orbit.certificate
-    assert certificate is not None
-    click.echo(
-        f"  certificate: condition {certificate.condition:.1e}, Kantorovich h {certificate.kantorovich:.1e}, "
-        f"nodes within {certificate.radius:.1e}, energy within {certificate.energy_error:.1e}"
-    )
-    if certificate.multipliers is not None:
-        multipliers = certificate.multipliers
-        click.echo(
-            f"  multipliers: ±exp(±{multipliers.log_unstable:.9g}), sign {multipliers.sign:+d}, product off 1 by "
-            f"{multipliers.reciprocity:.1e}"
-        )
-    if file is not None:
-        click.echo(f"  {file}")
+def _drawn(answer: "WalkAnswer", picture: Path, model: str) -> bool:
+    """Draw the orbit of a walk; return whether there was one to draw."""
+    from dpcontrol.dynamics.parameters import ArmChainParameters
+    from dpcontrol.review.walk_figure import write_walk_figure
+    from dpcontrol.scenes.model import load_model
 
-
-def _listing(wraps: Sequence[int]) -> str:
-    return f"[{','.join(map(str, wraps))}]"
+    if answer.orbit is None or not answer.converged:
+        return False
+    loaded = load_model(model)
+    arms = loaded.parameters
+    lengths = arms.length if isinstance(arms, ArmChainParameters) else None
+    write_walk_figure(answer.orbit, picture, arm_lengths=lengths, model=loaded.name)
+    return True

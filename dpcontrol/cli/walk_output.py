@@ -1,0 +1,91 @@
+"""What `dpcontrol walk` prints: the graph, walks, and the orbits found for them."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import click
+
+from dpcontrol.cli.output import print_json, print_table
+
+if TYPE_CHECKING:
+    from dpcontrol.itineraries.edges import Edges
+    from dpcontrol.scenes.walks import WalkAnswer, WalkRequest
+
+
+def show_graph(edges: "Edges", as_json: bool) -> None:
+    """Print the connections of an energy, and how many walks they allow."""
+    from dpcontrol.itineraries.walks import count_walks
+
+    counts = {str(k): count_walks(edges, k) for k in range(1, 9)}
+    if as_json:
+        print_json(
+            {
+                "energy": edges.energy,
+                "saddles": edges.saddles,
+                "absent": [{"saddle": saddle, "reason": reason} for saddle, reason in edges.absent],
+                "edges": [
+                    {"name": c.name, "from": c.source.saddle, "to": c.target.saddle, "winding": c.winding,
+                     "sense": c.sense, "transversality_angle_deg": c.transversality_angle}
+                    for c in edges.connections
+                ],
+                "walks_by_length": counts,
+                "notes": edges.notes,
+            }
+        )  # fmt: skip
+        return
+    rows = [(f"{a} → {b}", str(len(edges.between(a, b)))) for a, b in edges.searched]
+    print_table(f"connections at {edges.energy:g} J", ("from → to", "count"), rows)
+    for c in edges.connections:
+        click.echo(f"  {c.name}")
+    click.echo("walks by number of symbols: " + ", ".join(f"{k}: {n:,}" for k, n in counts.items()))
+    for _, reason in edges.absent:
+        click.echo(f"not there: {reason}")
+    for note in edges.notes:
+        click.echo(f"perhaps more: {note}")
+
+
+def show_walks(edges: "Edges", requests: "Sequence[WalkRequest]", as_json: bool) -> None:
+    """Print walks that were not solved."""
+    from dpcontrol.scenes.walks import asked_document
+
+    if as_json:
+        print_json(
+            {"energy": edges.energy, "count": len(requests), "walks": [asked_document(r) for r in requests],
+             "notes": edges.notes}
+        )  # fmt: skip
+        return
+    for asked in requests:
+        click.echo("  ".join(c.name for c in asked.chain))
+    click.echo(f"{len(requests)} walks; --solve finds their orbits")
+
+
+def print_answer(number: int, answer: "WalkAnswer", file: str | None) -> None:
+    """Print one walk that was solved, its certificate, and where it was written to."""
+    click.echo(f"walk {number}: " + "  ".join(c.name for c in answer.request.chain))
+    orbit = answer.orbit
+    if orbit is None or not answer.converged:
+        click.echo(f"  {answer.status}")
+        return
+    least = "" if answer.least is None else f" (least {_listing(answer.least)})"
+    click.echo(
+        f"  {'periodic, ' if orbit.periodic else ''}wraps {_listing(orbit.wraps_realised)}{least}, "
+        f"{orbit.duration:.3f} s; {orbit.status}"
+    )
+    certificate = orbit.certificate
+    assert certificate is not None
+    click.echo(
+        f"  certificate: condition {certificate.condition:.1e}, Kantorovich h {certificate.kantorovich:.1e}, "
+        f"nodes within {certificate.radius:.1e}, energy within {certificate.energy_error:.1e}"
+    )
+    if certificate.multipliers is not None:
+        multipliers = certificate.multipliers
+        click.echo(
+            f"  multipliers: ±exp(±{multipliers.log_unstable:.9g}), sign {multipliers.sign:+d}, product off 1 by "
+            f"{multipliers.reciprocity:.1e}"
+        )
+    if file is not None:
+        click.echo(f"  {file}")
+
+
+def _listing(wraps: Sequence[int]) -> str:
+    return f"[{','.join(map(str, wraps))}]"

@@ -1,0 +1,187 @@
+"""`dpcontrol walk`: what it lists, draws and solves, what it writes, and what it refuses."""
+
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+from independent_pendulum import flow
+
+RESIDUAL = 1e-11
+BETWEEN_NODES = 1e-9
+"""From node to node by an independent integrator at 1e-12 relative; the segments are an eighth of a period long."""
+KEYS = {
+    "walk", "wraps", "wraps_realised", "periodic", "residual", "duration", "seconds", "iterations", "status",
+}  # fmt: skip
+LOW = ("walk", "lab", "--energy", "-0.07")
+HIGH = ("walk", "lab", "--energy", "0.2")
+TURN = ("-s", "down-up +")
+BACK = ("-s", "down-up -")
+
+
+def refused(*arguments: str | Path, naming: str) -> None:
+    """Check that a call ends with 2 and one sentence that names `naming`."""
+    ended = dpcontrol(*arguments)
+    assert ended.code == 2
+    assert ended.stdout == ""
+    said = [line for line in ended.stderr.splitlines() if line.startswith("dpcontrol: ")]
+    assert len(said) == 1
+    assert said[0] == ended.message
+    assert naming in said[0]
+    assert "Traceback" not in ended.stderr
+
+
+def test_walks_that_are_drawn_and_solved_have_the_keys_that_are_promised() -> None:
+    drawing = ("--random", "4", "--lengths", "1", "5", "--extra-wraps", "0", "4", "--seed", "7", "--solve", "--json")
+    first, second = dpcontrol(*HIGH, *drawing), dpcontrol(*HIGH, *drawing)
+    assert first.code == second.code == 0
+    walks, again = first.document["walks"], second.document["walks"]
+    assert len(walks) == 4
+    for walk in walks:
+        assert set(walk) >= KEYS
+        assert 1 <= len(walk["walk"]) <= 5
+        assert walk["wraps_realised"] == walk["wraps"]
+        assert len(walk["wraps"]) == len(walk["walk"]) - 1
+        more = [n - least for n, least in zip(walk["wraps"], walk["least_wraps"], strict=True)]
+        assert all(0 <= n <= 4 for n in more)
+        assert walk["periodic"] is False
+        assert 0 <= walk["residual"] <= RESIDUAL
+        assert walk["duration"] > walk["symbol_times"][-1] > 0
+        assert walk["seconds"] > 0
+        assert walk["status"].startswith("converged")
+        assert walk["certificate"]["kantorovich"] < 0.5
+        ends = [(name.split(">")[0], name.split(">")[1].split("[")[0]) for name in walk["walk"]]
+        assert all(a[1] == b[0] for a, b in pairwise(ends))
+    for walk in (*walks, *again):
+        # The norm of an inverse is estimated from random vectors.
+        del walk["seconds"], walk["certificate"]["condition"]
+    assert again == walks
+    other = dpcontrol(*HIGH, *drawing[:7], "--seed", "8", "--json").document["walks"]
+    assert [w["walk"] for w in other] != [w["walk"] for w in walks]
+
+
+def test_closed_walks_have_a_stop_more_and_reciprocal_multipliers() -> None:
+    drawing = ("--random", "3", "--lengths", "1", "3", "--seed", "2", "--periodic", "--solve", "--json")
+    for walk in dpcontrol(*LOW, *drawing).document["walks"]:
+        assert walk["periodic"] is True
+        assert len(walk["wraps"]) == len(walk["walk"])
+        assert walk["wraps_realised"] == walk["wraps"]
+        assert abs(walk["certificate"]["multipliers"]["reciprocity"]) < 1e-6
+
+
+def test_counts_of_walks_are_those_of_the_graph() -> None:
+    shown = dpcontrol(*HIGH, "--json").document
+    edges = shown["edges"]
+    names = sorted({e["from"] for e in edges})
+    counts = np.array([[sum(e["from"] == a and e["to"] == b for e in edges) for b in names] for a in names])
+    for length in (1, 2, 5):
+        assert shown["walks_by_length"][str(length)] == np.linalg.matrix_power(counts, length).sum()
+    listed = dpcontrol(*HIGH, "--length", "2", "--from", "down-up", "--to", "up-down", "--json").document
+    a, b = names.index("down-up"), names.index("up-down")
+    assert listed["count"] == len(listed["walks"]) == (counts @ counts)[a, b]
+    assert len({tuple(w["walk"]) for w in listed["walks"]}) == listed["count"]
+
+
+def test_wraps_and_leads_lengthen_an_orbit_by_whole_periods() -> None:
+    def lasts(wraps: str, *leads: str) -> float:
+        ended = dpcontrol(*LOW, *TURN, *BACK, "--wraps", wraps, *leads, "--solve", "--json")
+        (walk,) = ended.document["walks"]
+        return walk["duration"]
+
+    period = dpcontrol("orbit", "lab", "--saddle", "down-up", "--energy", "-0.07", "--json").document["period"]
+    base = lasts("1")
+    # The wobble's length tends to the period as λ^-N.
+    assert lasts("3") - base == pytest.approx(2 * period, abs=1e-3)
+    assert lasts("1", "--lead-in", "0", "--lead-out", "5") - base == pytest.approx(period, abs=1e-9)
+
+
+def test_what_out_writes_reads_with_numpy_alone_and_obeys_the_equations(tmp_path: Path) -> None:
+    ended = dpcontrol(*LOW, *TURN, *BACK, "--wraps", "1", "--solve", "--out", tmp_path / "orbits", "--json")
+    (walk,) = ended.document["walks"]
+    assert walk["file"] == str(tmp_path / "orbits" / "walk-1.npz")
+    with np.load(walk["file"], allow_pickle=False) as arrays:
+        header = json.loads(str(arrays["header"]))
+        times, states, symbol_times, turn = (arrays[k] for k in ("times", "states", "symbol_times", "turn"))
+    assert (header["model"], header["energy"], header["walk"]) == ("lab", -0.07, walk["walk"])
+    assert (header["wraps"], header["wraps_realised"], header["periodic"]) == ([1], [1], False)
+    assert symbol_times.tolist() == walk["symbol_times"]
+    assert turn.tolist() == [0, 0, 0, 0]
+    assert states.shape == (len(times), 4)
+    assert (np.diff(times) > 0).all()
+    for k in range(0, len(times) - 1, 5):
+        flown = flow(states[k], times[k + 1] - times[k])
+        assert np.abs(flown[-1] - states[k + 1]).max() < BETWEEN_NODES
+    # The section of Down-Up's connections: the outer arm passes straight down.
+    for time in symbol_times:
+        node = states[np.argmin(np.abs(times - time))]
+        assert abs(np.angle(np.exp(1j * node[1]))) < BETWEEN_NODES
+
+
+def test_a_picture_is_drawn_of_one_walk(tmp_path: Path) -> None:
+    file = tmp_path / "walk.png"
+    ended = dpcontrol(*LOW, *TURN, "--solve", "--picture", file)
+    assert ended.code == 0
+    assert f"drawn to {file}" in ended.stdout
+    assert file.read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+    again = dpcontrol(*LOW, *TURN, "--periodic", "--solve", "--picture", file, "--json")
+    assert again.document["picture"] == str(file)
+
+
+def test_a_walk_that_does_not_converge_ends_with_1_its_reason_and_the_least_wraps(tmp_path: Path) -> None:
+    # A hair above the saddle-node at which the inner arm's turns are born the pair's members all but touch.
+    born = ("walk", "lab", "--energy", "0.17807033", "-s", "up-down +", "-s", "up-down +", "--solve", "--json")
+    files = ("--out", tmp_path / "orbits", "--picture", tmp_path / "walk.png")
+    ended = dpcontrol(*born, "--wraps", "0", *files)
+    assert ended.code == 1
+    (walk,) = ended.document["walks"]
+    assert walk["converged"] is False
+    assert "symbol 1 of 2" in walk["status"]
+    assert "too few: the least that work are [" in walk["status"]
+    assert "0 of 1 walks converged" in ended.message
+    assert "symbol 1 of 2" in ended.message
+    assert list(tmp_path.iterdir()) == []
+    (least,) = json.loads(walk["status"].rpartition("are ")[2])
+    assert dpcontrol(*born, "--wraps", str(least)).code == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "naming"),
+    [
+        ((*LOW, "-s", "down-up*"), "'down-up*' is no symbol"),
+        ((*LOW, "-s", "sideways +"), "choose from down-up, up-down"),
+        ((*LOW, "-s", "down-up>down-up[0,1]h1.1@0.0000,-9.9"), "there are: down-up>down-up[0,-1]h1.1@"),
+        ((*LOW, *TURN, "-s", "up-down -"), 'put "down-up > up-down" between them'),
+        ((*LOW, *TURN, *BACK, "--wraps", "1,2", "--solve"), "1 interior stop"),
+        ((*LOW, *TURN, *BACK, "--wraps", "", "--solve"), "wraps = []"),
+        ((*LOW, *TURN, *BACK, "--wraps", "-1", "--solve"), "zero or more"),
+        ((*LOW, *TURN, *BACK, "--periodic", "--wraps", "1", "--solve"), "2 stops, as it closes"),
+        ((*HIGH, "-s", "down-up > up-down", "--periodic", "--solve"), "ends where it starts"),
+        ((*LOW, "--random", "2", "--wraps", "1"), "--extra-wraps"),
+        ((*LOW, "--random", "2", "--lengths", "5", "2"), "lengths 5 to 2"),
+        ((*LOW, "--random", "2", "--extra-wraps", "3", "1"), "extra wraps 3 to 1"),
+        ((*LOW, *TURN, "--through", "down-up"), "give one of them"),
+        ((*LOW, "--through", "down-up"), "two at least"),
+        ((*LOW, "--length", "9"), "draw some with --random"),
+        ((*LOW, "--solve"), "give -s"),
+        (("walk", "lab", "--energy", "-0.2", "--random", "2"), "-0.1754297468841"),
+        (("walk", "lab", "--energy", "nan"), "finite"),
+        ((*LOW, "-s", "up-down +"), "the nearest walk that exists is 'down-up>down-up[0,1]h1.1@0.0000,-9.9100'"),
+        ((*LOW, *TURN, "-s", "down-up > up-down"), "symbol 2 of 2"),
+        ((*LOW, "--through", "down-up", "--through", "up-down"), "has no orbit at -0.07 J"),
+        ((*LOW, *TURN, "--out", "x"), "--solve"),
+        ((*LOW, *TURN, "--picture", "x.png"), "--solve"),
+        ((*LOW, *TURN, "--solve", "--picture", "x.jpg"), ".png"),
+        ((*LOW, "--random", "2", "--solve", "--picture", "x.png"), "here are 2"),
+        ((*LOW, *TURN, "--solve", "--out", "taken/x"), "cannot write taken/x"),
+        ((*LOW, *TURN, "--solve", "--picture", "taken/x.png"), "cannot write taken/x.png"),
+    ],
+)
+def test_a_mistake_is_refused_in_one_sentence_and_leaves_nothing(
+    arguments: tuple[str, ...], naming: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("taken").write_text("")
+    refused(*arguments, naming=naming)
+    assert [str(f.relative_to(tmp_path)) for f in tmp_path.rglob("*")] == ["taken"]
