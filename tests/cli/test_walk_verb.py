@@ -58,7 +58,7 @@ def test_walks_that_are_drawn_and_solved_have_the_keys_that_are_promised() -> No
         # The norm of an inverse is estimated from random vectors.
         del walk["seconds"], walk["certificate"]["condition"]
     assert again == walks
-    other = dpcontrol(*HIGH, *drawing[:7], "--seed", "8", "--json").document["walks"]
+    other = dpcontrol(*HIGH, *drawing[:8], "--seed", "8", "--json").document["walks"]
     assert [w["walk"] for w in other] != [w["walk"] for w in walks]
 
 
