@@ -54,7 +54,15 @@ def draw(gallery: Gallery) -> Page:
             for kind in MARKS
         ),
     ]
-    figure.legend(handles=lines, loc="upper left", bbox_to_anchor=(0.042, 0.955), ncol=6, fontsize=9, frameon=False)
+    figure.legend(
+        handles=lines,
+        loc="upper left",
+        bbox_to_anchor=(0.042, 0.955),
+        ncol=6,
+        fontsize=8.5,
+        columnspacing=1.2,
+        frameon=False,
+    )
     return Page(figure, _caption(diagrams), _differs(diagrams))
 
 
