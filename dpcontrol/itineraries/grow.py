@@ -63,7 +63,10 @@ def as_connection(orbit: ShadowingOrbit, *, settings: ConnectionSettings | None 
     curve = OrbitCurve(target)
     since = _last_far(whole, curve)
     time_in, phase_in = approach(replace(whole, times=whole.times - since), curve, +1, settings.near)
-    hits = section_hits(whole, section)
+    # Beyond there an orbit that crosses the section itself would count its laps.
+    since_left = -time_out if source.laps else float(whole.times[0])
+    till_joined = since + time_in if target.laps else float(whole.times[-1])
+    hits = section_hits(whole, section, (since_left, till_joined))
     turns = ",".join(str(k) for k in winding)
     return Connection(
         name=f"{source.saddle}>{target.saddle}[{turns}]h{hits[0]}.{hits[1]}@{composed(orbit.walk, orbit.wraps)}",
@@ -133,12 +136,17 @@ def components(name: str) -> tuple[tuple[str, ...], tuple[int, ...]] | None:
     return None
 
 
-def section_hits(orbit: ConnectingOrbit, section: Section, *, per_segment: int = 40) -> tuple[int, int]:
-    """Return (n_u, n_s): the how-manieth crossing of the lifted section lies at time zero, forward and backward."""
-    times = [
-        np.linspace(a, b, per_segment, endpoint=False) for a, b in zip(orbit.times[:-1], orbit.times[1:], strict=True)
-    ]
-    grid = np.append(np.concatenate(times), orbit.times[-1])
+def section_hits(
+    orbit: ConnectingOrbit, section: Section, span: tuple[float, float], *, per_segment: int = 40
+) -> tuple[int, int]:
+    """Return (n_u, n_s): the how-manieth crossing of the lifted section lies at time zero, forward and backward.
+
+    span: times in s between which crossings count.
+    """
+    shares = np.linspace(0.0, 1.0, per_segment, endpoint=False)
+    within = orbit.times[:-1, None] + np.diff(orbit.times)[:, None] * shares
+    grid = np.append(within.ravel(), orbit.times[-1])
+    grid = grid[(grid >= span[0]) & (grid <= span[1])]
     states = orbit.sample(grid)
     heights = section.height(states)
     side = (heights > 0).astype(float) if section.period is None else np.floor(heights / section.period)

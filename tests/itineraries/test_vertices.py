@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.itineraries.grow import as_connection
 from dpcontrol.itineraries.shadowing import shadow
 from dpcontrol.itineraries.vertices import closed_vertex
 from dpcontrol.itineraries.walk import choose, parse_symbol
@@ -184,6 +185,17 @@ def test_a_walk_may_start_and_end_at_the_rotating_orbit(rotating, into, out):
     curve = OrbitCurve(rotating)
     for state in orbit.orbit.states[[0, -1]]:
         assert curve.nearest(state)[1] < 1e-7
+    # As an edge it is told as its symbols are: laps before it left do not count.
+    edge = as_connection(orbit)
+    inside = edge.orbit.sample(np.arange(-edge.time_out, edge.time_in, 1e-3))[:, 1] / (2 * np.pi)
+    assert sum(edge.hits) - 1 == np.count_nonzero(np.diff(np.floor(inside)))
+    assert edge.symmetric
+    longer = shadow([into.connections[0], edge, out.connections[0]], wraps=[1, 2])
+    plain = shadow([into.connections[0], out.connections[0]] * 2, wraps=[1, 2, 2])
+    assert longer.wraps_realised == (1, 2)
+    times = np.linspace(-1.0, plain.symbol_times[-1] - plain.symbol_times[0] + 1.0, 200)
+    apart = longer.sample(times + longer.symbol_times[0]) - plain.sample(times + plain.symbol_times[0])
+    assert np.abs(apart).max() < FLOWN
 
 
 def test_a_closed_shadowing_orbit_is_a_vertex(system, turns, whirl, section):
