@@ -68,6 +68,7 @@ def test_every_command_of_the_walk_through_prints_what_is_shown() -> None:
     shown = conversations()
     assert {command.split()[1] for command, _ in shown} == {
         "model", "orbit", "connect", "plan", "run", "score", "review", "atlas", "bifurcations", "figures",
+        "walk",
     }  # fmt: skip
     for command, lines in shown:
         words = shlex.split(command, comments=True)
@@ -78,6 +79,8 @@ def test_every_command_of_the_walk_through_prints_what_is_shown() -> None:
             assert said(line).search(ended.stdout), f"{command}\ndid not print\n{line}\nbut\n{ended.stdout}"
     assert Path("turn.rrd").is_file()
     assert Path("turn.png").is_file()
+    assert Path("walk.png").is_file()
+    assert len(list(Path("orbits").iterdir())) == 3
 
 
 def test_the_commands_that_show_the_numbers_run() -> None:
@@ -88,7 +91,10 @@ def test_the_commands_that_show_the_numbers_run() -> None:
 
 
 def test_every_verb_and_option_that_the_text_mentions_exists() -> None:
-    helps = {verb: dpcontrol(verb, "--help") for verb in ("demo", "model", "orbit", "connect", "plan", "run", "review")}
+    helps = {
+        verb: dpcontrol(verb, "--help")
+        for verb in ("demo", "model", "orbit", "connect", "walk", "plan", "run", "review")
+    }
     assert all(ended.code == 0 for ended in helps.values())
     known = set(re.findall(r"--[a-z][a-z-]*", "".join(ended.stdout for ended in helps.values())))
     mentioned = re.findall(r"`(?:dpcontrol )?(\w*)[^`\n]*?(--[a-z][a-z-]*)", README)
@@ -124,10 +130,12 @@ def test_the_check_in_ci_takes_its_command_from_the_readme() -> None:
 
 def test_the_files_that_the_readme_shows_or_links_to_exist() -> None:
     links = re.findall(r"\]\(([^)]+)\)", README)
-    assert ".assets/outer-turn.png" in links
+    shown = [link for link in links if link.startswith(".assets/")]
+    assert sorted(shown) == sorted(f".assets/{file.name}" for file in (ROOT / ".assets").iterdir())
     for link in links:
         assert (ROOT / link).is_file(), link
-    assert (ROOT / ".assets/outer-turn.png").read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+    for picture in shown:
+        assert (ROOT / picture).read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
 
 
 def test_the_table_of_topics_is_that_of_the_logs() -> None:

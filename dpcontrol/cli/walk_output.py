@@ -56,7 +56,8 @@ def show_walks(edges: "Edges", requests: "Sequence[WalkRequest]", as_json: bool)
         return
     for asked in requests:
         click.echo("  ".join(c.name for c in asked.chain))
-    click.echo(f"{len(requests)} walks; --solve finds their orbits")
+    one = len(requests) == 1
+    click.echo("1 walk; --solve finds its orbit" if one else f"{len(requests)} walks; --solve finds their orbits")
 
 
 def print_answer(number: int, answer: "WalkAnswer", file: str | None) -> None:
