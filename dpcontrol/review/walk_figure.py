@@ -79,7 +79,7 @@ def _verdict(story: WalkStory) -> str:
     parts = [f"largest gap at a node {orbit.residual:.1e}"]
     certificate = orbit.certificate
     if certificate is not None:
-        parts.append(f"a true orbit lies within {certificate.radius:.1e} of every node")
+        parts.append(f"by Newton–Kantorovich a true orbit lies within {certificate.radius:.1e} of every node")
         if certificate.multipliers is not None:
             sign = "−" if certificate.multipliers.sign < 0 else ""
             parts.append(f"unstable multiplier {sign}exp({certificate.multipliers.log_unstable:.4g})")

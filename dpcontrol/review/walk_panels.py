@@ -76,7 +76,7 @@ def timeline(axes: Axes, story: WalkStory) -> None:
         fontsize=8.5, frameon=False, handlelength=1.2, columnspacing=1.2, borderpad=0, borderaxespad=0.0,
     )  # fmt: skip
     axes.set_title(
-        "Symbols over time; 2× counts the wobbles at a stop" + (", ↻ closes the walk" if story.orbit.periodic else ""),
+        "Symbols over time; 2× means two wobbles at a stop" + (", ↻ closes the walk" if story.orbit.periodic else ""),
         loc="left", fontsize=10, color=style.INK,
         y=1.0 if many else 1.67, pad=4,
     )  # fmt: skip
@@ -120,7 +120,7 @@ def distances(axes: Axes, story: WalkStory) -> None:
         )
     axes.set_yscale("log")
     axes.axhline(NEAR, color=style.FAINT, linewidth=1.0, linestyle=(0, (5, 3)))
-    quiet(axes, "Distance from the periodic orbits (scaled); below the dashed line: wobbling")
+    quiet(axes, "Distance from the periodic orbits (scaled); wobbles are counted below the dashed line")
     axes.yaxis.set_major_locator(LogLocator(base=10, numticks=6))
     axes.set_ylim(top=2.0)
     mark_symbols(axes, story)

@@ -12,8 +12,8 @@ from dpcontrol.tubes.orbit_curve import OrbitCurve
 
 Array = NDArray[np.float64]
 
-NEAR = 0.01
-"""Scaled distance from a periodic orbit below which the eye sees no difference: that counts as wobbling about it."""
+NEAR = 1e-3
+"""Scaled distance from a periodic orbit at which flights end and wobbles begin to be counted, as connections' times."""
 
 _PER_PERIOD = 120
 _MOST_SAMPLES = 40_000
