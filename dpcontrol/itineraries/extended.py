@@ -1,8 +1,7 @@
 """An orbit that shadows a walk, refined in 113-bit arithmetic: 30 digits instead of 12.
 
-The equations are those of `dpcontrol.itineraries.shooting_equations`, with free segment lengths. Their residuals are
-evaluated in 113 bits and divided by the largest before the step is solved for in double, where nothing underflows; so
-each Newton step leaves about 1e-12 of the residual. Open orbits are led out along both local manifolds until their
+The equations are those of `dpcontrol.itineraries.shooting_equations`, with free segment lengths, their residuals
+evaluated in 113 bits (module refinement). Open orbits are led out along both local manifolds until their
 amplitude is a < 1e-20: what the linear manifold leaves out, a², and the double Floquet vector's share, a · 1e-12, are
 then far below what is asked. Closed orbits close, at the exact energy, and need no manifold.
 
@@ -15,15 +14,16 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
 
 from dpcontrol.dynamics.extended import Exact, Extended, ExtendedPropagator, digits, extended, pi_times
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.itineraries.refinement import ExactTerms, Refined, refined
 from dpcontrol.itineraries.shadowing import ShadowingOrbit
-from dpcontrol.itineraries.shooting_equations import Guess, ShootingEquations
+from dpcontrol.itineraries.shooting_equations import Guess
 from dpcontrol.tubes.connecting_orbit import ManifoldEnd
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.tubes.extended_orbit import ExtendedOrbit, RefinementSettings, exact_position, refine_orbit
+from dpcontrol.tubes.vertex import HyperbolicOrbit
 
 Array = NDArray[np.float64]
 
@@ -58,19 +58,6 @@ class ExtendedShadowing:
         return str(self.times[-1] - self.times[0])
 
 
-@dataclass(frozen=True)
-class _Exact:
-    """What the equations need at full precision.
-
-    levels: of the marked nodes' sections; bases (N,) of the ends; turn (N,) of a closed orbit; energy.
-    """
-
-    levels: dict[int, Any]
-    bases: tuple[Extended, ...]
-    turn: Extended | None
-    energy: Any
-
-
 def refine_shadowing(
     orbit: ShadowingOrbit,
     *,
@@ -85,8 +72,8 @@ def refine_shadowing(
     with `converged` False and a status that says why.
 
     Raises:
-        InputError: the double orbit has not converged, or an open one ends at an orbit that is no Lyapunov orbit.
-        GoalMissed: a Lyapunov orbit could not be refined, or heyoka has no 113-bit reals.
+        InputError: the double orbit has not converged.
+        GoalMissed: a periodic orbit at an open one's end could not be refined, or heyoka has no 113-bit reals.
     """
     settings = settings or RefinementSettings()
     if not orbit.converged:
@@ -95,39 +82,11 @@ def refine_shadowing(
     propagator = ExtendedPropagator(system.equations, system.parameters if parameters is None else parameters)
     height = extended(np.array(orbit.shot.guess.energy if energy is None else energy))[()]
     guess, led = _lengthened(orbit, settings)
-    equations = ShootingEquations(guess)
-    exact = _exact(orbit, guess, propagator, height, settings)
-    states, durations = extended(guess.states), extended(guess.durations)
-    free = extended(np.array([0.0] if guess.ends is None else [*(e.amplitude for e in guess.ends), 0.0]))
-    best: tuple[Any, Extended, Extended] = (np.inf, states, durations)
-    iteration, failure = 0, ""
-    for iteration in range(settings.iterations + 1):
-        _place_ends(states, equations, exact, free)
-        try:
-            arrived = np.array([propagator.flow(x, h) for x, h in zip(states[:-1], durations, strict=True)])
-            right, residual = _residuals(equations, exact, propagator, states, arrived, free[-1])
-            doubles, segments = states.astype(float), durations.astype(float)
-            flown, stms = system.segments.flows_with_stm(doubles[:-1], segments)
-        except ArithmeticError as error:
-            failure = f" ({error})"
-            break
-        previous = best[0]
-        if residual < previous:
-            best = (residual, states.copy(), durations.copy())
-        if residual == 0 or residual > settings.stalled * previous or iteration == settings.iterations:
-            break
-        matrix = equations.matrix(doubles, stms, flown)
-        # The right-hand side is as large as its own largest entry here, whatever the residual has shrunk to.
-        scaled = (right / residual).astype(float) * equations.rows
-        change = extended(splu(matrix).solve(-scaled) * equations.columns) * residual
-        inner = slice(equations.first_node, equations.first_node + equations.nodes)
-        states[inner] = states[inner] + change[: equations.states_end].reshape(-1, system.dimension)
-        durations = durations + change[equations.states_end : equations.durations_end]
-        free = free + change[equations.durations_end :]
-    residual, states, durations = best
+    best = refined(guess, _exact(orbit, guess, propagator, height, settings), propagator, settings)
+    residual, states, iteration = best.residual, best.states, best.iterations
     converged = bool(residual <= settings.tolerance)
     symbols = np.array(sorted(guess.markers))
-    times = np.concatenate([extended(np.zeros(1)), np.cumsum(durations)])
+    times = best.times
     kept = slice(led, led + len(orbit.shot.states))
     correction = float(np.abs(states[kept] - extended(orbit.shot.states)).max())
     if converged:
@@ -135,52 +94,17 @@ def refine_shadowing(
         status += f"{correction:.1e}"
     else:
         status = (
-            f"not refined: the gap stays at {float(residual):.1e} after {iteration} iterations{failure}; put nodes "
-            "nearer together, or use double precision"
+            f"not refined: the gap stays at {float(residual):.1e} after {iteration} iterations{best.failure}; put "
+            "nodes nearer together, or use double precision"
         )
     return ExtendedShadowing(
         orbit, times - times[symbols[0]], states, symbols, residual, correction, iteration, converged, status
     )
 
 
-def _place_ends(states: Extended, equations: ShootingEquations, exact: _Exact, free: Extended) -> None:
-    """Put the last node (and the first, if open) where closure, or the amplitudes, have it."""
-    if exact.turn is not None:
-        states[-1] = states[0] + exact.turn
-        return
-    for place, base, slope, amplitude in zip((0, -1), exact.bases, equations.ends.slopes, free[:2], strict=True):
-        states[place] = base + extended(slope) * amplitude
-
-
-def _residuals(
-    equations: ShootingEquations,
-    exact: _Exact,
-    propagator: ExtendedPropagator,
-    states: Extended,
-    arrived: Extended,
-    unfolding: Any,
-) -> tuple[Extended, Any]:
-    """Return the right-hand side, unscaled, and the largest gap, distance from a section or energy error."""
-    gaps = arrived - states[1:]
-    off = extended(np.zeros(equations.nodes))
-    for node, level in exact.levels.items():
-        normal = equations.guess.markers[node][0]
-        length = extended(np.linalg.norm(normal))
-        off[node - equations.first_node] = (extended(normal) @ states[node] - level) / length
-    first = states[0] if exact.turn is not None else states[min(exact.levels)]
-    wrong = propagator.energy(first) - exact.energy
-    residual = max(np.abs(gaps).max(), np.abs(off).max(), abs(wrong))
-    gradients = equations.system.numeric.gradient(states[1:][equations.unfolded].astype(float))
-    gaps[equations.unfolded] = gaps[equations.unfolded] + extended(gradients) * unfolding
-    parts = [gaps.ravel(), off]
-    if exact.turn is not None:
-        parts.append(np.array([wrong]))
-    return np.concatenate(parts), residual
-
-
 def _exact(
     orbit: ShadowingOrbit, guess: Guess, propagator: ExtendedPropagator, energy: Any, settings: RefinementSettings
-) -> _Exact:
+) -> ExactTerms:
     system = guess.system
     markers = sorted(guess.markers)
     levels = {
@@ -188,32 +112,70 @@ def _exact(
         for node, connection in zip(markers, orbit.connections, strict=True)
     }
     if guess.turn is not None:
-        return _Exact(levels, (), exact_position(system, guess.turn), energy)
+        return ExactTerms(levels, (), exact_position(system, guess.turn), energy)
     assert guess.ends is not None
-    refined: list[tuple[Any, ExtendedOrbit]] = []
+    known: dict[str, ExtendedOrbit | Refined] = {}
     bases = []
     for end in guess.ends:
-        lyapunov = end.manifold.orbit
-        known = next((r for o, r in refined if o.saddle == lyapunov.saddle), None)
-        if known is None:
-            if lyapunov.saddle not in system.equilibria:
-                raise InputError(
-                    f"the orbit ends at {lyapunov.saddle}, which is no Lyapunov orbit: only closed orbits, and those "
-                    "between Lyapunov orbits, can be refined"
-                )
-            known = refine_orbit(lyapunov, propagator, energy, settings)
-            refined.append((lyapunov, known))
-        bases.append(_base(end, known))
-    return _Exact(levels, tuple(bases), None, energy)
+        vertex = end.manifold.orbit
+        if vertex.saddle not in known:
+            known[vertex.saddle] = (
+                _refined_vertex(vertex, propagator, energy, settings)
+                if isinstance(vertex, HyperbolicOrbit)
+                else refine_orbit(vertex, propagator, energy, settings)
+            )
+        bases.append(_base(end, known[vertex.saddle], propagator))
+    return ExactTerms(levels, tuple(bases), None, energy)
 
 
-def _base(end: ManifoldEnd, refined: ExtendedOrbit) -> Extended:
+def _refined_vertex(
+    vertex: HyperbolicOrbit, propagator: ExtendedPropagator, energy: Any, settings: RefinementSettings
+) -> Refined:
+    """Refine a vertex as what it is, a closed orbit; its nodes keep their phases, across which they alone move.
+
+    Raises:
+        GoalMissed: the residual stays above the tolerance; says how large it is.
+    """
+    durations = np.diff(vertex.node_times)
+    guess = Guess(
+        system=vertex.system,
+        states=vertex.node_states,
+        durations=durations,
+        owners=np.zeros(len(vertex.node_states), dtype=np.intp),
+        markers={},
+        energy=vertex.energy,
+        turn=vertex.turn,
+    )
+    best = refined(guess, ExactTerms({}, (), exact_position(vertex.system, vertex.turn), energy), propagator, settings)
+    if not best.residual <= settings.tolerance:
+        raise GoalMissed(
+            f"{vertex.saddle} could be refined only to a residual of {float(best.residual):.1e}; use double precision"
+        )
+    return best
+
+
+def _vertex_state(vertex: HyperbolicOrbit, known: Refined, phase: float, propagator: ExtendedPropagator) -> Extended:
+    """Return γ(φ) (N,), lifted, flown from the node before it."""
+    rounds = float(np.floor(phase))
+    times = known.times
+    elapsed = (extended(phase) - extended(rounds))[()] * times[-1]
+    node = int(np.clip(np.searchsorted(times.astype(float), float(elapsed), side="right") - 1, 0, len(times) - 2))
+    state = propagator.flow(known.states[node], elapsed - times[node])
+    return state + exact_position(vertex.system, rounds * vertex.turn)
+
+
+def _base(end: ManifoldEnd, known: ExtendedOrbit | Refined, propagator: ExtendedPropagator) -> Extended:
     """Return γ(φ) (N,) at the end's phase, turned around for a stable manifold, lifted by the end's whole turns."""
-    system = refined.orbit.system
-    state = refined.at(extended(end.phase)[()])
+    orbit = end.manifold.orbit
+    system = orbit.system
+    if isinstance(known, ExtendedOrbit):
+        state = known.at(extended(end.phase)[()])
+    else:
+        assert isinstance(orbit, HyperbolicOrbit)
+        state = _vertex_state(orbit, known, end.phase, propagator)
     if end.stable:
-        centre = exact_position(system, refined.orbit.centre)
-        state = extended(system.reversers[0]) @ (state - centre) + centre
+        centre = exact_position(system, orbit.centre)
+        state = extended(orbit.reverser) @ (state - centre) + centre
     return state + exact_position(system, np.asarray(end.turns) * system.turn_lengths)
 
 

@@ -14,6 +14,10 @@ from dpcontrol.itineraries.walk import choose, parse_symbol
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.extended_orbit import RefinementSettings
+from dpcontrol.tubes.lap_connections import find_lap_connections
+from dpcontrol.tubes.lyapunov import lyapunov_orbit
+from dpcontrol.tubes.rotating import rotating_orbits
+from dpcontrol.tubes.vertex import rotating_vertex
 
 RESIDUAL = 1e-20  # the bar; what is reached is about 2e-32
 AGREES = 1e-10  # with the double nodes; what is reached is about 3e-14
@@ -93,6 +97,26 @@ def test_a_symmetric_orbit_lies_on_its_mirror(turns):
     state = refined.states[refined.symbols[0]]
     # The mirror keeps (0, 2πk, ω₁, ω₂); nothing in the equations asks for θ₁ = 0.
     assert abs(state[0]) < SAME
+
+
+@pytest.mark.slow
+def test_connections_of_the_rotating_orbit_mirror_each_other(lab):
+    """Searched and refined apart: one leaves the rotating orbit, the other joins it; λ = -2.74 at that end."""
+    vertex = rotating_vertex(rotating_orbits(lab.system, 2, -0.06985)[-1])
+    saddle = lyapunov_orbit(lab.system, "down-up", energy=-0.06985)
+    section = lab.system.named_sections["outer-down"]
+    rough = RefinementSettings(amplitude=1e-10, segments=3)
+    states = []
+    for pair in ((vertex, saddle), (saddle, vertex)):
+        connection = find_lap_connections(*pair, section=section).connections[0]
+        refined = refine_shadowing(shadow([connection], settings=ShadowingSettings(segments=5)), settings=rough)
+        assert refined.converged
+        assert refined.correction < AGREES
+        states.append(refined.states[refined.symbols[0]])
+    signs = np.array([-1.0, 1.0, 1.0, 1.0])
+    gap = (extended(signs) * states[0] - states[1])[[0, 2, 3]]
+    # The local manifolds leave out the square of their amplitude, 1e-20, which grows by λ^0.5 or so on its way.
+    assert np.abs(gap).max() < 1e-18
 
 
 def test_too_few_steps_are_a_status(dance):
