@@ -1,17 +1,20 @@
 """Walks and the orbits that shadow them."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.itineraries.shadowing import ShadowingSettings, phase_gap, shadow
-from dpcontrol.itineraries.shooting import NewtonSettings
+from dpcontrol.itineraries.shadowing import ShadowingSettings, described, first_guess, phase_gap, shadow
+from dpcontrol.itineraries.shooting import NewtonSettings, solve_shooting
 from dpcontrol.itineraries.walk import choose, parse_symbol, parse_walk
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 
 SADDLES = ("down-up", "up-down")
 RESIDUAL = 1e-11
+SAME_ORBIT = 1e-10  # scaled
 
 
 @pytest.fixture(scope="module")
@@ -151,3 +154,34 @@ def test_wraps_that_do_not_fit_are_refused(turns, wraps, fragment):
 def test_walks_of_two_energies_are_refused(turns, connections):
     with pytest.raises(InputError, match="one orbit keeps one energy"):
         shadow([turns[0], connections["down-up", "down-up"][0]], wraps=[2])
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_a_guess_off_by_a_thousandth_leads_to_the_same_orbit(system, connections, periodic):
+    """Noise on all nodes: at the ends it is 1e5 times what the orbit is away from its first and last orbits."""
+    walked = chain(connections, ROUND_TRIP)
+    wraps = [1, 0, 2, 1][: 4 if periodic else 3]
+    guess = first_guess(walked, wraps, periodic=periodic)
+    found = described(solve_shooting(guess), tuple(walked), wraps)
+    generator = np.random.default_rng(5)
+    for _ in range(3):
+        states = guess.states + generator.uniform(-1e-3, 1e-3, guess.states.shape) * system.scale
+        again = described(solve_shooting(replace(guess, states=states)), tuple(walked), wraps)
+        assert again.converged, again.status
+        assert _apart(system, found, again) < SAME_ORBIT
+
+
+@pytest.mark.parametrize("periodic", [False, True])
+def test_twice_the_segments_give_the_same_orbit(system, connections, periodic):
+    walked = chain(connections, ROUND_TRIP)
+    wraps = [1, 0, 2, 1][: 4 if periodic else 3]
+    settings = [ShadowingSettings(segments=count) for count in (8, 16)]
+    coarse, fine = (shadow(walked, wraps=wraps, periodic=periodic, settings=s) for s in settings)
+    assert _apart(system, coarse, fine) < SAME_ORBIT
+
+
+def _apart(system, first, second):
+    """Return the largest scaled distance of two orbits, both timed from their first symbol's section."""
+    times = np.linspace(0.0, first.symbol_times[-1] - first.symbol_times[0], 400)
+    states = [orbit.sample(times + orbit.symbol_times[0]) for orbit in (first, second)]
+    return float(np.max(np.abs(states[1] - states[0]) / system.scale))
