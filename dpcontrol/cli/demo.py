@@ -55,7 +55,8 @@ def command(*, itinerary: str, seed: int, folder: Path, as_json: bool) -> None:
         document |= {"recording": str(recording), "picture": str(picture.path), "renderer": picture.renderer}
         print_json(document | {"seconds": seconds, "status": picture.status})
     else:
-        click.echo(f"{scene.title}: {' '.join(repr(text) for text in scene.walk)} at {scene.energy:g} J")
+        symbols = plan.notes["symbols"]
+        click.echo(f"{scene.title}: {' '.join(repr(symbol['text']) for symbol in symbols)}")
         click.echo(f"  planned: {plan.status}")
         print_score(verdict)
         click.echo(f"log        {log}")

@@ -63,10 +63,12 @@ def command(*, itinerary: str, fresh: bool, out: Path | None, as_json: bool) -> 
         )
     elif reference.converged:
         click.echo(f"{scene.title}")
-        for text, name in zip(scene.walk, notes["walk"], strict=True):
-            click.echo(f"  {text!r} is {name}")
+        for symbol in notes["symbols"]:
+            text, name = symbol["text"], symbol["name"]
+            click.echo(f"  {text!r} is {name}" if name else f"  {text}, a transfer at {symbol['time']:.2f} s")
         shadowing = notes["shadowing"]
-        click.echo(f"  shadowing orbit  {shadowing['duration']:.3f} s, residual {shadowing['residual']:.1e}")
+        if shadowing["residual"] is not None:
+            click.echo(f"  shadowing orbit  {shadowing['duration']:.3f} s, residual {shadowing['residual']:.1e}")
         click.echo(f"  reference        {reference.status}")
         click.echo(
             f"  cart             {reference.max_cart_position * 1e3:.1f} mm at most, "

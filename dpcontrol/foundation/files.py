@@ -63,3 +63,12 @@ Progress = Callable[[str, float], None]
 
 def no_progress(what: str, done: float) -> None:
     """Ignore progress."""
+
+
+def part_of(progress: Progress, low: float, high: float) -> Progress:
+    """Return a progress that reports into the part of another from `low` to `high`."""
+
+    def report(what: str, done: float) -> None:
+        progress(what, low + (high - low) * done)
+
+    return report

@@ -82,6 +82,13 @@ class Table:
             raise InputError(f"{self.where(key)} = {value!r}: must be a table, [{key}]")
         return Table(value, file=self.file, name=f"{self.name}.{key}" if self.name else key)
 
+    def tables(self, key: str) -> "list[Table]":
+        """Return the tables of an array of tables, [[key]], none where it is not given."""
+        value = self._take(key, [])
+        if not isinstance(value, list) or not all(isinstance(one, dict) for one in value):
+            raise InputError(f"{self.where(key)} = {value!r}: must be tables, each under [[{key}]]")
+        return [Table(one, file=self.file, name=f"{key} {k}") for k, one in enumerate(value, start=1)]
+
     def remaining(self) -> dict[str, Any]:
         """Return the keys that were not taken yet, and take them."""
         rest = {key: value for key, value in self._values.items() if key not in self._taken}

@@ -95,7 +95,7 @@ def _tightened(limits: Limits, asked: Limits, largest: dict[str, float]) -> Limi
     return replace(limits, **changes) if changes else None
 
 
-def _wanting(problem: ReferenceProblem, method: Method, *, settings: ReferenceSettings, first: Trajectory) -> str:
+def wanting(problem: ReferenceProblem, method: Method, *, settings: ReferenceSettings, first: Trajectory) -> str:
     """Say which limits a solution without limits would pass, and by how much."""
     free = solve(problem, method, settings=settings, first=first, limits=_UNLIMITED)
     if not free.succeeded:
@@ -142,13 +142,21 @@ def _reference(
 
 
 def find_reference(
-    problem: ReferenceProblem, settings: ReferenceSettings, *, progress: Progress = no_progress
+    problem: ReferenceProblem,
+    settings: ReferenceSettings,
+    *,
+    near: Trajectory | None = None,
+    held: Limits | None = None,
+    progress: Progress = no_progress,
 ) -> Reference:
     """Find the reference nearest to the guess that friction, cart and limits allow.
 
     It starts on the guess's first state and ends on its last (within `end_tolerance`), cart at rest in the
     middle both times. Ending on the orbit itself costs up to 1.6 times the effort of a free end, but whatever
     holds the orbit afterwards starts without an error, and the last period shows the orbit.
+
+    near: a trajectory of the same method that is nearly a solution, to start from instead of the guess. held: limits
+    inside the problem's own, to be kept at first.
 
     Returns:
         A reference; where `converged` is false it must not be used, and `status` says why and what to try.
@@ -157,9 +165,9 @@ def find_reference(
         InputError: the guess has the wrong shape or is not finite, or a setting is impossible.
     """
     method = method_named(settings.method)
-    first = first_trajectory(problem, method, first_mesh(problem, settings, method=method))
+    first = near or first_trajectory(problem, method, first_mesh(problem, settings, method=method))
     most = _MOST_GROWTH * len(first.mesh)
-    limits, propagator = problem.limits, interval_propagator(problem, method)
+    limits, propagator = held or problem.limits, interval_propagator(problem, method)
     iterations, seconds = 0, 0.0
 
     def result(solved: Solved, status: str, *, converged: bool, error: float = np.inf) -> Reference:
@@ -172,14 +180,16 @@ def find_reference(
     while True:
         progress(f"reference, {len(first.mesh) - 1} intervals", round_number / settings.rounds)
         round_number += 1
-        solved = solve(problem, method, settings=settings, first=first, limits=limits, warm=round_number > 1)
+        solved = solve(
+            problem, method, settings=settings, first=first, limits=limits, warm=bool(near) or round_number > 1
+        )
         iterations += solved.iterations
         seconds += solved.seconds
         if not solved.succeeded:
             start = first_trajectory(problem, method, first.mesh)
-            why = _wanting(problem, method, settings=settings, first=start)
-            held = replace(solved, trajectory=first)
-            return result(held, f"no reference: the solver stopped with {solved.outcome!r}; {why}", converged=False)
+            why = wanting(problem, method, settings=settings, first=start)
+            unsolved = replace(solved, trajectory=first)
+            return result(unsolved, f"no reference: the solver stopped with {solved.outcome!r}; {why}", converged=False)
         errors = error_between_nodes(problem, solved.trajectory, method=method, propagator=propagator)
         worst = float(errors.max())
         largest = largest_values(solved.trajectory, method=method, limits=problem.limits)

@@ -2,8 +2,8 @@
 
 A transfer follows nothing; its cost is the cart's effort alone. The guess is a smooth curve from start to end, from
 which direct collocation finds a swing-up as well as a landing; several durations, and several lattice points to end on,
-are tried in turn. Where a transfer joins two periodic orbits of one saddle the guess blends one into the other, wobble
-by wobble. Source: Kelly, An introduction to trajectory optimization, SIAM Review 59 (2017), for the method.
+are tried in turn, with half of the cart's limits first: what is left is the feedback's.
+Source: Kelly, An introduction to trajectory optimization, SIAM Review 59 (2017), for the method.
 """
 
 from collections.abc import Sequence
@@ -16,9 +16,18 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import Progress, no_progress
-from dpcontrol.references.find import find_reference
-from dpcontrol.references.problem import Ends, Guess, Limits, ReferenceProblem, ReferenceSettings
+from dpcontrol.references.find import find_reference, wanting
+from dpcontrol.references.method import method_named
+from dpcontrol.references.problem import (
+    LIMIT_UNITS,
+    Ends,
+    Guess,
+    Limits,
+    ReferenceProblem,
+    ReferenceSettings,
+)
 from dpcontrol.references.reference import Reference
+from dpcontrol.references.transcription import first_trajectory, solve
 
 Array = NDArray[np.float64]
 
@@ -27,14 +36,15 @@ Array = NDArray[np.float64]
 class TransferSettings:
     """How transfers are sought. durations: tried in turn, s; cart_weight: of the cart's position in the cost.
 
-    gentle: a transfer whose acceleration, velocity and travel all stay below this share of their limits is taken at
-    once; otherwise the gentlest of those found is.
+    shares: of the limits that a transfer may use; the first that allows one is taken, for what is left is the
+    feedback's. iterations: of the solver in one try; interval: s, of the mesh on which tries are made.
     """
 
-    durations: tuple[float, ...] = (2.5, 3.0, 2.0, 4.0)
+    durations: tuple[float, ...] = (2.5, 2.0, 3.5)
     cart_weight: float = 1.0
-    iterations: int = 400
-    gentle: float = 0.5
+    shares: tuple[float, ...] = (0.5, 1.0)
+    iterations: int = 120
+    interval: float = 0.05
 
 
 def smooth_guess(start: Array, end: Array, duration: float) -> Guess:
@@ -71,14 +81,14 @@ def find_transfer(
         GoalMissed: none of the durations and ends gave one; says what stood in the way of the last.
     """
     transfer = transfer or TransferSettings()
-    wanted = replace(settings, pendulum_weight=0.0, cart_weight=transfer.cart_weight, iterations=transfer.iterations,
-                     end_tolerance=0.0)  # fmt: skip
-    tries = list(product(transfer.durations, ends))
-    best: tuple[float, Reference] | None = None
-    status = ""
-    for k, (duration, end) in enumerate(tries):
+    wanted = replace(settings, pendulum_weight=0.0, cart_weight=transfer.cart_weight, end_tolerance=0.0)
+    tried = replace(wanted, iterations=transfer.iterations)
+    method, nz = method_named(settings.method), equations.dimension - 2
+    tries = list(product(transfer.shares, transfer.durations, ends))
+    outcome = ""
+    assert tries
+    for k, (share, duration, end) in enumerate(tries):
         progress("transfer", k / len(tries))
-        nz = equations.dimension - 2
         problem = ReferenceProblem(
             equations=equations,
             parameters=parameters,
@@ -87,27 +97,22 @@ def find_transfer(
             limits=limits,
             ends=Ends(start=start, end=end),
         )
-        found = find_reference(problem, wanted)
-        status = found.status
-        if not found.converged:
+        mesh = np.linspace(0.0, duration, int(np.ceil(duration / transfer.interval)) + 1)
+        held = limits.shared(share)
+        first = first_trajectory(problem, method, mesh)
+        attempt = solve(problem, method, settings=tried, first=first, limits=held)
+        if not attempt.succeeded:
+            outcome = attempt.outcome
             continue
-        effort = share_of_limits(found)
-        if best is None or effort < best[0]:
-            best = (effort, found)
-        if effort <= transfer.gentle:
-            break
-    if best is None:
-        seconds = ", ".join(f"{duration:g}" for duration in transfer.durations)
-        raise GoalMissed(f"no transfer within the limits in {seconds} s: {status}")
-    progress("transfer", 1.0)
-    return best[1]
+        found = find_reference(problem, wanted, near=attempt.trajectory, held=held)
+        outcome = found.status
+        if found.converged:
+            progress("transfer", 1.0)
+            return found
+    seconds = ", ".join(f"{duration:g}" for duration in transfer.durations)
+    why = wanting(problem, method, settings=tried, first=first)
+    raise GoalMissed(f"no transfer in {seconds} s within the cart's limits ({_named(limits)}): {outcome}; {why}")
 
 
-def share_of_limits(reference: Reference) -> float:
-    """Return the largest share of a limit that a reference uses: of travel, velocity and acceleration."""
-    limits = reference.limits
-    return max(
-        reference.max_cart_position / limits.position,
-        reference.max_cart_velocity / limits.velocity,
-        reference.max_cart_acceleration / limits.acceleration,
-    )
+def _named(limits: Limits) -> str:
+    return ", ".join(f"{name} {bound:g} {LIMIT_UNITS[name]}" for name, bound in limits.named().items())

@@ -1,9 +1,6 @@
 """Did the run do what the itinerary asked? Decided from the log alone, by the true state where it is known.
 
-Stops are decoded from the angles: the lattice of saddles (each saddle's angles plus whole turns) is searched for the
-point nearest to the pendulum, and a point counts as visited once it has been nearest for half a period of the
-quickest orbit. Boxes at the equilibria would not do: at H = 0.2 the Down-Up orbit swings the inner arm by 1.8 rad,
-and a turning arm passes near other lattice points on its way, but quickly.
+Stops are decoded from the angles (see `dpcontrol.review.stops`).
 
 A run is completed when every symbol was realised in order with its winding, wraps are as asked, the cart kept inside
 its limits, and over the last full period the angles stay within 0.1 rad of the last orbit (least over phase).
@@ -11,7 +8,6 @@ its limits, and over the last full period the angles stay within 0.1 rad of the 
 
 import io
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -22,6 +18,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog
 from dpcontrol.references.archive import load_reference
 from dpcontrol.references.reference import Reference
+from dpcontrol.review.stops import REST, Visit, count_wraps, decode_stops, orbit_index, settled_ticks
 
 Array = NDArray[np.float64]
 
@@ -33,9 +30,9 @@ NEAR_LAST_ORBIT = 0.1  # rad
 class Score:
     """A run's verdict.
 
-    completed: None where the true state is not known. rms_tracking_error rad, over the angles; max_cart_position m;
-    rms_cart_acceleration m/s²; nis_inside_95: share of ticks. real_time_factor: None where the log does not say.
-    reason: a sentence.
+    completed: None where the true state is not known. wraps: at each interior stop that was reached, None beside a
+    transfer. rms_tracking_error rad, over the angles; max_cart_position m; rms_cart_acceleration m/s²; nis_inside_95:
+    share of ticks. real_time_factor: None where the log does not say. reason: a sentence.
     """
 
     log: str
@@ -43,22 +40,13 @@ class Score:
     completed: bool | None
     symbols_completed: int
     symbols_total: int
-    wraps: tuple[int, ...]
+    wraps: tuple[int | None, ...]
     rms_tracking_error: float
     max_cart_position: float
     rms_cart_acceleration: float
     nis_inside_95: float
     real_time_factor: float | None
     reason: str
-
-
-@dataclass(frozen=True)
-class Visit:
-    """A stay at one lattice point: its angles (n,), first and last tick."""
-
-    angles: tuple[float, ...]
-    first: int
-    last: int
 
 
 def plan_of(log: RunLog) -> Reference:
@@ -90,8 +78,10 @@ def _whole(reference: Reference, log: RunLog) -> bool:
         homes = {stop["saddle"] for stop in stops} <= set(saddles) and len(stops) == len(symbols) + 1 >= 2
         angles = [entry["angles"] for entry in (*stops, *saddles.values())]
         curves = [reference.extra[f"orbit_{k}"] for k in range(len(orbits))]
-        numbers = [s[key] for s in symbols for key in ("time", "time_in", "time_out", "phase_in", "phase_out")]
-        numbers += [s["section"]["value"] for s in symbols] + [saddle["energy"] for saddle in saddles.values()]
+        flown = [s for s in symbols if s["section"] is not None]
+        numbers = [s[key] for s in flown for key in ("time_in", "time_out", "phase_in", "phase_out")]
+        numbers += [s["time"] for s in symbols] + [t for pair in notes.get("transfers", []) for t in pair]
+        numbers += [s["section"]["value"] for s in flown] + [saddle["energy"] for saddle in saddles.values()]
         known = {orbit["saddle"] for orbit in orbits} >= {stop["saddle"] for stop in stops}
         texts = [notes["title"], notes["itinerary"], *(s["text"] for s in symbols)]
         return bool(
@@ -101,37 +91,15 @@ def _whole(reference: Reference, log: RunLog) -> bool:
             and known
             and all(len(a) == n for a in angles)
             and all(c.ndim == 2 and c.shape[1] == 2 * n and len(c) > 1 for c in curves)
+            and all(0 <= stop.get("orbit", 0) < len(orbits) for stop in stops)
             and all(o["period"] > 0 and np.isfinite(o["energy"]) for o in orbits)
             and np.isfinite(np.array(numbers, dtype=float)).all()
-            and all(len(s["section"]["normal"]) == 2 * n for s in symbols)
+            and all(len(s["section"]["normal"]) == 2 * n for s in flown)
             and len(notes["wraps"]) == len(symbols) - 1
             and all(isinstance(text, str) for text in texts)
         )
     except (KeyError, IndexError, TypeError, ValueError, AttributeError):
         return False
-
-
-def decode_stops(angles: Array, saddles: Array, *, dwell: int) -> list[Visit]:
-    """Return the lattice points visited by angles (K, n), in order.
-
-    saddles (S, n): angles of the saddles; any whole turns of them are lattice points. dwell: ticks for which a point
-    must stay nearest to count; shorter stays belong to the way between.
-    """
-    turns = np.rint((angles[:, None, :] - saddles[None]) / (2 * np.pi))
-    points = saddles[None] + 2 * np.pi * turns
-    nearest = np.argmin(np.linalg.norm(angles[:, None, :] - points, axis=-1), axis=1)
-    rows = np.arange(len(angles))
-    keys = np.column_stack([nearest, turns[rows, nearest]])
-    starts = np.flatnonzero(np.r_[True, np.any(keys[1:] != keys[:-1], axis=1)])
-    ends = np.r_[starts[1:], len(angles)] - 1
-    visits: list[Visit] = []
-    for first, last in zip(starts, ends, strict=True):
-        point = tuple(float(v) for v in points[first, nearest[first]])
-        if visits and np.allclose(visits[-1].angles, point):
-            visits[-1] = Visit(point, visits[-1].first, int(last))
-        elif last - first + 1 >= dwell:
-            visits.append(Visit(point, int(first), int(last)))
-    return visits
 
 
 def score(log: RunLog) -> Score:
@@ -148,13 +116,13 @@ def score(log: RunLog) -> Score:
     used = {stop["saddle"] for stop in notes["stops"]}
     lattice = np.array([s["angles"] for name, s in notes["saddles"].items() if name in used])
     dwell = max(1, int(0.5 * min(o["period"] for o in notes["orbits"]) * log.rate_hz))
-    visits = decode_stops(angles, lattice, dwell=dwell)
+    visits = decode_stops(angles, lattice, dwell=dwell, settled=settled_ticks(log.time, notes))
     wanted = [tuple(stop["angles"]) for stop in notes["stops"]]
     matched = 0
     while matched < min(len(visits), len(wanted)) and np.allclose(visits[matched].angles, wanted[matched]):
         matched += 1
     symbols = max(0, matched - 1)
-    wraps = _wraps(log.time, angles, notes, visits[:matched])
+    wraps = count_wraps(log.time, angles, notes, visits[:matched])
     problem = _problem(log, plan, visits=visits, matched=matched, wraps=wraps)
     known = log.truth is not None
     low, high = nis_band(log.measured.shape[1])
@@ -163,7 +131,8 @@ def score(log: RunLog) -> Score:
     factor = log.metadata.get("real_time_factor")
     seed = log.metadata.get("seed")
     total = len(wanted) - 1
-    reason = problem or f"{_done(total, wraps)}, and on the last orbit to the end"
+    end = "at rest" if notes["stops"][-1]["saddle"] == REST else "on the last orbit"
+    reason = problem or f"{_done(total, wraps)}, and {end} to the end"
     if not known:
         reason = f"the true state is not known, so completion cannot be judged; by the estimate: {reason}"
     return Score(
@@ -182,35 +151,13 @@ def score(log: RunLog) -> Score:
     )
 
 
-def _done(total: int, wraps: tuple[int, ...]) -> str:
+def _done(total: int, wraps: tuple[int | None, ...]) -> str:
     symbols = "the symbol done" if total == 1 else f"all {total} symbols done in order"
-    return f"{symbols}, wraps {list(wraps)} as asked" if wraps else symbols
+    counted = [count for count in wraps if count is not None]
+    return f"{symbols}, wraps {counted} as asked" if counted else symbols
 
 
-def _wraps(time: Array, angles: Array, notes: dict[str, Any], visits: list[Visit]) -> tuple[int, ...]:
-    """Count the wraps at each interior stop that was reached, from the times of the sections' crossings."""
-    symbols, crossings = notes["symbols"], []
-    for k, (before, after) in enumerate(pairwise(visits)):
-        section = symbols[k]["section"]
-        height = angles @ np.asarray(section["normal"][: angles.shape[1]]) - section["value"]
-        middle, end = (before.first + before.last) // 2, (after.first + after.last) // 2
-        signs = np.flatnonzero(height[middle:end] * height[middle + 1 : end + 1] <= 0) + middle
-        if signs.size == 0:
-            break
-        i = signs[np.argmin(np.abs(time[signs] - symbols[k]["time"]))]
-        share = height[i] / (height[i] - height[i + 1]) if height[i] != height[i + 1] else 0.0
-        crossings.append(float(time[i] + share * (time[i + 1] - time[i])))
-    periods = {o["saddle"]: o["period"] for o in notes["orbits"]}
-    counts = []
-    for k in range(len(crossings) - 1):
-        arriving, leaving = symbols[k], symbols[k + 1]
-        gap = (leaving["phase_out"] - arriving["phase_in"]) % 1.0
-        spare = crossings[k + 1] - crossings[k] - arriving["time_in"] - leaving["time_out"]
-        counts.append(round(spare / periods[arriving["target"]] - gap))
-    return tuple(counts)
-
-
-def _problem(log: RunLog, plan: Reference, *, visits: list[Visit], matched: int, wraps: tuple[int, ...]) -> str:
+def _problem(log: RunLog, plan: Reference, *, visits: list[Visit], matched: int, wraps: tuple[int | None, ...]) -> str:
     """Return why the run is not completed, naming the symbol, or an empty string."""
     notes: dict[str, Any] = dict(plan.notes)
     stops, symbols = notes["stops"], notes["symbols"]
@@ -231,7 +178,7 @@ def _problem(log: RunLog, plan: Reference, *, visits: list[Visit], matched: int,
     if len(visits) > matched:
         return f"left the last orbit {last}, at t = {log.time[visits[matched].first]:.2f} s{ended}"
     for k, (asked, done) in enumerate(zip(notes["wraps"], wraps, strict=False)):
-        if asked != done:
+        if asked is not None and asked != done:
             return f"wraps at stop {k + 1} are {done} instead of {asked}, before symbol {k + 2}"
     return _limits(log, plan) or _last_orbit(log, plan, last=last, ended=ended)
 
@@ -268,7 +215,7 @@ def _last_orbit(log: RunLog, plan: Reference, *, last: str, ended: str) -> str:
     notes: dict[str, Any] = dict(plan.notes)
     n = len(log.arm_lengths)
     stop = notes["stops"][-1]
-    k = [o["saddle"] for o in notes["orbits"]].index(stop["saddle"])
+    k = orbit_index(notes, stop)
     if ended:
         return f"the last orbit was not held to the end {last}{ended}"
     period = notes["orbits"][k]["period"]

@@ -9,40 +9,53 @@ from dpcontrol.control.ekf import EkfSettings
 from dpcontrol.control.tracking import ControllerSettings, FeedforwardSettings, TvlqrSettings
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.tables import Table, read_toml, suggest
-from dpcontrol.itineraries.walk import parse_walk
 from dpcontrol.lab.bench import SensorSettings
 from dpcontrol.lab.loop import LoopSettings
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.scenes.lookup import find
 from dpcontrol.scenes.model import Model, load_model
-from dpcontrol.tubes.equilibria import equilibria
+from dpcontrol.scenes.parts import HoldPart, Part, WalkPart, read_parts
 
 CONTROLLERS: Mapping[str, type[ControllerSettings]] = {"tvlqr": TvlqrSettings, "feedforward": FeedforwardSettings}
 """Kinds of controller and what holds the settings of each."""
+ENDS = ("orbit", "rest")
+"""Where an itinerary may start and finish."""
 
 
 @dataclass(frozen=True)
 class Itinerary:
-    """One scene: the walk and the settings of every stage. `loop` carries seed 0 until a run gives another.
+    """One scene: its parts and the settings of every stage. `loop` carries seed 0 until a run gives another.
 
-    walk and wraps are those of the file done `repeat` times: what is planned, run and scored.
+    start, finish: "orbit" (on the first, last part's orbit) or "rest" (hanging still).
     """
 
     name: str
     path: Path
     title: str
     model: Model
-    energy: float
-    walk: tuple[str, ...]
-    wraps: tuple[int, ...]
-    repeat: int
-    lead_in: int
-    lead_out: int
+    parts: tuple[Part, ...]
+    start: str
+    finish: str
     limits: Limits
     reference: ReferenceSettings
     loop: LoopSettings
     text: str
+
+    @property
+    def walks(self) -> tuple[WalkPart, ...]:
+        """The parts that are walks."""
+        return tuple(part for part in self.parts if isinstance(part, WalkPart))
+
+    @property
+    def walk(self) -> tuple[str, ...]:
+        """The symbols of all walks, in order."""
+        return tuple(text for part in self.walks for text in part.walk)
+
+    @property
+    def wraps(self) -> tuple[int, ...]:
+        """The wraps of all walks, in order; stops where two parts meet have none."""
+        return tuple(count for part in self.walks for count in part.wraps)
 
     def with_run(self, **overrides: Any) -> "Itinerary":
         """Return the scene with run settings replaced: mismatch, initial_error, seed, controller kind; None keeps.
@@ -72,19 +85,19 @@ def load_itinerary(name: str) -> Itinerary:
     title = table.text("title", path.stem)
     model = _model(table, path)
     _ = model.arms  # an itinerary needs arms on a cart
-    energy = table.number("energy")
-    saddles = [name for name, e in equilibria(model.system).items() if e.kind.startswith("index-1")]
-    walk, wraps, repeat = _walk(table, saddles)
-    _check_energy(table, walk, saddles, model, energy)
-    lead_in, lead_out = table.integer("lead_in", 2), table.integer("lead_out", 2)
-    table.text("start", "orbit", allowed=("orbit",))
+    parts = read_parts(table, model)
+    start = table.text("start", "orbit", allowed=ENDS)
+    finish = table.text("finish", "orbit", allowed=ENDS)
+    for key, which, part in (("start", start, parts[0]), ("finish", finish, parts[-1])):
+        if which == "orbit" and isinstance(part, HoldPart):
+            raise InputError(
+                f"{table.where(key)} = {which!r}: the part there is a hold, which no orbit leads to; {key} at rest"
+            )
     limits = table.table("limits").settings(Limits)
     reference = _reference(table.table("reference"))
     loop = _loop(table.table("run"), _controller(table.table("controller")), _estimator(table.table("estimator")))
     table.finish()
-    return Itinerary(
-        path.stem, path, title, model, energy, walk, wraps, repeat, lead_in, lead_out, limits, reference, loop, text
-    )  # fmt: skip
+    return Itinerary(path.stem, path, title, model, parts, start, finish, limits, reference, loop, text)
 
 
 def _model(table: Table, path: Path) -> Model:
@@ -94,48 +107,6 @@ def _model(table: Table, path: Path) -> Model:
         return load_model(str(beside) if name.endswith(".toml") and beside.is_file() else name)
     except InputError as error:
         raise InputError(f"{table.where('model')} = {name!r}: {error}") from error
-
-
-def _walk(table: Table, saddles: list[str]) -> tuple[tuple[str, ...], tuple[int, ...], int]:
-    """Return the walk and its wraps, repeated as often as asked, and how often that is.
-
-    Raises:
-        InputError: a walk or wraps that no energy could save; before anything is computed.
-    """
-    walk, wraps, repeat = table.texts("walk"), table.integers("wraps", ()), table.integer("repeat", 1, least=1)
-    try:
-        symbols = parse_walk(walk, saddles)
-    except InputError as error:
-        raise InputError(f"{table.where('walk')}: {error}") from error
-    if repeat == 1 and len(wraps) != len(walk) - 1:
-        raise InputError(
-            f"{table.where('wraps')} = {list(wraps)}: a walk of {len(walk)} symbols has {len(walk) - 1} interior "
-            "stops; give one whole number for each"
-        )
-    if repeat == 1:
-        return walk, wraps, repeat
-    if symbols[0].source != symbols[-1].target:
-        raise InputError(
-            f"{table.where('repeat')} = {repeat}: the walk starts at {symbols[0].source} and ends at "
-            f"{symbols[-1].target}; only a walk that ends where it starts can be repeated"
-        )
-    if len(wraps) != len(walk):
-        raise InputError(
-            f"{table.where('wraps')} = {list(wraps)}: a walk of {len(walk)} symbols that is repeated has {len(walk)} "
-            "stops, the last from its last symbol back to its first; give one whole number for each"
-        )
-    return walk * repeat, (wraps * repeat)[:-1], repeat
-
-
-def _check_energy(table: Table, walk: tuple[str, ...], saddles: list[str], model: Model, energy: float) -> None:
-    """Refuse an energy at which a saddle of the walk has no orbits."""
-    points = equilibria(model.system)
-    for saddle in {name for s in parse_walk(walk, saddles) for name in (s.source, s.target)}:
-        if energy <= points[saddle].energy:
-            raise InputError(
-                f"{table.where('energy')} = {energy!r} J: {saddle} has Lyapunov orbits only above its own "
-                f"{points[saddle].energy!r} J; choose a higher energy"
-            )
 
 
 def _reference(table: Table) -> ReferenceSettings:

@@ -73,14 +73,14 @@ def test_a_repeated_walk_is_done_so_often_with_the_last_wrap_between_rounds(tmp_
     assert itinerary.walk == ("down-up +", "down-up -") * 3
     assert itinerary.wraps == (0, 1, 0, 1, 0)
     dance = load_itinerary("dance")
-    assert (len(dance.walk), len(dance.wraps), dance.repeat) == (12, 11, 3)
+    assert (len(dance.walk), len(dance.wraps), dance.walks[0].repeat) == (12, 11, 3)
 
 
 def test_one_round_is_the_walk_as_it_stands(tmp_path: Path) -> None:
     plain, once = load_itinerary(str(scene(tmp_path))), load_itinerary(str(scene(tmp_path, repeat="1")))
-    assert (once.walk, once.wraps, once.repeat) == (plain.walk, plain.wraps, 1)
+    assert (once.walk, once.wraps, once.walks[0].repeat) == (plain.walk, plain.wraps, 1)
     assert plan_key(once) == plan_key(plain)
-    assert plan_key(replace(plain, repeat=2)) != plan_key(plain)
+    assert plan_key(replace(plain, parts=(replace(plain.walks[0], repeat=2),))) != plan_key(plain)
 
 
 @pytest.mark.parametrize(

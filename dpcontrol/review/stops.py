@@ -1,0 +1,102 @@
+"""Where a pendulum stopped on its way, and how often it wobbled there, from its angles and a plan's notes.
+
+The lattice of saddles (each saddle's angles plus whole turns) is searched for the point nearest to the pendulum, and a
+point counts as visited once it has been nearest for half a period of the quickest orbit. Boxes at the equilibria would
+not do: at H = 0.2 the Down-Up orbit swings the inner arm by 1.8 rad, and a turning arm passes near other lattice points
+on its way, but quickly. While a plan has it on a transfer, such as a swing-up, it is nowhere.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+REST = "down-down"
+
+
+@dataclass(frozen=True)
+class Visit:
+    """A stay at one lattice point: its angles (n,), first and last tick."""
+
+    angles: tuple[float, ...]
+    first: int
+    last: int
+
+
+def settled_ticks(time: Array, notes: dict[str, Any]) -> NDArray[np.bool_]:
+    """Return at which ticks (K,) a plan has the pendulum on an orbit, a connection or at rest: not on a transfer."""
+    settled = np.ones(len(time), dtype=bool)
+    for begin, end in notes.get("transfers", []):
+        settled &= (time <= begin) | (time >= end)
+    return settled
+
+
+def decode_stops(angles: Array, saddles: Array, *, dwell: int, settled: NDArray[np.bool_] | None = None) -> list[Visit]:
+    """Return the lattice points visited by angles (K, n), in order.
+
+    saddles (S, n): angles of the saddles; any whole turns of them are lattice points. dwell: ticks for which a point
+    must stay nearest to count; shorter stays belong to the way between. settled (K,): ticks that are looked at.
+    """
+    ticks = np.arange(len(angles)) if settled is None else np.flatnonzero(settled)
+    if not ticks.size:
+        return []
+    seen = angles[ticks]
+    turns = np.rint((seen[:, None, :] - saddles[None]) / (2 * np.pi))
+    points = saddles[None] + 2 * np.pi * turns
+    nearest = np.argmin(np.linalg.norm(seen[:, None, :] - points, axis=-1), axis=1)
+    rows = np.arange(len(seen))
+    keys = np.column_stack([nearest, turns[rows, nearest]])
+    starts = np.flatnonzero(np.r_[True, np.any(keys[1:] != keys[:-1], axis=1)])
+    ends = np.r_[starts[1:], len(seen)] - 1
+    visits: list[Visit] = []
+    for first, last in zip(starts, ends, strict=True):
+        point = tuple(float(v) for v in points[first, nearest[first]])
+        if visits and np.allclose(visits[-1].angles, point):
+            visits[-1] = Visit(point, visits[-1].first, int(ticks[last]))
+        elif last - first + 1 >= dwell:
+            visits.append(Visit(point, int(ticks[first]), int(ticks[last])))
+    return visits
+
+
+def orbit_index(notes: dict[str, Any], stop: dict[str, Any]) -> int:
+    """Return the index of a stop's orbit among the plan's."""
+    if "orbit" in stop:
+        return int(stop["orbit"])
+    return [o["saddle"] for o in notes["orbits"]].index(stop["saddle"])
+
+
+def count_wraps(time: Array, angles: Array, notes: dict[str, Any], visits: list[Visit]) -> tuple[int | None, ...]:
+    """Count the wraps at each interior stop that was reached, from the times of the sections' crossings.
+
+    None beside a transfer, and where the orbit is changed at a stop.
+    """
+    symbols, stops = notes["symbols"], notes["stops"]
+    crossings: list[float | None] = []
+    for k, (before, after) in enumerate(pairwise(visits)):
+        section = symbols[k]["section"]
+        if section is None:
+            crossings.append(None)
+            continue
+        height = angles @ np.asarray(section["normal"][: angles.shape[1]]) - section["value"]
+        middle, end = (before.first + before.last) // 2, (after.first + after.last) // 2
+        signs = np.flatnonzero(height[middle:end] * height[middle + 1 : end + 1] <= 0) + middle
+        if signs.size == 0:
+            break
+        i = signs[np.argmin(np.abs(time[signs] - symbols[k]["time"]))]
+        share = height[i] / (height[i] - height[i + 1]) if height[i] != height[i + 1] else 0.0
+        crossings.append(float(time[i] + share * (time[i + 1] - time[i])))
+    counts: list[int | None] = []
+    for k, (arrived, left) in enumerate(pairwise(crossings)):
+        stop = stops[k + 1]
+        if arrived is None or left is None or "arrived_on" in stop:
+            counts.append(None)
+            continue
+        arriving, leaving = symbols[k], symbols[k + 1]
+        gap = (leaving["phase_out"] - arriving["phase_in"]) % 1.0
+        spare = left - arrived - arriving["time_in"] - leaving["time_out"]
+        counts.append(round(spare / notes["orbits"][orbit_index(notes, stop)]["period"] - gap))
+    return tuple(counts)
