@@ -74,7 +74,7 @@ def first_trajectory(problem: ReferenceProblem, method: Method, mesh: Array) -> 
     return Trajectory(mesh, states, inputs)
 
 
-def _interval(problem: ReferenceProblem, method: Method, settings: ReferenceSettings) -> ca.Function:
+def interval_function(problem: ReferenceProblem, method: Method, settings: ReferenceSettings) -> ca.Function:
     """Return (start, values, inputs, length, guess) -> (defects, end, cost, jerk) of one interval, states scaled.
 
     values (nx, K): at the support but for its first place; guess (nz, K): at the points.
@@ -143,7 +143,7 @@ class _Program:
         v, length, aim = ca.SX.sym("v", width + nx), ca.SX.sym("length"), ca.SX.sym("aim", self.nz * count)
         inner, following = v[nx : nx * (1 + free)], v[width:]
         values = ca.vertcat(inner, following) if self.shared else inner
-        defects, end, cost, _ = _interval(self.problem, self.method, self.settings)(
+        defects, end, cost, _ = interval_function(self.problem, self.method, self.settings)(
             v[:nx],
             ca.reshape(values, nx, count),
             v[nx * (1 + free) : width].T,
@@ -176,7 +176,7 @@ class _Program:
         inputs = stages[nx * (1 + free) :, :]
         following = ca.horzcat(starts[:, 1:], last)
         values = ca.vertcat(inner, following) if self.shared else inner
-        defects, ends, costs, jerks = _interval(self.problem, self.method, self.settings).map(n)(
+        defects, ends, costs, jerks = interval_function(self.problem, self.method, self.settings).map(n)(
             starts,
             ca.reshape(values, nx, count * n),
             ca.reshape(inputs, 1, count * n),
