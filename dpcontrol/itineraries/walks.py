@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.tables import suggest
 from dpcontrol.itineraries.edges import Edges, saddles_with_tubes
+from dpcontrol.itineraries.graph import walks
 from dpcontrol.itineraries.walk import Symbol, choose, parse_walk
 from dpcontrol.tubes.connection import Connection
 
@@ -108,18 +109,11 @@ def all_walks(edges: Edges, length: int, *, source: str | None = None, target: s
         InputError: a length below one, or a saddle without an orbit.
     """
     _check(edges, length, source, target)
+    graph = edges.graph()
+    named = {c.name: c for c in edges.connections}
     for start in edges.orbits if source is None else (source,):
-        yield from _walks(edges, start, target, length)
-
-
-def _walks(edges: Edges, at: str, target: str | None, left: int) -> Iterator[Walk]:
-    if left == 0:
-        if target in (None, at):
-            yield ()
-        return
-    for connection in edges.leaving(at):
-        for rest in _walks(edges, connection.target.saddle, target, left - 1):
-            yield (connection, *rest)
+        for names in walks(graph, start, target=target, length=length):
+            yield tuple(named[name] for name in names)
 
 
 def random_walk(edges: Edges, length: int, generator: np.random.Generator, *, periodic: bool = False) -> Walk:

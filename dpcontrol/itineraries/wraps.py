@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.itineraries.shadowing import ShadowingOrbit, ShadowingSettings, Strands, shadow
+from dpcontrol.itineraries.shadowing import ShadowingOrbit, shadow
+from dpcontrol.itineraries.tiling import ShadowingSettings, Strands
 from dpcontrol.tubes.connection import Connection
 
 MOST = 12

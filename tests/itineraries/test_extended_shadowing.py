@@ -9,7 +9,8 @@ import pytest
 from dpcontrol.dynamics.extended import ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.itineraries.extended import refine_shadowing
-from dpcontrol.itineraries.shadowing import ShadowingSettings, shadow
+from dpcontrol.itineraries.shadowing import shadow
+from dpcontrol.itineraries.tiling import ShadowingSettings
 from dpcontrol.itineraries.walk import choose, parse_symbol
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.itineraries.shadowing import ShadowingSettings, described, first_guess, phase_gap, shadow
+from dpcontrol.itineraries.shadowing import described, shadow
 from dpcontrol.itineraries.shooting import NewtonSettings, solve_shooting
+from dpcontrol.itineraries.tiling import ShadowingSettings, first_guess, phase_gap
 from dpcontrol.itineraries.walk import choose, parse_symbol, parse_walk
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between

@@ -5,8 +5,9 @@ import pytest
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.itineraries.grow import as_connection, components, composed
-from dpcontrol.itineraries.shadowing import ShadowingSettings, shadow
+from dpcontrol.itineraries.shadowing import shadow
 from dpcontrol.itineraries.shooting import NewtonSettings
+from dpcontrol.itineraries.tiling import ShadowingSettings
 from dpcontrol.itineraries.walk import choose, parse_symbol
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between

@@ -8,8 +8,9 @@ import pytest
 from walk_classifier import WalkClassifier
 
 from dpcontrol.itineraries.edges import find_edges
-from dpcontrol.itineraries.shadowing import ShadowingSettings, described, first_guess, shadow
+from dpcontrol.itineraries.shadowing import described, shadow
 from dpcontrol.itineraries.shooting import NewtonSettings, solve_shooting
+from dpcontrol.itineraries.tiling import ShadowingSettings, first_guess
 from dpcontrol.itineraries.wraps import WalkSolver
 from dpcontrol.scenes.model import load_model
 
