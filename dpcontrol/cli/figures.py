@@ -37,7 +37,7 @@ def command(*, names: tuple[str, ...], out: Path, as_json: bool) -> None:
     gallery = Gallery(
         system=lambda name: model(name).system,
         atlas=lambda name, energy, hits: make_atlas(model(name), energy, settings=AtlasSettings(hits=hits)).atlas,
-        branches=lambda name, source, target: make_branches(model(name), source, target),
+        branches=lambda name, source, target, told: make_branches(model(name), source, target, progress=told),
     )
     with progress_bar("figures") as progress:
         drawn = draw_figures(names, gallery, out, progress=progress)

@@ -3,6 +3,7 @@
 import json
 import struct
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -42,8 +43,8 @@ def gallery():
     return Gallery(
         system=lambda name: load_model(name).system,
         atlas=lambda name, energy, hits: make_atlas(load_model(name), energy, settings=AtlasSettings(hits=hits)).atlas,
-        branches=lambda name, source, target: make_branches(
-            load_model(name), source, target, energies=FEW_ENERGIES[source, target], samples=3
+        branches=lambda name, source, target, told: make_branches(
+            load_model(name), source, target, energies=FEW_ENERGIES[source, target], samples=3, progress=told
         ),
     )
 
@@ -81,6 +82,23 @@ def test_the_drawn_atlas_shows_every_flight_in_space(low):
 def test_figures_of_later_hits_are_drawn(name, gallery, tmp_path):
     (drawn,) = draw_figures([name], gallery, tmp_path)
     assert drawn.file.stat().st_size > LEAST_BYTES
+
+
+def test_sweeps_report_how_far_a_figure_is(gallery, tmp_path):
+    def halfway(*arguments):
+        arguments[-1]("swept", 0.5)
+        return gallery.branches(*arguments)
+
+    told = []
+    draw_figures(
+        ["energy-landscape", "branches"],
+        replace(gallery, branches=halfway),
+        tmp_path,
+        progress=lambda what, done: told.append((what, done)),
+    )
+    shares = [done for what, done in told if what == "swept"]
+    # The second of two figures, each of its three sweeps half done.
+    assert shares == pytest.approx([7 / 12, 9 / 12, 11 / 12])
 
 
 def test_captions_of_figures_drawn_before_are_kept_in_the_papers_order(gallery, tmp_path):

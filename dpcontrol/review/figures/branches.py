@@ -5,6 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from dpcontrol.foundation.files import part_of
 from dpcontrol.review import style
 from dpcontrol.review.figures.page import Gallery, Page, angle_axis, new_figure, quiet, saddle_colour
 from dpcontrol.tubes.branch_diagram import BranchDiagram
@@ -25,7 +26,10 @@ _ON_MIRROR = 1e-5  # rad
 
 def draw(gallery: Gallery) -> Page:
     """Draw first-hit homoclinics of both saddles and the heteroclinics of the lab pendulum against energy."""
-    diagrams = [gallery.branches("lab", source, target) for source, target in KINDS]
+    diagrams = [
+        gallery.branches("lab", source, target, part_of(gallery.progress, k / len(KINDS), (k + 1) / len(KINDS)))
+        for k, (source, target) in enumerate(KINDS)
+    ]
     figure = new_figure(15, 8.2, "Connections of the lab pendulum against energy (first hits)")
     grid = figure.add_gridspec(2, 3, left=0.05, right=0.99, top=0.86, bottom=0.07, hspace=0.2, wspace=0.2)
     for column, diagram in enumerate(diagrams):

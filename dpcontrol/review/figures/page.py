@@ -11,6 +11,7 @@ from matplotlib.ticker import FuncFormatter, MultipleLocator
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.files import Progress, no_progress
 from dpcontrol.itineraries.atlas import Atlas
 from dpcontrol.review import style
 from dpcontrol.tubes.branch_diagram import BranchDiagram
@@ -30,12 +31,14 @@ class Gallery:
     """What figures are drawn from; each figure asks for what it needs.
 
     system: of a model by name. atlas: of a model, an energy in J and hits (None: the first that there are).
-    branches: of a model, a source and a target: their connections against energy.
+    branches: of a model, a source and a target, with what to report to: their connections against energy.
+    progress: where the figure being drawn reports how far it is.
     """
 
     system: Callable[[str], System]
     atlas: Callable[[str, float, tuple[int, int] | None], Atlas]
-    branches: Callable[[str, str, str], BranchDiagram]
+    branches: Callable[[str, str, str, Progress], BranchDiagram]
+    progress: Progress = no_progress
 
 
 @dataclass(frozen=True)

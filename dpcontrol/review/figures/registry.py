@@ -3,11 +3,11 @@
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, no_progress, whole_file, write_whole
+from dpcontrol.foundation.files import Progress, no_progress, part_of, whole_file, write_whole
 from dpcontrol.review.figures import (
     branches,
     families,
@@ -69,7 +69,8 @@ def draw_figures(
     for k, name in enumerate(chosen):
         progress(name, k / len(chosen))
         began = time.perf_counter()
-        page = FIGURES[name](gallery)
+        part = part_of(progress, k / len(chosen), (k + 1) / len(chosen))
+        page = FIGURES[name](replace(gallery, progress=part))
         file = Path(folder) / f"{name}.png"
         with whole_file(file, suffix=".png") as temporary:
             page.figure.savefig(temporary, format="png")
