@@ -21,14 +21,14 @@ from hiten.system.orbits.lyapunov import LyapunovOrbit  # noqa: E402
 task = json.loads(sys.argv[1])
 system = System.from_mu(task["mu"])
 tubes, orbits = [], []
-for point, stable in ((1, False), (2, True)):
+# Between the points lie the branch away from the larger body at L1, the one towards it at L2.
+for point, stable, side in ((1, False, "positive"), (2, True, "negative")):
     x, y, u, v = task["orbits"][point - 1]
     orbit = LyapunovOrbit(system.get_libration_point(point), initial_state=[x, y, 0.0, u, v, 0.0])
     orbit.correct()
     orbit.propagate()
     orbits.append({"energy": float(orbit.energy), "period": float(orbit.period)})
-    # The positive branches of both are those between the points.
-    tube = orbit.manifold(stable=stable, direction="positive")
+    tube = orbit.manifold(stable=stable, direction=side)
     tube.compute(step=task["step"], integration_fraction=task["turns"], show_progress=False)
     tubes.append(tube)
 section = SynodicMapConfig(section_axis="x", section_offset=1 - task["mu"], plane_coords=("y", "vy"))

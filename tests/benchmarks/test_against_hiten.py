@@ -17,7 +17,7 @@ from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
 ENERGY = -1.5175
 FASTER, CLOSER = 60, 1e6
-STEP, TURNS = 0.005, 1.4  # of hiten: share of a period between seeds; flight in units of 2π
+STEP, TURNS = 0.005, 1.0  # of hiten: share of a period between seeds; flight in units of 2π
 SAME_ORBIT = 1e-7  # hiten's correction keeps the given state to this in energy and period
 PYTHON = os.environ.get("DPCONTROL_HITEN_PYTHON")
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS")
