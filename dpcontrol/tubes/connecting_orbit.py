@@ -13,6 +13,7 @@ from a distance δ is limited to 1e-15/δ.
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.tubes.manifold import UnstableManifold
 
 Array = NDArray[np.float64]
+IntArray = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
@@ -173,12 +175,12 @@ def solve_connecting_orbit(
     for iteration in range(settings.iterations + 1):
         (nodes[0], *start_slopes), (nodes[-1], *end_slopes) = start.point(), end.point()
         try:
-            flown = [system.propagator.flow_with_stm(x, h) for x, h in zip(nodes[:-1], durations, strict=True)]
+            flown, stms = system.segments.flows_with_stm(nodes[:-1], durations)
         except ArithmeticError as error:
             failure = str(error)
             break
         gradient = system.numeric.gradient(nodes[1])
-        gaps = np.array([x for x, _ in flown]) - nodes[1:]
+        gaps = flown - nodes[1:]
         gaps[0] += unfolding * gradient
         off = float(np.dot(anchor.normal, nodes[anchor.node]) - anchor.height)
         residual = max(float(np.abs(gaps).max()), abs(off))
@@ -191,7 +193,7 @@ def solve_connecting_orbit(
             break
         if iteration == settings.iterations:
             break
-        matrix = shooting_matrix([stm for _, stm in flown], start_slopes, end_slopes, gradient, anchor)
+        matrix = shooting_matrix(stms, start_slopes, end_slopes, gradient, anchor)
         try:
             step = splu(matrix).solve(-np.append(gaps.ravel(), off))
         except RuntimeError:
@@ -218,19 +220,42 @@ def solve_connecting_orbit(
 
 
 def shooting_matrix(
-    stms: list[Array], start_slopes: list[Array], end_slopes: list[Array], gradient: Array, anchor: Anchor
+    stms: Array, start_slopes: list[Array], end_slopes: list[Array], gradient: Array, anchor: Anchor
 ) -> csc_array:
-    """Return the Jacobian of gaps and anchor: inner nodes, then φ₀, a₀, φ_K, a_K, ε; square of size N·K + 1."""
+    """Return the Jacobian of gaps and anchor: inner nodes, then φ₀, a₀, φ_K, a_K, ε; square of size N·K + 1.
+
+    stms (K, N, N): of the segments; slopes: derivatives (N,) of an end's state by its phase and amplitude.
+    """
     count, n = len(stms), len(gradient)
+    order, rows, starts = _pattern(count, n, anchor.node)
+    values = [
+        stms[1:].ravel(),
+        np.full(n * (count - 1), -1.0),
+        (stms[0] @ np.column_stack(start_slopes)).ravel(),
+        gradient,
+        -np.column_stack(end_slopes).ravel(),
+        anchor.normal,
+    ]
+    return csc_array((np.concatenate(values)[order], rows, starts), shape=(n * count + 1, n * count + 1))
+
+
+@lru_cache(maxsize=64)
+def _pattern(count: int, n: int, anchored: int) -> tuple[IntArray, IntArray, IntArray]:
+    """Return where entries of the Jacobian go: their order in CSC, row indices in that order, columns' starts."""
     last = n * (count - 1)
-    blocks = [(n * k, n * (k - 1), stms[k]) for k in range(1, count)]
-    blocks += [(n * k, n * k, -np.eye(n)) for k in range(count - 1)]
-    blocks.append((0, last, stms[0] @ np.column_stack(start_slopes)))
-    blocks.append((0, last + 4, gradient[:, None]))
-    blocks.append((n * (count - 1), last + 2, -np.column_stack(end_slopes)))
-    blocks.append((n * count, n * (anchor.node - 1), np.array([anchor.normal])))
-    rows = [row + np.indices(block.shape)[0].ravel() for row, _, block in blocks]
-    columns = [column + np.indices(block.shape)[1].ravel() for _, column, block in blocks]
-    values = np.concatenate([block.ravel() for _, _, block in blocks])
-    places = (np.concatenate(rows), np.concatenate(columns))
-    return csc_array((values, places), shape=(n * count + 1, last + 5))
+    inner, block = np.arange(count - 1), np.indices((n, n))
+    each = np.arange(n)
+    pair = np.indices((n, 2))
+    parts = [
+        ((n * (inner + 1))[:, None, None] + block[0], (n * inner)[:, None, None] + block[1]),
+        (np.arange(last), np.arange(last)),
+        (pair[0], last + pair[1]),
+        (each, np.full(n, last + 4)),
+        (last + pair[0], last + 2 + pair[1]),
+        (np.full(n, n * count), n * (anchored - 1) + each),
+    ]
+    rows = np.concatenate([row.ravel() for row, _ in parts])
+    columns = np.concatenate([column.ravel() for _, column in parts])
+    order = np.lexsort((rows, columns))
+    starts = np.searchsorted(columns[order], np.arange(last + 6))
+    return order, rows[order], starts

@@ -116,7 +116,7 @@ def refine_connection(
             break
         doubles = states.astype(float)
         gradient = system.numeric.gradient(doubles[1])
-        stms = [system.propagator.flow_with_stm(x, float(h))[1] for x, h in zip(doubles[:-1], durations, strict=True)]
+        _, stms = system.segments.flows_with_stm(doubles[:-1], durations.astype(float))
         slopes = [end.point()[1:] for end in now]
         matrix = shooting_matrix(stms, list(slopes[0]), list(slopes[1]), gradient, anchor)
         gaps[0] = gaps[0] + unfolding * extended(gradient)
