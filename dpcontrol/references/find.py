@@ -146,7 +146,6 @@ def find_reference(
     settings: ReferenceSettings,
     *,
     near: Trajectory | None = None,
-    held: Limits | None = None,
     progress: Progress = no_progress,
 ) -> Reference:
     """Find the reference nearest to the guess that friction, cart and limits allow.
@@ -155,8 +154,7 @@ def find_reference(
     middle both times. Ending on the orbit itself costs up to 1.6 times the effort of a free end, but whatever
     holds the orbit afterwards starts without an error, and the last period shows the orbit.
 
-    near: a trajectory of the same method that is nearly a solution, to start from instead of the guess. held: limits
-    inside the problem's own, to be kept at first.
+    near: a trajectory of the same method that is nearly a solution, to start from instead of the guess.
 
     Returns:
         A reference; where `converged` is false it must not be used, and `status` says why and what to try.
@@ -167,7 +165,7 @@ def find_reference(
     method = method_named(settings.method)
     first = near or first_trajectory(problem, method, first_mesh(problem, settings, method=method))
     most = _MOST_GROWTH * len(first.mesh)
-    limits, propagator = held or problem.limits, interval_propagator(problem, method)
+    limits, propagator = problem.limits, interval_propagator(problem, method)
     iterations, seconds = 0, 0.0
 
     def result(solved: Solved, status: str, *, converged: bool, error: float = np.inf) -> Reference:

@@ -55,10 +55,6 @@ class Limits:
         bounds = {"position": self.position, "velocity": self.velocity, "acceleration": self.acceleration}
         return {**bounds, "jerk": self.jerk} if self.jerk > 0 else bounds
 
-    def shared(self, share: float) -> "Limits":
-        """Return these bounds times `share`."""
-        return Limits(**{name: share * bound for name, bound in self.named().items()})
-
 
 LIMIT_UNITS = {"position": "m", "velocity": "m/s", "acceleration": "m/s²", "jerk": "m/s³"}
 

@@ -54,13 +54,13 @@ def test_a_transfer_that_no_duration_allows_says_what_stands_in_the_way():
         )  # fmt: skip
 
 
-def test_the_guess_joins_states_with_their_rates():
+def test_the_guess_turns_the_arms_smoothly():
     start, end = np.array([0.1, -0.2, 3.0, 4.0]), np.array([2.0, 1.0, -5.0, 6.0])
     guess = smooth_guess(start, end, 1.7)
     times = np.linspace(0, 1.7, 4001)
     states = guess(times)
-    assert states[0] == pytest.approx(start, abs=1e-14)
-    assert states[-1] == pytest.approx(end, abs=1e-12)
+    assert states[0] == pytest.approx([0.1, -0.2, 0, 0], abs=1e-14)
+    assert states[-1] == pytest.approx([2.0, 1.0, 0, 0], abs=1e-12)
     slope = np.gradient(states[:, :2], times, axis=0)
     assert np.abs(slope - states[:, 2:])[1:-1].max() < 1e-4
 
