@@ -1,0 +1,284 @@
+"""Sustained orbits: the periodic orbits that friction and cart keep alive, with the least effort of the cart.
+
+    minimise ∫ u² + w_x x² dt  over one period T     subject to  ẋ = f(x, u),  x(T) = x(0),  H(x(0)) = E,  θ₁(0) = θ₁ₛ
+
+x(T) = x(0) closes the cart as well. H is pinned at one point, without which doing nothing at the equilibrium is
+optimal, and there the input jumps; the angle there fixes the phase, w_x centres the cart; the period is free. The
+search starts on the Lyapunov orbit, with which the result coincides where there is no friction.
+
+Multipliers. *Period map*: x(0) → x(T) with the input replayed by the clock. *Section map*: from section to section,
+through the orbit at right angles to it (pendulum only, scaled), the clock being reset to the section's phase at each
+crossing: λ_u, λ_s and one near 1 by which the energy settles. They depend on how often the clock is reset. The cart
+adds 1, 1 to either: driven by its acceleration it is a double integrator, whose drift feedback alone can stop.
+Source: Ott, Grebogi & Yorke, Controlling chaos, Physical Review Letters 64 (1990), for the sections' use.
+"""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.equations import Equations
+from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.references.find import find_reference
+from dpcontrol.references.linear_flow import LinearFlow, eigenvalues_of_both, products
+from dpcontrol.references.problem import Ends, Limits, ReferenceProblem, ReferenceSettings, state_scale
+from dpcontrol.references.reference import Reference
+from dpcontrol.tubes.lyapunov import LyapunovOrbit
+from dpcontrol.tubes.orbit_curve import OrbitCurve
+
+Array = NDArray[np.float64]
+
+STRETCH = 0.2
+"""Share by which the period may differ from the Lyapunov orbit's; one at the bound is of another orbit."""
+
+
+@dataclass(frozen=True)
+class SustainedSettings:
+    """How sustained orbits are sought. limits of the cart; reference: method, mesh and error between nodes.
+
+    Its pendulum weight is zero: the orbit is to be the cheapest, not the nearest to the Lyapunov orbit.
+    """
+
+    limits: Limits = field(default_factory=Limits)
+    reference: ReferenceSettings = field(
+        default_factory=lambda: ReferenceSettings(
+            method="radau-8", tolerance=1e-9, pendulum_weight=0.0, cart_weight=1.0, iterations=60
+        )
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseSection:
+    """The plane through the orbit at one of its phases, at right angles to it in the pendulum's scaled state.
+
+    phase: 0 to 1; time: on the orbit's clock, s; state, rate, normal (N,): x*, ẋ* there, and the normal such that
+    normal · rate = 1, zero for the cart: where a cart stands does not tell the phase.
+    """
+
+    phase: float
+    time: float
+    state: Array
+    rate: Array
+    normal: Array
+
+    def lateness(self, state: ArrayLike) -> Array:
+        """Return by how many seconds, to first order, states (…, N) near the section have passed it, (…)."""
+        return np.asarray((np.asarray(state) - self.state) @ self.normal)
+
+    @property
+    def projection(self) -> Array:
+        """The matrix (N, N) that moves a small difference along the orbit onto the section."""
+        return np.eye(len(self.rate)) - np.outer(self.rate, self.normal)
+
+
+@dataclass(frozen=True, eq=False)
+class SectionMap:
+    """From section j to section j + 1, the clock reset at j: ξ_{j+1} = matrix ξ_j + response p_j to first order.
+
+    ξ (N,): state minus the orbit's at the section; p_j in m/s²: height of a half-sine pulse from j to j + 1 that is
+    added to the orbit's input; it ends with the nominal time between the sections, `duration` s. matrix (N, N),
+    response (N,).
+    """
+
+    start: PhaseSection
+    end: PhaseSection
+    duration: float
+    matrix: Array
+    response: Array
+
+    def pulse(self, times: ArrayLike) -> Array:
+        """Return the pulse of height 1 at `times` (…) s after the start's crossing; zero before and after."""
+        s = np.asarray(times, dtype=float) / self.duration
+        return np.where((s >= 0) & (s <= 1), np.sin(np.pi * np.clip(s, 0.0, 1.0)), 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class SustainedOrbit:
+    """A periodic orbit of pendulum and cart with the input that sustains it; time 0 is its phase 0.
+
+    lyapunov: the conservative orbit it grew from. equations, parameters (p,): cart level, with friction. reference:
+    one period. multipliers (N,): of the period map with the input replayed; largest first,
+    the cart's 1, 1 among them; not-a-number where it is not converged.
+    energies: least and largest along the orbit, J. departure: largest scaled distance from the Lyapunov orbit.
+    """
+
+    lyapunov: LyapunovOrbit
+    equations: Equations
+    parameters: Array
+    reference: Reference
+    energy: float
+    energies: tuple[float, float]
+    departure: float
+    multipliers: NDArray[np.complex128]
+    converged: bool
+    status: str
+
+    @property
+    def period(self) -> float:
+        """Return the period in s."""
+        return self.reference.duration
+
+    @property
+    def residual(self) -> float:
+        """Return the larger of error between nodes and violation of closing, energy or limits (scaled)."""
+        return self.reference.residual
+
+    def state(self, times: ArrayLike) -> Array:
+        """Return states (…, N) at any `times` (…) s: angles, rates, cart position and velocity."""
+        return self.reference.state(np.mod(times, self.period))
+
+    def input(self, times: ArrayLike) -> Array:
+        """Return the cart's acceleration (…) in m/s² at any `times` (…) s."""
+        return self.reference.input(np.mod(times, self.period))[..., 0]
+
+    @cached_property
+    def linear(self) -> LinearFlow:
+        """The equations linearised along one period."""
+        return LinearFlow(self.equations, self.parameters, self.reference)
+
+    def section(self, phase: float) -> PhaseSection:
+        """Return the section at a phase, counted modulo 1."""
+        phase = phase % 1.0
+        time = phase * self.period
+        state, held = self.reference.state(time), self.reference.input(time)
+        rate = np.array(self.equations.function()(state, held, self.parameters)).ravel()
+        scale = state_scale(len(state), self.reference.limits)
+        normal = rate / scale**2
+        normal[-2:] = 0.0
+        return PhaseSection(phase, time, state, rate, normal / (normal @ rate))
+
+    def sections(self, count: int) -> tuple[PhaseSection, ...]:
+        """Return `count` sections at phases (j + 1/2) / count: as far as can be from phase 0, where the input jumps.
+
+        Raises:
+            InputError: `count` is less than 1 or more than 1,000.
+        """
+        if not 1 <= count <= 1000:
+            raise InputError(f"sections = {count!r}: must be 1 to 1000 for each period")
+        return tuple(self.section((j + 0.5) / count) for j in range(count))
+
+    def section_maps(self, count: int) -> tuple[SectionMap, ...]:
+        """Return the linearised maps from each of `count` sections to the next, the last one's to the first.
+
+        Raises:
+            InputError: `count` is less than 1 or more than 1,000.
+        """
+        sections = self.sections(count)
+        return tuple(self._map(a, b, self.period / count) for a, b in pairwise((*sections, sections[0])))
+
+    def _map(self, start: PhaseSection, end: PhaseSection, duration: float) -> SectionMap:
+        bare = SectionMap(start, end, duration, np.empty(0), np.empty(0))
+        matrix, response = np.eye(len(start.state)), np.zeros(len(start.state))
+        for begin, until, before in self._spans(start.time, duration):
+            shift = before - begin
+            part, forced = self.linear.over(begin, until, pulse=lambda t, shift=shift: bare.pulse(t + shift))
+            matrix, response = part @ matrix, part @ response + forced
+        return replace(bare, matrix=end.projection @ matrix, response=end.projection @ response)
+
+    def section_multipliers(self, count: int) -> NDArray[np.complex128]:
+        """Return the multipliers (N-1,) of the section map over a period with `count` sections, largest first.
+
+        Raises:
+            InputError: `count` is less than 1 or more than 1,000.
+        """
+        maps, n = self.section_maps(count), self.lyapunov.system.dimension
+        bases = [np.linalg.svd(m.start.normal[None, :n])[2][1:].T for m in maps]
+        parts = [
+            after.T @ m.matrix[:n, :n] @ before
+            for m, before, after in zip(maps, bases, bases[1:] + bases[:1], strict=True)
+        ]
+        return _with_cart(eigenvalues_of_both(*products(np.array(parts))))
+
+    def _spans(self, begin: float, duration: float) -> list[tuple[float, float, float]]:
+        """Return (from, to, time before) of the one or two stretches of the period's clock that make up a time."""
+        first = min(duration, self.period - begin)
+        spans = [(begin, begin + first, 0.0)]
+        if duration - first > 1e-12 * self.period:
+            spans.append((0.0, duration - first, first))
+        return spans
+
+
+def sustained_orbit(
+    lyapunov: LyapunovOrbit,
+    arms: ArmChainParameters,
+    *,
+    settings: SustainedSettings | None = None,
+    progress: Progress = no_progress,
+) -> SustainedOrbit:
+    """Return the orbit that friction and cart sustain where there was a Lyapunov orbit of the same arms.
+
+    Where `converged` is false it must not be used, and `status` says why and what to try.
+
+    Raises:
+        InputError: the Lyapunov orbit is not one of these arms.
+    """
+    settings = settings or SustainedSettings()
+    n = lyapunov.system.dimension // 2
+    if arms.count != n or not np.array_equal(arms.frictionless().base(), _frictionless(lyapunov, n)):
+        raise InputError(f"the orbit about {lyapunov.saddle} is of other arms than the {arms.count} given")
+    curve = OrbitCurve(lyapunov)
+    equations = arm_chain_equations(n, Level.CART)
+    # The arm that moves fastest tells the phase best.
+    leading = int(np.argmax(np.abs(lyapunov.state[n : 2 * n])))
+    start = np.full(2 * n + 2, np.nan)
+    start[leading] = lyapunov.state[leading]
+    problem = ReferenceProblem(
+        equations=equations,
+        parameters=arms.base(),
+        guess=lambda times: curve.states(np.asarray(times) / lyapunov.period),
+        duration=lyapunov.period,
+        limits=settings.limits,
+        ends=Ends(start=start, closing=np.zeros(2 * n + 2), energy=lyapunov.energy, stretch=STRETCH),
+    )
+    reference = find_reference(problem, settings.reference, progress=progress)
+    if reference.converged and abs(reference.duration / lyapunov.period - 1) > 0.999 * STRETCH:
+        reference = replace(
+            reference,
+            converged=False,
+            status=f"no sustained orbit: the period left that of the Lyapunov orbit, {lyapunov.period:.4g} s, by "
+            f"{STRETCH:.0%}, so that it is of another kind; choose an energy nearer to the saddle's or less friction",
+        )
+    return _described(lyapunov, curve, equations, arms.base(), reference)
+
+
+def _frictionless(lyapunov: LyapunovOrbit, n: int) -> Array:
+    base = np.array(lyapunov.system.parameters, dtype=float)
+    base[len(base) - n :] = 0.0
+    return base
+
+
+def _described(
+    lyapunov: LyapunovOrbit, curve: OrbitCurve, equations: Equations, parameters: Array, reference: Reference
+) -> SustainedOrbit:
+    """Return the orbit with its multipliers, energies and departure."""
+    n = lyapunov.system.dimension
+    pendulum = reference.states[..., :n].reshape(-1, n)
+    energies = lyapunov.system.numeric.hamiltonian(pendulum)
+    orbit = SustainedOrbit(
+        lyapunov=lyapunov,
+        equations=equations,
+        parameters=parameters,
+        reference=reference,
+        energy=lyapunov.energy,
+        energies=(float(energies.min()), float(energies.max())),
+        departure=float(curve.distances(pendulum)[1].max()),
+        multipliers=np.full(n + 2, np.nan, dtype=complex),
+        converged=reference.converged,
+        status=reference.status,
+    )
+    if not orbit.converged:
+        return orbit
+    parts = orbit.linear.pieces(0.0, orbit.period)[0][:, :n, :n]
+    return replace(orbit, multipliers=_with_cart(eigenvalues_of_both(*products(parts))))
+
+
+def _with_cart(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return the pendulum's multipliers and the cart's, which the pendulum's motion does not depend on."""
+    every = np.concatenate([values, [1.0, 1.0]])
+    return every[np.argsort(-np.abs(every), kind="stable")]

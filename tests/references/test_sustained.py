@@ -1,0 +1,233 @@
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.references.problem import Limits
+from dpcontrol.references.sustained import SectionMap, SustainedOrbit, SustainedSettings, sustained_orbit
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.lyapunov import lyapunov_orbit
+
+ERROR_BETWEEN_NODES = 1e-9  # What the issue asks for, scaled.
+CLOSURE = 1e-9  # rad, rad/s, m: a solver's tolerance, scaled back.
+INPUT = 1e-7  # m/s²: inputs of neighbouring intervals differ by 1e-9 where they meet.
+EFFORT = 0.02  # Relative; the efforts measured before were given to two or three digits.
+DIFFERENCE = 1e-6  # Step of central differences: leaves 1e-6 of curvature and rounding at rates of tens of rad/s.
+SLOPE = 2e-5  # Of finite differences over half a period, relative to the largest entry.
+MULTIPLIER = 1e-7  # Relative; both sides at machine precision, amplified by a monodromy of norm thousands.
+LAB = load_model("lab")
+
+Array = np.ndarray
+Input = Callable[[float], float]
+
+
+@cache
+def sustained(saddle: str, energy: float, friction: float = 1.0) -> SustainedOrbit:
+    orbit = lyapunov_orbit(LAB.system, saddle, energy=energy)
+    return sustained_orbit(orbit, arms(friction))
+
+
+def arms(friction: float) -> ArmChainParameters:
+    return replace(LAB.arms, viscous=tuple(friction * k for k in LAB.arms.viscous))
+
+
+def flow(orbit: SustainedOrbit, state: Array, begin: float, duration: float, pulse: Input = lambda _: 0.0) -> Array:
+    """Integrate by the clock from `begin` with the orbit's input and a pulse of the time since; DOP853."""
+    rate = orbit.equations.function()
+
+    def right(t: float, x: Array) -> Array:
+        u = float(orbit.input(begin + t)) + pulse(t)
+        return np.array(rate(x, u, orbit.parameters)).ravel()
+
+    done = solve_ivp(right, (0.0, duration), state, method="DOP853", rtol=1e-11, atol=1e-13, max_step=0.01)
+    return done.y[:, -1]
+
+
+def returned(orbit: SustainedOrbit, here: SectionMap, state: Array, height: float = 0.0) -> Array:
+    """Fly from a section, the clock reset there, to where the next is really crossed."""
+
+    def push(time: float) -> float:
+        return height * float(here.pulse(time))
+
+    time = here.duration
+    for _ in range(3):
+        found = flow(orbit, state, here.start.time, time, push)
+        # Newton's step: along the orbit lateness grows by a second each second.
+        time -= float(here.end.lateness(found))
+    return flow(orbit, state, here.start.time, time, push)
+
+
+@pytest.mark.parametrize(
+    ("saddle", "energy", "effort"), [("down-up", -0.07, 0.056), ("down-up", 0.2, 0.119), ("up-down", 0.2, 0.0095)]
+)
+def test_the_orbit_solves_the_equations_with_friction_and_closes_at_the_known_effort(
+    saddle: str, energy: float, effort: float
+) -> None:
+    orbit = sustained(saddle, energy)
+    assert orbit.converged, orbit.status
+    assert orbit.residual <= ERROR_BETWEEN_NODES
+    assert orbit.reference.rms_cart_acceleration == pytest.approx(effort, rel=EFFORT)
+    start = orbit.state(0.0)
+    assert start == pytest.approx(orbit.reference.state(orbit.period), abs=CLOSURE)
+    assert float(LAB.system.numeric.hamiltonian(start[:4])) == pytest.approx(energy, abs=1e-10)
+    # Flown independently; half a period of an orbit whose errors grow by two thousand in a whole one.
+    half = flow(orbit, start, 0.0, orbit.period / 2)
+    assert half == pytest.approx(orbit.state(orbit.period / 2), abs=1e-7)
+
+
+def test_the_cart_is_centred_and_the_orbit_goes_on_for_ever() -> None:
+    orbit = sustained("down-up", 0.2)
+    times = np.arange(4000) / 4000 * orbit.period
+    assert abs(orbit.state(times)[:, 4].mean()) < 1e-4 * orbit.reference.max_cart_position
+    assert orbit.state(times + 3 * orbit.period) == pytest.approx(orbit.state(times), abs=1e-9)
+    assert orbit.input(times - orbit.period) == pytest.approx(orbit.input(times), abs=INPUT)
+    assert orbit.state(0.0)[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_input_gives_what_friction_takes_with_little_more_than_the_least_effort() -> None:
+    orbit = sustained("down-up", 0.2)
+    times = (np.arange(4000) + 0.5) / 4000 * orbit.period
+    states, effort = orbit.state(times), orbit.input(times)
+    taken = LAB.arms.viscous[0] * states[:, 2] ** 2 + LAB.arms.viscous[1] * (states[:, 3] - states[:, 2]) ** 2
+    gains = -_coupling(states)
+    assert np.mean(gains * effort) == pytest.approx(np.mean(taken), rel=1e-4)
+    # By Cauchy and Schwarz no input of that power is smaller; the orbit also has to stay one.
+    least = np.mean(taken) / np.sqrt(np.mean(gains**2))
+    assert least <= orbit.reference.rms_cart_acceleration <= 1.2 * least
+
+
+def _coupling(states: Array) -> Array:
+    """Return Σ S_i cos θ_i ω_i: the pendulum's momentum along the track."""
+    weights = LAB.arms.base()[5:7]
+    return (weights * np.cos(states[:, :2]) * states[:, 2:4]).sum(1)
+
+
+def test_without_friction_it_is_the_lyapunov_orbit_with_its_multipliers() -> None:
+    orbit = sustained("down-up", 0.2, 0.0)
+    assert orbit.reference.max_cart_acceleration < 1e-9
+    assert orbit.state(0.0)[:4] == pytest.approx(orbit.lyapunov.state, abs=1e-9)
+    assert orbit.period == pytest.approx(orbit.lyapunov.period, rel=1e-11)
+    largest = orbit.lyapunov.floquet_multipliers[0].real
+    for values in (orbit.multipliers, orbit.section_multipliers(1), orbit.section_multipliers(5)):
+        assert values[0].real == pytest.approx(largest, rel=MULTIPLIER)
+        assert values[-1].real == pytest.approx(1 / largest, rel=MULTIPLIER)
+        # A double one moves by the root of what the matrix is off by.
+        assert values[1:-1] == pytest.approx(np.ones(len(values) - 2), abs=1e-4)
+
+
+def test_multipliers_are_those_of_a_period_flown_with_the_input_replayed() -> None:
+    orbit = sustained("down-up", -0.07)
+    columns = []
+    for k in range(6):
+        step = DIFFERENCE * np.eye(6)[k]
+        ends = [flow(orbit, orbit.state(0.0) + sign * step, 0.0, orbit.period) for sign in (1, -1)]
+        columns.append((ends[0] - ends[1]) / (2 * DIFFERENCE))
+    monodromy = np.column_stack(columns)
+    matrix, _ = orbit.linear.over(0.0, orbit.period)
+    assert matrix == pytest.approx(monodromy, abs=SLOPE * np.abs(monodromy).max())
+    values = orbit.multipliers
+    assert values[0].real == pytest.approx(np.abs(np.linalg.eigvals(monodromy)).max(), rel=1e-5)
+    # Liouville: what friction takes from volumes, by its trace; the cart takes none.
+    trace = [np.trace(np.array(_jacobian(orbit, t))) for t in (np.arange(2000) + 0.5) / 2000 * orbit.period]
+    assert np.prod(values).real == pytest.approx(np.exp(np.mean(trace) * orbit.period), rel=1e-6)
+    assert np.sort(np.abs(values))[2:4] == pytest.approx([0.976, 1.0], abs=5e-3)
+
+
+def _jacobian(orbit: SustainedOrbit, time: float) -> Array:
+    return np.array(orbit.linear._jacobians(orbit.state(time), orbit.input(time), orbit.parameters)[0])
+
+
+@pytest.mark.parametrize("which", [0, 7])
+def test_section_maps_are_what_differences_of_flights_to_the_next_section_give(which: int) -> None:
+    orbit = sustained("down-up", 0.2)
+    # The last of the eight passes the end of the period.
+    here = orbit.section_maps(8)[which]
+    start = here.start
+    assert returned(orbit, here, start.state) == pytest.approx(here.end.state, abs=1e-7)
+    for k in range(6):
+        # Differences off the section are moved onto it, for the clock is reset on it.
+        step = DIFFERENCE * (start.projection @ np.eye(6)[k])
+        ends = [returned(orbit, here, start.state + sign * step) for sign in (1, -1)]
+        slope = (ends[0] - ends[1]) / (2 * DIFFERENCE)
+        expected = here.matrix @ start.projection[:, k]
+        assert slope == pytest.approx(expected, abs=SLOPE * np.abs(here.matrix).max())
+    ends = [returned(orbit, here, start.state, sign * DIFFERENCE * 10) for sign in (1, -1)]
+    slope = (ends[0] - ends[1]) / (20 * DIFFERENCE)
+    assert slope == pytest.approx(here.response, abs=SLOPE * np.abs(here.response).max())
+
+
+@pytest.mark.parametrize(("saddle", "energy"), [("down-up", -0.07), ("down-up", 0.2), ("up-down", 0.2)])
+def test_section_multipliers_are_the_saddles_two_the_energys_and_the_carts_pair_of_ones(
+    saddle: str, energy: float
+) -> None:
+    orbit = sustained(saddle, energy)
+    values = orbit.section_multipliers(4)
+    assert len(values) == 5
+    largest = orbit.lyapunov.unstable_multiplier
+    assert values[0].real == pytest.approx(largest, rel=0.05)
+    assert values[-1].real == pytest.approx(1 / largest, rel=0.1)
+    assert np.sort(np.abs(values[1:3])) == pytest.approx([1.0, 1.0], abs=1e-12)
+    assert 0.96 < values[3].real < 0.999
+    # A product of all maps has them, and a zero for the direction off the section.
+    product = np.eye(6)
+    for here in orbit.section_maps(4):
+        product = here.matrix @ product
+    assert np.sort(np.abs(np.linalg.eigvals(product)))[1:] == pytest.approx(np.sort(np.abs(values)), rel=1e-6)
+    assert np.sort(np.abs(np.linalg.eigvals(product)))[0] < 1e-10
+
+
+def test_sections_are_crossed_by_the_orbit_at_their_times_and_only_there() -> None:
+    orbit = sustained("down-up", 0.2)
+    times = np.arange(20000) / 20000 * orbit.period
+    for section in orbit.sections(5):
+        late = section.lateness(orbit.state(times))
+        # Near the section; the plane cuts the orbit's far side too.
+        near = np.abs(times - section.time) < orbit.period / 10
+        assert (np.sign(late[near]) == np.sign(times[near] - section.time)).all()
+        assert section.lateness(orbit.state(section.time + 1e-5)) == pytest.approx(1e-5, rel=1e-3)
+        assert section.lateness(section.state + np.array([0, 0, 0, 0, 0.1, 0.1])) == 0.0
+    with pytest.raises(InputError, match="1 to 1000"):
+        orbit.sections(0)
+
+
+@pytest.mark.parametrize(
+    ("saddle", "energy", "friction"),
+    [("down-up", -0.175429, 1.0), ("down-up", 0.25, 1.0), ("up-down", 0.1755, 1.0), ("down-up", 0.2, 5.0)],
+)
+def test_small_and_large_orbits_and_five_times_the_friction_are_sustained(
+    saddle: str, energy: float, friction: float
+) -> None:
+    orbit = sustained(saddle, energy, friction)
+    assert orbit.converged, orbit.status
+    assert orbit.residual <= ERROR_BETWEEN_NODES
+    assert 0 < orbit.departure < 0.02 * friction
+    assert orbit.multipliers[0].real > 100
+
+
+def test_effort_grows_in_proportion_to_friction_and_to_small_amplitudes() -> None:
+    one, five = (sustained("down-up", 0.2, f).reference.rms_cart_acceleration for f in (1.0, 5.0))
+    assert five == pytest.approx(5 * one, rel=0.01)
+    saddle = -0.1754297469
+    near = [sustained("down-up", e).reference.rms_cart_acceleration / np.sqrt(e - saddle) for e in (-0.1753, -0.175429)]
+    assert near[0] == pytest.approx(near[1], rel=0.01)
+
+
+def test_limits_that_are_too_tight_are_a_status_that_says_which() -> None:
+    lyapunov = lyapunov_orbit(LAB.system, "down-up", energy=0.2)
+    settings = SustainedSettings()
+    tight = replace(settings, limits=Limits(acceleration=0.05))
+    orbit = sustained_orbit(lyapunov, LAB.arms, settings=tight)
+    assert not orbit.converged
+    assert "acceleration" in orbit.status
+    assert np.isnan(orbit.multipliers).all()
+
+
+def test_an_orbit_of_other_arms_is_refused() -> None:
+    lyapunov = lyapunov_orbit(load_model("point-mass").system, "down-up", energy=0.0)
+    with pytest.raises(InputError, match="other arms"):
+        sustained_orbit(lyapunov, LAB.arms)
