@@ -5,7 +5,15 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dpcontrol.cli.output import json_option, multiplier_text, print_json, print_table, progress_bar, reports_failure
+from dpcontrol.cli.output import (
+    checked_suffix,
+    json_option,
+    multiplier_text,
+    print_json,
+    print_table,
+    progress_bar,
+    reports_failure,
+)
 from dpcontrol.foundation.errors import GoalMissed, InputError
 
 if TYPE_CHECKING:
@@ -24,7 +32,21 @@ if TYPE_CHECKING:
 @click.option("--energy", type=float, help="Energy in J, zero at the pivot's height.")
 @click.option("--energies", type=float, nargs=2, metavar="LO HI", help="Follow the family between two energies in J.")
 @click.option("--family", default=0, show_default=True, help="Which of the saddle's families, slowest first.")
-@click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw the family to this PNG.")
+@click.option(
+    "--picture",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Draw the family, or the sustained orbit, to this PNG.",
+)
+@click.option(
+    "--sustained", is_flag=True, help="The orbit that friction and cart sustain, with the least effort, instead."
+)
+@click.option(
+    "--sections",
+    type=click.IntRange(1, 1000),
+    default=4,
+    show_default=True,
+    help="For --sustained: how often in a period the input's clock is reset.",
+)
 @json_option
 @reports_failure
 def command(
@@ -36,6 +58,8 @@ def command(
     energies: tuple[float, float] | None,
     family: int,
     picture: Path | None,
+    sustained: bool,
+    sections: int,
     as_json: bool,
 ) -> None:
     """Compute the Lyapunov orbit about a saddle at an energy, or its family, with Floquet multipliers.
@@ -44,13 +68,22 @@ def command(
 
     With --rotating: the symmetric orbits on which one arm turns over and over, with their stability. Their families
     start from the orbits at --energy, or at the middle of --energies.
+
+    With --sustained: the periodic orbit of pendulum and cart that the cart's acceleration keeps alive against friction,
+    from the Lyapunov orbit at --energy, held to that energy at phase 0. Its multipliers are those of a period with the
+    input replayed, and those of its sections, where the input's clock is reset.
     """
     from dpcontrol.scenes.model import load_model
 
     if (saddle is None) == (rotating is None):
         raise click.UsageError("give either --saddle for Lyapunov orbits or --rotating inner|outer for rotating ones")
+    if sustained:
+        if saddle is None or energy is None or energies is not None:
+            raise InputError("--sustained makes one orbit about a saddle: give --saddle and --energy with it")
+        _sustained(model, saddle, energy, family, sections, picture, as_json)
+        return
     if picture is not None and energies is None:
-        raise InputError("--picture draws a family: give --energies LO HI with it")
+        raise InputError("--picture draws a family or a sustained orbit: give --energies LO HI or --sustained with it")
     if rotating is not None:
         _rotating(model, rotating, energy, energies, picture, as_json)
         return
@@ -63,6 +96,18 @@ def command(
     else:
         assert energy is not None
         _orbit(system, saddle, energy, family, as_json)
+
+
+def _sustained(
+    model: str, saddle: str, energy: float, family: int, sections: int, picture: Path | None, as_json: bool
+) -> None:
+    from dpcontrol.cli.orbit_sustained import show_sustained
+    from dpcontrol.scenes.model import load_model
+
+    if picture is not None:
+        checked_suffix(picture, ".png", option="--picture")
+    loaded = load_model(model)
+    show_sustained(loaded, saddle, energy, family=family, sections=sections, picture=picture, as_json=as_json)
 
 
 def _rotating(

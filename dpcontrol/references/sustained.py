@@ -1,10 +1,12 @@
 """Sustained orbits: the periodic orbits that friction and cart keep alive, with the least effort of the cart.
 
-    minimise ∫ u² + w_x x² dt  over one period T     subject to  ẋ = f(x, u),  x(T) = x(0),  H(x(0)) = E,  θ₁(0) = θ₁ₛ
+    minimise ∫ u² + w_x x² dt  over one period T
+    subject to  ẋ = f(x, u),  x(T) = x(0),  H(x(0)) = E,  θ_k(0) as at the saddle
 
 x(T) = x(0) closes the cart as well. H is pinned at one point, without which doing nothing at the equilibrium is
-optimal, and there the input jumps; the angle there fixes the phase, w_x centres the cart; the period is free. The
-search starts on the Lyapunov orbit, with which the result coincides where there is no friction.
+optimal, and there the input jumps; the angle there, of the arm that moves fastest, fixes the phase; w_x centres the
+cart; the period is free. The search starts on the Lyapunov orbit, with which the result coincides where there is no
+friction.
 
 Multipliers. *Period map*: x(0) → x(T) with the input replayed by the clock. *Section map*: from section to section,
 through the orbit at right angles to it (pendulum only, scaled), the clock being reset to the section's phase at each
