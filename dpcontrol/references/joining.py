@@ -48,6 +48,8 @@ def joined(pieces: Sequence[Reference]) -> tuple[Reference, Array]:
     if not pieces or len({piece.method.name for piece in pieces}) > 1:
         raise ValueError("pieces of one method are joined, one at least")
     first, limits = pieces[0], pieces[0].limits
+    if len(pieces) == 1:
+        return first, np.array([0.0, first.duration])
     scale = state_scale(first.states.shape[-1], limits)
     begins = np.concatenate([[0.0], np.cumsum([piece.duration for piece in pieces])])
     meshes = [piece.mesh - piece.mesh[0] + begin for piece, begin in zip(pieces, begins[:-1], strict=True)]

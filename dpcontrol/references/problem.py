@@ -20,6 +20,7 @@ Array = NDArray[np.float64]
 Guess = Callable[[Array], Array]
 """From times (K,) in s to pendulum states (K, 2n): a conservative shadowing orbit."""
 
+LEVELS = ("cart", "conservative")
 SOLVERS = ("ipopt", "fatrop")
 ANGLE_SCALE = np.pi
 RATE_SCALE = 10.0
@@ -165,12 +166,14 @@ class ReferenceProblem:
 class ReferenceSettings:
     """How a reference is sought.
 
-    method: by name; solver: "ipopt" or "fatrop"; interval: first length of an interval, s; tolerance: allowed error
-    between nodes (scaled); pendulum_weight w_z and cart_weight w_x of the cost; end_tolerance: how far (scaled) the
-    pendulum may end from the guess's end; rounds: of refinement of the mesh or tightening of limits; iterations: of the
-    solver, each round.
+    level: "cart" (friction, and the cart that makes up for it) or "conservative" (neither: the shadowing orbit itself,
+    without a solver); method: by name; solver: "ipopt" or "fatrop"; interval: first length of an interval, s;
+    tolerance: allowed error between nodes (scaled); pendulum_weight w_z and cart_weight w_x of the cost; end_tolerance:
+    how far (scaled) the pendulum may end from the guess's end; rounds: of refinement of the mesh or tightening of
+    limits; iterations: of the solver, each round.
     """
 
+    level: str = "cart"
     method: str = "radau-5"
     solver: str = "ipopt"
     interval: float = 0.02
@@ -187,6 +190,13 @@ class ReferenceSettings:
         Raises:
             InputError: names the setting, its value and what is allowed.
         """
+        if self.level == "dissipative":
+            raise InputError(
+                'level = "dissipative": with friction and a still cart nothing gives back the energy that is lost; use '
+                '"cart", or "conservative" for neither'
+            )
+        if self.level not in LEVELS:
+            raise InputError(f"level = {self.level!r}: {suggest(self.level, LEVELS)}")
         if self.solver not in SOLVERS:
             raise InputError(f"solver = {self.solver!r}: {suggest(self.solver, SOLVERS)}")
         # Below the least interval a mesh may have more intervals than memory holds.

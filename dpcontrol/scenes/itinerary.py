@@ -95,6 +95,10 @@ def load_itinerary(name: str) -> Itinerary:
             )
     limits = table.table("limits").settings(Limits)
     reference = _reference(table.table("reference"))
+    if reference.level == "conservative" and (start, finish, len(parts)) != ("orbit", "orbit", 1):
+        raise InputError(
+            f'{path}: [reference] level = "conservative": rest, holds and changes of energy need the cart; use "cart"'
+        )
     loop = _loop(table.table("run"), _controller(table.table("controller")), _estimator(table.table("estimator")))
     table.finish()
     return Itinerary(path.stem, path, title, model, parts, start, finish, limits, reference, loop, text)
@@ -110,7 +114,6 @@ def _model(table: Table, path: Path) -> Model:
 
 
 def _reference(table: Table) -> ReferenceSettings:
-    table.text("level", "cart", allowed=("cart",))
     settings = table.settings(ReferenceSettings)
     try:
         method_named(settings.method)

@@ -20,6 +20,7 @@ from dpcontrol.references.joining import still
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Ends, Guess, ReferenceProblem
 from dpcontrol.references.reference import Reference
+from dpcontrol.references.shadowed import shadowed
 from dpcontrol.references.transfer import find_transfer
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.tubes.connecting_orbit import ConnectingOrbit
@@ -148,6 +149,10 @@ def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress) -> P
         return Piece("hold", goal.text, goal, lift, piece)
     sample = goal.shadowing.sample
     problem = _problem(itinerary, lambda times: sample(times + goal.begin) + turned, goal.seconds, Ends())
+    if settings.level == "conservative":
+        free = replace(itinerary.model.arms, viscous=(0.0,) * itinerary.model.arms.count)
+        followed = shadowed(replace(problem, parameters=free.base()), settings)
+        return Piece("walk", goal.text, goal, lift, followed)
     return Piece("walk", goal.text, goal, lift, find_reference(problem, settings, progress=progress))
 
 
