@@ -93,13 +93,14 @@ def command(
     or periodic with --periodic, with its certificate.
     """
     from dpcontrol.itineraries.edges import find_edges
-    from dpcontrol.itineraries.walks import resolve
+    from dpcontrol.itineraries.walk import parse_walk
+    from dpcontrol.itineraries.walks import resolve, vertex_names, ways
     from dpcontrol.itineraries.walks import through as shortest
     from dpcontrol.scenes.model import load_model
     from dpcontrol.scenes.walks import drawn_requests, request
 
-    ways = {"-s": symbols, "--through": through, "--length": length, "--random": count}
-    chosen = [name for name, given in ways.items() if given]
+    choices = {"-s": symbols, "--through": through, "--length": length, "--random": count}
+    chosen = [name for name, given in choices.items() if given]
     if len(chosen) > 1:
         raise InputError(f"{' and '.join(chosen)} both choose walks: give one of them")
     if wraps is not None and not (symbols or through):
@@ -112,9 +113,9 @@ def command(
             raise InputError("--picture draws an orbit: give --solve as well")
     system = load_model(model).system
     numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
-    numbers |= {(int(a), int(b)) for text in symbols for a, b in re.findall(r"\]h([1-9])\.([1-9])@", text)}
+    asked = parse_walk(symbols, vertex_names(system)) if symbols else ways(through)
     with progress_bar("connections") as progress:
-        edges = find_edges(system, energy, hits=numbers, progress=progress)
+        edges = find_edges(system, energy, hits=numbers, symbols=asked, progress=progress)
     leads = (lead_in, lead_out)
     if symbols or through:
         chain = resolve(symbols, edges) if symbols else shortest(through, edges)

@@ -4,13 +4,15 @@ Source: Kaheman et al. (2023), section 4.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import networkx as nx
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.itineraries.rotating import is_rotating, rotating_connections, rotating_named
+from dpcontrol.itineraries.walk import Symbol
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.tubes.connections import find_connections
 from dpcontrol.tubes.equilibria import equilibria
@@ -23,7 +25,8 @@ class Edges:
     """All connections found at one energy.
 
     orbits: by saddle; absent: (saddle, reason) where there is none. searched: pairs of saddles whose connections were
-    sought. notes: sentences on searches that may have missed some.
+    sought. notes: sentences on searches that may have missed some. named: found for symbols that name them, on other
+    sections or at other hits; no part of the graph.
     """
 
     system: System
@@ -33,11 +36,17 @@ class Edges:
     searched: tuple[tuple[str, str], ...]
     connections: tuple[Connection, ...]
     notes: tuple[str, ...]
+    named: tuple[Connection, ...] = ()
 
     @property
     def saddles(self) -> tuple[str, ...]:
         """Saddles that have an orbit at this energy."""
         return tuple(self.orbits)
+
+    @property
+    def known(self) -> tuple[Connection, ...]:
+        """All connections that were found, in the graph or not."""
+        return (*self.connections, *self.named)
 
     def between(self, source: str, target: str) -> tuple[Connection, ...]:
         """Return the connections from one saddle's orbit to another's."""
@@ -67,14 +76,17 @@ def find_edges(
     *,
     pairs: Sequence[tuple[str, str]] | None = None,
     hits: Iterable[tuple[int, int]] = ((1, 1),),
+    symbols: Iterable[Symbol] = (),
     progress: Progress = no_progress,
 ) -> Edges:
     """Find the connections at `energy` between all saddles that have orbits there, or between those of `pairs`.
 
     hits: crossings of the section by the unstable and the stable tube, one search for each; first hits by default.
+    symbols: what else they ask for: connections named on other sections or at other hits, and rotating orbits.
 
     Raises:
-        InputError: no saddle has an orbit at this energy, or a saddle of `pairs` has none.
+        InputError: no saddle has an orbit at this energy, a saddle of `pairs` or a rotating orbit of `symbols` has
+            none, or a symbol names a section that there is not.
     """
     wanted = dict.fromkeys(s for pair in pairs for s in pair) if pairs else dict.fromkeys(saddles_with_tubes(system))
     orbits: dict[str, LyapunovOrbit] = {}
@@ -116,4 +128,57 @@ def find_edges(
         found[source, target] = tuple(listed)
     progress("connections", 1.0)
     connections = tuple(c for pair in kinds for c in found[pair])
-    return Edges(system, energy, orbits, tuple(absent), tuple(kinds), connections, tuple(notes))
+    edges = Edges(system, energy, orbits, tuple(absent), tuple(kinds), connections, tuple(notes))
+    simple = [s for symbol in symbols for s in symbol.simple]
+    return _with_named(_with_rotating(edges, simple, progress), simple, numbers, progress)
+
+
+def _with_rotating(edges: Edges, symbols: Sequence[Symbol], progress: Progress) -> Edges:
+    """Add the rotating orbits that symbols name, and their connections with the saddles' orbits beside them."""
+    orbits, searched, connections, notes = dict(edges.orbits), list(edges.searched), list(edges.connections), []
+    done: set[tuple[tuple[str, str], str | None]] = set()
+    for symbol in symbols:
+        pair = (symbol.source, symbol.target)
+        if not any(is_rotating(name) for name in pair):
+            continue
+        for name in pair:
+            if is_rotating(name) and name not in orbits:
+                orbits[name] = rotating_named(edges.system, name, edges.energy)
+        # A saddle without an orbit is told of where the symbol is resolved.
+        if all(name in orbits for name in pair) and (pair, symbol.section) not in done:
+            progress(f"connections {pair[0]} > {pair[1]}", 0.0)
+            search = rotating_connections(*(orbits[name] for name in pair), section=symbol.section)
+            known = {c.name for c in connections}
+            connections += [c for c in search.connections if c.name not in known]
+            searched += [pair] * (pair not in searched)
+            done.add((pair, symbol.section))
+            # A tube that laps has more crossings than are ever searched.
+            notes.append(f"{pair[0]} → {pair[1]}: {search.status}")
+    return replace(
+        edges, orbits=orbits, searched=tuple(searched), connections=tuple(connections), notes=(*edges.notes, *notes)
+    )
+
+
+def _with_named(
+    edges: Edges, symbols: Sequence[Symbol], numbers: Sequence[tuple[int, int]], progress: Progress
+) -> Edges:
+    """Search what a named symbol needs beyond the graph, for its own pair of saddles only."""
+    found: list[Connection] = []
+    notes: list[str] = []
+    searches = [(s.source, s.target, s.hits, s.section) for s in symbols if s.hits is not None]
+    for source, target, hit, section in dict.fromkeys(searches):
+        in_graph = section is None and hit in numbers and (source, target) in edges.searched
+        if in_graph or not {source, target} <= set(edges.orbits) or is_rotating(source) or is_rotating(target):
+            continue
+        progress(f"connections {source} > {target}", 0.0)
+        search = find_connections(
+            edges.orbits[source],
+            edges.orbits[target],
+            hits=hit,
+            section=edges.system.section_between(source, target, section),
+            progress=progress,
+        )
+        found += search.connections
+        if search.failed or not all(cut.resolved for cut in search.cuts):
+            notes.append(f"{source} → {target}, hits {hit[0]}.{hit[1]}: {search.status}")
+    return replace(edges, named=tuple(found), notes=(*edges.notes, *notes))

@@ -7,7 +7,6 @@ part of the flight in: the edge arrives when it comes near its last orbit after 
 Source: Kaheman et al. (2023), theorem 4.1.
 """
 
-import re
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.section import Section
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.itineraries.edge_names import composed
 from dpcontrol.itineraries.shadowing import ShadowingOrbit
 from dpcontrol.tubes.connecting_orbit import ConnectingOrbit
 from dpcontrol.tubes.connection import Connection, approach
@@ -24,7 +24,6 @@ from dpcontrol.tubes.orbit_curve import OrbitCurve
 
 Array = NDArray[np.float64]
 
-_PREFIX = re.compile(r"^[\w-]+>[\w-]+\[[-\d,]+\]h\d+\.\d+(?::[\w-]+)?@")
 _FAR = 0.05  # scaled; between two stops an orbit is farther off than this, and once it has joined an orbit never again
 _MIRRORED = 1e-7  # scaled; states are good to 1e-11, and orbits that nearly mirror each other are farther apart
 
@@ -97,43 +96,6 @@ def _last_far(orbit: ConnectingOrbit, curve: OrbitCurve) -> float:
     grid = np.linspace(0.0, last, max(2, int(np.ceil(last / curve.orbit.period * 50))))
     far = np.flatnonzero(curve.distances(orbit.sample(grid))[1] > _FAR)
     return float(grid[far[-1]]) if far.size else 0.0
-
-
-def composed(walk: tuple[str, ...], wraps: tuple[int, ...]) -> str:
-    """Return what a grown edge is made of: its connections' names in brackets, the wraps between them, "(A)·2·(B)"."""
-    parts = [f"({walk[0]})"]
-    for name, count in zip(walk[1:], wraps, strict=True):
-        parts.append(f"·{count}·({name})")
-    return "".join(parts)
-
-
-def components(name: str) -> tuple[tuple[str, ...], tuple[int, ...]] | None:
-    """Return (connections' names, wraps between them) from a grown edge's name; None where it is no such name.
-
-    A connection in it may be a grown edge again.
-    """
-    prefix = _PREFIX.match(name)
-    if prefix is None:
-        return None
-    rest = name[prefix.end() :]
-    names: list[str] = []
-    wraps: list[int] = []
-    while rest.startswith("("):
-        depth = np.cumsum([(c == "(") - (c == ")") for c in rest])
-        closed = np.flatnonzero(depth == 0)
-        if not closed.size:
-            return None
-        end = int(closed[0])
-        names.append(rest[1:end])
-        rest = rest[end + 1 :]
-        if not rest:
-            return tuple(names), tuple(wraps)
-        count = re.match(r"·(\d+)·", rest)
-        if count is None:
-            return None
-        wraps.append(int(count[1]))
-        rest = rest[count.end() :]
-    return None
 
 
 def section_hits(

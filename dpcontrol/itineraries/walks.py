@@ -11,11 +11,15 @@ import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.tables import suggest
 from dpcontrol.itineraries.edges import Edges, saddles_with_tubes
 from dpcontrol.itineraries.graph import walks
+from dpcontrol.itineraries.grow import as_connection
+from dpcontrol.itineraries.rotating import is_rotating, rotating_names
 from dpcontrol.itineraries.walk import Symbol, choose, parse_walk
+from dpcontrol.itineraries.wraps import WalkSolver
 from dpcontrol.tubes.connection import Connection
 
 Walk = tuple[Connection, ...]
@@ -27,17 +31,54 @@ def resolve(texts: Sequence[str], edges: Edges) -> Walk:
     Raises:
         InputError: a text that is no symbol, a walk that is not connected, or a connection that does not exist at this
             energy; with the reason and the nearest walk that exists.
+        GoalMissed: the walk of a grown edge has no orbit with those wraps.
     """
-    symbols = parse_walk(texts, saddles_with_tubes(edges.system))
+    symbols = parse_walk(texts, vertex_names(edges.system))
     chain: list[Connection] = []
     for k, symbol in enumerate(symbols, start=1):
         try:
-            chain.append(choose(symbol, edges.between(symbol.source, symbol.target)))
+            chain.append(_connection(symbol, edges))
+        except GoalMissed as error:
+            raise GoalMissed(f"symbol {k} of {len(symbols)} ({symbol.text}): {error}") from error
         except InputError as error:
             reasons = [why for saddle, why in edges.absent if saddle in (symbol.source, symbol.target)]
             why = f" ({'; '.join(reasons)})" if reasons else ""
             raise InputError(f"symbol {k} of {len(symbols)}: {error}{why}{_nearest(symbols, edges)}") from error
     return tuple(chain)
+
+
+def vertex_names(system: System) -> list[str]:
+    """Return the names of the orbits that a walk may stop at: those of saddles, and rotating ones."""
+    return [*saddles_with_tubes(system), *rotating_names(system)]
+
+
+def _connection(symbol: Symbol, edges: Edges) -> Connection:
+    """Return the connection that a symbol stands for; a grown edge is solved for.
+
+    Raises:
+        InputError: there is none.
+        GoalMissed: a grown edge's walk has no orbit with its wraps.
+    """
+    if symbol.parts:
+        solver = WalkSolver(edges.known)
+        orbit = solver.solve([_connection(part, edges) for part in symbol.parts], symbol.wraps)
+        if not orbit.converged:
+            raise GoalMissed(f"{orbit.status}; {solver.advice(orbit)}")
+        edge = as_connection(orbit)
+        if symbol.name not in (None, edge.name):
+            raise InputError(f"no edge is named {symbol.name!r}: what it is made of makes {edge.name!r}")
+        return edge
+    pair = (symbol.source, symbol.target)
+    candidates = edges.between(*pair)
+    if symbol.name is not None:
+        candidates += tuple(c for c in edges.named if (c.source.saddle, c.target.saddle) == pair)
+    elif not candidates and any(is_rotating(name) for name in pair):
+        told = [note for note in edges.notes if note.startswith(f"{pair[0]} → {pair[1]}: ")]
+        why = f" ({told[0]})" if told else ""
+        raise InputError(
+            f"{symbol.text!r}: no such connection was found at {edges.energy:g} J{why}; try another energy"
+        )
+    return choose(symbol, candidates)
 
 
 def _nearest(symbols: Sequence[Symbol], edges: Edges) -> str:
@@ -51,6 +92,11 @@ def _nearest(symbols: Sequence[Symbol], edges: Edges) -> str:
         with suppress(InputError):
             return "; the nearest walk that exists is " + ", ".join(f"{c.name!r}" for c in through(wanted, edges))
     return ""
+
+
+def ways(stops: Sequence[str]) -> tuple[Symbol, ...]:
+    """Return symbols that ask for the ways between stops, any connection of each."""
+    return tuple(Symbol(f"{a} > {b}", a, b, None, None) for a, b in pairwise(stops))
 
 
 def through(stops: Sequence[str], edges: Edges) -> Walk:
@@ -75,7 +121,7 @@ def through(stops: Sequence[str], edges: Edges) -> Walk:
             path = nx.shortest_path(graph, here, there) if nx.has_path(graph, here, there) else []
         if not path:
             raise InputError(f"no walk at {edges.energy:g} J leads from {here} to {there}; try a higher energy")
-        chain += [choose(Symbol(f"{a} > {b}", a, b, None, None), edges.between(a, b)) for a, b in pairwise(path)]
+        chain += [choose(way, edges.between(way.source, way.target)) for way in ways(path)]
     return tuple(chain)
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.tables import Table, suggest
 from dpcontrol.itineraries.edges import saddles_with_tubes
-from dpcontrol.itineraries.walk import parse_walk
+from dpcontrol.itineraries.walk import expanded, parse_walk
 from dpcontrol.scenes.model import Model
 from dpcontrol.tubes.equilibria import equilibria
 
@@ -82,7 +82,7 @@ def _hold(table: Table, model: Model) -> HoldPart:
 
 
 def _walk(table: Table, saddles: list[str]) -> tuple[tuple[str, ...], tuple[int, ...], int]:
-    """Return the walk and its wraps, repeated as often as asked, and how often that is.
+    """Return the walk and its wraps, grown edges written out, repeated as often as asked, and how often that is.
 
     Raises:
         InputError: a walk or wraps that no energy could save; before anything is computed.
@@ -98,7 +98,7 @@ def _walk(table: Table, saddles: list[str]) -> tuple[tuple[str, ...], tuple[int,
             "stops; give one whole number for each"
         )
     if repeat == 1:
-        return walk, wraps, repeat
+        return *expanded(symbols, wraps), repeat
     if symbols[0].source != symbols[-1].target:
         raise InputError(
             f"{table.where('repeat')} = {repeat}: the walk starts at {symbols[0].source} and ends at "
@@ -109,6 +109,7 @@ def _walk(table: Table, saddles: list[str]) -> tuple[tuple[str, ...], tuple[int,
             f"{table.where('wraps')} = {list(wraps)}: a walk of {len(walk)} symbols that is repeated has {len(walk)} "
             "stops, the last from its last symbol back to its first; give one whole number for each"
         )
+    walk, wraps = expanded(symbols, wraps)
     return walk * repeat, (wraps * repeat)[:-1], repeat
 
 

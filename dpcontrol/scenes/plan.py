@@ -128,14 +128,13 @@ def shadowing_orbit(
         part = itinerary.walks[0]
     system = itinerary.model.system
     symbols = parse_walk(part.walk, saddles_with_tubes(system))
-    pairs = list(dict.fromkeys((s.source, s.target) for s in symbols))
-    hits = {(1, 1), *(s.hits for s in symbols if s.hits is not None)}
-    edges = find_edges(system, part.energy, pairs=pairs, hits=hits, progress=part_of(progress, 0.0, 0.9))
+    pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
+    edges = find_edges(system, part.energy, pairs=pairs, symbols=symbols, progress=part_of(progress, 0.0, 0.9))
     if edges.absent:
         raise GoalMissed("; ".join(reason for _, reason in edges.absent))
     chain = resolve(part.walk, edges)
     progress("shadowing orbit", 0.9)
-    solver = WalkSolver(edges.connections)
+    solver = WalkSolver(edges.known)
     result = solver.solve(chain, part.wraps, lead_in=part.lead_in, lead_out=part.lead_out)
     if not result.converged:
         raise GoalMissed(f"the shadowing orbit: {result.status}; {solver.advice(result)}")

@@ -64,8 +64,7 @@ def find_lap_connections(
     if not each:
         raise InputError(f"{lapping[0].saddle} does not cross {section.name}: search it with find_connections")
     manifold = local_manifold(lapping[0], settings.distance)
-    laps = np.log(_LARGE / settings.distance) / manifold.exponent
-    crossings = tuple(crossings) or (max(1, int(laps * each)),)
+    crossings = tuple(crossings) or (grown_crossing(lapping[0], section, settings),)
     if min(crossings) < 1:
         raise InputError(f"crossings = {list(crossings)}: must be 1 or more")
     longest = lapping[0].system.flight_periods + max(crossings) / each
@@ -97,6 +96,13 @@ def find_lap_connections(
     if not resolved:
         status += "; not every cut is resolved: allow less time"
     return replace(search, connections=tuple(found), failed=failed, complete=False, status=status)
+
+
+def grown_crossing(orbit: HyperbolicOrbit, section: Section, settings: ConnectionSettings | None = None) -> int:
+    """Return the last crossing, counted from its seeds, on which a tube has grown to a scaled distance of about 0.4."""
+    settings = settings or ConnectionSettings()
+    laps = np.log(_LARGE / settings.distance) / local_manifold(orbit, settings.distance).exponent
+    return max(1, int(laps * own_crossings(orbit, section)))
 
 
 def own_crossings(orbit: LyapunovOrbit, section: Section) -> int:

@@ -146,7 +146,7 @@ def local_manifold(orbit: LyapunovOrbit, distance: float = 3e-4) -> UnstableMani
 
 
 def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None, segments: int = 16) -> HyperbolicOrbit:
-    """Return a rotating orbit as a vertex, by default named "outer-turning" or "inner-turning" ("-back": clockwise).
+    """Return a rotating orbit as a vertex, by default named "outer-rotating" or "inner-rotating" ("-back": clockwise).
 
     segments: nodes, of which half are flown from the mirror line and half are their mirror images.
 
@@ -159,7 +159,7 @@ def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None, segments: 
             "orbits have tubes; choose another orbit or energy"
         )
     system, n = orbit.system, orbit.system.dimension // 2
-    default = f"{('inner', 'outer')[orbit.arm - 1]}-turning{'' if sum(orbit.winding) > 0 else '-back'}"
+    default = f"{('inner', 'outer')[orbit.arm - 1]}-rotating{'' if sum(orbit.winding) > 0 else '-back'}"
     rest = np.concatenate([orbit.state[:n], np.zeros(n)])
     winding = np.zeros(2 * n)
     winding[:n] = orbit.winding

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.itineraries.grow import as_connection, components, composed
+from dpcontrol.itineraries.edge_names import components, composed
+from dpcontrol.itineraries.grow import as_connection
 from dpcontrol.itineraries.shadowing import shadow
 from dpcontrol.itineraries.shooting import NewtonSettings
 from dpcontrol.itineraries.tiling import ShadowingSettings

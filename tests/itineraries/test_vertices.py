@@ -127,7 +127,7 @@ def test_connections_leave_the_rotating_orbit_and_join_it(system, rotating, lyap
             end = c.orbit.end.orbit_phase - c.orbit.times[-1] / c.target.period
             assert 0 <= (start if c.source is rotating else end) < 1
     assert (out.connections[0].source, out.connections[0].target) == (rotating, lyapunov)
-    assert out.connections[0].name.startswith("outer-turning>down-up[0,")
+    assert out.connections[0].name.startswith("outer-rotating>down-up[0,")
 
 
 def test_the_mirror_turns_one_search_into_the_other(system, out, into):
