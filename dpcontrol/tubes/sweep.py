@@ -39,7 +39,8 @@ class Sweep:
     def search(self, energy: float) -> Found:
         """Find the links with the asked number of crossings at one energy; kept, and amended by later finds.
 
-        Where crossings of the cuts do not converge, as next to a graze, the search is repeated with finer cuts.
+        Where crossings of the cuts do not converge, as next to a graze, the search is repeated with finer cuts; not
+        where cuts scatter, for finer ones are given up sooner and meet less often.
         """
         if energy not in self._found:
             self._found[energy] = self._search(energy)
@@ -54,14 +55,15 @@ class Sweep:
         found = Found(energy, (), 1, False, "")
         for fineness in (1.0, 0.25):
             cut = replace(settings.cut, chord=fineness * settings.cut.chord)
-            found = self._searched(energy, manifolds, replace(settings, cut=cut))
-            if found.complete:
+            found, resolved = self._searched(energy, manifolds, replace(settings, cut=cut))
+            if found.complete or not resolved:
                 break
         return found
 
     def _searched(
         self, energy: float, manifolds: tuple[UnstableManifold, UnstableManifold], settings: ConnectionSettings
-    ) -> Found:
+    ) -> tuple[Found, bool]:
+        """Return what intersecting the cuts finds, and whether they were resolved."""
         system = self.problem.system
         # Both tubes fly about equally far.
         hits = (self.crossings // 2 + 1, self.crossings - self.crossings // 2)
@@ -88,7 +90,7 @@ class Sweep:
             if not cut.resolved:
                 caveat = f"{cut.hit}. crossing: {cut.status}"
         weight = 2 if all(m.branches_are_mirrored for m in manifolds) else 1
-        return Found(energy, tuple(points), weight, not caveat, caveat)
+        return Found(energy, tuple(points), weight, not caveat, caveat), unstable.resolved and stable.resolved
 
     def among(self, link: Link, points: list[PathPoint] | tuple[PathPoint, ...]) -> int | None:
         """Return the index of the point that is this link, None if none is."""
@@ -163,16 +165,21 @@ class Sweep:
         Returns what happened, and connections that the searches should have found.
         """
         runs: list[Run] = []
+        missed: list[PathPoint] = []
         lost, born = set(range(len(before.points))), set(range(len(after.points)))
         for k, point in enumerate(before.points):
-            match = self._carried(point, after)
+            arrived = carry(self.problem, point, after.energy)
+            match = None if arrived is None else self.among(arrived.link, after.points)
             if match is not None and match in born:
                 lost.discard(k)
                 born.discard(match)
                 runs += self._runs((point, after.points[match]))
+            elif arrived is not None and match is None and self.count(arrived) == self.crossings:
+                # It met no turn and crosses as often as asked: the search has not seen it.
+                lost.discard(k)
+                missed.append(arrived)
         changes: list[Change] = []
         reasons: list[str] = []
-        missed: list[PathPoint] = []
         for left, start, goal in ((lost, before, after), (born, after, before)):
             while left:
                 k = min(left)
@@ -192,11 +199,6 @@ class Sweep:
                 self._along(path, changes, reasons)
                 runs += self._runs(path.points)
         return Interval(tuple(self._distinct(changes)), tuple(reasons), tuple(runs)), missed
-
-    def _carried(self, point: PathPoint, after: Found) -> int | None:
-        """Carry a link to the next energy in a few predicted steps; return which of the next it is, None if none."""
-        arrived = carry(self.problem, point, after.energy)
-        return None if arrived is None else self.among(arrived.link, after.points)
 
     def _along(self, path: Path, changes: list[Change], reasons: list[str]) -> None:
         """Add the turns and touches along a path."""
