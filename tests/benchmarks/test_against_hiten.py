@@ -25,7 +25,7 @@ THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_
 
 
 def spent(command, home=None):
-    """Run a command, with empty caches at `home` if given; return processor seconds, its children's too, and its JSON."""
+    """Run a command, with empty caches at `home` if given; return processor seconds (children's too) and its JSON."""
     places = {}
     if home is not None:
         home.mkdir()
