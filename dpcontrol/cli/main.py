@@ -24,6 +24,7 @@ VERBS = {
     "atlas": "Compute all of an energy: orbits, tubes, connections, their graph.",
     "walk": "List, count and make walks on the connection graph, and their orbits.",
     "plan": "Plan an itinerary: shadowing orbit and reference.",
+    "reference": "Show a reference that a plan made: limits, effort, mesh, error, picture.",
     "run": "Run an itinerary in closed loop and write its log.",
     "score": "Say whether logged runs did what was asked.",
     "review": "Open a log in the viewer, or save a recording or a picture.",

@@ -145,4 +145,6 @@ def load_reference(path: Path | IO[bytes]) -> Reference:
         zlib.error,
     ) as error:
         reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
+        # What is no archive at all numpy takes for pickled data, and advises to trust it.
+        reason = "it is no .npz file" if "pickle" in reason else reason
         raise InputError(f"{path} is not a reference of dpcontrol, or is damaged: {reason}; plan again") from error

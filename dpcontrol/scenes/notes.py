@@ -5,14 +5,19 @@ symbols   what leads from stop to stop: a connection, or a transfer (name null, 
 wraps     one for each interior stop; null where they are not counted: beside a transfer
 transfers times between which the pendulum is on its way from piece to piece
 orbits    periodic orbits and equilibria by index; samples of each are the array orbit_K
+made_from what makes it again: texts of scene and model with their hashes, arms' parameters, program, code's hash
 """
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+import dpcontrol
+from dpcontrol.foundation.files import content_hash
+from dpcontrol.scenes.cache import code_hash
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.scenes.pieces import Goal, Piece
 from dpcontrol.tubes.connections import Connection
@@ -119,7 +124,23 @@ def plan_notes(itinerary: Itinerary, pieces: Sequence[Piece], begins: Array) -> 
             name: {"angles": e.state[:n].tolist(), "energy": e.energy} for name, e in equilibria(system).items()
         },
     }
+    notes["made_from"] = _made_from(itinerary)
     return notes, {f"orbit_{k}": samples for k, samples in enumerate(orbits.samples)}
+
+
+def _made_from(itinerary: Itinerary) -> dict[str, Any]:
+    return {
+        "program": f"dpcontrol {dpcontrol.__version__}",
+        "code": code_hash(),
+        "scene": itinerary.text,
+        "scene_hash": content_hash(itinerary.text),
+        "model": itinerary.model.text,
+        "model_hash": content_hash(itinerary.model.text),
+        "parameters": {
+            key: list(value) if isinstance(value, tuple) else value
+            for key, value in asdict(itinerary.model.arms).items()
+        },
+    }
 
 
 def _enter(story: _Story, goal: Goal, angles: Array, orbit: int, way: dict[str, Any] | None) -> None:

@@ -1,0 +1,131 @@
+"""What there is to say of a reference: its use of each limit, its effort, and its error anew on every interval.
+
+The error between nodes and the energy need the arms that it was made for, which a plan's notes carry: `made_from`,
+whose `parameters` are those of `dpcontrol.dynamics.parameters.ArmChainParameters` by name.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.equations import NumericEquations
+from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.references.errors import DENSE, error_between_nodes, largest_values
+from dpcontrol.references.method import differentiation_matrix, interpolation_matrix
+from dpcontrol.references.problem import LIMIT_UNITS, ReferenceProblem
+from dpcontrol.references.reference import Reference
+from dpcontrol.references.transcription import Trajectory
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class LimitUse:
+    """How much of one of the cart's limits a reference uses: bound and largest size in `unit`, and when, s."""
+
+    name: str
+    unit: str
+    bound: float
+    largest: float
+    time: float
+
+    @property
+    def share(self) -> float:
+        """Return the largest over the bound."""
+        return self.largest / self.bound
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceSummary:
+    """A reference and what follows from it.
+
+    uses of the limits. effort: ∫u² dt in m²/s³. arms that it was made for and errors between nodes (N,), scaled, on
+    each interval: None where the notes do not say for which arms it was made.
+    """
+
+    reference: Reference
+    uses: tuple[LimitUse, ...]
+    effort: float
+    arms: ArmChainParameters | None
+    errors: Array | None
+
+    def energies(self, states: Array) -> Array | None:
+        """Return the pendulum's energy in J at states (K, N), or None where the arms are not known."""
+        if self.arms is None:
+            return None
+        pendulum = arm_chain_equations(self.arms.count, Level.CONSERVATIVE)
+        return NumericEquations(pendulum, self.arms.base()).hamiltonian(states[:, :-2])
+
+
+def summarised(reference: Reference) -> ReferenceSummary:
+    """Return the summary of a reference, its error between nodes measured anew.
+
+    Raises:
+        InputError: the notes name arms that cannot be, or others than it has.
+    """
+    trajectory = Trajectory(reference.mesh, reference.states, reference.inputs)
+    arms = _arms(reference)
+    return ReferenceSummary(
+        reference=reference,
+        uses=_uses(reference, trajectory),
+        effort=reference.rms_cart_acceleration**2 * reference.duration,
+        arms=arms,
+        errors=None if arms is None else _errors(reference, trajectory, arms),
+    )
+
+
+def _arms(reference: Reference) -> ArmChainParameters | None:
+    made_from = reference.notes.get("made_from")
+    if not isinstance(made_from, Mapping) or "parameters" not in made_from:
+        return None
+    try:
+        values: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value
+            for name, value in dict(made_from["parameters"]).items()
+        }
+        arms = ArmChainParameters(**values)
+    except (InputError, TypeError, ValueError) as error:
+        raise InputError(f"the reference's notes hold no arms' parameters ({error}); plan again") from error
+    if 2 * arms.count + 2 != reference.states.shape[-1]:
+        raise InputError(
+            f"the reference's notes name {arms.count} arms but its states have {reference.states.shape[-1]} entries; "
+            "plan again"
+        )
+    return arms
+
+
+def _errors(reference: Reference, trajectory: Trajectory, arms: ArmChainParameters) -> Array:
+    nothing = np.zeros(reference.states.shape[-1] - 2)
+    problem = ReferenceProblem(
+        equations=arm_chain_equations(arms.count, Level.CART),
+        parameters=arms.base(),
+        guess=lambda times: np.broadcast_to(nothing, (len(times), len(nothing))),
+        duration=reference.duration,
+        limits=reference.limits,
+    )
+    return error_between_nodes(problem, trajectory, method=reference.method)
+
+
+def _uses(reference: Reference, trajectory: Trajectory) -> tuple[LimitUse, ...]:
+    method, mesh = reference.method, reference.mesh
+    tau = np.linspace(0.0, 1.0, DENSE)
+    times = mesh[:-1, None] + np.diff(mesh)[:, None] * tau
+    on_support, on_points = (interpolation_matrix(places, tau).T for places in (method.support, method.points))
+    inputs = reference.inputs[..., 0]
+    slopes = inputs @ differentiation_matrix(method.points).T / np.diff(mesh)[:, None]
+    sampled = {
+        "position": reference.states[..., -2] @ on_support,
+        "velocity": reference.states[..., -1] @ on_support,
+        "acceleration": inputs @ on_points,
+        "jerk": slopes @ on_points,
+    }
+    largest = largest_values(trajectory, method=method, limits=reference.limits)
+    return tuple(
+        LimitUse(name, LIMIT_UNITS[name], bound, largest[name], float(times.flat[int(np.abs(sampled[name]).argmax())]))
+        for name, bound in reference.limits.named().items()
+    )

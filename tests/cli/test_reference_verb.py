@@ -1,0 +1,156 @@
+"""`dpcontrol reference FILE`: what it says of a plan's file, how it draws it, and what it refuses."""
+
+import json
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+
+AGREES = 1e-9
+"""Relative; sums and interpolation in double precision."""
+LARGEST = 1e-3
+"""Relative; a maximum on the nodes' grid against one between nodes too."""
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plan's reference as `plan --out` writes it."""
+    path = tmp_path_factory.mktemp("reference") / "turn.npz"
+    assert dpcontrol("plan", "outer-turn", "--out", path).code == 0
+    return path
+
+
+def arrays(file: Path) -> dict[str, Any]:
+    with np.load(file, allow_pickle=False) as found:
+        return dict(found)
+
+
+def header(file: Path) -> dict[str, Any]:
+    return json.loads(str(arrays(file)["header"]))
+
+
+def changed(file: Path, to: Path, **notes: Any) -> Path:
+    """Write the file with other notes."""
+    parts = arrays(file)
+    head = json.loads(str(parts["header"]))
+    head["notes"] = {k: v for k, v in (head["notes"] | notes).items() if v is not None}
+    parts["header"] = np.array(json.dumps(head))
+    np.savez(to, **parts)
+    return to
+
+
+def test_the_document_says_what_the_arrays_hold(file: Path) -> None:
+    shown = dpcontrol("reference", file, "--json").document
+    held = arrays(file)
+    lengths = np.diff(held["mesh"])
+    assert shown["intervals"] == len(lengths)
+    assert shown["duration"] == pytest.approx(lengths.sum(), rel=AGREES)
+    assert shown["shortest_interval"] == pytest.approx(lengths.min(), rel=AGREES)
+    assert shown["longest_interval"] == pytest.approx(lengths.max(), rel=AGREES)
+    # Radau's inputs and their squares are integrated exactly by Gauss's rule on the interpolating polynomials.
+    places, weights = np.polynomial.legendre.leggauss(5)
+    powers = held["points"][:, None] ** np.arange(5)
+    curves = np.linalg.solve(powers, held["inputs"][..., 0].T)
+    at = ((places + 1) / 2)[:, None] ** np.arange(5) @ curves
+    assert shown["effort"] == pytest.approx((weights / 2 @ at**2) @ lengths, rel=1e-3)
+    for name, values in (("position", held["states"][..., 4]), ("velocity", held["states"][..., 5])):
+        use = shown["limits"][name]
+        assert use["largest"] == pytest.approx(np.abs(values).max(), rel=LARGEST)
+        assert use["share"] == pytest.approx(use["largest"] / use["bound"], rel=AGREES)
+        interval = int(np.searchsorted(held["mesh"], use["time"]) - 1)
+        near = np.abs(values[max(interval - 1, 0) : interval + 2]).max()
+        assert near == pytest.approx(use["largest"], rel=LARGEST)
+    assert set(shown["limits"]) == {"position", "velocity", "acceleration"}
+    assert shown["method"] == "radau-5"
+
+
+def test_the_error_is_measured_anew_and_agrees_with_the_one_stored(file: Path, tmp_path: Path) -> None:
+    shown = dpcontrol("reference", file, "--json").document
+    assert shown["measured_error_between_nodes"] == pytest.approx(shown["max_error_between_nodes"], rel=1e-3)
+    # A file that claims more than it holds is found out.
+    parts = arrays(file)
+    parts["inputs"] = parts["inputs"] * 1.01
+    np.savez(tmp_path / "off.npz", **parts)
+    off = dpcontrol("reference", tmp_path / "off.npz", "--json").document
+    assert off["measured_error_between_nodes"] > 10 * off["max_error_between_nodes"]
+
+
+def test_the_file_names_all_that_makes_it_again_for_numpy_alone(file: Path, shipped_text: dict[str, str]) -> None:
+    made_from = header(file)["notes"]["made_from"]
+    assert made_from["scene"] == shipped_text["outer-turn"]
+    model = tomllib.loads(made_from["model"])
+    assert made_from["parameters"]["mass"] == model["arms"]["mass"]
+    assert made_from["parameters"]["viscous"] == model["friction"]["viscous"]
+    shown = dpcontrol("reference", file, "--json").document
+    for key in ("scene_hash", "model_hash", "code", "program"):
+        assert shown["made_from"][key] == made_from[key]
+    assert shown["plan"] == header(file)["notes"]["plan"]
+
+
+def test_the_scene_and_model_in_the_file_plan_to_the_same_reference(
+    file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made_from = header(file)["notes"]["made_from"]
+    for folder, name, text in (("itineraries", "outer-turn", "scene"), ("models", "lab", "model")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / f"{name}.toml").write_text(made_from[text])
+    monkeypatch.chdir(tmp_path)
+    assert dpcontrol("plan", "outer-turn", "--fresh", "--out", "again.npz").code == 0
+    again, held = arrays(tmp_path / "again.npz"), arrays(file)
+    for name in ("mesh", "states", "inputs"):
+        np.testing.assert_array_equal(again[name], held[name])
+
+
+def test_people_read_symbols_limits_effort_and_origin(file: Path, tmp_path: Path) -> None:
+    picture = tmp_path / "turn.png"
+    ended = dpcontrol("reference", file, "--picture", picture)
+    assert ended.code == 0
+    for text in ("outer-turn", "down-up +", "cart position", "±0.4 m", "m/s² rms", "measured anew", "scene_hash"):
+        assert text in ended.stdout
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_file_without_a_plans_notes_is_shown_and_drawn_as_far_as_it_goes(file: Path, tmp_path: Path) -> None:
+    nothing = dict.fromkeys(header(file)["notes"])
+    bare = changed(file, tmp_path / "bare.npz", **nothing)
+    ended = dpcontrol("reference", bare, "--picture", tmp_path / "bare.png", "--json")
+    assert ended.code == 0
+    assert ended.document["symbols"] == []
+    assert ended.document["measured_error_between_nodes"] is None
+    assert (tmp_path / "bare.png").is_file()
+    assert "names no arms" in dpcontrol("reference", bare).stdout
+
+
+@pytest.mark.parametrize(
+    ("notes", "says"),
+    [
+        ({"symbols": [{"time": "late"}]}, "notes"),
+        ({"stops": 7}, "notes"),
+        ({"made_from": {"parameters": {"mass": [1.0]}}}, "parameters"),
+    ],
+)
+def test_notes_that_are_not_a_plans_are_refused(file: Path, tmp_path: Path, notes: dict[str, Any], says: str) -> None:
+    ended = dpcontrol("reference", changed(file, tmp_path / "odd.npz", **notes), "--json")
+    assert ended.code == 2
+    assert says in ended.document["status"]
+    assert str(tmp_path / "odd.npz") in ended.message
+
+
+def test_damaged_foreign_and_missing_files_are_refused_in_one_sentence(file: Path, tmp_path: Path) -> None:
+    data = bytearray(file.read_bytes())
+    (tmp_path / "short.npz").write_bytes(data[: len(data) // 2])
+    data[len(data) // 2] ^= 0xFF
+    (tmp_path / "flipped.npz").write_bytes(data)
+    (tmp_path / "scene.npz").write_text("walk = []")
+    np.savez(tmp_path / "other.npz", times=np.zeros(3))
+    for name in ("short", "flipped", "scene", "other", "missing"):
+        ended = dpcontrol("reference", tmp_path / f"{name}.npz", "--picture", tmp_path / "out.png", "--json")
+        assert ended.code == 2, name
+        assert f"{name}.npz" in ended.document["status"]
+        assert "pickle" not in ended.message
+        assert not (tmp_path / "out.png").exists()
+    assert dpcontrol("reference", tmp_path, "--json").code == 2
+    assert "ends in .png" in dpcontrol("reference", file, "--picture", tmp_path / "out.svg").message
