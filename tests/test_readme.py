@@ -68,7 +68,7 @@ def test_every_command_of_the_walk_through_prints_what_is_shown() -> None:
     shown = conversations()
     assert {command.split()[1] for command, _ in shown} == {
         "model", "orbit", "connect", "plan", "run", "score", "review", "atlas", "bifurcations", "figures",
-        "walk",
+        "walk", "reference",
     }  # fmt: skip
     for command, lines in shown:
         words = shlex.split(command, comments=True)
@@ -93,7 +93,7 @@ def test_the_commands_that_show_the_numbers_run() -> None:
 def test_every_verb_and_option_that_the_text_mentions_exists() -> None:
     helps = {
         verb: dpcontrol(verb, "--help")
-        for verb in ("demo", "model", "orbit", "connect", "walk", "plan", "run", "review")
+        for verb in ("demo", "model", "orbit", "connect", "walk", "plan", "reference", "run", "review")
     }
     assert all(ended.code == 0 for ended in helps.values())
     known = set(re.findall(r"--[a-z][a-z-]*", "".join(ended.stdout for ended in helps.values())))
