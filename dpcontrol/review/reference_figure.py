@@ -75,13 +75,19 @@ def _band(axes: Axes, summary: ReferenceSummary, begin: float, end: float) -> No
     notes = summary.reference.notes
     symbols, stops = _entries(notes, "symbols"), _entries(notes, "stops")
     edges = [begin, *(float(symbol["time"]) for symbol in symbols), end]
-    wide = 0.0085 * (end - begin)
+    wide = 0.0055 * (end - begin)
+    transfers = [(float(first), float(last)) for first, last in _entries(notes, "transfers")]
     for first, last, stop in zip(edges[:-1], edges[1:], stops, strict=False):
         name = str(stop["saddle"])
-        axes.axvspan(first, last, color=_STILL if name == "down-down" else saddle_colour(name), alpha=0.75, linewidth=0)
-        if (last - first) / len(name) > wide:
-            axes.text((first + last) / 2, 0.5, name, ha="center", va="center_baseline", fontsize=8.5, color="white")
-    for first, last in _entries(notes, "transfers"):
+        still = name == "down-down"
+        axes.axvspan(first, last, color=_STILL if still else saddle_colour(name), alpha=0.75, linewidth=0)
+        # The name stands where no transfer covers the span.
+        left = max([first, *(until for since, until in transfers if since <= first < until)])
+        right = min([last, *(since for since, until in transfers if since < last <= until)])
+        if (right - left) / len(name) > wide:
+            colour = style.INK if still else "white"
+            axes.text((left + right) / 2, 0.5, name, ha="center", va="center_baseline", fontsize=8.5, color=colour)
+    for first, last in transfers:
         axes.axvspan(first, last, facecolor=_TRANSFER, edgecolor=_STILL, hatch="////", linewidth=0)
     for k, symbol in enumerate(symbols):
         time = float(symbol["time"])

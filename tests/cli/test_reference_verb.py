@@ -2,12 +2,18 @@
 
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from command_line import dpcontrol
+
+from dpcontrol.references.archive import load_reference
+from dpcontrol.references.problem import Limits
+from dpcontrol.references.summary import summarised
+from dpcontrol.review.reference_figure import draw_reference
 
 AGREES = 1e-9
 """Relative; sums and interpolation in double precision."""
@@ -111,6 +117,18 @@ def test_people_read_symbols_limits_effort_and_origin(file: Path, tmp_path: Path
     for text in ("outer-turn", "down-up +", "cart position", "±0.4 m", "m/s² rms", "measured anew", "scene_hash"):
         assert text in ended.stdout
     assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_limit_is_in_view_where_the_reference_comes_near_it(file: Path) -> None:
+    reference = load_reference(file)
+    near = Limits(position=1.02 * reference.max_cart_position)
+    panels = [
+        next(axes for axes in draw_reference(summarised(one)).axes if axes.get_title(loc="left").startswith("Cart pos"))
+        for one in (reference, replace(reference, limits=near))
+    ]
+    views = [panel.get_ylim()[1] for panel in panels]
+    assert reference.max_cart_position < views[0] < reference.limits.position
+    assert reference.max_cart_position < near.position < views[1]
 
 
 def test_a_file_without_a_plans_notes_is_shown_and_drawn_as_far_as_it_goes(file: Path, tmp_path: Path) -> None:
