@@ -2,7 +2,8 @@
 
 Error: a propagator at machine precision restarts at each interval's start under the interval's own input
 polynomial; the largest scaled difference from the state's polynomial on a dense grid counts. Limits: the extrema
-of the polynomials of cart position, velocity and acceleration, from the roots of their derivatives.
+of the polynomials of cart position, velocity and acceleration, from the roots of their derivatives. And how far from
+its guess a solution lies, which tells an itinerary from another motion.
 Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7.
 """
 
@@ -18,6 +19,9 @@ Array = NDArray[np.float64]
 
 DENSE = 21
 """Places per interval where the error is looked at: four per piece between the nodes of five points."""
+LATENESS = 0.3
+_LOOK = 0.005
+"""Seconds by which a reference may be late on its guess, or early, and steps in which it is looked for."""
 
 
 def power_coefficients(points: Array, values: Array) -> Array:
@@ -77,19 +81,54 @@ def largest_on_intervals(points: Array, values: Array, *, above: float) -> float
     return largest
 
 
-def largest_values(trajectory: Trajectory, *, method: Method, limits: Limits) -> dict[str, float]:
-    """Return the largest size of each limited quantity of the cart, between nodes too."""
-    curves = {
+def away_from_guess(problem: ReferenceProblem, trajectory: Trajectory, *, method: Method) -> tuple[float, float]:
+    """Return how far (scaled) the pendulum passes from the guess, and when, s.
+
+    At each time the nearest of the guess's states within LATENESS before and after counts: friction makes late.
+    """
+    mesh, nz = trajectory.mesh, problem.pendulum_dimension
+    factor = problem.duration / (mesh[-1] - mesh[0])
+    times = np.linspace(0.0, problem.duration, max(2, int(np.ceil(problem.duration / _LOOK)) + 1))
+    at = mesh[0] + times / factor
+    index = np.clip(np.searchsorted(mesh, at, side="right") - 1, 0, len(mesh) - 2)
+    rows = interpolation_matrix(method.support, (at - mesh[index]) / np.diff(mesh)[index])
+    scale = state_scale(problem.equations.dimension, problem.limits)[:nz]
+    found = np.einsum("mk,mkn->mn", rows, trajectory.states[index])[:, :nz] / scale
+    guess = problem.guess_at(times) / scale
+    nearest = np.full(len(times), np.inf)
+    most = min(round(LATENESS / _LOOK), len(times) - 1)
+    for lag in range(-most, most + 1):
+        here = slice(max(0, lag), len(times) + min(0, lag))
+        there = slice(max(0, -lag), len(times) + min(0, -lag))
+        nearest[here] = np.minimum(nearest[here], np.abs(found[here] - guess[there]).max(1))
+    worst = int(nearest.argmax())
+    return float(nearest[worst]), float(at[worst])
+
+
+def _limited_curves(trajectory: Trajectory, *, method: Method) -> dict[str, tuple[Array, Array]]:
+    """Return the places in an interval and the values (N, …) there of each quantity that a limit may bind."""
+    inputs = trajectory.inputs[..., 0]
+    slopes = inputs @ differentiation_matrix(method.points).T / np.diff(trajectory.mesh)[:, None]
+    return {
         "position": (method.support, trajectory.states[..., -2]),
         "velocity": (method.support, trajectory.states[..., -1]),
-        "acceleration": (method.points, trajectory.inputs[..., 0]),
+        "acceleration": (method.points, inputs),
+        "jerk": (method.points, slopes),
     }
-    bounds = limits.named()
-    if "jerk" in bounds:
-        slopes = trajectory.inputs[..., 0] @ differentiation_matrix(method.points).T
-        curves["jerk"] = (method.points, slopes / np.diff(trajectory.mesh)[:, None])
+
+
+def where_largest(trajectory: Trajectory, name: str, *, method: Method) -> float:
+    """Return the time, s, at which the limited quantity of that name is largest on the dense grid."""
+    points, values = _limited_curves(trajectory, method=method)[name]
+    tau = np.linspace(0.0, 1.0, DENSE)
+    sampled = np.abs(values @ interpolation_matrix(points, tau).T)
+    interval, place = np.unravel_index(int(sampled.argmax()), sampled.shape)
+    mesh = trajectory.mesh
+    return float(mesh[interval] + tau[place] * (mesh[interval + 1] - mesh[interval]))
+
+
+def largest_values(trajectory: Trajectory, *, method: Method, limits: Limits) -> dict[str, float]:
+    """Return the largest size of each limited quantity of the cart, between nodes too."""
+    curves, bounds = _limited_curves(trajectory, method=method), limits.named()
     # A curve that stays below nine tenths of its bound on the dense grid does not pass it in between.
-    return {
-        name: largest_on_intervals(points, values, above=0.9 * bounds[name])
-        for name, (points, values) in curves.items()
-    }
+    return {name: largest_on_intervals(*curves[name], above=0.9 * bound) for name, bound in bounds.items()}

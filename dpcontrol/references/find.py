@@ -2,7 +2,8 @@
 
 Each round solves the program of `dpcontrol.references.transcription` on the present mesh, from the round before.
 Then intervals whose error between nodes exceeds the tolerance are split, and a limit that a polynomial passes
-between nodes is tightened by as much, until neither is needed.
+between nodes is tightened by as much, until neither is needed. Where the search fails, or ends at another motion than
+the guess's, friction is raised step by step; where that fails too, the status says what stands in the way.
 Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7.
 """
 
@@ -11,13 +12,26 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.references.diagnosis import (
+    FARTHEST,
+    another_motion,
+    friction_text,
+    guess_misses_its_ends,
+    has_authority,
+    limits_passed,
+    wanting,
+    without_limits,
+)
 from dpcontrol.references.errors import (
     DENSE,
+    away_from_guess,
     error_between_nodes,
     interval_propagator,
     largest_values,
 )
+from dpcontrol.references.homotopy import Raised, raise_friction
 from dpcontrol.references.method import Method, interpolation_matrix, method_named
 from dpcontrol.references.problem import LIMIT_UNITS, Limits, ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.reference import Reference
@@ -33,7 +47,6 @@ _AIMED = 0.4
 _MOST_PIECES = 4
 _MOST_GROWTH = 8
 """How many times the first mesh's intervals are worth solving for: beyond, the tolerance is out of reach."""
-_UNLIMITED = Limits(1e3, 1e3, 1e5)
 
 
 def split_mesh(mesh: Array, errors: Array, *, tolerance: float, order: int) -> Array:
@@ -95,23 +108,32 @@ def _tightened(limits: Limits, asked: Limits, largest: dict[str, float]) -> Limi
     return replace(limits, **changes) if changes else None
 
 
-def wanting(problem: ReferenceProblem, method: Method, *, settings: ReferenceSettings, first: Trajectory) -> str:
-    """Say which limits a solution without limits would pass, and by how much."""
-    free = solve(problem, method, settings=settings, first=first, limits=_UNLIMITED)
-    if not free.succeeded:
-        return (
-            "without limits it finds nothing either: check that the guess is an orbit of the same arms, or "
-            "lower the friction"
-        )
-    largest = largest_values(free.trajectory, method=method, limits=problem.limits)
-    passed = [
-        f"cart {name} of {largest[name]:.4g} {LIMIT_UNITS[name]} where {bound:.4g} is allowed"
-        for name, bound in problem.limits.named().items()
-        if largest[name] > bound
-    ]
-    if not passed:
-        return "the limits are not the reason, for without them the same motion is found; use shorter intervals"
-    return f"without limits it takes a {' and a '.join(passed)}; widen the limit or choose a gentler itinerary"
+def _is_another_motion(
+    problem: ReferenceProblem, solved: Solved, *, method: Method, settings: ReferenceSettings
+) -> bool:
+    """Tell whether the solver followed the guess to something that is not it; without a weight it follows nothing."""
+    followed = settings.pendulum_weight > 0
+    return followed and away_from_guess(problem, solved.trajectory, method=method)[0] > FARTHEST
+
+
+def _once_more(
+    problem: ReferenceProblem, method: Method, *, settings: ReferenceSettings, first: Trajectory, limits: Limits,
+    failed: Solved,
+) -> tuple[Raised | None, str]:  # fmt: skip
+    """Return a solution found by raising the friction, or none and a sentence that says why."""
+    head = f"no reference: the solver stopped with {failed.outcome!r}"
+    if failed.succeeded:
+        head = another_motion(*away_from_guess(problem, failed.trajectory, method=method))
+    if settings.pendulum_weight == 0 or not has_authority(problem, first.mesh):
+        return None, f"{head}; {wanting(problem, method, settings=settings, first=first)}"
+    if not failed.succeeded:
+        free = without_limits(problem, method, settings=settings, first=first)
+        near = free.succeeded and not _is_another_motion(problem, free, method=method, settings=settings)
+        passed = limits_passed(problem, method, free.trajectory) if near else ""
+        if passed:
+            return None, f"{head}; {passed}"
+    raised = raise_friction(problem, method, settings=settings, first=first, limits=limits, farthest=FARTHEST)
+    return (raised, "") if raised.share >= 1.0 else (None, f"{head}; {friction_text(raised)}")
 
 
 def _reference(
@@ -160,9 +182,13 @@ def find_reference(
         A reference; where `converged` is false it must not be used, and `status` says why and what to try.
 
     Raises:
-        InputError: the guess has the wrong shape or is not finite, or a setting is impossible.
+        InputError: the guess has the wrong shape, is not finite or ends elsewhere than the reference is to, or a
+            setting is impossible.
     """
     method = method_named(settings.method)
+    apart = guess_misses_its_ends(problem) if settings.pendulum_weight > 0 else ""
+    if apart:
+        raise InputError(apart)
     first = near or first_trajectory(problem, method, first_mesh(problem, settings, method=method))
     most = _MOST_GROWTH * len(first.mesh)
     limits, propagator = problem.limits, interval_propagator(problem, method)
@@ -183,11 +209,14 @@ def find_reference(
         )
         iterations += solved.iterations
         seconds += solved.seconds
-        if not solved.succeeded:
+        if not solved.succeeded or _is_another_motion(problem, solved, method=method, settings=settings):
             start = first_trajectory(problem, method, first.mesh)
-            why = wanting(problem, method, settings=settings, first=start)
-            unsolved = replace(solved, trajectory=first)
-            return result(unsolved, f"no reference: the solver stopped with {solved.outcome!r}; {why}", converged=False)
+            raised, why = _once_more(problem, method, settings=settings, first=start, limits=limits, failed=solved)
+            if raised is None or raised.solved is None:
+                return result(replace(solved, trajectory=first), why, converged=False)
+            solved = raised.solved
+            iterations += raised.iterations
+            seconds += raised.seconds
         errors = error_between_nodes(problem, solved.trajectory, method=method, propagator=propagator)
         worst = float(errors.max())
         largest = largest_values(solved.trajectory, method=method, limits=problem.limits)

@@ -1,0 +1,154 @@
+"""Where references fail: each cause is noticed, and named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicHermiteSpline
+from shadowing_stand_in import DOWN_UP_LOW, LAB, OUTER_TURN_LOW, StandIn, orbit_stretch, stitched
+
+from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.equations import NumericEquations
+from dpcontrol.dynamics.propagator import Propagator
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.references.diagnosis import FARTHEST
+from dpcontrol.references.errors import away_from_guess
+from dpcontrol.references.find import find_reference
+from dpcontrol.references.homotopy import friction_parameters, raise_friction
+from dpcontrol.references.method import method_named
+from dpcontrol.references.problem import Ends, Guess, Limits, ReferenceProblem, ReferenceSettings
+from dpcontrol.references.reference import Reference
+from dpcontrol.references.transcription import Trajectory, first_trajectory, solve
+
+EQUATIONS = arm_chain_equations(2, Level.CART)
+QUICK = ReferenceSettings(method="radau-7", interval=0.05, iterations=60)
+
+
+def problem_of(guess: Guess, duration: float, *, friction: float = 1.0, limits: Limits | None = None):
+    arms = replace(LAB, viscous=tuple(friction * k for k in LAB.viscous))
+    return ReferenceProblem(EQUATIONS, arms.base(), guess, duration, limits or Limits())
+
+
+def straight(orbit: StandIn) -> Guess:
+    """Return the line from the first to the last state of an orbit."""
+    first, last = orbit.guess(np.array([0.0, orbit.duration]))
+    return lambda times: first + (last - first) * np.asarray(times)[:, None] / orbit.duration
+
+
+def farthest(problem: ReferenceProblem, reference: Reference) -> float:
+    trajectory = Trajectory(reference.mesh, reference.states, reference.inputs)
+    return away_from_guess(problem, trajectory, method=reference.method)[0]
+
+
+def test_references_of_orbits_stay_well_within_what_counts_as_the_same_motion(
+    tracked: tuple[StandIn, Reference],
+) -> None:
+    orbit, reference = tracked
+    assert farthest(problem_of(orbit.guess, orbit.duration), reference) < 0.5 * FARTHEST
+
+
+def test_a_straight_line_does_not_pass_as_an_itinerary() -> None:
+    orbit = stitched(OUTER_TURN_LOW, DOWN_UP_LOW, DOWN_UP_LOW, wraps=1)
+    found = find_reference(problem_of(straight(orbit), orbit.duration), QUICK)
+    assert not found.converged
+    assert "is an orbit of the same arms" in found.status
+
+
+def test_another_motion_that_the_solver_is_content_with_does_not_pass() -> None:
+    orbit = orbit_stretch(0.7)
+    turned = np.array([0.0, 0.0, 0.0, 9.0])
+    # At both ends it is the orbit; on the way the outer arm would have to be where nothing takes it.
+    guess = lambda t: orbit.guess(t) + np.outer(np.sin(np.pi * np.asarray(t) / 0.7), turned)  # noqa: E731
+    problem = problem_of(guess, orbit.duration)
+    method = method_named("radau-7")
+    first = first_trajectory(problem, method, np.linspace(0.0, orbit.duration, 15))
+    assert solve(problem, method, settings=QUICK, first=first, limits=problem.limits).succeeded
+    found = find_reference(problem, QUICK)
+    assert not found.converged
+    assert "so it is another motion than the itinerary's" in found.status
+
+
+def test_friction_raised_step_by_step_leads_to_the_solution_that_a_cold_start_finds() -> None:
+    orbit = orbit_stretch(0.7)
+    problem = problem_of(orbit.guess, orbit.duration, friction=10.0)
+    method = method_named("radau-7")
+    first = first_trajectory(problem, method, np.linspace(0.0, orbit.duration, 15))
+    cold = solve(problem, method, settings=QUICK, first=first, limits=problem.limits)
+    raised = raise_friction(
+        problem, method, settings=QUICK, first=first, limits=problem.limits, farthest=FARTHEST
+    )  # fmt: skip
+    assert raised.share == 1.0
+    assert raised.solved is not None
+    assert raised.solved.cost == pytest.approx(cold.cost, rel=1e-6)
+    assert raised.solved.cost > 10 * cost_at_the_arms_own_friction(problem)
+
+
+def cost_at_the_arms_own_friction(problem: ReferenceProblem) -> float:
+    found = find_reference(replace(problem, parameters=LAB.base()), QUICK)
+    return found.rms_cart_acceleration**2 * found.duration
+
+
+def test_friction_beyond_reach_is_named_with_the_share_that_can_be_made_up_for() -> None:
+    orbit = orbit_stretch(0.75)
+    found = find_reference(problem_of(orbit.guess, orbit.duration, friction=60.0), QUICK)
+    assert not found.converged
+    share = float(found.status.split("friction is out of reach: ")[1].split("%")[0]) / 100
+    assert 0.1 < share < 0.9
+    assert find_reference(problem_of(orbit.guess, orbit.duration, friction=0.9 * share * 60.0), QUICK).converged
+
+
+@pytest.mark.parametrize("without", ["S", "G and S"])
+def test_a_cart_without_authority_is_named(without: str) -> None:
+    orbit = orbit_stretch(0.5)
+    problem = problem_of(orbit.guess, orbit.duration)
+    parameters = problem.parameters.copy()
+    names = [str(symbol) for symbol in EQUATIONS.parameters.elements()]
+    for k, name in enumerate(names):
+        if name[0] in without:
+            parameters[k] = 0.0
+    found = find_reference(replace(problem, parameters=parameters), QUICK)
+    assert not found.converged
+    assert "the cart's acceleration moves no arm" in found.status
+
+
+def test_a_limit_too_tight_is_named_with_when_it_binds() -> None:
+    orbit = orbit_stretch(0.7)
+    free = find_reference(problem_of(orbit.guess, orbit.duration), QUICK)
+    found = find_reference(problem_of(orbit.guess, orbit.duration, limits=Limits(position=1e-5)), QUICK)
+    assert not found.converged
+    when = float(found.status.split("(at t = ")[1].split(" s)")[0])
+    assert abs(free.state(when)[4]) == pytest.approx(free.max_cart_position, rel=1e-3)
+
+
+def test_a_mesh_too_coarse_is_refused_by_the_error_between_nodes() -> None:
+    orbit = orbit_stretch(0.7)
+    settings = ReferenceSettings(method="radau-3", interval=0.14, rounds=1)
+    found = find_reference(problem_of(orbit.guess, orbit.duration), settings)
+    assert not found.converged
+    assert found.constraint_violation < 1e-8
+    assert found.max_error_between_nodes > 10 * settings.tolerance
+    assert "error between nodes" in found.status
+
+
+def test_a_dwell_integrated_instead_of_tiled_is_noticed_by_where_it_ends() -> None:
+    equations = arm_chain_equations(2, Level.CONSERVATIVE)
+    wobbles = 8 * DOWN_UP_LOW.period
+    times = np.linspace(0.0, wobbles, 6000)
+    states = Propagator(equations, LAB.base()).sample(DOWN_UP_LOW.state, times)
+    integrated = CubicHermiteSpline(times, states, NumericEquations(equations, LAB.base()).rate(states))
+    onward = np.array([*DOWN_UP_LOW.state, 0.0, 0.0])
+    problem = replace(problem_of(integrated, wobbles), ends=Ends(start=onward, end=onward))
+    with pytest.raises(InputError, match=r"the guess ends .* tile one period"):
+        find_reference(problem, QUICK)
+    closed = replace(problem, ends=Ends(closing=np.zeros(6)))
+    with pytest.raises(InputError, match=r"the guess closes .* tile one period"):
+        find_reference(closed, QUICK)
+    single = orbit_stretch(DOWN_UP_LOW.period)
+    tiled = replace(problem, guess=lambda t: single.guess(np.asarray(t) % DOWN_UP_LOW.period))
+    assert find_reference(tiled, QUICK).converged
+
+
+def test_friction_is_told_from_the_other_parameters_by_what_it_does() -> None:
+    names = [str(symbol) for symbol in EQUATIONS.parameters.elements()]
+    told = friction_parameters(problem_of(orbit_stretch(0.5).guess, 0.5))
+    assert [name for name, is_friction in zip(names, told, strict=True) if is_friction] == ["k_0", "k_1"]
