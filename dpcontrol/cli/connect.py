@@ -1,17 +1,23 @@
 """dpcontrol connect"""
 
 import difflib
-from collections.abc import Sequence
-from decimal import Decimal, InvalidOperation
-from typing import TYPE_CHECKING, Any
+from decimal import Decimal
+from typing import TYPE_CHECKING
 
 import click
 
-from dpcontrol.cli.output import Hits, json_option, print_json, print_table, progress_bar, reports_failure
+from dpcontrol.cli.output import (
+    DecimalNumber,
+    Hits,
+    json_option,
+    print_json,
+    print_table,
+    progress_bar,
+    reports_failure,
+)
 from dpcontrol.foundation.errors import GoalMissed, InputError
 
 if TYPE_CHECKING:
-    from dpcontrol.dynamics.extended import Exact
     from dpcontrol.scenes.model import Model
     from dpcontrol.tubes.connection import Connection
     from dpcontrol.tubes.connections import ConnectionSearch
@@ -21,23 +27,11 @@ SHOWN = 8
 """Open ends of cuts that are printed for people: tubes that scatter have hundreds."""
 
 
-class _DecimalNumber(click.ParamType):
-    """A number kept as the decimal that was typed, for extended precision: 0.2 is one fifth."""
-
-    name = "number"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Decimal:
-        try:
-            return Decimal(value)
-        except InvalidOperation:
-            self.fail(f"{value!r} is not a number.", param, ctx)
-
-
 @click.command("connect", epilog="Example:  dpcontrol connect lab --from down-up --to up-down --energy 0.2")
 @click.argument("model")
 @click.option("--from", "source", required=True, help="Saddle whose orbit the connection leaves.")
 @click.option("--to", "target", required=True, help="Saddle whose orbit it joins.")
-@click.option("--energy", required=True, type=_DecimalNumber(), help="Energy in J, zero at the pivot's height.")
+@click.option("--energy", required=True, type=DecimalNumber(), help="Energy in J, zero at the pivot's height.")
 @click.option(
     "--hits",
     type=Hits(),
@@ -170,22 +164,13 @@ def _named(search: "ConnectionSearch", name: str) -> "Connection":
     raise InputError(f"there is no connection {name!r} among the {len(names)} found; {hint} (quote it in a shell)")
 
 
-def _exact_parameters(model: "Model") -> "Sequence[Exact]":
-    """Return the equations' parameters as the decimals that the model's file gives."""
-    from dpcontrol.dynamics.parameters import ArmChainParameters
-
-    if isinstance(model.parameters, ArmChainParameters):
-        return model.parameters.decimal_base()
-    return [Decimal(repr(float(value))) for value in model.system.parameters]
-
-
 def _extended(model: "Model", connection: "Connection", energy: Decimal, as_json: bool) -> None:
     """Refine and print one connection in extended precision."""
     from dpcontrol.itineraries.atlas import connection_document
     from dpcontrol.tubes.extended import refine_connection
 
     with progress_bar("refining in 113-bit arithmetic"):
-        refined = refine_connection(connection, energy=energy, parameters=_exact_parameters(model))
+        refined = refine_connection(connection, energy=energy, parameters=model.exact_parameters)
     if not refined.converged:
         raise GoalMissed(f"{connection.name} in extended precision: {refined.status}")
     state, residual = refined.digits, f"{float(refined.residual):.3e}"

@@ -2,19 +2,31 @@
 
 import re
 from collections.abc import Sequence
+from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.output import Hits, checked_suffix, json_option, print_json, progress_bar, reports_failure
+from dpcontrol.cli.output import (
+    DecimalNumber,
+    Hits,
+    checked_suffix,
+    json_option,
+    print_json,
+    progress_bar,
+    reports_failure,
+)
 from dpcontrol.cli.walk_output import print_answer, show_graph, show_walks
 from dpcontrol.foundation.errors import GoalMissed, InputError
 
 if TYPE_CHECKING:
     from dpcontrol.itineraries.edges import Edges
+    from dpcontrol.scenes.model import Model
     from dpcontrol.scenes.walks import WalkAnswer, WalkRequest
 
+REFINED = 4
+"""Walks that --precision extended may refine."""
 LISTED = 100_000
 """Walks that --length may list; beyond that they are counted."""
 
@@ -35,8 +47,14 @@ class _Wraps(click.ParamType):
 
 @click.command("walk", epilog='Example:  dpcontrol walk lab --energy 0.2 -s "down-up +" -s "down-up > up-down" --solve')
 @click.argument("model")
-@click.option("--energy", required=True, type=float, help="Energy in J, zero at the pivot's height.")
-@click.option("-s", "--symbol", "symbols", multiple=True, help="A symbol of one walk, in order: as in an itinerary.")
+@click.option("--energy", required=True, type=DecimalNumber(), help="Energy in J, zero at the pivot's height.")
+@click.option(
+    "-s",
+    "--symbol",
+    "symbols",
+    multiple=True,
+    help="A symbol of one walk, in order: as in an itinerary; also to and from rotating orbits.",
+)
 @click.option("--through", multiple=True, metavar="SADDLE", help="A stop of the shortest walk through given stops.")
 @click.option("--length", type=click.IntRange(1), help="List all walks of this many symbols.")
 @click.option("--from", "source", help="With --length: only walks from this saddle.")
@@ -58,6 +76,13 @@ class _Wraps(click.ParamType):
 @click.option("--lead-out", type=click.IntRange(0), default=2, show_default=True, help="Wobbles after it.")
 @click.option("--periodic", is_flag=True, help="Walks that close: periodic orbits, with one more stop.")
 @click.option("--hits", type=Hits(), default="1", show_default=True, help="Last crossings of the sections that count.")
+@click.option(
+    "--precision",
+    type=click.Choice(["double", "extended"]),
+    default="double",
+    show_default=True,
+    help=f"extended: refine the orbits of up to {REFINED} walks in 113-bit arithmetic; seconds for each symbol.",
+)
 @click.option("--solve", is_flag=True, help="Find the orbit of each walk.")
 @click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Write each orbit to this folder (.npz).")
 @click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw the walk's orbit to this PNG.")
@@ -66,7 +91,7 @@ class _Wraps(click.ParamType):
 def command(
     *,
     model: str,
-    energy: float,
+    energy: Decimal,
     symbols: tuple[str, ...],
     through: tuple[str, ...],
     length: int | None,
@@ -81,6 +106,7 @@ def command(
     lead_out: int,
     periodic: bool,
     hits: tuple[int, int],
+    precision: str,
     solve: bool,
     out: Path | None,
     picture: Path | None,
@@ -91,6 +117,11 @@ def command(
     One walk is given by its symbols (-s) or its stops (--through); --length lists all walks of a length, --random
     draws some. With none of these the graph itself is shown. --solve finds each walk's orbit: homoclinic, heteroclinic,
     or periodic with --periodic, with its certificate.
+
+    A symbol is "down-up +", "down-up > up-down", any connection's name that `dpcontrol connect` lists, an edge grown
+    from a walk ("(down-up +)·1·(down-up -)": symbols, and the wraps between them), or leads to or from a rotating
+    orbit: "down-up > outer-rotating" (also inner-rotating, outer-rotating-back, outer-rotating-2: faster ones first),
+    where a wrap is a turn.
     """
     from dpcontrol.itineraries.edges import find_edges
     from dpcontrol.itineraries.walk import parse_walk
@@ -107,15 +138,18 @@ def command(
         raise InputError("--wraps are those of one walk: give its symbols (-s) or stops (--through), or --extra-wraps")
     if out is not None and not solve:
         raise InputError("--out writes orbits: give --solve as well")
+    if precision == "extended" and not solve:
+        raise InputError("--precision extended refines orbits: give --solve as well")
     if picture is not None:
         checked_suffix(picture, ".png", option="--picture")
         if not solve:
             raise InputError("--picture draws an orbit: give --solve as well")
-    system = load_model(model).system
+    loaded = load_model(model)
+    system = loaded.system
     numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
     asked = parse_walk(symbols, vertex_names(system)) if symbols else ways(through)
     with progress_bar("connections") as progress:
-        edges = find_edges(system, energy, hits=numbers, symbols=asked, progress=progress)
+        edges = find_edges(system, float(energy), hits=numbers, symbols=asked, progress=progress)
     leads = (lead_in, lead_out)
     if symbols or through:
         chain = resolve(symbols, edges) if symbols else shortest(through, edges)
@@ -136,7 +170,10 @@ def command(
         return
     if picture is not None and len(requests) != 1:
         raise InputError(f"--picture draws one walk, and here are {len(requests)}: give its symbols with -s")
-    _solve(edges, requests, model, out, picture, as_json)
+    if precision == "extended" and len(requests) > REFINED:
+        raise InputError(f"--precision extended refines {REFINED} walks at most, and here are {len(requests)}")
+    exact = energy if precision == "extended" else None
+    _solve(edges, requests, loaded, exact, out, picture, as_json)
 
 
 def _listed(
@@ -165,24 +202,30 @@ def _listed(
 def _solve(
     edges: "Edges",
     requests: "Sequence[WalkRequest]",
-    model: str,
+    model: "Model",
+    exact_energy: Decimal | None,
     out: Path | None,
     picture: Path | None,
     as_json: bool,
 ) -> None:
+    """Solve, keep, draw and print walks; refine them where their energy is given exactly."""
     from dpcontrol.itineraries.wraps import WalkSolver
-    from dpcontrol.scenes.walks import save_walk, solved, walk_document
+    from dpcontrol.scenes.walks import refined_answer, save_walk, solved, walk_document
 
     solver = WalkSolver(edges.connections)
     answers: list[WalkAnswer] = []
     files: list[str | None] = []
     with progress_bar("walks") as progress:
-        for k, answer in enumerate(solved(requests, solver)):
+        for k, found in enumerate(solved(requests, solver)):
+            answer = found
+            if exact_energy is not None:
+                progress("refining in 113-bit arithmetic", (k + 0.5) / len(requests))
+                answer = refined_answer(found, energy=exact_energy, parameters=model.exact_parameters)
             answers.append(answer)
             file = None
             if out is not None and answer.orbit is not None and answer.converged:
                 file = str(out / f"walk-{k + 1}.npz")
-                save_walk(Path(file), model, answer.orbit)
+                save_walk(Path(file), model.name, answer.orbit, refined=answer.refined)
             files.append(file)
             progress("walks", (k + 1) / len(requests))
     drawn = picture if picture is not None and _drawn(answers[0], picture, model) else None
@@ -213,16 +256,14 @@ def _solve(
         raise GoalMissed(status)
 
 
-def _drawn(answer: "WalkAnswer", picture: Path, model: str) -> bool:
+def _drawn(answer: "WalkAnswer", picture: Path, model: "Model") -> bool:
     """Draw the orbit of a walk; return whether there was one to draw."""
     from dpcontrol.dynamics.parameters import ArmChainParameters
     from dpcontrol.review.walk_figure import write_walk_figure
-    from dpcontrol.scenes.model import load_model
 
     if answer.orbit is None or not answer.converged:
         return False
-    loaded = load_model(model)
-    arms = loaded.parameters
+    arms = model.parameters
     lengths = arms.length if isinstance(arms, ArmChainParameters) else None
-    write_walk_figure(answer.orbit, picture, arm_lengths=lengths, model=loaded.name)
+    write_walk_figure(answer.orbit, picture, arm_lengths=lengths, model=model.name)
     return True

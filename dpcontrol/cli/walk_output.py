@@ -84,6 +84,13 @@ def print_answer(number: int, answer: "WalkAnswer", file: str | None) -> None:
             f"  multipliers: ±exp(±{multipliers.log_unstable:.9g}), sign {multipliers.sign:+d}, product off 1 by "
             f"{multipliers.reciprocity:.1e}"
         )
+    if answer.refined is not None:
+        click.echo(f"  in 113-bit arithmetic: {answer.refined.status}; at the first symbol's section")
+        state = answer.refined.digits
+        for k, value in enumerate(state):
+            click.echo(f"    {'position' if k < len(state) // 2 else 'rate'} {k % (len(state) // 2) + 1}  {value}")
+        if orbit.periodic:
+            click.echo(f"    period      {answer.refined.duration_digits}")
     if file is not None:
         click.echo(f"  {file}")
 

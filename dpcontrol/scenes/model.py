@@ -1,6 +1,9 @@
 """Model files: a pendulum's parameters with their sources, from TOML."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from decimal import Decimal
+from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
 
@@ -31,6 +34,13 @@ class Model:
         if isinstance(self.parameters, ThreeBodyParameters):
             return three_body_system(self.name, self.parameters)
         return pendulum_system(self.name, self.parameters)
+
+    @property
+    def exact_parameters(self) -> Sequence[Fraction | Decimal]:
+        """The equations' parameters as the decimals that the file gives, for extended precision."""
+        if isinstance(self.parameters, ArmChainParameters):
+            return self.parameters.decimal_base()
+        return [Decimal(repr(float(value))) for value in self.system.parameters]
 
     @property
     def arms(self) -> ArmChainParameters:

@@ -3,15 +3,18 @@
 import json
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from dpcontrol.dynamics.extended import Exact, digits
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import whole_file
+from dpcontrol.itineraries.edge_names import composed
 from dpcontrol.itineraries.edges import Edges
+from dpcontrol.itineraries.extended import ExtendedShadowing, refine_shadowing
 from dpcontrol.itineraries.shadowing import ShadowingOrbit
 from dpcontrol.itineraries.walks import Walk, is_closed, random_walk
 from dpcontrol.itineraries.wraps import WalkSolver
@@ -36,6 +39,8 @@ class WalkRequest:
 class WalkAnswer:
     """What came of a request. least: the fewest wraps that suffice; orbit: None where not even these were found.
 
+    refined: the orbit in extended precision, where that was asked for and `orbit` converged.
+
     seconds: what the orbit with the wraps asked for took; the search for the least is apart.
     """
 
@@ -44,11 +49,13 @@ class WalkAnswer:
     orbit: ShadowingOrbit | None
     seconds: float
     status: str
+    refined: ExtendedShadowing | None = None
 
     @property
     def converged(self) -> bool:
-        """Whether the orbit that was asked for was found."""
-        return self.orbit is not None and self.orbit.converged
+        """Whether the orbit that was asked for was found, in the precision asked for."""
+        found = self.orbit is not None and self.orbit.converged
+        return found and (self.refined is None or self.refined.converged)
 
 
 def drawn_requests(
@@ -129,6 +136,20 @@ def _answer(asked: WalkRequest, solver: WalkSolver) -> WalkAnswer:
     return WalkAnswer(asked, least, orbit, seconds, status)
 
 
+def refined_answer(answer: WalkAnswer, *, energy: Exact, parameters: Sequence[Exact]) -> WalkAnswer:
+    """Return the answer with its orbit refined in 113-bit arithmetic; as it is where there is no orbit.
+
+    energy, parameters (p,): exact values. seconds stay those of the orbit in double precision.
+
+    Raises:
+        GoalMissed: the periodic orbit at an end cannot be refined, or there are no 113-bit reals on this machine.
+    """
+    if answer.orbit is None or not answer.converged:
+        return answer
+    refined = refine_shadowing(answer.orbit, energy=energy, parameters=parameters)
+    return replace(answer, refined=refined, status=refined.status)
+
+
 def walk_document(answer: WalkAnswer) -> dict[str, Any]:
     """Return what `dpcontrol walk --json` says about one walk that was solved."""
     orbit = answer.orbit
@@ -144,10 +165,28 @@ def walk_document(answer: WalkAnswer) -> dict[str, Any]:
         "converged": answer.converged,
         "status": answer.status,
     }
+    if orbit is not None and not orbit.periodic and len(orbit.walk) > 1:
+        document["edge"] = composed(orbit.walk, orbit.wraps)
     if orbit is not None:
         document["symbol_times"] = orbit.symbol_times
         document["certificate"] = certificate_document(orbit)
+    if answer.refined is not None:
+        document |= _refined_document(answer.refined)
     return document
+
+
+def _refined_document(refined: ExtendedShadowing) -> dict[str, Any]:
+    """Return what takes the place of double's residual: digits as strings, times from the first symbol's section."""
+    return {
+        "precision": "extended",
+        "state": refined.digits,
+        "state_double": refined.orbit.orbit.states[sorted(refined.orbit.shot.guess.markers)[0]],
+        "period": refined.duration_digits if refined.orbit.periodic else None,
+        "symbol_times_digits": digits(refined.times[refined.symbols]),
+        "residual": f"{float(refined.residual):.3e}",
+        "residual_double": refined.orbit.residual,
+        "correction": refined.correction,
+    }
 
 
 def asked_document(asked: WalkRequest) -> dict[str, Any]:
@@ -179,8 +218,10 @@ def certificate_document(orbit: ShadowingOrbit) -> dict[str, Any] | None:
     return document
 
 
-def save_walk(path: Path, model: str, orbit: ShadowingOrbit) -> None:
+def save_walk(path: Path, model: str, orbit: ShadowingOrbit, *, refined: ExtendedShadowing | None = None) -> None:
     """Write an orbit to one .npz: `header` (JSON text) and the arrays times, states, symbol_times, turn.
+
+    refined: adds times_digits (L + 1,) s from the first symbol's section and states_digits (L + 1, N), decimal strings.
 
     times (K + 1,) s and states (K + 1, N) (rad, rad/s) are its nodes: between two of them the conservative equations
     hold. turn (N,): what a periodic orbit adds with each round, zeros for others.
@@ -202,6 +243,12 @@ def save_walk(path: Path, model: str, orbit: ShadowingOrbit) -> None:
         "status": orbit.status,
     }
     turn = orbit.shot.guess.turn
+    arrays: dict[str, Any] = {}
+    if refined is not None:
+        arrays = {
+            "times_digits": np.array(digits(refined.times)),
+            "states_digits": np.array([digits(state) for state in refined.states]),
+        }
     with whole_file(path, suffix=".npz") as temporary:
         np.savez_compressed(
             temporary,
@@ -210,4 +257,5 @@ def save_walk(path: Path, model: str, orbit: ShadowingOrbit) -> None:
             states=orbit.orbit.states,
             symbol_times=orbit.symbol_times,
             turn=np.zeros(orbit.orbit.states.shape[1]) if turn is None else turn,
+            **arrays,
         )

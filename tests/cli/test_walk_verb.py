@@ -1,6 +1,7 @@
 """`dpcontrol walk`: what it lists, draws and solves, what it writes, and what it refuses."""
 
 import json
+from decimal import Decimal
 from itertools import pairwise
 from pathlib import Path
 
@@ -10,6 +11,9 @@ from command_line import dpcontrol
 from independent_pendulum import flow
 
 RESIDUAL = 1e-11
+EXTENDED_RESIDUAL = 1e-20
+AGREES = 1e-10
+"""The bar; what is reached is about 1e-32, and 1e-13 off double."""
 BETWEEN_NODES = 1e-9
 """From node to node by an independent integrator at 1e-12 relative; the segments are an eighth of a period long."""
 KEYS = {
@@ -118,6 +122,58 @@ def test_what_out_writes_reads_with_numpy_alone_and_obeys_the_equations(tmp_path
         assert abs(np.angle(np.exp(1j * node[1]))) < BETWEEN_NODES
 
 
+def test_extended_precision_gives_digits_that_agree_with_double(tmp_path: Path) -> None:
+    asked = ("--solve", "--precision", "extended", "--out", tmp_path)
+    ended = dpcontrol(*LOW, *TURN, *BACK, "--wraps", "1", *asked, "--json")
+    (walk,) = ended.document["walks"]
+    assert ended.code == 0
+    assert walk["precision"] == "extended"
+    assert float(walk["residual"]) <= EXTENDED_RESIDUAL
+    assert walk["residual_double"] <= RESIDUAL
+    assert walk["correction"] <= AGREES
+    assert all(isinstance(text, str) for text in walk["state"])
+    assert [float(text) for text in walk["state"]] == pytest.approx(walk["state_double"], abs=AGREES)
+    # The outer arm hangs straight down on the section, a turn on: 2π by OEIS A019692.
+    assert abs(Decimal(walk["state"][1]) - Decimal("6.2831853071795864769252867665590")) < Decimal("1e-30")
+    times = [float(text) for text in walk["symbol_times_digits"]]
+    assert np.diff(times) == pytest.approx(np.diff(walk["symbol_times"]), abs=AGREES)
+    assert walk["period"] is None
+    with np.load(walk["file"], allow_pickle=False) as arrays:
+        digits, seconds = arrays["states_digits"], arrays["times_digits"]
+        assert digits.shape == (len(seconds), 4)
+        node = int(np.argmin(np.abs(seconds.astype(float))))
+    assert digits[node].tolist() == walk["state"]
+
+
+def test_extended_precision_gives_people_the_period_of_a_closed_walk() -> None:
+    ended = dpcontrol(*LOW, *TURN, "--periodic", "--wraps", "0", "--solve", "--precision", "extended")
+    assert ended.code == 0
+    assert "in 113-bit arithmetic: refined in" in ended.stdout
+    said = [line.split() for line in ended.stdout.splitlines() if line.startswith("    ")]
+    assert [words[:-1] for words in said] == [["position", "1"], ["position", "2"], ["rate", "1"], ["rate", "2"],
+                                              ["period"]]  # fmt: skip
+    assert all(len(words[-1]) > 30 for words in said)
+
+
+def test_a_walk_may_name_grown_edges_and_rotating_orbits() -> None:
+    ended = dpcontrol(*LOW, "-s", "(down-up +)·1·(down-up -)", *TURN, "--wraps", "2", "--solve", "--json")
+    plain = dpcontrol(*LOW, *TURN, *BACK, *TURN, "--wraps", "1,2", "--solve", "--json")
+    (grown,), (other,) = ended.document["walks"], plain.document["walks"]
+    assert grown["wraps_realised"] == [2]
+    assert "@(down-up>down-up[0,1]h1.1@" in grown["walk"][0]
+    lasts = [walk["symbol_times"][-1] - walk["symbol_times"][0] for walk in (grown, other)]
+    assert lasts[0] == pytest.approx(lasts[1], abs=AGREES)
+    # What a solved walk is as an edge can be a symbol at once.
+    assert other["edge"] == "·".join(f"({n})" if isinstance(n, str) else str(n) for n in
+                                     (other["walk"][0], 1, other["walk"][1], 2, other["walk"][2]))  # fmt: skip
+    assert dpcontrol(*LOW, "-s", other["edge"], "--solve").code == 0
+    turning = ("-s", "down-up > outer-rotating", "-s", "outer-rotating > down-up", "--wraps", "3")
+    (walk,) = dpcontrol("walk", "lab", "--energy", "-0.06985", *turning, "--solve", "--json").document["walks"]
+    assert walk["wraps_realised"] == [3]
+    assert walk["residual"] <= RESIDUAL
+    assert walk["walk"][0].startswith("down-up>outer-rotating[")
+
+
 def test_a_picture_is_drawn_of_one_walk(tmp_path: Path) -> None:
     file = tmp_path / "walk.png"
     ended = dpcontrol(*LOW, *TURN, "--solve", "--picture", file)
@@ -170,6 +226,12 @@ def test_a_walk_that_does_not_converge_ends_with_1_its_reason_and_the_least_wrap
         ((*LOW, *TURN, "-s", "down-up > up-down"), "symbol 2 of 2"),
         ((*LOW, "--through", "down-up", "--through", "up-down"), "has no orbit at -0.07 J"),
         ((*LOW, *TURN, "--out", "x"), "--solve"),
+        ((*LOW, *TURN, "--precision", "extended"), "--solve"),
+        ((*LOW, "--length", "1", "--solve", "--precision", "extended"), "4 walks at most, and here are 8"),
+        ((*LOW, "-s", "down-up > inner-rotating"), "of 0 orbits found that turn the inner arm"),
+        ((*LOW, "-s", "outer-rotating +"), "go by way of a saddle"),
+        ((*LOW, "-s", "down-up>down-up[0,1]h1.2:inner@0,0"), "did you mean 'inner-down'?"),
+        ((*LOW, "-s", "(down-up +)·1·(up-down +)"), 'put "down-up > up-down" between them'),
         ((*LOW, *TURN, "--picture", "x.png"), "--solve"),
         ((*LOW, *TURN, "--solve", "--picture", "x.jpg"), ".png"),
         ((*LOW, "--random", "2", "--solve", "--picture", "x.png"), "here are 2"),
