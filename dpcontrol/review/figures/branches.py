@@ -130,10 +130,20 @@ def _caption(diagrams: list[BranchDiagram]) -> str:
         "Where each connection crosses its section, as energy grows: its angle there (above) and the momentum across "
         "(below). Each curve is a connection followed by continuation, round its folds too; marks are events, each "
         "solved by its own equations. Numbers along the lower edge count all connections on the torus; curves show one "
-        "sense, whose mirror images under (θ, ω) → (-θ, -ω) are the other. Shaded: trajectories of a tube pass by "
-        "another orbit and scatter before they arrive, connections accumulate, and those shown are some of them. "
+        f"sense, whose mirror images under (θ, ω) → (-θ, -ω) are the other. {_scattering(diagrams)}"
         f"{'; '.join(words)}. {causes}."
     )
+
+
+def _scattering(diagrams: list[BranchDiagram]) -> str:
+    what = (
+        "trajectories of a tube pass by another orbit and scatter before they arrive, connections accumulate, and "
+        "those found are some of them"
+    )
+    if any(d.scatters_from is not None for d in diagrams):
+        return f"Shaded: {what}. "
+    highest = diagrams[2].counts[-1][0]
+    return f"Those between different saddles are drawn up to {highest:.3f} J; from about 0.237 J on {what}. "
 
 
 def _differs(diagrams: list[BranchDiagram]) -> str:
