@@ -1,0 +1,66 @@
+"""Random itineraries and their references, shared by a default test and a benchmark."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.itineraries.edges import Edges
+from dpcontrol.itineraries.shadowing import ShadowingOrbit
+from dpcontrol.itineraries.walks import random_walk
+from dpcontrol.itineraries.wraps import WalkSolver
+from dpcontrol.references.find import find_reference
+from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings
+from dpcontrol.references.reference import Reference
+from dpcontrol.review.stops import decode_stops
+from dpcontrol.scenes.model import Model
+
+
+@dataclass(frozen=True)
+class Followed:
+    orbit: ShadowingOrbit
+    friction: float
+    reference: Reference
+
+
+def problem_of(model: Model, orbit: ShadowingOrbit, friction: float = 1.0) -> ReferenceProblem:
+    """Return the problem of following a walk's orbit with the arms' friction times a factor."""
+    arms = replace(model.arms, viscous=tuple(friction * k for k in model.arms.viscous))
+    return ReferenceProblem(
+        arm_chain_equations(model.arms.count, Level.CART), arms.base(), orbit.sample, orbit.duration
+    )  # fmt: skip
+
+
+def random_references(
+    model: Model, edges: Edges, count: int, *, seed: int, lengths: tuple[int, int], settings: ReferenceSettings
+) -> Iterator[Followed]:
+    """Draw walks, wraps from zero to three above the least, and friction from half to twice the arms' own."""
+    generator, solver = np.random.default_rng(seed), WalkSolver(edges.connections)
+    for _ in range(count):
+        chain = random_walk(edges, int(generator.integers(lengths[0], lengths[1] + 1)), generator)
+        extra = generator.integers(0, 4, len(chain) - 1)
+        orbit = solver.solve(chain, (np.array(solver.least(chain), dtype=int) + extra).tolist())
+        assert orbit.converged, orbit.status
+        friction = float(2.0 ** generator.uniform(-1, 1))
+        yield Followed(orbit, friction, find_reference(problem_of(model, orbit, friction), settings))
+
+
+def complaints(model: Model, followed: Followed) -> list[str]:
+    """Say what a reference fails in: convergence, limits, or the stops that the walk asks for."""
+    orbit, reference = followed.orbit, followed.reference
+    what = f"{' '.join(orbit.walk)}, wraps {orbit.wraps}, friction ×{followed.friction:.2f}"
+    if not reference.converged:
+        return [f"{what}: {reference.status}"]
+    n, system = model.arms.count, model.system
+    names = [orbit.connections[0].source.saddle, *(c.target.saddle for c in orbit.connections)]
+    wanted = [
+        (system.equilibrium(name) + offset * system.turn_lengths)[:n]
+        for name, offset in zip(names, [orbit.offsets[0], *orbit.offsets[1:]], strict=True)
+    ]
+    times = np.arange(0.0, reference.duration, 0.001)
+    period = min(c.source.period for c in orbit.connections)
+    lattice = np.array([system.equilibrium(name)[:n] for name in dict.fromkeys(names)])
+    seen = [v.angles for v in decode_stops(reference.state(times)[:, :n], lattice, dwell=int(500 * period))]
+    same = len(seen) == len(wanted) and np.allclose(seen, wanted)
+    return [] if same else [f"{what}: stops {np.round(seen, 2).tolist()}, not {np.round(wanted, 2).tolist()}"]
