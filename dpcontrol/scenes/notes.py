@@ -94,9 +94,8 @@ def plan_notes(itinerary: Itinerary, pieces: Sequence[Piece], begins: Array) -> 
             transfers.append([float(begin), float(end)])
             way = {"text": piece.text, "time": float(begin + end) / 2}
             continue
-        index = orbits.at_rest(goal.where[0])
-        if goal.shadowing is not None:
-            index = orbits.of(goal.shadowing.connections[0].source)
+        walk = goal.shadowing
+        index = orbits.at_rest(goal.where[0]) if walk is None else orbits.of(walk.connections[0].source)
         _enter(story, goal, goal.first + piece.lift, index, way)
         if goal.shadowing is not None:
             _follow(story, orbits, piece, float(begin))
