@@ -47,7 +47,9 @@ def test_a_swing_up_keeps_to_the_limits(swing_up):
 
 def test_a_transfer_that_no_duration_allows_says_what_stands_in_the_way():
     tight = Limits(position=0.01, velocity=0.05, acceleration=0.2)
-    with pytest.raises(GoalMissed, match=r"no transfer in 0.5 s within .*without limits it takes a cart (position|velocity|accel)"):
+    with pytest.raises(
+        GoalMissed, match=r"no transfer in 0.5 s within .*without limits it takes a cart (position|velocity|accel)"
+    ):
         find_transfer(
             EQUATIONS, LAB.base(), start=HANGING, ends=[UP], limits=tight, settings=SETTINGS,
             transfer=TransferSettings(durations=(0.5,), iterations=200),
