@@ -62,6 +62,32 @@ def decode_stops(angles: Array, saddles: Array, *, dwell: int, settled: NDArray[
     return visits
 
 
+def without_detours(visits: list[Visit], planned: list[Visit], wanted: list[tuple[float, ...]]) -> list[Visit]:
+    """Return a run's visits without those that the reference makes too, although they are no stops of its plan.
+
+    A connection may pass close by another saddle for as long as a stop takes. planned: the visits decoded from the
+    reference itself; wanted: the angles of the plan's stops. A run need not make a detour that the reference makes.
+    """
+    stops: list[bool] = []
+    for visit in planned:
+        due = sum(stops)
+        stops.append(due < len(wanted) and bool(np.allclose(visit.angles, wanted[due])))
+    if sum(stops) < len(wanted):
+        return visits
+    kept: list[Visit] = []
+    place = 0
+    for k, visit in enumerate(visits):
+        ahead = place
+        while ahead < len(planned) and not stops[ahead] and not np.allclose(planned[ahead].angles, visit.angles):
+            ahead += 1
+        if ahead == len(planned) or not np.allclose(planned[ahead].angles, visit.angles):
+            return kept + visits[k:]
+        if stops[ahead]:
+            kept.append(visit)
+        place = ahead + 1
+    return kept
+
+
 def orbit_index(notes: dict[str, Any], stop: dict[str, Any]) -> int:
     """Return the index of a stop's orbit among the plan's."""
     if "orbit" in stop:

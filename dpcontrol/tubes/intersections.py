@@ -32,7 +32,8 @@ class ConnectionSettings:
 
     accept: largest gap between the two tubes' arrivals that the search takes for a connection before it is refined;
     lead: periods of each orbit at least, farthest: scaled distance from it at most (its square is left out), and
-    segments: nodes per period, in the multiple-shooting refinement; near: scaled distance at which a connection is said to have joined its orbit.
+    segments: nodes per period, in the multiple-shooting refinement; near: scaled distance at which a connection is said
+    to have joined its orbit.
     """
 
     distance: float = 1e-4

@@ -238,7 +238,7 @@ def test_a_wrong_value_in_a_model_is_named(
         ("limits.velocity", "inf", "velocity = inf: must be a finite number"),
         ("limits.acceleration", "[30]", "acceleration = [30]: must be a number"),
         ("level", "'card'", "level = 'card'"),
-        ("method", "'hermite-simpson'", "radau-2 to radau-12"),
+        ("method", "'hermite-simson'", "radau-2 to radau-12"),
         ("method", "'radau-13'", "2 to 12 points"),
         ("interval", "0", "interval = 0.0: must be 0.001 to 10"),
         ("tolerance", "-1e-6", "tolerance = -1e-06: must be 1e-20 to 1"),
