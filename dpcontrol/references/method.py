@@ -93,7 +93,7 @@ def _roots(polynomial: np.polynomial.Legendre) -> Array:
 
 def _checked_count(name: str, count: int, least: int) -> None:
     if not least <= count <= 12:
-        raise InputError(f"{name}-{count}: the method has {least} to 12 points here; radau-5 serves the pendulum")
+        raise InputError(f"{name}-{count}: the method has {least} to 12 points here; radau-7 serves the pendulum")
 
 
 @cache

@@ -174,9 +174,9 @@ class ReferenceSettings:
     """
 
     level: str = "cart"
-    method: str = "radau-5"
+    method: str = "radau-7"
     solver: str = "ipopt"
-    interval: float = 0.02
+    interval: float = 0.05
     tolerance: float = 1e-6
     pendulum_weight: float = 0.1
     cart_weight: float = 10.0

@@ -70,7 +70,7 @@ def test_the_document_says_what_the_arrays_hold(file: Path) -> None:
         near = np.abs(values[max(interval - 1, 0) : interval + 2]).max()
         assert near == pytest.approx(use["largest"], rel=LARGEST)
     assert set(shown["limits"]) == {"position", "velocity", "acceleration"}
-    assert shown["method"] == "radau-5"
+    assert shown["method"] == "radau-7"
 
 
 def test_the_error_is_measured_anew_and_agrees_with_the_one_stored(file: Path, tmp_path: Path) -> None:

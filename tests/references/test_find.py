@@ -37,7 +37,10 @@ def test_error_between_nodes_is_what_an_independent_integrator_finds(
     for i in range(0, len(reference.mesh) - 1, 23):
         start, end = reference.mesh[i], reference.mesh[i + 1]
         curve = Polynomial.fit(
-            start + (end - start) * reference.method.points, reference.inputs[i, :, 0], 4, domain=[start, end]
+            start + (end - start) * reference.method.points,
+            reference.inputs[i, :, 0],
+            len(reference.method.points) - 1,
+            domain=[start, end],
         )
         times = np.linspace(start, end, 33)
         flow = solve_ivp(
