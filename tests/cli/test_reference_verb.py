@@ -57,10 +57,11 @@ def test_the_document_says_what_the_arrays_hold(file: Path) -> None:
     assert shown["shortest_interval"] == pytest.approx(lengths.min(), rel=AGREES)
     assert shown["longest_interval"] == pytest.approx(lengths.max(), rel=AGREES)
     # Radau's inputs and their squares are integrated exactly by Gauss's rule on the interpolating polynomials.
-    places, weights = np.polynomial.legendre.leggauss(5)
-    powers = held["points"][:, None] ** np.arange(5)
+    places, weights = np.polynomial.legendre.leggauss(8)
+    degrees = np.arange(len(held["points"]))
+    powers = held["points"][:, None] ** degrees
     curves = np.linalg.solve(powers, held["inputs"][..., 0].T)
-    at = ((places + 1) / 2)[:, None] ** np.arange(5) @ curves
+    at = ((places + 1) / 2)[:, None] ** degrees @ curves
     assert shown["effort"] == pytest.approx((weights / 2 @ at**2) @ lengths, rel=1e-3)
     for name, values in (("position", held["states"][..., 4]), ("velocity", held["states"][..., 5])):
         use = shown["limits"][name]
