@@ -6,7 +6,7 @@ states good to about 1e-12; then each is described (winding, sense, symmetry, an
 Source: Kaheman et al. (2023), section 3.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from dpcontrol.foundation.files import Progress, no_progress
 from dpcontrol.tubes.connecting_orbit import Anchor, ConnectingOrbit, ManifoldEnd, solve_connecting_orbit
 from dpcontrol.tubes.connection import Connection, described_connection, mirrored
 from dpcontrol.tubes.cut import Cut, OpenEnd, section_points, tube_cut
-from dpcontrol.tubes.intersections import ConnectionSettings, Intersection, intersect_cuts
+from dpcontrol.tubes.intersections import ConnectionSettings, Intersection, balanced, intersect_cuts
 from dpcontrol.tubes.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.tubes.orbit_curve import OrbitCurve
 from dpcontrol.tubes.vertex import local_manifold
@@ -30,7 +30,8 @@ Array = NDArray[np.float64]
 class ConnectionSearch:
     """All connections found between two orbits on one section, and what may hide others.
 
-    failed: crossings of the cuts that did not converge. complete: none failed and both cuts are closed.
+    failed: crossings of the cuts that did not converge. complete: none failed, both cuts are closed, and they cross as
+    often one way as the other.
     """
 
     source: LyapunovOrbit
@@ -107,6 +108,11 @@ def find_connections(
         unstable, backward = cuts
     progress("intersections", 0.6)
     crossings, failed = intersect_cuts(system, section, manifolds, (unstable, backward), settings)
+    even = balanced(crossings, (unstable, backward))
+    finer = replace(settings, cut=replace(settings.cut, chord=settings.cut.chord / 2))
+    if not even and finer.cut.chord >= settings.finest:
+        # Folds thinner than the chord: what one polyline cuts off, a finer one follows.
+        return find_connections(source, target, hits=hits, section=section, settings=finer, progress=progress)
     found = []
     for k, crossing in enumerate(crossings):
         progress("refining connections", 0.7 + 0.3 * k / len(crossings))
@@ -121,10 +127,12 @@ def find_connections(
                 found.append(mirrored(connection))
     # Ties in the position are noise: sorting on rounded values keeps the order from run to run.
     found.sort(key=lambda c: (-c.sense, *np.round(section_points(system, section, c.state), 6)))
-    complete = not failed and all(cut.resolved and not cut.open_ends for cut in (unstable, backward))
+    complete = even and not failed and all(cut.resolved and not cut.open_ends for cut in (unstable, backward))
     unresolved = not all(cut.resolved for cut in (unstable, backward))
-    count = f"{'at least ' if failed or unresolved else ''}{len(found)} connections"
+    count = f"{'at least ' if failed or unresolved or not even else ''}{len(found)} connections"
     status = f"{count}; unstable tube {unstable.status}; stable tube {backward.status}"
+    if not even:
+        status += "; closed cuts cross one way more often than the other, so crossings were missed: refine the chord"
     if failed:
         status += f"; {failed} crossings of the cuts did not converge: refine the chord"
     if unstable.open_ends or backward.open_ends:

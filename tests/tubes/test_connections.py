@@ -209,3 +209,17 @@ def test_near_touches_are_those_within_the_curves_sagitta(gap, seen):
     touches = near_touches(parabola, axis)
     assert bool(touches) == seen
     assert all(abs(x[int(i)]) < 0.02 for i, _ in touches)
+
+
+def test_closed_cuts_that_cross_unevenly_are_refined_until_they_do_not():
+    """With λ = 9e4 the cut has folds thinner than its chords; two closed curves cross an even number of times."""
+    orbits = orbits_between(load_model("printed").system, "down-up", "up-down", 0.1788112)
+    coarse = find_connections(*orbits, settings=ConnectionSettings(finest=1.0))
+    assert len(coarse.connections) % 4 != 0
+    assert not coarse.complete
+    assert coarse.status.startswith("at least")
+    assert "more often than the other" in coarse.status
+    for distance in (1e-4, 5e-5):
+        fine = find_connections(*orbits, settings=ConnectionSettings(distance=distance))
+        assert len(fine.connections) == 12
+        assert "more often" not in fine.status
