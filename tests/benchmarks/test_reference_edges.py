@@ -1,0 +1,107 @@
+"""Where references end: friction, track and acceleration, for a turn and a crossing; the table, and a picture of it.
+
+    pytest -m benchmark tests/benchmarks/test_reference_edges.py -s
+
+DPCONTROL_EDGES_PICTURE names the PNG to draw. Effort grows as friction. A motion fits a much shorter track than it
+takes without limits, by moving the cart more quickly to and fro; of the acceleration half of that is needed.
+"""
+
+import os
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.references.find import find_reference
+from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings
+from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.plan import shadowing_orbit
+
+FRICTION = (0.0, 0.5, 1.0, 2.0, 5.0, 8.0, 12.0, 16.0)
+SHARES = {
+    "position": (1.5, 1.0, 0.6, 0.3, 0.15, 0.08, 0.04, 0.02),
+    "acceleration": (1.5, 1.1, 1.0, 0.8, 0.6, 0.4, 0.25, 0.15),
+}
+NAMES = ("outer-turn", "cross")
+
+
+def problem_of(itinerary, orbit, *, friction=1.0, limits=None):
+    arms = replace(itinerary.model.arms, viscous=tuple(friction * k for k in itinerary.model.arms.viscous))
+    return ReferenceProblem(
+        equations=arm_chain_equations(2, Level.CART),
+        parameters=arms.base(),
+        guess=orbit.sample,
+        duration=orbit.duration,
+        limits=limits or Limits(),
+    )
+
+
+def edges_of(name):
+    """Return {axis: [(value, converged, rms in m/s²)]} and what the motion takes of each limit on its own."""
+    itinerary, settings = load_itinerary(name), ReferenceSettings()
+    orbit = shadowing_orbit(itinerary)
+    free = find_reference(problem_of(itinerary, orbit), settings)
+    takes = {"position": free.max_cart_position, "acceleration": free.max_cart_acceleration}
+    rows = {"friction": []}
+    for factor in FRICTION:
+        found = find_reference(problem_of(itinerary, orbit, friction=factor), settings)
+        rows["friction"].append((factor, found.converged, found.rms_cart_acceleration))
+    for axis, taken in takes.items():
+        rows[axis] = []
+        for share in SHARES[axis]:
+            limits = replace(Limits(), **{axis: share * taken})
+            found = find_reference(problem_of(itinerary, orbit, limits=limits), settings)
+            rows[axis].append((share * taken, found.converged, found.rms_cart_acceleration))
+            if not found.converged:
+                assert f"cart {axis}" in found.status or "without limits" in found.status, found.status
+    return rows, takes
+
+
+def drawn(path, edges):
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(11, 3.6), layout="constrained")
+    axes = figure.subplots(1, 3)
+    labels = {"friction": "friction, × the arms' own", "position": "track, ± m", "acceleration": "acceleration, m/s²"}
+    for axis, (kind, label) in zip(axes, labels.items(), strict=True):
+        for k, (name, (rows, takes)) in enumerate(edges.items()):
+            values, good, rms = (np.array(column) for column in zip(*rows[kind], strict=True))
+            axis.plot(values[good], rms[good], "o-", color=f"C{k}", label=name)
+            bad = values[~good]
+            axis.plot(bad, np.zeros(len(bad)), "x", color=f"C{k}")
+            if kind in takes:
+                axis.axvline(takes[kind], color=f"C{k}", linestyle=":", linewidth=1)
+        axis.set_xlabel(label)
+        axis.set_ylabel("effort, m/s² rms (×: none found)")
+        if kind != "friction":
+            axis.set_xscale("log")
+        axis.legend()
+    figure.savefig(path, dpi=110)
+
+
+@pytest.mark.benchmark
+def test_the_edges_of_references(capsys):
+    edges = {name: edges_of(name) for name in NAMES}
+    with capsys.disabled():
+        for name, (rows, takes) in edges.items():
+            for kind, row in rows.items():
+                border = f", taken without limits: {takes[kind]:.4g}" if kind in takes else ""
+                sys.stdout.write(f"\n{name}, {kind}{border}\n")
+                for value, good, rms in row:
+                    sys.stdout.write(f"  {value:8.4g}  {f'{rms:.4f} m/s² rms' if good else 'none'}\n")
+    if "DPCONTROL_EDGES_PICTURE" in os.environ:
+        drawn(os.environ["DPCONTROL_EDGES_PICTURE"], edges)
+    for rows, takes in edges.values():
+        # Without friction nothing is to be made up for; with it the effort grows.
+        frictions = [rms for value, good, rms in rows["friction"] if good and value <= 2.0]
+        assert frictions[0] < 1e-3
+        assert all(np.diff(frictions) > 0)
+        for kind, taken in takes.items():
+            wide = [good for value, good, _ in rows[kind] if value >= taken]
+            assert all(wide)
+            # The last of each axis is not enough, and less room costs more.
+            assert not rows[kind][-1][1]
+            efforts = [rms for _, good, rms in rows[kind] if good]
+            assert all(np.diff(efforts) > -1e-6)
