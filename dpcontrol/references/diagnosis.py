@@ -56,7 +56,10 @@ def limits_passed(problem: ReferenceProblem, method: Method, trajectory: Traject
     ]
     if not passed:
         return ""
-    return f"without limits it takes a {' and a '.join(passed)}; limits that wide are enough: widen them or choose a gentler itinerary"
+    return (
+        f"without limits it takes a {' and a '.join(passed)}; limits that wide are enough: widen them, or choose a "
+        "gentler itinerary"
+    )
 
 
 def wanting(problem: ReferenceProblem, method: Method, *, settings: ReferenceSettings, first: Trajectory) -> str:
