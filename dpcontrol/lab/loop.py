@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.ekf import Ekf, EkfSettings, encoder_noise, nis_band
+from dpcontrol.control.interface import Mode
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.control.tracking import Controller, ControllerSettings, TvlqrSettings, tracking_controller
 from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
@@ -22,7 +23,6 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Progress, no_progress
 from dpcontrol.lab.bench import Drive, Encoders, Plant, SensorSettings
 from dpcontrol.lab.result import Ending, LoopResult, LoopSink, NoSink
-from dpcontrol.logs.layout import Mode
 from dpcontrol.references.reference import Reference
 
 Array = NDArray[np.float64]

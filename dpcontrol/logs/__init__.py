@@ -1,6 +1,7 @@
 """The MCAP log: message layout, writer, reader."""
 
-from dpcontrol.logs.layout import LEVELS, Mode, control_fields, joint_names
+from dpcontrol.control.interface import Mode
+from dpcontrol.logs.layout import LEVELS, control_fields, joint_names
 from dpcontrol.logs.reader import Event, RunLog, read_log
 from dpcontrol.logs.writer import LogWriter
 

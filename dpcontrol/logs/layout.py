@@ -5,7 +5,6 @@ numpy structured type. Writer and reader share it, so that neither handles singl
 """
 
 from dataclasses import dataclass
-from enum import IntEnum
 from functools import cached_property
 
 import numpy as np
@@ -45,25 +44,6 @@ _RECORD_HEADER = [
 ]
 RECORD_HEADER = np.dtype(_RECORD_HEADER)
 """An MCAP message record up to its data: packed, little-endian (MCAP specification, "Message")."""
-
-
-class Mode(IntEnum):
-    """What the controller was doing in a tick: the field `mode` of /control."""
-
-    IDLE = 0
-    """Not started: the command is zero."""
-    TRACKING = 1
-    """Following a time-varying reference."""
-    HOLDING = 2
-    """Stabilising an orbit or an equilibrium."""
-    PULSING = 3
-    """Within a pulse of OGY control."""
-    SATURATED = 4
-    """As tracking or holding, the command cut at a limit."""
-    STOPPED = 5
-    """Ended as planned: the command is zero."""
-    ABORTED = 6
-    """Stopped by the supervisor: a limit was passed or the estimate was lost."""
 
 
 _CONTROL_HEAD = ("command", "feedforward", "feedback", "applied", "saturated", "nis", "mode")

@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 from shadowing_stand_in import DOWN_UP_LOW, LAB, UP_DOWN_HIGH, StandIn
 
+from dpcontrol.control.interface import Mode
 from dpcontrol.control.tracking import FeedforwardSettings, TrackingController, tracking_controller
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.lab.bench import Plant, SensorSettings
 from dpcontrol.lab.loop import LoopSettings, run_loop, sampled_model
 from dpcontrol.lab.result import Ending, LoopResult
-from dpcontrol.logs.layout import Mode, control_fields
+from dpcontrol.logs.layout import control_fields
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
 

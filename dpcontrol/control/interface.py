@@ -1,0 +1,135 @@
+"""What the loop asks of an estimator and of a controller; the same objects serve a simulated and a real bench."""
+
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+class Mode(IntEnum):
+    """What the controller was doing in a tick: the field `mode` of a log's /control."""
+
+    IDLE = 0
+    """Not started: the command is zero."""
+    TRACKING = 1
+    """Following a time-varying reference."""
+    HOLDING = 2
+    """Stabilising an orbit or an equilibrium."""
+    PULSING = 3
+    """Within a pulse of OGY control."""
+    SATURATED = 4
+    """As tracking or holding, the command cut at a limit."""
+    STOPPED = 5
+    """Ended as planned: the command is zero."""
+    ABORTED = 6
+    """Stopped by the supervisor: a limit was passed or the estimate was lost."""
+
+
+class Estimate(NamedTuple):
+    """What is believed after a tick.
+
+    state (N,): of the model; extra (E,): what the estimator is augmented by, in the order of its `extra_names`;
+    sigmas (N+E,): standard deviations of both; innovation (m,): zero where nothing was measured; nis: normalised
+    innovation squared, nan before the first measurement; used: number of positions in it, its degrees of freedom;
+    memory: what the estimator itself needs at its next step.
+    """
+
+    state: Array
+    extra: Array
+    sigmas: Array
+    innovation: Array
+    nis: float
+    used: int
+    memory: Any
+
+
+class Estimator(Protocol):
+    """Turns measured positions into states. Its methods do not change what they are given."""
+
+    @property
+    def kind(self) -> str:
+        """Return the name of its kind."""
+        ...
+
+    @property
+    def extra_names(self) -> tuple[str, ...]:
+        """Return the names of what it is augmented by."""
+        ...
+
+    def first(self, state: Array) -> Estimate:
+        """Return the estimate before any measurement, at `state` (N,)."""
+        ...
+
+    def update(self, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None = None) -> Estimate:
+        """Return the estimate after the positions `measured` (n+1,); present (n+1,): which of them count."""
+        ...
+
+    def step(
+        self, estimate: Estimate, command: float, measured: Array, present: NDArray[np.bool_] | None = None
+    ) -> Estimate:
+        """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came."""
+        ...
+
+    def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
+        """Return the state (N,) after the commands on their way, one per period."""
+        ...
+
+    def covariance(self, estimate: Estimate) -> Array:
+        """Return the covariance (N+E, N+E) of state and extra."""
+        ...
+
+    def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
+        """Return an estimate that trusts the positions `measured` (n+1,) and little else: for recovery when lost."""
+        ...
+
+
+class Action(NamedTuple):
+    """What a controller wants for one tick: accelerations in m/s², and the state (N,) that it steers for.
+
+    event: what was decided in this tick, a sentence for the log, or empty.
+    """
+
+    feedforward: float
+    feedback: float
+    reference: Array
+    mode: Mode
+    event: str = ""
+
+
+class Session(Protocol):
+    """A controller during one run; it may remember."""
+
+    def command(self, tick: int, state: Array, extra: Array) -> Action:
+        """Return what to do in the period from `tick`, for which `state` (N,) is expected; extra: the estimate's."""
+        ...
+
+    def resynchronise(self, tick: int, state: Array) -> str:
+        """Move the reference's clock to the phase nearest to `state`; say by how much, or "" if it cannot."""
+        ...
+
+
+class Controller(Protocol):
+    """A control law, ready made for one reference and model."""
+
+    @property
+    def kind(self) -> str:
+        """Return the name of its kind."""
+        ...
+
+    @property
+    def first_state(self) -> Array:
+        """Return the state (N,) from which it starts."""
+        ...
+
+    @property
+    def ticks(self) -> int:
+        """Return for how many periods it has something to do."""
+        ...
+
+    def begin(self) -> Session:
+        """Return a fresh session for one run."""
+        ...
