@@ -131,7 +131,7 @@ def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
     """
     n = parameters.count
     equations = arm_chain_equations(n, Level.CONSERVATIVE)
-    base = parameters.base()
+    base = parameters.viscous_only().base()
     weights = base[n * (n + 1) // 2 : n * (n + 1) // 2 + n]
     equilibria = {
         "-".join(words): np.array([np.pi * (w == "up") for w in words] + [0.0] * n)

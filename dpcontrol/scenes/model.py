@@ -6,8 +6,9 @@ from decimal import Decimal
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
-from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.dynamics.parameters import ArmChainParameters, Friction
 from dpcontrol.dynamics.system import System, pendulum_system
 from dpcontrol.dynamics.three_body import ThreeBodyParameters, three_body_system
 from dpcontrol.foundation.errors import InputError
@@ -39,7 +40,7 @@ class Model:
     def exact_parameters(self) -> Sequence[Fraction | Decimal]:
         """The equations' parameters as the decimals that the file gives, for extended precision."""
         if isinstance(self.parameters, ArmChainParameters):
-            return self.parameters.decimal_base()
+            return self.parameters.viscous_only().decimal_base()
         return [Decimal(repr(float(value))) for value in self.system.parameters]
 
     @property
@@ -74,13 +75,21 @@ def _model(table: Table, text: str, path: Path) -> Model:
     sources = {t.name: t.text("source") for t in (arms, gravity, friction)}
     columns = {key: arms.numbers(key) for key in ("mass", "centre_of_mass", "length", "inertia")}
     acceleration, viscous = gravity.number("acceleration"), friction.numbers("viscous")
+    laws: dict[str, Any] = {law.value: friction.numbers(law.value, ()) for law in Friction}
+    if "smoothing" in friction:
+        if not any(laws.values()):
+            raise InputError(
+                f"{friction.where('smoothing')}: there is neither coulomb nor quadratic friction to smooth; give one "
+                "or leave it out"
+            )
+        laws["smoothing"] = friction.number("smoothing")
     for part in (table, arms, gravity, friction):
         part.finish()
     try:
-        parameters = ArmChainParameters(**columns, gravity=acceleration, viscous=viscous)
+        parameters = ArmChainParameters(**columns, gravity=acceleration, viscous=viscous, **laws)
     except InputError as error:
         key = str(error).split()[0]
-        home = {"acceleration": gravity, "viscous": friction}.get(key, arms)
+        home = {"acceleration": gravity}.get(key, friction if key in ("viscous", "smoothing", *Friction) else arms)
         raise InputError(f"{home.where()} {error}") from error
     return Model(path.stem, path, title, parameters, sources, text)
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations, equations_of
 from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
@@ -133,4 +133,58 @@ def test_mismatch_beyond_one_fifth_never_makes_friction_negative():
 )
 def test_impossible_parameters_are_refused_by_name(name, value):
     with pytest.raises(InputError, match="acceleration" if name == "gravity" else name):
+        replace(load_model("lab").parameters, **{name: value})
+
+
+def with_all_friction(arms: ArmChainParameters) -> ArmChainParameters:
+    """The same arms with Coulomb friction and quadratic drag in each joint."""
+    n = arms.count
+    return replace(arms, coulomb=(2e-3, 5e-4, 1e-4)[:n], quadratic=(3e-5, 1e-5, 2e-6)[:n], smoothing=0.2)
+
+
+@pytest.mark.parametrize("arms", [load_model("lab").parameters, THREE_ARMS], ids=["lab", "three arms"])
+def test_each_joint_feels_its_coulomb_and_quadratic_torque(arms):
+    rubbing = with_all_friction(arms)
+    n = arms.count
+    mass = NumericEquations(arm_chain_equations(n, Level.CONSERVATIVE), arms.base())
+    with_laws = equations_of(rubbing, Level.CART).function()
+    without = equations_of(arms, Level.CART).function()
+    for state in np.random.default_rng(3).uniform(-3, 3, (20, 2 * n + 2)):
+        change = np.array(with_laws(state, 1.0, rubbing.base()) - without(state, 1.0, arms.base())).ravel()
+        relative = np.diff(np.concatenate([[0.0], state[n : 2 * n]]))
+        smooth = np.hypot(relative, rubbing.smoothing)
+        torque = np.asarray(rubbing.coulomb) * relative / smooth + np.asarray(rubbing.quadratic) * relative * smooth
+        expected = -(torque - np.append(torque[1:], 0.0))
+        assert np.allclose(mass.mass_matrix(state[: 2 * n]) @ change[n : 2 * n], expected, rtol=1e-9, atol=1e-12)
+
+
+def test_laws_that_the_arms_do_not_have_are_not_in_the_equations():
+    arms = load_model("lab").parameters
+    assert equations_of(arms, Level.CART) is arm_chain_equations(2, Level.CART, friction=())
+    assert len(with_all_friction(arms).base()) == len(arms.base()) + 5
+    assert np.array_equal(with_all_friction(arms).base()[: len(arms.base())], arms.base())
+    assert with_all_friction(arms).frictionless() == replace(arms.frictionless(), smoothing=0.2)
+
+
+def test_friction_at_high_and_at_no_rates_is_finite():
+    arms = with_all_friction(load_model("lab").parameters)
+    f = equations_of(arms, Level.DISSIPATIVE).function()
+    for rate in (0.0, 1e-9, 1e4):
+        assert np.isfinite(np.array(f([0.3, 0.4, rate, -rate], [], arms.base()))).all()
+
+
+def test_mismatch_draws_the_same_arms_with_and_without_further_friction():
+    arms = load_model("lab").parameters
+    plain, rubbing = (a.mismatched(0.1, np.random.default_rng(4)) for a in (arms, with_all_friction(arms)))
+    assert rubbing.viscous_only() == replace(plain, smoothing=0.2)
+    assert rubbing.coulomb != with_all_friction(arms).coulomb
+    assert rubbing.smoothing == 0.2
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("coulomb", (-1e-3, 0.0)), ("quadratic", (1e-5,)), ("smoothing", 0.0), ("smoothing", float("inf"))],
+)
+def test_impossible_friction_is_refused_by_name(name, value):
+    with pytest.raises(InputError, match=name):
         replace(load_model("lab").parameters, **{name: value})
