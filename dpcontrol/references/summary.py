@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.arm_chain import Level, equations_of
 from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
@@ -58,7 +58,7 @@ class ReferenceSummary:
         """Return the pendulum's energy in J at states (K, N), or None where the arms are not known."""
         if self.arms is None:
             return None
-        pendulum = arm_chain_equations(self.arms.count, Level.CONSERVATIVE)
+        pendulum = equations_of(self.arms, Level.CONSERVATIVE)
         return NumericEquations(pendulum, self.arms.base()).hamiltonian(states[:, :-2])
 
 
@@ -102,7 +102,7 @@ def _arms(reference: Reference) -> ArmChainParameters | None:
 def _errors(reference: Reference, trajectory: Trajectory, arms: ArmChainParameters) -> Array:
     nothing = np.zeros(reference.states.shape[-1] - 2)
     problem = ReferenceProblem(
-        equations=arm_chain_equations(arms.count, Level.CART),
+        equations=equations_of(arms, Level.CART),
         parameters=arms.base(),
         guess=lambda times: np.broadcast_to(nothing, (len(times), len(nothing))),
         duration=reference.duration,

@@ -22,7 +22,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.arm_chain import Level, equations_of
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
@@ -225,7 +225,7 @@ def sustained_orbit(
     if arms.count != n or not np.array_equal(arms.frictionless().base(), _frictionless(lyapunov, n)):
         raise InputError(f"the orbit about {lyapunov.saddle} is of other arms than the {arms.count} given")
     curve = OrbitCurve(lyapunov)
-    equations = arm_chain_equations(n, Level.CART)
+    equations = equations_of(arms, Level.CART)
     # The arm that moves fastest tells the phase best.
     leading = int(np.argmax(np.abs(lyapunov.state[n : 2 * n])))
     start = np.full(2 * n + 2, np.nan)

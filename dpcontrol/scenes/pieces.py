@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.arm_chain import Level, equations_of
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import Progress, no_progress, part_of
 from dpcontrol.itineraries.shadowing import ShadowingOrbit
@@ -127,7 +127,7 @@ def solve_pieces(itinerary: Itinerary, goals: Sequence[Goal], *, progress: Progr
 
 def _problem(itinerary: Itinerary, guess: Guess, duration: float, ends: Ends) -> ReferenceProblem:
     return ReferenceProblem(
-        equations=arm_chain_equations(itinerary.model.arms.count, Level.CART),
+        equations=equations_of(itinerary.model.arms, Level.CART),
         parameters=itinerary.model.arms.base(),
         guess=guess,
         duration=duration,
@@ -150,8 +150,9 @@ def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress) -> P
     sample = goal.shadowing.sample
     problem = _problem(itinerary, lambda times: sample(times + goal.begin) + turned, goal.seconds, Ends())
     if settings.level == "conservative":
-        free = replace(itinerary.model.arms, viscous=(0.0,) * itinerary.model.arms.count)
-        followed = shadowed(replace(problem, parameters=free.base()), settings)
+        free = itinerary.model.arms.frictionless()
+        conservative = replace(problem, equations=equations_of(free, Level.CART), parameters=free.base())
+        followed = shadowed(conservative, settings)
         return Piece("walk", goal.text, goal, lift, followed)
     return Piece("walk", goal.text, goal, lift, find_reference(problem, settings, progress=progress))
 
@@ -172,7 +173,7 @@ def _transfer(itinerary: Itinerary, before: Goal, lift: Array, after: Goal, prog
     ends = [np.concatenate([after.start[: len(m)] + m, after.start[len(m) :], [0.0, 0.0]]) for m in lifts]
     try:
         found = find_transfer(
-            arm_chain_equations(itinerary.model.arms.count, Level.CART),
+            equations_of(itinerary.model.arms, Level.CART),
             itinerary.model.arms.base(),
             start=start,
             ends=ends,

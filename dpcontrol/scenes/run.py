@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 import dpcontrol
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.arm_chain import Level, equations_of
 from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.foundation.errors import GoalMissed
@@ -105,7 +105,7 @@ def review_context(log: RunLog) -> ReviewContext:
         values: dict[str, Any] = json.loads(log.metadata[MODEL_METADATA])
         plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
         parameters = ArmChainParameters(**plain)
-        equations = arm_chain_equations(n, Level.CONSERVATIVE)
+        equations = equations_of(parameters, Level.CONSERVATIVE)
         energy = NumericEquations(equations, parameters.base()).hamiltonian(states[:, : 2 * n])
     done = {True: "completed", False: "not completed", None: "completion unknown"}[verdict.completed]
     return ReviewContext(
