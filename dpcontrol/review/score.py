@@ -18,15 +18,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog
 from dpcontrol.references.archive import load_reference
 from dpcontrol.references.reference import Reference
-from dpcontrol.review.stops import (
-    REST,
-    Visit,
-    count_wraps,
-    decode_stops,
-    orbit_index,
-    settled_ticks,
-    without_detours,
-)
+from dpcontrol.review.stops import REST, Visit, decode_run, orbit_index
 
 Array = NDArray[np.float64]
 
@@ -121,20 +113,9 @@ def score(log: RunLog) -> Score:
     n = len(log.arm_lengths)
     states = log.estimate if log.truth is None else log.truth
     angles = states[:, :n]
-    used = {stop["saddle"] for stop in notes["stops"]}
-    lattice = np.array([s["angles"] for name, s in notes["saddles"].items() if name in used])
-    dwell = max(1, int(0.5 * min(o["period"] for o in notes["orbits"]) * log.rate_hz))
-    visits = decode_stops(angles, lattice, dwell=dwell, settled=settled_ticks(log.time, notes))
-    wanted = [tuple(stop["angles"]) for stop in notes["stops"]]
-    # What the reference barely visits, a run may visit a little longer.
-    settled = settled_ticks(log.time, notes)
-    planned = decode_stops(log.reference[:, :n], lattice, dwell=int(0.8 * dwell), settled=settled)
-    visits = without_detours(visits, planned, wanted)
-    matched = 0
-    while matched < min(len(visits), len(wanted)) and np.allclose(visits[matched].angles, wanted[matched]):
-        matched += 1
+    decoded = decode_run(log.time, angles, log.reference[:, :n], notes=notes, rate_hz=log.rate_hz)
+    visits, matched, wraps = list(decoded.visits), decoded.matched, decoded.wraps
     symbols = max(0, matched - 1)
-    wraps = count_wraps(log.time, angles, notes, visits[:matched])
     problem = _problem(log, plan, visits=visits, matched=matched, wraps=wraps)
     known = log.truth is not None
     low, high = nis_band(log.measured.shape[1])
@@ -142,7 +123,7 @@ def score(log: RunLog) -> Score:
     away = angles - log.reference[:, :n]
     factor = log.metadata.get("real_time_factor")
     seed = log.metadata.get("seed")
-    total = len(wanted) - 1
+    total = len(notes["stops"]) - 1
     end = "at rest" if notes["stops"][-1]["saddle"] == REST else "on the last orbit"
     reason = problem or f"{_done(total, wraps)}, and {end} to the end"
     if not known:

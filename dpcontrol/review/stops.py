@@ -95,12 +95,14 @@ def orbit_index(notes: dict[str, Any], stop: dict[str, Any]) -> int:
     return [o["saddle"] for o in notes["orbits"]].index(stop["saddle"])
 
 
-def count_wraps(time: Array, angles: Array, notes: dict[str, Any], visits: list[Visit]) -> tuple[int | None, ...]:
-    """Count the wraps at each interior stop that was reached, from the times of the sections' crossings.
+def section_crossings(
+    time: Array, angles: Array, notes: dict[str, Any], visits: list[Visit]
+) -> tuple[float | None, ...]:
+    """Return when each symbol between `visits`, the stops that were reached, crossed its section, in s.
 
-    None beside a transfer, and where the orbit is changed at a stop.
+    None for a transfer, which has no section. It ends before the first symbol whose crossing is not found.
     """
-    symbols, stops = notes["symbols"], notes["stops"]
+    symbols = notes["symbols"]
     crossings: list[float | None] = []
     for k, (before, after) in enumerate(pairwise(visits)):
         section = symbols[k]["section"]
@@ -115,6 +117,15 @@ def count_wraps(time: Array, angles: Array, notes: dict[str, Any], visits: list[
         i = signs[np.argmin(np.abs(time[signs] - symbols[k]["time"]))]
         share = height[i] / (height[i] - height[i + 1]) if height[i] != height[i + 1] else 0.0
         crossings.append(float(time[i] + share * (time[i + 1] - time[i])))
+    return tuple(crossings)
+
+
+def count_wraps(crossings: tuple[float | None, ...], notes: dict[str, Any]) -> tuple[int | None, ...]:
+    """Count the wraps at each interior stop that was reached, from the times of the sections' crossings.
+
+    None beside a transfer, and where the orbit is changed at a stop.
+    """
+    symbols, stops = notes["symbols"], notes["stops"]
     counts: list[int | None] = []
     for k, (arrived, left) in enumerate(pairwise(crossings)):
         stop = stops[k + 1]
@@ -126,3 +137,33 @@ def count_wraps(time: Array, angles: Array, notes: dict[str, Any], visits: list[
         spare = left - arrived - arriving["time_in"] - leaving["time_out"]
         counts.append(round(spare / notes["orbits"][orbit_index(notes, stop)]["period"] - gap))
     return tuple(counts)
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """What a run's angles say: visits in order, how many of the plan's stops they match from the first on, when each
+    symbol crossed its section (s, None for a transfer) and the wraps at each interior stop that was reached.
+    """
+
+    visits: tuple[Visit, ...]
+    matched: int
+    crossings: tuple[float | None, ...]
+    wraps: tuple[int | None, ...]
+
+
+def decode_run(time: Array, angles: Array, reference: Array, *, notes: dict[str, Any], rate_hz: float) -> Decoded:
+    """Decode angles (K, n) at times (K,) s that were to follow reference angles (K, n) by a plan's notes."""
+    used = {stop["saddle"] for stop in notes["stops"]}
+    lattice = np.array([s["angles"] for name, s in notes["saddles"].items() if name in used])
+    dwell = max(1, int(0.5 * min(o["period"] for o in notes["orbits"]) * rate_hz))
+    settled = settled_ticks(time, notes)
+    visits = decode_stops(angles, lattice, dwell=dwell, settled=settled)
+    wanted = [tuple(stop["angles"]) for stop in notes["stops"]]
+    # What the reference barely visits, a run may visit a little longer.
+    planned = decode_stops(reference, lattice, dwell=int(0.8 * dwell), settled=settled)
+    visits = without_detours(visits, planned, wanted)
+    matched = 0
+    while matched < min(len(visits), len(wanted)) and np.allclose(visits[matched].angles, wanted[matched]):
+        matched += 1
+    crossings = section_crossings(time, angles, notes, visits[:matched])
+    return Decoded(tuple(visits), matched, crossings, count_wraps(crossings, notes))
