@@ -32,11 +32,12 @@ def command(*, itinerary: str, seed: int, folder: Path, as_json: bool) -> None:
     with progress_bar("demo") as progress:
         progress("loading", 0.0)
         from dpcontrol.logs import read_log
+        from dpcontrol.review.of_log import review_context
         from dpcontrol.review.picture import write_picture
         from dpcontrol.review.recording import write_recording
         from dpcontrol.scenes.itinerary import load_itinerary
         from dpcontrol.scenes.plan import make_plan
-        from dpcontrol.scenes.run import review_context, run_plan
+        from dpcontrol.scenes.run import run_plan
 
         scene = load_itinerary(itinerary).with_run(seed=seed)
         plan = make_plan(scene, progress=lambda what, done: progress(what, 0.05 + 0.45 * done))

@@ -1,28 +1,20 @@
-"""Run an itinerary: its plan, the closed loop, the log; and what a review of the log needs."""
+"""Run an itinerary: its plan, the closed loop, the log."""
 
 import json
 import subprocess
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 import dpcontrol
-from dpcontrol.dynamics.arm_chain import Level, equations_of
-from dpcontrol.dynamics.equations import NumericEquations
-from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import Progress, content_hash, no_progress
 from dpcontrol.lab.loop import run_loop
-from dpcontrol.logs import LogWriter, RunLog, read_log
-from dpcontrol.review.context import OrbitCurve, ReviewContext
-from dpcontrol.review.score import REFERENCE_ATTACHMENT, Score, plan_of, score
+from dpcontrol.logs import LogWriter, read_log
+from dpcontrol.review.of_log import MODEL_METADATA
+from dpcontrol.review.score import REFERENCE_ATTACHMENT, Score, score
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.scenes.plan import Plan, plan_key
-
-MODEL_METADATA = "model_parameters"
 
 
 def default_log(itinerary: Itinerary) -> Path:
@@ -87,37 +79,3 @@ def _commit() -> str:
     except (OSError, subprocess.SubprocessError):
         return ""
     return found.stdout.strip()
-
-
-def review_context(log: RunLog) -> ReviewContext:
-    """Return what a review shows besides the log's own series, from the plan that the log carries.
-
-    Raises:
-        InputError: the log carries no plan.
-    """
-    plan = plan_of(log)
-    notes: dict[str, Any] = dict(plan.notes)
-    verdict = score(log)
-    n = len(log.arm_lengths)
-    states = log.estimate if log.truth is None else log.truth
-    energy = None
-    if MODEL_METADATA in log.metadata:
-        values: dict[str, Any] = json.loads(log.metadata[MODEL_METADATA])
-        plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-        parameters = ArmChainParameters(**plain)
-        equations = equations_of(parameters, Level.CONSERVATIVE)
-        energy = NumericEquations(equations, parameters.base()).hamiltonian(states[:, : 2 * n])
-    done = {True: "completed", False: "not completed", None: "completion unknown"}[verdict.completed]
-    return ReviewContext(
-        title=f"{notes['title']} — {notes['itinerary']}, seed {verdict.seed}",
-        arm_lengths=log.arm_lengths,
-        limits=(plan.limits.position, plan.limits.velocity, plan.limits.acceleration),
-        orbits=tuple(
-            OrbitCurve(f"{o['saddle']} at {o['energy']:g} J", np.asarray(plan.extra[f"orbit_{k}"]))
-            for k, o in enumerate(notes["orbits"])
-        ),
-        saddle_energies={name: s["energy"] for name, s in notes["saddles"].items()},
-        symbols=tuple((s["time"], s["text"]) for s in notes["symbols"]),
-        energy=energy,
-        verdict=f"{done}: {verdict.symbols_completed} of {verdict.symbols_total} symbols; {verdict.reason}",
-    )
