@@ -64,7 +64,7 @@ Writers = tuple[Callable[[Path], None], Callable[[Path], "Picture"]]
 
 def _log_writers(file: Path) -> Writers:
     from dpcontrol.logs import read_log
-    from dpcontrol.scenes.run import review_context
+    from dpcontrol.review.of_log import review_context
 
     run = read_log(file)
     context = review_context(run)

@@ -1,0 +1,151 @@
+"""What a review of a log needs, from the log alone: its plan, model and score where it carries them."""
+
+import json
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.dynamics.system import System, pendulum_system
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs import RunLog
+from dpcontrol.references.reference import Reference
+from dpcontrol.review.context import OrbitCurve, ReviewContext, Stay
+from dpcontrol.review.run_tubes import tubes_of
+from dpcontrol.review.score import REFERENCE_ATTACHMENT, Score, plan_of, score
+from dpcontrol.review.stops import Decoded, decode_run
+
+Array = NDArray[np.float64]
+
+MODEL_METADATA = "model_parameters"
+"""Metadata that holds the arms' parameters as JSON."""
+
+
+def review_context(log: RunLog) -> ReviewContext:
+    """Return what a review shows besides the log's own series; a log without a plan, as from a bench, has little.
+
+    Raises:
+        InputError: the plan that the log carries is damaged.
+    """
+    if REFERENCE_ATTACHMENT not in log.attachments or log.reference is None:
+        return _without_plan(log)
+    plan = plan_of(log)
+    notes: dict[str, Any] = dict(plan.notes)
+    verdict = score(log)
+    n = len(log.arm_lengths)
+    states = log.estimate if log.truth is None else log.truth
+    decoded = decode_run(log.time, states[:, :n], log.reference[:, :n], notes=notes, rate_hz=log.rate_hz)
+    system = _system(log)
+    seed = "" if verdict.seed is None else f", seed {verdict.seed}"
+    context = plan_context(plan, system=system)
+    return ReviewContext(
+        title=f"{notes['title']} — {notes['itinerary']}{seed}",
+        arm_lengths=log.arm_lengths,
+        limits=context.limits,
+        orbits=context.orbits,
+        saddle_energies=context.saddle_energies,
+        symbols=context.symbols,
+        energy=_energy(system, states, n),
+        verdict=verdict_line(verdict),
+        good=verdict.completed,
+        tubes=context.tubes,
+        planned=context.planned,
+        done=_done(decoded, notes, log.time),
+        transfers=context.transfers,
+        crossings=decoded.crossings,
+        duration=plan.duration,
+    )
+
+
+def verdict_line(verdict: Score) -> str:
+    """Return a score as one line."""
+    done = {True: "completed", False: "NOT completed", None: "completion unknown"}[verdict.completed]
+    return f"{done}: {verdict.symbols_completed} of {verdict.symbols_total} symbols; {verdict.reason}"
+
+
+def plan_context(plan: Reference, *, system: System | None) -> ReviewContext:
+    """Return what a plan says of itself, before any run; with its tubes where the pendulum is known.
+
+    Raises:
+        InputError: the notes are not those of a plan.
+    """
+    notes: dict[str, Any] = dict(plan.notes)
+    try:
+        symbols = tuple((float(s["time"]), str(s["text"])) for s in notes.get("symbols") or [])
+        orbits = tuple(
+            OrbitCurve(f"{o['saddle']} at {o['energy']:g} J", np.asarray(plan.extra[f"orbit_{k}"]))
+            for k, o in enumerate(notes.get("orbits") or [])
+        )
+        saddles = {str(name): float(s["energy"]) for name, s in (notes.get("saddles") or {}).items()}
+        stops = [str(stop["saddle"]) for stop in notes.get("stops") or []]
+        edges = [float(plan.mesh[0]), *(at for at, _ in symbols), float(plan.mesh[-1])]
+        planned = tuple(Stay(a, b, name, name) for a, b, name in zip(edges[:-1], edges[1:], stops, strict=False))
+        transfers = tuple((float(a), float(b)) for a, b in notes.get("transfers") or [])
+        tubes = tubes_of(notes, system) if system is not None and symbols else ()
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(f"the reference's notes are not those of a plan ({error}); plan again") from error
+    made_from = notes.get("made_from") or {}
+    lengths = (made_from.get("parameters") or {}).get("length") or [0.2] * (plan.states.shape[-1] // 2 - 1)
+    return ReviewContext(
+        title=str(notes.get("title") or notes.get("itinerary") or "A reference"),
+        arm_lengths=tuple(float(length) for length in lengths),
+        limits=(plan.limits.position, plan.limits.velocity, plan.limits.acceleration),
+        orbits=orbits,
+        saddle_energies=saddles,
+        symbols=symbols,
+        tubes=tubes,
+        planned=planned,
+        transfers=transfers,
+        duration=plan.duration,
+    )
+
+
+def _without_plan(log: RunLog) -> ReviewContext:
+    n = len(log.arm_lengths)
+    states = log.estimate if log.truth is None else log.truth
+    seconds = float(log.time[-1] - log.time[0])
+    system = _system(log)
+    return ReviewContext(
+        title=log.metadata.get("title") or log.path.stem,
+        arm_lengths=log.arm_lengths,
+        limits=log.limits,
+        energy=None if states is None else _energy(system, states, n),
+        verdict=f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; it carries no plan, so nothing was "
+        "asked and nothing is judged",
+    )
+
+
+def _system(log: RunLog) -> System | None:
+    """Return the conservative pendulum of the model that the log names, or None where it names none."""
+    try:
+        values: dict[str, Any] = json.loads(log.metadata[MODEL_METADATA])
+        plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        return pendulum_system(log.metadata.get("model", "model"), ArmChainParameters(**plain))
+    except (KeyError, TypeError, ValueError, AttributeError, InputError):
+        return None
+
+
+def _energy(system: System | None, states: Array, arms: int) -> Array | None:
+    return None if system is None else system.numeric.hamiltonian(states[:, : 2 * arms])
+
+
+def _done(decoded: Decoded, notes: dict[str, Any], time: Array) -> tuple[Stay, ...]:
+    """Return the visits as stays: those of the plan by their saddle's name, others with where they were."""
+    stays = []
+    for k, visit in enumerate(decoded.visits):
+        wanted = k < decoded.matched
+        saddle = _saddle(visit.angles, notes)
+        place = ", ".join(f"{angle / np.pi:.0f}π" for angle in visit.angles)
+        text = saddle if wanted else f"{saddle} ({place})"
+        stays.append(Stay(float(time[visit.first]), float(time[visit.last]), saddle, text, wanted))
+    return tuple(stays)
+
+
+def _saddle(angles: tuple[float, ...], notes: dict[str, Any]) -> str:
+    """Return the name of the saddle at lifted angles."""
+    for name, saddle in notes["saddles"].items():
+        turns = (np.asarray(angles) - np.asarray(saddle["angles"])) / (2 * np.pi)
+        if np.allclose(turns, np.rint(turns), atol=1e-6):
+            return str(name)
+    return "elsewhere"
