@@ -102,6 +102,61 @@ def _whole(reference: Reference, log: RunLog) -> bool:
         return False
 
 
+@dataclass(frozen=True, eq=False)
+class Flown:
+    """What a run is judged by: K ticks, n arms.
+
+    time (K,) s; states (K, 2n+2): true ones where they are known; reference_angles (K, n); applied (K,): the cart's
+    acceleration, m/s². ended: why the run ended, for one that ended before its reference. has_cart: whether there is
+    a cart to keep inside its limits.
+    """
+
+    time: Array
+    states: Array
+    reference_angles: Array
+    applied: Array
+    rate_hz: float
+    ended: str = ""
+    has_cart: bool = True
+
+    @property
+    def angles(self) -> Array:
+        """The arms' angles (K, n), rad."""
+        return self.states[:, : self.reference_angles.shape[1]]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a plan was flown: symbols done, wraps at the stops reached, and what was wrong, a sentence or ""."""
+
+    symbols: int
+    wraps: tuple[int | None, ...]
+    problem: str
+
+
+def verdict_on(flown: Flown, plan: Reference) -> Verdict:
+    """Judge a run by its plan."""
+    notes: dict[str, Any] = dict(plan.notes)
+    decoded = decode_run(flown.time, flown.angles, flown.reference_angles, notes=notes, rate_hz=flown.rate_hz)
+    visits, matched, wraps = list(decoded.visits), decoded.matched, decoded.wraps
+    problem = _problem(flown, plan, visits=visits, matched=matched, wraps=wraps)
+    return Verdict(max(0, matched - 1), wraps, problem)
+
+
+def flown_of(log: RunLog) -> Flown:
+    """Return what a log's run is judged by: the true states where they are logged, else the estimated ones."""
+    bad = [e for e in log.events if e.level in ("error", "fatal")]
+    return Flown(
+        time=log.time,
+        states=log.estimate if log.truth is None else log.truth,
+        reference_angles=log.reference[:, : len(log.arm_lengths)],
+        applied=log.control["applied"],
+        rate_hz=log.rate_hz,
+        ended=bad[-1].text if bad else "",
+        has_cart=log.has_cart,
+    )
+
+
 def score(log: RunLog) -> Score:
     """Score a run from its log.
 
@@ -109,18 +164,14 @@ def score(log: RunLog) -> Score:
         InputError: the log carries no plan.
     """
     plan = plan_of(log)
+    flown = flown_of(log)
+    verdict = verdict_on(flown, plan)
     notes: dict[str, Any] = dict(plan.notes)
-    n = len(log.arm_lengths)
-    states = log.estimate if log.truth is None else log.truth
-    angles = states[:, :n]
-    decoded = decode_run(log.time, angles, log.reference[:, :n], notes=notes, rate_hz=log.rate_hz)
-    visits, matched, wraps = list(decoded.visits), decoded.matched, decoded.wraps
-    symbols = max(0, matched - 1)
-    problem = _problem(log, plan, visits=visits, matched=matched, wraps=wraps)
+    problem, wraps = verdict.problem, verdict.wraps
     known = log.truth is not None
     low, high = nis_band(log.measured.shape[1])
     nis = log.control["nis"][np.isfinite(log.control["nis"])]
-    away = angles - log.reference[:, :n]
+    away = flown.angles - flown.reference_angles
     factor = log.metadata.get("real_time_factor")
     seed = log.metadata.get("seed")
     total = len(notes["stops"]) - 1
@@ -132,12 +183,12 @@ def score(log: RunLog) -> Score:
         log=str(log.path),
         seed=None if seed is None else int(seed),
         completed=(not problem) if known else None,
-        symbols_completed=symbols,
+        symbols_completed=verdict.symbols,
         symbols_total=total,
         wraps=wraps,
         rms_tracking_error=float(np.sqrt(np.mean(away**2))),
-        max_cart_position=float(np.abs(states[:, 2 * n]).max()) if log.has_cart else 0.0,
-        rms_cart_acceleration=float(np.sqrt(np.mean(log.control["applied"] ** 2))),
+        max_cart_position=float(np.abs(flown.states[:, 2 * flown.angles.shape[1]]).max()) if log.has_cart else 0.0,
+        rms_cart_acceleration=float(np.sqrt(np.mean(flown.applied**2))),
         nis_inside_95=float(np.mean((nis >= low) & (nis <= high))) if nis.size else float("nan"),
         real_time_factor=None if factor is None else float(factor),
         reason=reason,
@@ -150,18 +201,18 @@ def _done(total: int, wraps: tuple[int | None, ...]) -> str:
     return f"{symbols}, wraps {counted} as asked" if counted else symbols
 
 
-def _problem(log: RunLog, plan: Reference, *, visits: list[Visit], matched: int, wraps: tuple[int | None, ...]) -> str:
+def _problem(flown: Flown, plan: Reference, *, visits: list[Visit], matched: int, wraps: tuple[int | None, ...]) -> str:
     """Return why the run is not completed, naming the symbol, or an empty string."""
     notes: dict[str, Any] = dict(plan.notes)
     stops, symbols = notes["stops"], notes["symbols"]
-    ended = _ended(log, plan)
+    ended = _ended(flown, plan)
     if matched == 0:
         return f"did not start on the orbit about {stops[0]['saddle']}{ended}"
     if matched < len(stops):
         name = symbols[matched - 1]["text"]
         if len(visits) > matched:
             found = ", ".join(f"{a / np.pi:+.0f}π" for a in visits[matched].angles)
-            at = log.time[visits[matched].first]
+            at = flown.time[visits[matched].first]
             return (
                 f"symbol {matched} of {len(symbols)} ({name!r}) was not done: at t = {at:.2f} s the arms went to "
                 f"({found}) instead of {stops[matched]['saddle']}{ended}"
@@ -169,53 +220,50 @@ def _problem(log: RunLog, plan: Reference, *, visits: list[Visit], matched: int,
         return f"symbol {matched} of {len(symbols)} ({name!r}) was not done{ended}"
     last = f"after symbol {len(symbols)} of {len(symbols)} ({symbols[-1]['text']!r})"
     if len(visits) > matched:
-        return f"left the last orbit {last}, at t = {log.time[visits[matched].first]:.2f} s{ended}"
+        return f"left the last orbit {last}, at t = {flown.time[visits[matched].first]:.2f} s{ended}"
     for k, (asked, done) in enumerate(zip(notes["wraps"], wraps, strict=False)):
         if asked is not None and asked != done:
             return f"wraps at stop {k + 1} are {done} instead of {asked}, before symbol {k + 2}"
-    return _limits(log, plan) or _last_orbit(log, plan, last=last, ended=ended)
+    return _limits(flown, plan) or _last_orbit(flown, plan, last=last, ended=ended)
 
 
-def _ended(log: RunLog, plan: Reference) -> str:
+def _ended(flown: Flown, plan: Reference) -> str:
     """Return "; the run ended …" where it stopped before the reference's end."""
-    short = plan.duration - float(log.time[-1])
-    if short <= 1.5 / log.rate_hz:
+    short = plan.duration - float(flown.time[-1])
+    if short <= 1.5 / flown.rate_hz:
         return ""
-    bad = [e for e in log.events if e.level in ("error", "fatal")]
-    why = f": {bad[-1].text}" if bad else ""
+    why = f": {flown.ended}" if flown.ended else ""
     return f"; the run ended {short:.2f} s early{why}"
 
 
-def _limits(log: RunLog, plan: Reference) -> str:
+def _limits(flown: Flown, plan: Reference) -> str:
     """Return which of the cart's limits was passed, or an empty string."""
-    states = log.estimate if log.truth is None else log.truth
-    n = len(log.arm_lengths)
-    if not log.has_cart:
+    states, n = flown.states, flown.angles.shape[1]
+    if not flown.has_cart:
         return ""
     for name, values, bound in (
         ("position", states[:, 2 * n], plan.limits.position),
         ("velocity", states[:, 2 * n + 1], plan.limits.velocity),
-        ("acceleration", log.control["applied"], plan.limits.acceleration),
+        ("acceleration", flown.applied, plan.limits.acceleration),
     ):
         worst = int(np.argmax(np.abs(values)))
         if abs(values[worst]) > bound + 1e-9:
-            return f"cart {name} {values[worst]:.3f} passed its limit of {bound:g} at t = {log.time[worst]:.2f} s"
+            return f"cart {name} {values[worst]:.3f} passed its limit of {bound:g} at t = {flown.time[worst]:.2f} s"
     return ""
 
 
-def _last_orbit(log: RunLog, plan: Reference, *, last: str, ended: str) -> str:
+def _last_orbit(flown: Flown, plan: Reference, *, last: str, ended: str) -> str:
     """Return how far the last full period was from the last orbit where that is too far, or an empty string."""
     notes: dict[str, Any] = dict(plan.notes)
-    n = len(log.arm_lengths)
+    n = flown.angles.shape[1]
     stop = notes["stops"][-1]
     k = orbit_index(notes, stop)
     if ended:
         return f"the last orbit was not held to the end {last}{ended}"
     period = notes["orbits"][k]["period"]
-    rows = log.time >= log.time[-1] - period
-    states = log.estimate if log.truth is None else log.truth
+    rows = flown.time >= flown.time[-1] - period
     home = np.asarray(notes["saddles"][stop["saddle"]]["angles"])
-    angles = states[rows, :n] - (np.asarray(stop["angles"]) - home)
+    angles = flown.angles[rows] - (np.asarray(stop["angles"]) - home)
     curve = plan.extra[f"orbit_{k}"][:, :n]
     fine = _denser(curve, 8)
     gaps = np.min(np.max(np.abs(angles[:, None] - fine[None]), axis=-1), axis=1)
