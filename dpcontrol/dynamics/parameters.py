@@ -29,7 +29,7 @@ LARGEST = 1e6
 
 
 class Friction(StrEnum):
-    """A joint's friction laws besides the viscous one, in the order in which their coefficients stand."""
+    """The laws of friction besides the viscous one, in the order in which their coefficients stand."""
 
     COULOMB = "coulomb"
     QUADRATIC = "quadratic"
@@ -41,8 +41,9 @@ class ArmChainParameters:
 
     mass (n,) kg; centre_of_mass (n,) m from the arm's joint; length (n,) m, the last for pictures only;
     inertia (n,) kg m² about the centre of mass; gravity m/s²; viscous (n,) N m s/rad in each joint, on the
-    relative rate. coulomb (n,) N m and quadratic (n,) N m s²/rad² likewise, or empty: not in the equations at all.
-    smoothing rad/s: the relative rate below which those two fade.
+    relative rate. coulomb (n,) N m likewise, and quadratic (n,) N s²/m², the air's drag on each arm over the squared
+    speed of its centre of oscillation; empty: not in the equations at all. smoothing rad/s: the rate below which
+    those two fade.
     """
 
     mass: tuple[float, ...]
@@ -102,7 +103,7 @@ class ArmChainParameters:
         out["g"] = (self.gravity, "m/s^2")
         for i, value in enumerate(self.viscous):
             out[f"k{i + 1}"] = (value, "N m s/rad")
-        for law, letter, unit in ((Friction.COULOMB, "c", "N m"), (Friction.QUADRATIC, "b", "N m s^2/rad^2")):
+        for law, letter, unit in ((Friction.COULOMB, "c", "N m"), (Friction.QUADRATIC, "b", "N s^2/m^2")):
             for i, value in enumerate(getattr(self, law)):
                 out[f"{letter}{i + 1}"] = (value, unit)
         if self.friction:

@@ -139,11 +139,31 @@ def test_impossible_parameters_are_refused_by_name(name, value):
 def with_all_friction(arms: ArmChainParameters) -> ArmChainParameters:
     """The same arms with Coulomb friction and quadratic drag in each joint."""
     n = arms.count
-    return replace(arms, coulomb=(2e-3, 5e-4, 1e-4)[:n], quadratic=(3e-5, 1e-5, 2e-6)[:n], smoothing=0.2)
+    return replace(arms, coulomb=(2e-3, 5e-4, 1e-4)[:n], quadratic=(3e-3, 1e-2, 2e-3)[:n], smoothing=0.2)
+
+
+def torque_of_drag(p, state):
+    """The moment about each joint, as generalised force, of the drag -b v √(v² + (λw)²) at centres of oscillation."""
+    n = p.count
+    q, v = state[:n], state[n : 2 * n]
+    torque, velocity = np.zeros(n), np.array([state[2 * n + 1], 0.0])
+    reach = np.zeros((n, 2))
+    for i in range(n):
+        beyond = sum(p.mass[i + 1 :])
+        swung = p.inertia[i] + p.mass[i] * p.centre_of_mass[i] ** 2 + beyond * p.length[i] ** 2
+        distance = swung / (p.mass[i] * p.centre_of_mass[i] + beyond * p.length[i])
+        across = np.array([np.cos(q[i]), np.sin(q[i])])
+        at = velocity + distance * v[i] * across
+        force = -p.quadratic[i] * at * np.hypot(np.linalg.norm(at), distance * p.smoothing)
+        reach[i] = distance * across
+        torque[: i + 1] += reach[: i + 1] @ force
+        reach[i] = p.length[i] * across
+        velocity = velocity + p.length[i] * v[i] * across
+    return torque
 
 
 @pytest.mark.parametrize("arms", [load_model("lab").parameters, THREE_ARMS], ids=["lab", "three arms"])
-def test_each_joint_feels_its_coulomb_and_quadratic_torque(arms):
+def test_each_joint_feels_its_coulomb_torque_and_each_arm_the_drag_of_the_air(arms):
     rubbing = with_all_friction(arms)
     n = arms.count
     mass = NumericEquations(arm_chain_equations(n, Level.CONSERVATIVE), arms.base())
@@ -152,9 +172,8 @@ def test_each_joint_feels_its_coulomb_and_quadratic_torque(arms):
     for state in np.random.default_rng(3).uniform(-3, 3, (20, 2 * n + 2)):
         change = np.array(with_laws(state, 1.0, rubbing.base()) - without(state, 1.0, arms.base())).ravel()
         relative = np.diff(np.concatenate([[0.0], state[n : 2 * n]]))
-        smooth = np.hypot(relative, rubbing.smoothing)
-        torque = np.asarray(rubbing.coulomb) * relative / smooth + np.asarray(rubbing.quadratic) * relative * smooth
-        expected = -(torque - np.append(torque[1:], 0.0))
+        torque = np.asarray(rubbing.coulomb) * relative / np.hypot(relative, rubbing.smoothing)
+        expected = -(torque - np.append(torque[1:], 0.0)) + torque_of_drag(rubbing, state)
         assert np.allclose(mass.mass_matrix(state[: 2 * n]) @ change[n : 2 * n], expected, rtol=1e-9, atol=1e-12)
 
 
