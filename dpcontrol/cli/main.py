@@ -3,6 +3,7 @@
 import difflib
 import errno
 import importlib
+import keyword
 import signal
 import sys
 import threading
@@ -28,6 +29,8 @@ VERBS = {
     "run": "Run an itinerary in closed loop and write its log.",
     "score": "Say whether logged runs did what was asked.",
     "review": "Open a log in the viewer, or save a recording or a picture.",
+    "import": "Import a recording of the bench as a log.",
+    "replay": "Predict a recording by a model, and run an estimator over it.",
     "figures": "Draw the paper's computational figures, with captions.",
 }
 
@@ -41,7 +44,9 @@ class _Verbs(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in VERBS:
             return None
-        return importlib.import_module(f"dpcontrol.cli.{cmd_name}").command
+        # A verb that is a word of Python cannot name a module.
+        module = f"{cmd_name}_" if keyword.iskeyword(cmd_name) else cmd_name
+        return importlib.import_module(f"dpcontrol.cli.{module}").command
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -1,8 +1,8 @@
 """Recordings from the bench in memory and as logs: what was measured, in segments, with nothing added.
 
-A recording is written in the layout of simulated logs: the angles as /joint_states, the rig's own filtered rates, where
-it gave any, beside them as /estimate/joint_states. One log holds all segments of a file, one after the other, and its
-metadata says in which rows each begins and ends; between two segments the time jumps.
+A recording is written in the layout of simulated logs: angles and the rig's own filtered rates, where it gave any, as
+/joint_states, a command as /control, and no more. One log holds all segments of a file, one after the other; its
+metadata says in which rows each begins and ends, and between two segments the time may jump.
 """
 
 from dataclasses import dataclass, replace
@@ -12,13 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs import LogWriter, RunLog, read_log
-from dpcontrol.logs.layout import Mode, control_fields
+from dpcontrol.logs import LogWriter, Mode, RunLog, control_fields, read_log
 
 Array = NDArray[np.float64]
 
-KIND = "recording"
-"""The metadata `kind` of a log that was imported."""
+KIND, REPLAYED = "recording", "replay"
+"""The metadata `kind` of a log that was imported, and of one that a model was replayed on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +66,32 @@ class Recording:
         return [self.segment(index) for index in range(len(self.segments))]
 
 
+def segments_text(segments: tuple[tuple[int, int], ...]) -> str:
+    """Return segments as a log's metadata says them: `first:end` of each, end not included."""
+    return " ".join(f"{first}:{end}" for first, end in segments)
+
+
+def described(recording: Recording, *, kind: str = KIND) -> dict[str, str]:
+    """Return the metadata of a log made of a recording."""
+    return {
+        "kind": kind,
+        "title": recording.name,
+        "source": recording.source,
+        "sampling_period": repr(recording.dt),
+        "segments": segments_text(recording.segments),
+        "command": "" if recording.command is None else "cart acceleration, in /control",
+        "notes": "\n".join(recording.notes),
+    }
+
+
+def measured_rates(recording: Recording) -> Array | None:
+    """Return the rates (K, joints) of a log: those recorded, and for a cart the differences of its position."""
+    if recording.rates is None or recording.cart is None:
+        return recording.rates
+    velocity = np.concatenate([np.gradient(part.cart, part.dt) for part in recording.split() if part.cart is not None])
+    return np.column_stack([recording.rates, velocity])
+
+
 def write_recording(recording: Recording, path: Path | str) -> Path:
     """Write a recording as a log and return its path.
 
@@ -75,87 +100,77 @@ def write_recording(recording: Recording, path: Path | str) -> Path:
     """
     k, n = recording.angles.shape
     has_cart = recording.cart is not None
-    fields = control_fields(n, has_cart=has_cart)
-    control = np.zeros((k, len(fields)))
-    control[:, fields.index("nis")] = np.nan
-    control[:, fields.index("mode")] = Mode.IDLE
+    measured = recording.angles if recording.cart is None else np.column_stack([recording.angles, recording.cart])
+    rates, control = measured_rates(recording), None
     if recording.command is not None:
+        fields = control_fields(n, has_cart=has_cart)
+        control = np.zeros((k, len(fields)))
+        control[:, fields.index("nis")] = np.nan
+        control[:, fields.index("mode")] = Mode.IDLE
         control[:, fields.index("command")] = control[:, fields.index("applied")] = recording.command
-    measured = recording.angles
-    state = np.zeros((k, 2 * n + 2 * has_cart))
-    state[:, :n] = recording.angles
-    if recording.rates is not None:
-        state[:, n : 2 * n] = recording.rates
-    if recording.cart is not None:
-        measured = np.column_stack([measured, recording.cart])
-        state[:, 2 * n] = recording.cart
-    metadata = {
-        "kind": KIND,
-        "title": recording.name,
-        "source": recording.source,
-        "sampling_period": repr(recording.dt),
-        "segments": " ".join(f"{first}:{end}" for first, end in recording.segments),
-        "rates": "" if recording.rates is None else "filtered by the rig, in /estimate/joint_states",
-        "command": "" if recording.command is None else "cart acceleration, in /control",
-        "notes": "\n".join(recording.notes),
-    }
     with LogWriter(
         path,
         arm_lengths=recording.arm_lengths,
         rate_hz=1 / recording.dt,
         has_cart=has_cart,
-        metadata=metadata,
+        metadata=described(recording),
     ) as log:
         for index, (first, end) in enumerate(recording.segments):
-            log.event(float(recording.time[first]), "info", "import", f"segment {index}: {end - first} samples")
             rows = slice(first, end)
+            log.event(float(recording.time[first]), "info", "import", f"segment {index}: {end - first} samples")
             log.ticks(
                 recording.time[rows],
                 measured=measured[rows],
-                estimate=state[rows],
-                reference=state[rows],
-                truth=None,
-                control=control[rows],
+                rates=None if rates is None else rates[rows],
+                control=None if control is None else control[rows],
             )
     return Path(path)
 
 
 def load_recording(path: Path | str) -> Recording:
-    """Return the recording that `dpcontrol import` wrote to `path`.
+    """Return the recording in a log that `dpcontrol import` or `replay` wrote; a run's log is one segment of its own.
 
     Raises:
-        InputError: the file cannot be read, or is the log of a run.
+        InputError: the file cannot be read, or holds too few samples.
     """
-    log = read_log(path)
-    if log.metadata.get("kind") != KIND:
-        raise InputError(f"{path} is the log of a run, not a recording; give a log that `dpcontrol import` wrote")
-    return recording_of(log)
+    return recording_of(read_log(path))
 
 
 def recording_of(log: RunLog) -> Recording:
-    """Return the recording that an imported log holds.
+    """Return what a log says was measured, and what was commanded.
 
     Raises:
         InputError: its segments do not fit its samples.
     """
     n, k = len(log.arm_lengths), len(log.time)
-    segments = _segments(log.metadata.get("segments", ""))
+    imported = log.metadata.get("kind") in (KIND, REPLAYED)
+    segments = _segments(log.metadata.get("segments", "")) if imported else ((0, k),)
     if not segments or any(not 0 <= first < end <= k for first, end in segments):
         raise InputError(f"{log.path}: its segments do not fit its {k} samples; import the recording again")
-    rates = log.estimate[:, n : 2 * n] if log.metadata.get("rates") else None
+    if imported:
+        command = log.controls.get("command") if log.metadata.get("command") else None
+    else:
+        command = log.controls.get("applied")
     return Recording(
-        name=log.metadata.get("title", log.path.stem),
-        source=log.metadata.get("source", ""),
-        dt=float(log.metadata.get("sampling_period", 1 / log.rate_hz)),
+        name=log.metadata.get("title", log.path.stem) if imported else log.path.stem,
+        source=log.metadata.get("source", "") if imported else log.path.name,
+        dt=_period(log),
         time=log.time,
         angles=log.measured[:, :n],
-        rates=rates,
+        rates=None if log.rates is None else log.rates[:, :n],
         segments=segments,
         arm_lengths=log.arm_lengths,
         cart=log.measured[:, n] if log.has_cart else None,
-        command=log.control["command"] if log.metadata.get("command") else None,
+        command=command,
         notes=tuple(log.metadata.get("notes", "").splitlines()),
     )
+
+
+def _period(log: RunLog) -> float:
+    try:
+        return float(log.metadata["sampling_period"])
+    except (KeyError, ValueError):
+        return 1 / log.rate_hz
 
 
 def _segments(text: str) -> tuple[tuple[int, int], ...]:

@@ -1,0 +1,255 @@
+"""What can be wrong with samples of time and angles, found and named; repaired only where asked.
+
+In order: values that are not finite (nan), time that stands or runs backward (time), samples left out (gaps), angles
+wrapped into one turn (wrap), uneven sampling (sampling). What no repair can mend is refused: jumps, too few samples.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.tables import suggest
+
+Array = NDArray[np.float64]
+
+REPAIRS = {
+    "nan": "fill up to 10 missing samples in a row, cut the segment at longer holes",
+    "time": "leave out samples whose time does not come after that of the sample before",
+    "gaps": "cut the segment where samples were left out",
+    "sampling": "interpolate to even times",
+    "wrap": "unwrap angles that jump by a turn",
+}
+"""Repairs by name, and what each does."""
+
+FEWEST_SAMPLES = 20
+_FILLED_IN_A_ROW = 10
+_GAP = 1.5
+"""A step of time this many periods long has left a sample out."""
+_UNEVEN = 0.2
+"""Share of a period by which a sample may come early or late: clocks jitter by a few hundredths."""
+_JUMP, _FASTEST_RATE = 0.3, 100.0
+"""No arm of a bench turns further in one sample than `_JUMP` rad plus what it does at `_FASTEST_RATE` rad/s."""
+_MOST_LEFT_OUT = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """K samples as a file gives them, in SI units and our directions.
+
+    where: of which part of which file, for messages. rows (K,): each sample's number there, from 1. time (K,) s; values
+    (K, m): the angles (n columns) first, then what else was measured; names (m,) of these columns.
+    """
+
+    where: str
+    rows: NDArray[np.int64]
+    time: Array
+    values: Array
+    names: tuple[str, ...]
+    arms: int
+
+    def at(self, index: int) -> str:
+        """Return "WHERE: row R (t = T s)" for a message."""
+        time = f" (t = {self.time[index]:.6g} s)" if np.isfinite(self.time[index]) else ""
+        return f"{self.where}: row {self.rows[index]}{time}"
+
+    def taken(self, which: NDArray) -> "Samples":
+        """Return the samples that `which` indexes."""
+        return replace(self, rows=self.rows[which], time=self.time[which], values=self.values[which])
+
+
+Repaired = tuple[list[Samples], list[str]]
+
+
+def checked_repairs(names: tuple[str, ...]) -> frozenset[str]:
+    """Return the repairs asked for.
+
+    Raises:
+        InputError: there is no repair of this name.
+    """
+    for name in names:
+        if name not in REPAIRS:
+            raise InputError(f"--repair {name}: there is no such repair; {suggest(name, REPAIRS)}")
+    return frozenset(names)
+
+
+def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) -> Repaired:
+    """Return the samples as segments in which nothing is wrong, and a sentence for each repair.
+
+    Args:
+        samples: one stretch of the recording.
+        period: s between samples, as the file says; 0 where only the times tell.
+        repairs: names of `REPAIRS` that may be made.
+
+    Raises:
+        InputError: something is wrong whose repair was not asked for, or that none can mend; names row and time.
+    """
+    steps: list[Callable[[Samples, frozenset[str], float], Repaired]] = [_finite, _forward, _whole, _continuous, _even]
+    segments, notes = [samples], []
+    for step in steps:
+        following: list[Samples] = []
+        for segment in segments:
+            found, said = step(segment, repairs, period)
+            following += found
+            notes += said
+        segments = following
+    usable = [segment for segment in segments if len(segment.time) >= FEWEST_SAMPLES]
+    if not usable:
+        raise InputError(f"{samples.where} has {len(samples.time)} samples; a segment needs {FEWEST_SAMPLES} or more")
+    for segment in segments:
+        if len(segment.time) < FEWEST_SAMPLES:
+            rows = f"rows {segment.rows[0]} to {segment.rows[-1]}" if len(segment.rows) else "no rows"
+            notes.append(f"{samples.where}: {rows} left out: too few samples for a segment")
+    return usable, notes
+
+
+def _refuse(fault: str, repair: str) -> InputError:
+    return InputError(f"{fault}; mend the recording, or ask for --repair {repair}: {REPAIRS[repair]}")
+
+
+def _cut(samples: Samples, keep: NDArray[np.bool_]) -> list[Samples]:
+    """Return the runs of samples to keep."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], keep, [False]]).astype(np.int8)))
+    return [samples.taken(np.arange(first, end)) for first, end in edges.reshape(-1, 2)]
+
+
+def _finite(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
+    bad = ~np.isfinite(samples.values)
+    late = ~np.isfinite(samples.time)
+    if late.any():
+        index = int(np.argmax(late))
+        fault = f"{samples.at(index)}: the time is missing or not finite ({late.sum()} such rows)"
+        if "nan" not in repairs:
+            raise _refuse(fault, "nan")
+        if late.all():
+            raise InputError(f"{fault}; no time is left: give [sampling] period in the mapping instead of a column")
+        # Without its time a sample cannot be placed: it is left out, and the gap is found below.
+        notes = [f"{samples.where}: {late.sum()} rows without time left out"]
+        segments, more = _finite(samples.taken(~late), repairs, period)
+        return segments, notes + more
+    if not bad.any():
+        return [samples], []
+    index, column = (int(k[0]) for k in np.nonzero(bad))
+    count = int(bad.any(axis=1).sum())
+    if "nan" not in repairs:
+        raise _refuse(f"{samples.at(index)}: {samples.names[column]} is no finite number ({count} such rows)", "nan")
+    rows: NDArray[np.bool_] = np.any(bad, axis=1, keepdims=True)[:, 0]
+    good = ~rows
+    if not good.any():
+        raise InputError(f"{samples.where}: every row holds a number that is not finite; nothing is left")
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(np.int8))).reshape(-1, 2)
+    keep, values = np.ones(len(rows), bool), samples.values.copy()
+    for first, end in edges:
+        if end - first > _FILLED_IN_A_ROW or first == 0 or end == len(rows):
+            keep[first:end] = False
+    whole = values[good]
+    if "wrap" in repairs:
+        whole[:, : samples.arms] = np.unwrap(whole[:, : samples.arms], axis=0)
+        values[good] = whole
+    for column in range(values.shape[1]):
+        values[rows, column] = np.interp(samples.time[rows], samples.time[good], whole[:, column])
+    filled = int((rows & keep).sum())
+    notes = [f"{samples.where}: {filled} rows filled between their neighbours, {count - filled} left out"]
+    return _cut(replace(samples, values=values), keep), notes
+
+
+def _forward(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
+    back = np.concatenate([[False], np.diff(samples.time) <= 0])
+    if not back.any():
+        return [samples], []
+    index = int(np.argmax(back))
+    step = samples.time[index] - samples.time[index - 1]
+    what = "repeats the time of the row before" if step == 0 else f"goes back in time by {-step:.6g} s"
+    # A time that falls back for good hides the rows after it, not only the one where it falls.
+    behind = samples.time <= np.concatenate([[-np.inf], np.maximum.accumulate(samples.time)[:-1]])
+    fault = f"{samples.at(index)} {what} ({behind.sum()} rows do not come after all before them)"
+    if "time" not in repairs:
+        raise _refuse(fault, "time")
+    if behind.mean() > _MOST_LEFT_OUT:
+        raise InputError(f"{fault}; that is too many to leave out: give [sampling] period in place of the time column")
+    return [samples.taken(~behind)], [f"{samples.where}: {behind.sum()} rows left out that did not come later in time"]
+
+
+def _spacing(samples: Samples, period: float) -> float:
+    if len(samples.time) < 2:
+        return period or 1.0
+    spacing = float(np.median(np.diff(samples.time)))
+    if period and not abs(spacing / period - 1) < _UNEVEN:
+        raise InputError(
+            f"{samples.where}: samples are {spacing:.6g} s apart, but the period is said to be {period:.6g} s; "
+            "check the time's unit and the period"
+        )
+    return spacing
+
+
+def _whole(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
+    spacing = _spacing(samples, period)
+    steps = np.diff(samples.time)
+    gaps = np.flatnonzero(steps > _GAP * spacing)
+    if not len(gaps):
+        return [samples], []
+    if len(gaps) > max(5, _MOST_LEFT_OUT * len(steps)):
+        if "sampling" in repairs:
+            return [samples], []
+        index = int(gaps[0])
+        raise _refuse(f"{samples.at(index)}: {len(gaps)} of {len(steps)} steps differ from {spacing:.6g} s", "sampling")
+    if "gaps" not in repairs:
+        index = int(gaps[0])
+        fault = f"{samples.at(index)}: the next sample comes {steps[index]:.6g} s later, not {spacing:.6g} s"
+        raise _refuse(f"{fault} ({len(gaps)} such gaps)", "gaps")
+    pieces = np.split(np.arange(len(samples.time)), gaps + 1)
+    return [samples.taken(piece) for piece in pieces], [f"{samples.where}: cut at {len(gaps)} gaps"]
+
+
+def _even(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
+    if len(samples.time) < 3:
+        return [samples], []
+    spacing = period or float((samples.time[-1] - samples.time[0]) / (len(samples.time) - 1))
+    grid = samples.time[0] + spacing * np.arange(len(samples.time))
+    off = np.abs(np.diff(samples.time) - spacing)
+    drift = np.abs(samples.time - grid)
+    worst = int(np.argmax(off))
+    if off[worst] <= _UNEVEN * spacing and drift.max() <= max(_UNEVEN * spacing, 1e-4 * np.ptp(samples.time)):
+        return [samples], []
+    if "sampling" not in repairs:
+        fault = (
+            f"{samples.at(worst)}: the step of time there is {off[worst]:.3g} s off {spacing:.6g} s: uneven sampling"
+        )
+        raise _refuse(fault, "sampling")
+    from scipy.interpolate import CubicSpline
+
+    inside = grid[: int((samples.time[-1] - samples.time[0]) / spacing + 1e-6) + 1]
+    even = np.asarray(CubicSpline(samples.time, samples.values)(inside))
+    rows = samples.rows[np.searchsorted(samples.time, inside, side="right") - 1]
+    return [replace(samples, rows=rows, time=inside, values=even)], [f"{samples.where}: interpolated to even times"]
+
+
+def _continuous(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
+    angles = samples.values[:, : samples.arms]
+    if len(angles) < 2:
+        return [samples], []
+    notes: list[str] = []
+    most = _JUMP + _FASTEST_RATE * np.diff(samples.time)[:, None]
+    steps = np.diff(angles, axis=0)
+    wraps = np.abs(np.abs(steps) - 2 * np.pi) < np.minimum(most, 1.5)
+    if wraps.any():
+        index, arm = (int(k[0]) for k in np.nonzero(wraps))
+        fault = (
+            f"{samples.at(index + 1)}: {samples.names[arm]} jumps by a turn ({wraps.sum()} such jumps): it is wrapped"
+        )
+        if "wrap" not in repairs:
+            raise _refuse(fault, "wrap")
+        angles = np.unwrap(angles, axis=0)
+        samples = replace(samples, values=np.column_stack([angles, samples.values[:, samples.arms :]]))
+        steps = np.diff(angles, axis=0)
+        notes.append(f"{samples.where}: unwrapped {wraps.sum()} jumps by a turn")
+    jumps = np.abs(steps) > most
+    if jumps.any():
+        index, arm = (int(k[0]) for k in np.nonzero(jumps))
+        raise InputError(
+            f"{samples.at(index + 1)}: {samples.names[arm]} jumps by {abs(steps[index, arm]):.3g} rad in one sample "
+            f"({jumps.sum()} such jumps); check unit, columns and sampling, or cut the recording there"
+        )
+    return [samples], notes
