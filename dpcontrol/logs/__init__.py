@@ -1,17 +1,28 @@
-"""The MCAP log: message layout, writer, reader."""
+"""The MCAP log: message layout, writer, reader, recovery."""
 
 from dpcontrol.control.interface import Mode
+from dpcontrol.logs.compare import Comparison, compare_messages
 from dpcontrol.logs.layout import LEVELS, control_fields, joint_names
+from dpcontrol.logs.partial import partials_of
 from dpcontrol.logs.reader import Event, RunLog, read_log
+from dpcontrol.logs.recovery import Recovery, recover
+from dpcontrol.logs.summary import LogSummary, summarise
 from dpcontrol.logs.writer import LogWriter
 
 __all__ = [
     "LEVELS",
+    "Comparison",
     "Event",
+    "LogSummary",
     "LogWriter",
     "Mode",
+    "Recovery",
     "RunLog",
+    "compare_messages",
     "control_fields",
     "joint_names",
+    "partials_of",
     "read_log",
+    "recover",
+    "summarise",
 ]

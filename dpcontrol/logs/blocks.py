@@ -4,6 +4,7 @@ Every message's bytes are known but for its numbers (see `cdr`), so a block of K
 array of K copies of a template, filled column by column.
 """
 
+import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -15,19 +16,17 @@ from dpcontrol.logs.container import ChunkMessages
 
 REFERENCE_PREFIX = "reference/"
 _SECOND = 1_000_000_000
+_HEAD = struct.Struct("<BQHIQQ")
 _STAMP = np.dtype([("sec", "<i4"), ("nanosec", "<u4")])
 
 
 @dataclass(frozen=True)
 class TickRows:
-    """K ticks: `time_ns` (K,) in ns, `measured` (K, n+1), states (K, 2n+2) or None, `control` (K, fields)."""
+    """K ticks: `time_ns` (K,) in ns, `measured` (K, n+1) positions, and rows (K, width) of each part that is logged."""
 
     time_ns: NDArray[np.int64]
     measured: NDArray[np.float64]
-    estimate: NDArray[np.float64]
-    reference: NDArray[np.float64]
-    truth: NDArray[np.float64] | None
-    control: NDArray[np.float64]
+    parts: Mapping[str, NDArray[np.float64]]
 
 
 @dataclass(frozen=True)
@@ -46,21 +45,13 @@ class ChunkEncoder:
     Args:
         tick: what a tick holds.
         arm_lengths: (n,) in m.
-        channels: the number of each topic's channel.
         rows: the greatest number of ticks in a chunk.
     """
 
-    def __init__(
-        self,
-        tick: layout.TickLayout,
-        arm_lengths: Sequence[float],
-        *,
-        channels: Mapping[str, int],
-        rows: int,
-    ):
+    def __init__(self, tick: layout.TickLayout, arm_lengths: Sequence[float], *, rows: int):
         self._tick = tick
         self._lengths = tuple(arm_lengths)
-        self._channels = dict(channels)
+        self._channels = channels = tick.channels
         self._counts = dict.fromkeys(channels, 0)
         formats = [layout.message_type(message) for message in tick.messages.values()]
         template, offsets = b"", []
@@ -75,7 +66,7 @@ class ChunkEncoder:
         self._positions, self._velocities = layout.joint_order(tick.arms, has_cart=tick.has_cart)
         frames = [
             frame
-            for prefix in ("", REFERENCE_PREFIX)
+            for prefix in (("", REFERENCE_PREFIX) if "reference" in tick.parts else ("",))
             for frame in urdf.frames(tick.arms, has_cart=tick.has_cart, prefix=prefix)
         ]
         self._frames = len(frames)
@@ -86,6 +77,11 @@ class ChunkEncoder:
         self._stamp_bytes = np.add.outer(stamp_starts, np.arange(_STAMP.itemsize))
         self._pose_bytes = np.add.outer(pose_starts, np.arange(7 * 8))
         self._last_transform = -1
+
+    @property
+    def parts(self) -> frozenset[str]:
+        """What a tick holds besides the measured positions."""
+        return self._tick.parts
 
     def encode(self, rows: TickRows, notes: Sequence[Note]) -> tuple[bytes, list[ChunkMessages]]:
         """Return the bytes of a chunk and where its messages stand in it, all messages in order of arrival."""
@@ -119,25 +115,34 @@ class ChunkEncoder:
         count = len(rows.time_ns)
         block = self._block[:count]
         seconds, nanoseconds = np.divmod(rows.time_ns, _SECOND)
-        states = {layout.ESTIMATE: rows.estimate, layout.REFERENCE: rows.reference, layout.TRUTH: rows.truth}
+        parts = {topic: rows.parts[part] for part, topic in layout.STATE_TOPICS.items() if part in rows.parts}
         for topic in self._tick.messages:
             records = block[topic]
             records["log_time"] = records["publish_time"] = rows.time_ns
             records["sequence"] = np.arange(self._counts[topic], self._counts[topic] + count)
             self._counts[topic] += count
             if topic == layout.CONTROL:
-                records["row"] = rows.control
+                records["row"] = rows.parts["control"]
                 continue
             records["stamp.sec"] = seconds
             records["stamp.nanosec"] = nanoseconds
             if topic == layout.MEASURED:
                 records["position"] = rows.measured
+                if "rates" in rows.parts:
+                    records["velocity"] = rows.parts["rates"]
             else:
-                state = states[topic]
-                assert state is not None
-                records["position"] = state[:, self._positions]
-                records["velocity"] = state[:, self._velocities]
+                records["position"] = parts[topic][:, self._positions]
+                records["velocity"] = parts[topic][:, self._velocities]
         return block
+
+    def _robot(self, rows: TickRows) -> NDArray[np.float64]:
+        """Return the states that /tf shows: the best known."""
+        for part in ("truth", "estimate"):
+            if part in rows.parts:
+                return rows.parts[part]
+        states = np.zeros((len(rows.measured), 2 * rows.measured.shape[1]))
+        states[:, self._positions] = rows.measured
+        return states
 
     def _transform_notes(self, rows: TickRows) -> list[Note]:
         number = np.floor(rows.time_ns * (layout.TRANSFORM_RATE / _SECOND) + 1e-6).astype(np.int64)
@@ -145,14 +150,19 @@ class ChunkEncoder:
             return []
         chosen = np.flatnonzero(np.diff(number, prepend=self._last_transform) > 0)
         self._last_transform = int(number[-1])
-        robot = rows.estimate if rows.truth is None else rows.truth
-        # A pose of a state that is no number would be refused by every reader of transforms.
-        chosen = chosen[np.isfinite(robot[chosen]).all(axis=1) & np.isfinite(rows.reference[chosen]).all(axis=1)]
         if not len(chosen):
             return []
-        states = np.concatenate([robot[chosen], rows.reference[chosen]])
-        poses = urdf.poses(states, arm_lengths=self._lengths, has_cart=self._tick.has_cart)
-        poses = np.concatenate([poses[: len(chosen)], poses[len(chosen) :]], axis=1)
+        robots = [self._robot(rows)] + ([rows.parts["reference"]] if "reference" in rows.parts else [])
+        states = np.concatenate([robot[chosen] for robot in robots], axis=1)
+        # A pose of a state that is no number would be refused by every reader of transforms.
+        finite = np.isfinite(states).all(axis=1)
+        chosen, states = chosen[finite], states[finite]
+        if not len(chosen):
+            return []
+        poses = urdf.poses(
+            states.reshape(len(chosen) * len(robots), -1), arm_lengths=self._lengths, has_cart=self._tick.has_cart
+        )
+        poses = poses.reshape(len(chosen), -1)
         times = rows.time_ns[chosen]
         stamps = np.empty(len(chosen), _STAMP)
         stamps["sec"], stamps["nanosec"] = np.divmod(times, _SECOND)
@@ -166,11 +176,8 @@ class ChunkEncoder:
         ]
 
     def _record(self, note: Note) -> bytes:
-        header = np.zeros(1, layout.RECORD_HEADER)
-        header["opcode"] = layout.MESSAGE_OPCODE
-        header["length"] = layout.RECORD_HEADER.itemsize - 9 + len(note.content)
-        header["channel"] = self._channels[note.topic]
-        header["sequence"] = self._counts[note.topic]
-        header["log_time"] = header["publish_time"] = note.time_ns
+        number, length = self._counts[note.topic], layout.RECORD_HEADER.itemsize - 9 + len(note.content)
         self._counts[note.topic] += 1
-        return header.tobytes() + note.content
+        channel = self._channels[note.topic]
+        head = _HEAD.pack(layout.MESSAGE_OPCODE, length, channel, number, note.time_ns, note.time_ns)
+        return head + note.content

@@ -5,11 +5,12 @@ Here a chunk is handed over whole, with the times and offsets of its messages as
 mcap package's. Source: the MCAP format specification, version 0.
 """
 
+import mimetypes
 import struct
 import zlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass
-from typing import BinaryIO
+from io import RawIOBase
 
 import numpy as np
 import zstandard
@@ -52,12 +53,12 @@ def _bytes_of(record: McapRecord) -> bytes:
 
 
 class McapFile:
-    """Writes one MCAP file to an open binary stream: header, metadata and attachments, chunks, summary.
+    """Writes one MCAP file to an unbuffered binary stream: header, metadata and attachments, chunks, summary.
 
     Both checksums, of each chunk and of the whole data section, are always written.
     """
 
-    def __init__(self, stream: BinaryIO, *, library: str):
+    def __init__(self, stream: RawIOBase, *, library: str):
         self._stream = stream
         self._position = 0
         self._crc = 0
@@ -74,7 +75,10 @@ class McapFile:
 
     def _write(self, data: bytes) -> None:
         self._crc = zlib.crc32(data, self._crc)
-        self._stream.write(data)
+        rest = memoryview(data)
+        # An unbuffered stream may take a part only, as on a disk that is about to be full.
+        while rest:
+            rest = rest[self._stream.write(rest) or 0 :]
         self._position += len(data)
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
@@ -83,8 +87,10 @@ class McapFile:
         self._metadata.append(MetadataIndex(offset=self._position, length=len(record), name=name))
         self._write(record)
 
-    def add_attachment(self, name: str, data: bytes, *, media_type: str) -> None:
+    def add_attachment(self, name: str, data: bytes) -> None:
         """Write an attachment; its times are zero, for simulated time has no date."""
+        guessed = "application/toml" if name.endswith(".toml") else mimetypes.guess_type(name)[0]
+        media_type = guessed or "application/octet-stream"
         attachment = Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
         record = _bytes_of(attachment)
         self._attachments.append(
@@ -100,29 +106,32 @@ class McapFile:
         )
         self._write(record)
 
-    def add_channel(self, topic: str, schema: tuple[str, bytes], *, latched: bool = False) -> int:
-        """Register a channel of CDR messages and return its number; it is written with the next chunk."""
-        name, definition = schema
-        known = next((record for record in self._schemas if record.name == name), None)
-        if known is None:
-            known = Schema(id=len(self._schemas) + 1, name=name, encoding="ros2msg", data=definition)
-            self._schemas.append(known)
-            self._unwritten.append(_bytes_of(known))
-        quality = {"offered_qos_profiles": "- durability: 1\n"} if latched else {}
-        channel = Channel(
-            id=len(self._channels) + 1,
-            topic=topic,
-            message_encoding="cdr",
-            metadata=quality,
-            schema_id=known.id,
-        )
-        self._channels.append(channel)
-        self._counts[channel.id] = 0
-        self._unwritten.append(_bytes_of(channel))
-        return channel.id
+    def add_channels(self, topics: Mapping[str, tuple[str, bytes]], *, latched: Set[str] = frozenset()) -> None:
+        """Register the channels of CDR messages, numbered from 1 in the order of `topics`.
+
+        Args:
+            topics: name and definition of each topic's message; written with the next chunk.
+            latched: topics whose last message is for everyone who comes later.
+        """
+        for topic, (name, definition) in topics.items():
+            known = next((record for record in self._schemas if record.name == name), None)
+            if known is None:
+                known = Schema(id=len(self._schemas) + 1, name=name, encoding="ros2msg", data=definition)
+                self._schemas.append(known)
+                self._unwritten.append(_bytes_of(known))
+            channel = Channel(
+                id=len(self._channels) + 1,
+                topic=topic,
+                message_encoding="cdr",
+                metadata={"offered_qos_profiles": "- durability: 1\n"} if topic in latched else {},
+                schema_id=known.id,
+            )
+            self._channels.append(channel)
+            self._counts[channel.id] = 0
+            self._unwritten.append(_bytes_of(channel))
 
     def add_chunk(self, data: bytes, messages: Iterable[ChunkMessages]) -> None:
-        """Write one compressed chunk with its message indexes, and hand everything to the operating system."""
+        """Write one compressed chunk with its message indexes, and hand it to the operating system."""
         messages = [part for part in messages if len(part.times)]
         head = b"".join(self._unwritten)
         self._unwritten.clear()
@@ -159,7 +168,6 @@ class McapFile:
             )
         )
         self._write(b"".join([record, *indexes]))
-        self._stream.flush()
 
     def _statistics(self) -> Statistics:
         return Statistics(
@@ -203,4 +211,3 @@ class McapFile:
         crc = zlib.crc32(head, zlib.crc32(summary))
         footer = Footer(summary_start=start, summary_offset_start=offset_start, summary_crc=crc)
         self._write(bytes(summary) + _bytes_of(footer) + MAGIC)
-        self._stream.flush()

@@ -1,7 +1,8 @@
-"""What a log holds: topics, joint names, the control message's fields, the modes.
+"""What a log holds: topics, joint names, the control message's fields.
 
 One tick is one block of bytes: the MCAP message records of all topics at loop rate, one after the other, as a
-numpy structured type. Writer and reader share it, so that neither handles single messages.
+numpy structured type. Writer and reader share it, so that neither handles single messages. Numbers and order of the
+channels follow from the layout alone, so that a log that lost them can be rebuilt.
 """
 
 from dataclasses import dataclass
@@ -21,17 +22,44 @@ TRANSFORMS = "/tf"
 ROBOT = "/robot_description"
 GHOST = "/reference/robot_description"
 EVENTS = "/rosout"
+MEASURED_CHANNEL = 1
+"""The number of the channel of /joint_states, which every log has and which comes first."""
+LATCHED = frozenset({ROBOT, GHOST})
+"""Topics with one message at the start, for everyone who comes later."""
 
 TRANSFORM_RATE = 50.0
 """Rate of /tf in Hz: enough for the eye, a twentieth of the loop's."""
 
+UNITS = {
+    **dict.fromkeys((MEASURED, ESTIMATE, REFERENCE, TRUTH), "rad, rad/s; cart m, m/s"),
+    CONTROL: "m/s²; σ in rad, rad/s, m, m/s",
+    TRANSFORMS: "m, quaternions",
+    **dict.fromkeys((ROBOT, GHOST), "URDF"),
+    EVENTS: "text",
+}
+"""Units of each topic's numbers."""
+
 LEVELS = {"debug": 10, "info": 20, "warn": 30, "error": 40, "fatal": 50}
 """Levels of an event, with their numbers in rcl_interfaces/Log."""
+
+FORMAT = "2"
+"""Version of the layout: raised whenever topics, messages or metadata change their meaning."""
 
 LAYOUT_RECORD = "dpcontrol.layout"
 RUN_RECORD = "dpcontrol.run"
 RESULT_RECORD = "dpcontrol.result"
-"""Names of the metadata records: the layout (ours), what the caller passed, and how the run went (at the end)."""
+RECOVERY_RECORD = "dpcontrol.recovery"
+"""Names of the metadata records: the layout (ours), what the caller passed, how the run went (at the end), and what a
+recovered log has lost."""
+
+TICKS = "ticks"
+"""In the result: how many ticks the run had."""
+LOST = "lost"
+"""In the recovery's record: what was not saved, a sentence; empty where nothing was lost."""
+
+PARTS = ("rates", "estimate", "reference", "truth", "control")
+"""What a tick may hold besides the measured positions; a log has each in every tick or in none."""
+STATE_TOPICS = {"estimate": ESTIMATE, "reference": REFERENCE, "truth": TRUTH}
 
 MESSAGE_OPCODE = 5
 _RECORD_HEADER = [
@@ -66,6 +94,12 @@ def control_fields(arms: int, *, has_cart: bool) -> tuple[str, ...]:
     return (*_CONTROL_HEAD, *(f"sigma_{i + 1}" for i in range(size)))
 
 
+def state_names(arms: int, *, has_cart: bool) -> tuple[str, ...]:
+    """Return the names of a state's entries in order: `angle_1 …`, `rate_1 …`, then the cart's."""
+    arms_part = tuple(f"{what}_{i + 1}" for what in ("angle", "rate") for i in range(arms))
+    return arms_part + (("cart_position", "cart_velocity") if has_cart else ())
+
+
 def joint_order(arms: int, *, has_cart: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return where positions and velocities of the joints, in the order of their names, stand in a state."""
     positions = list(range(arms)) + ([2 * arms] if has_cart else [])
@@ -75,17 +109,17 @@ def joint_order(arms: int, *, has_cart: bool) -> tuple[NDArray[np.int64], NDArra
 
 @dataclass(frozen=True)
 class TickLayout:
-    """The messages of one tick, in the order in which they are written.
+    """The messages of one tick, in the order in which they are written, and the channels of a log.
 
     Attributes:
         arms: number of arms.
         has_cart: whether the pivot is on a cart.
-        has_truth: whether the plant's true state is logged.
+        parts: those of `PARTS` that the log has.
     """
 
     arms: int
     has_cart: bool
-    has_truth: bool
+    parts: frozenset[str]
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -97,24 +131,36 @@ class TickLayout:
         """Names of the control message's fields."""
         return control_fields(self.arms, has_cart=self.has_cart)
 
-    @property
-    def states(self) -> tuple[str, ...]:
-        """Topics that carry a whole state."""
-        return (ESTIMATE, REFERENCE, TRUTH) if self.has_truth else (ESTIMATE, REFERENCE)
+    @cached_property
+    def widths(self) -> dict[str, int]:
+        """Numbers in a row of each part, in the order of `PARTS`."""
+        size = 2 * len(self.names)
+        return {**dict.fromkeys(PARTS, size), "rates": len(self.names), "control": len(self.fields)}
 
     @cached_property
     def messages(self) -> dict[str, cdr.MessageLayout]:
         """The layout of each topic's message, in order of writing."""
         state = cdr.joint_state(self.names, velocities=True)
-        measured = cdr.joint_state(self.names, velocities=False)
-        control = cdr.doubles(len(self.fields))
-        return {MEASURED: measured, **dict.fromkeys(self.states, state), CONTROL: control}
+        found = {MEASURED: cdr.joint_state(self.names, velocities="rates" in self.parts)}
+        found |= {topic: state for part, topic in STATE_TOPICS.items() if part in self.parts}
+        if "control" in self.parts:
+            found[CONTROL] = cdr.doubles(len(self.fields))
+        return found
 
     @cached_property
     def schemas(self) -> dict[str, tuple[str, bytes]]:
-        """Name and definition of each topic's message."""
+        """Name and definition of each topic's message, in the order of the channels."""
         control = schemas.control_schema(self.fields)
-        return {topic: control if topic == CONTROL else schemas.JOINT_STATE for topic in self.messages}
+        found = {topic: control if topic == CONTROL else schemas.JOINT_STATE for topic in self.messages}
+        found |= {TRANSFORMS: schemas.TF_MESSAGE, EVENTS: schemas.LOG, ROBOT: schemas.STRING}
+        if "reference" in self.parts:
+            found[GHOST] = schemas.STRING
+        return found
+
+    @cached_property
+    def channels(self) -> dict[str, int]:
+        """The number of each topic's channel."""
+        return {topic: number for number, topic in enumerate(self.schemas, start=1)}
 
 
 def message_type(layout: cdr.MessageLayout) -> np.dtype:

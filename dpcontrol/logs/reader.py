@@ -5,18 +5,24 @@ and those at loop rate are decoded as arrays, for their layout is known from the
 """
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import cdr, layout
+from dpcontrol.logs.sealed import unsealed
 from dpcontrol.logs.verified import MALFORMED, VerifiedFile, damaged, note_channel, open_verified
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+Array = NDArray[np.float64]
 
 _RECORD = struct.Struct("<BQH")
 _BATCH_BYTES = 4_000_000
@@ -34,16 +40,16 @@ class Event(NamedTuple):
 
 @dataclass(frozen=True)
 class RunLog:
-    """A run as it was logged; arrays are read-only.
+    """A log in memory; arrays are read-only.
 
     Attributes:
         path: where it was read from.
         time: (N,) in s.
         measured: (N, n+1) positions as the sensors gave them, in the order of `joint_names`; rad, m.
-        estimate: (N, 2n+2) in state order; rad, rad/s, m, m/s (2n entries without a cart).
-        reference: (N, 2n+2) likewise.
-        truth: (N, 2n+2) likewise, or None where nobody knows it.
-        control: (N,) for each name of `control_fields`.
+        rates: (N, n+1) rates as the sensors gave them, rad/s and m/s, or None.
+        states: (N, 2n+2) in state order, rad, rad/s, m, m/s (2n entries without a cart), for each of "estimate",
+            "reference" and "truth" that the log has.
+        controls: (N,) for each name of `control_fields`; empty where no controller ran.
         events: in the order in which they were logged.
         metadata: what the writer's caller passed at the start and at the end, and `program`, which wrote it.
         attachments: content by name.
@@ -52,15 +58,15 @@ class RunLog:
         has_cart: whether the pivot is on a cart.
         rate_hz: rate of the loop in Hz.
         limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s²; or None.
+        recovered: what `dpcontrol recover` could not save of this log, a sentence; None where nothing was recovered.
     """
 
     path: Path
-    time: NDArray[np.float64]
-    measured: NDArray[np.float64]
-    estimate: NDArray[np.float64]
-    reference: NDArray[np.float64]
-    truth: NDArray[np.float64] | None
-    control: dict[str, NDArray[np.float64]]
+    time: Array
+    measured: Array
+    rates: Array | None
+    states: dict[str, Array]
+    controls: dict[str, Array]
     events: tuple[Event, ...]
     metadata: dict[str, str]
     attachments: dict[str, bytes]
@@ -69,6 +75,77 @@ class RunLog:
     has_cart: bool
     rate_hz: float
     limits: tuple[float, float, float] | None
+    recovered: str | None = None
+
+    @property
+    def parts(self) -> frozenset[str]:
+        """Which of "rates", "estimate", "reference", "truth" and "control" the log has; `measured` is always there."""
+        found = {*self.states} | ({"control"} if self.controls else set())
+        return frozenset(found | ({"rates"} if self.rates is not None else set()))
+
+    @property
+    def truth(self) -> Array | None:
+        """The plant's own states, or None where nobody knows them."""
+        return self.states.get("truth")
+
+    @property
+    def estimate(self) -> Array:
+        """The estimator's states.
+
+        Raises:
+            InputError: the log has none.
+        """
+        return self._state("estimate", "/estimate/joint_states")
+
+    @property
+    def reference(self) -> Array:
+        """The states to follow.
+
+        Raises:
+            InputError: the log has none.
+        """
+        return self._state("reference", "/reference/joint_states")
+
+    @property
+    def control(self) -> dict[str, Array]:
+        """What the controller did, by name of field.
+
+        Raises:
+            InputError: no controller ran.
+        """
+        if not self.controls:
+            raise InputError(self._lacks("/control"))
+        return self.controls
+
+    def _state(self, part: str, topic: str) -> Array:
+        if part not in self.states:
+            raise InputError(self._lacks(topic))
+        return self.states[part]
+
+    def _lacks(self, topic: str) -> str:
+        return f"{self.path} has no {topic}: it is a recording, not a run; give a log of `dpcontrol run`"
+
+    def frame(self) -> "DataFrame":
+        """Return a pandas table: one row for each tick, indexed by `time` in s.
+
+        Columns: `measured.arm_1` …, `rates.arm_1` …, `estimate.angle_1`, `estimate.rate_1`, `estimate.cart_position`,
+        `estimate.cart_velocity`, likewise `reference` and `truth`, and `control.command` …; those that the log has.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        try:
+            from pandas import DataFrame, Index
+        except ImportError as error:
+            raise InputError("a table of a log needs pandas; install it with `pip install pandas`") from error
+        columns = {f"measured.{name}": self.measured[:, i] for i, name in enumerate(self.joint_names)}
+        if self.rates is not None:
+            columns |= {f"rates.{name}": self.rates[:, i] for i, name in enumerate(self.joint_names)}
+        names = layout.state_names(len(self.arm_lengths), has_cart=self.has_cart)
+        for part, values in self.states.items():
+            columns |= {f"{part}.{name}": values[:, i] for i, name in enumerate(names)}
+        columns |= {f"control.{name}": values for name, values in self.controls.items()}
+        return DataFrame(columns, index=Index(self.time, name="time"))
 
 
 def read_log(path: Path | str) -> RunLog:
@@ -86,8 +163,8 @@ def read_log(path: Path | str) -> RunLog:
 
 
 def _decode(path: Path, file: VerifiedFile) -> RunLog:
-    batches = _batches(file)
-    first = next(batches, None)
+    found = batches(file)
+    first = next(found, None)
     tick = _tick_layout(path, file)
     if first is None or not file.has_checksum:
         reason = "holds no messages" if first is None else "carries no checksum of its data, so nothing vouches for it"
@@ -95,7 +172,7 @@ def _decode(path: Path, file: VerifiedFile) -> RunLog:
     topics = {channel.id: channel.topic for channel in file.channels.values()}
     columns: dict[str, list[NDArray]] = {topic: [] for topic in tick.messages}
     events: list[Event] = []
-    for data, places in chain([first], batches):
+    for data, places in chain([first], found):
         for number, offsets in places.items():
             topic = topics.get(number, "")
             if topic in columns:
@@ -106,7 +183,7 @@ def _decode(path: Path, file: VerifiedFile) -> RunLog:
     return _run_log(path, file, tick=tick, records=whole, events=events)
 
 
-def _batches(file: VerifiedFile) -> Iterator[tuple[bytes, dict[int, list[int]]]]:
+def batches(file: VerifiedFile) -> Iterator[tuple[bytes, dict[int, list[int]]]]:
     """Yield the records of several chunks, and the offsets of their messages by channel."""
     pending, size = [], 0
     for content in file.contents():
@@ -137,35 +214,54 @@ def _offsets(file: VerifiedFile, data: bytes) -> tuple[bytes, dict[int, list[int
     return data, found
 
 
+def log_times(data: bytes, offsets: list[int]) -> NDArray[np.int64]:
+    """Return the times in ns of the messages at `offsets`."""
+    size = layout.RECORD_HEADER.itemsize
+    everywhere = np.ndarray((len(data) - size + 1,), f"V{size}", buffer=data, strides=(1,))
+    return everywhere[np.array(offsets)].view(layout.RECORD_HEADER)["log_time"].astype(np.int64)
+
+
 def _tick_layout(path: Path, file: VerifiedFile) -> layout.TickLayout:
     """Return what a tick of this log holds, once topics, encodings and schemas are those of a run's log."""
     by_topic = {channel.topic: channel for channel in file.channels.values()}
-    required = (layout.MEASURED, layout.ESTIMATE, layout.REFERENCE, layout.CONTROL)
-    missing = [topic for topic in required if topic not in by_topic]
     described = file.metadata.get(layout.LAYOUT_RECORD)
-    if missing or described is None:
-        what = f"the topics {', '.join(missing)}" if missing else f"the metadata record {layout.LAYOUT_RECORD}"
+    if described is None:
         writer = f" (written by {file.library})" if file.library else ""
-        raise InputError(f"{path}{writer} is not a log of a run: it lacks {what}; give a log of `dpcontrol run`")
-    if described.get("format") != "1":
         raise InputError(
-            f"{path} has layout {described.get('format')!r}, and this version of dpcontrol reads layout '1'; "
-            "read it with the version that wrote it"
+            f"{path}{writer} is not a log of dpcontrol: it lacks the metadata record {layout.LAYOUT_RECORD}; give a "
+            "log of `dpcontrol run`"
         )
-    tick = layout.TickLayout(
-        arms=len(described["arm_lengths"].split()),
-        has_cart=described["has_cart"] == "1",
-        has_truth=layout.TRUTH in by_topic,
-    )
+    tick = tick_layout_of(path, described)
     for topic, (name, definition) in tick.schemas.items():
-        channel = by_topic[topic]
-        schema = file.schemas.get(channel.schema_id)
-        if schema is None or schema.data != definition or channel.message_encoding != "cdr":
-            found = f"{schema.name if schema else 'no schema'} in {channel.message_encoding or 'no encoding'}"
+        channel = by_topic.get(topic)
+        schema = file.schemas.get(channel.schema_id) if channel else None
+        if channel is None or schema is None or schema.data != definition or channel.message_encoding != "cdr":
+            encoding = channel.message_encoding if channel else ""
+            found = f"{schema.name if schema else 'no schema'} in {encoding or 'no encoding'}"
             raise InputError(
                 f"{path}: topic {topic} carries {found}, not {name} in cdr as a log of `dpcontrol run` does"
             )
     return tick
+
+
+def tick_layout_of(path: Path, described: Mapping[str, str]) -> layout.TickLayout:
+    """Return what a tick holds by the metadata record of a log's layout.
+
+    Raises:
+        InputError: the layout is of another version of this program.
+        LookupError, ValueError: the record is not as the writer makes it.
+    """
+    if described.get("format") != layout.FORMAT:
+        raise InputError(
+            f"{path} has layout {described.get('format')!r}, and this version of dpcontrol reads layout "
+            f"{layout.FORMAT!r}; read it with the version that wrote it, or run the itinerary again"
+        )
+    if unsealed(layout.LAYOUT_RECORD, described) is None:
+        raise ValueError(f"the checksum of {layout.LAYOUT_RECORD} differs")
+    parts = frozenset(described["parts"].split())
+    if not parts <= set(layout.PARTS):
+        raise ValueError(f"unknown parts {sorted(parts)}")
+    return layout.TickLayout(len(described["arm_lengths"].split()), described["has_cart"] == "1", parts)
 
 
 def _columns(path: Path, data: bytes, offsets: list[int], *, topic: str, tick: layout.TickLayout) -> NDArray:
@@ -207,40 +303,37 @@ def _run_log(
         if part is None or not np.array_equal(part["log_time"], measured["log_time"]):
             damaged(path, f"the messages of {topic} do not pair with those of {layout.MEASURED}")
     positions, velocities = layout.joint_order(tick.arms, has_cart=tick.has_cart)
-
-    def state(topic: str) -> NDArray[np.float64]:
-        part = records[topic]
-        assert part is not None
-        joined = np.empty((len(part), len(positions) + len(velocities)))
-        joined[:, positions] = part["position"]
-        joined[:, velocities] = part["velocity"]
-        return _frozen(joined)
-
-    rows = records[layout.CONTROL]
-    assert rows is not None
-    control = {name: _frozen(rows["row"][:, i].copy()) for i, name in enumerate(tick.fields)}
+    states: dict[str, Array] = {}
+    for part, topic in layout.STATE_TOPICS.items():
+        # Taken out of the mapping as they are used: a long log is held once, not twice.
+        rows = records.pop(topic, None)
+        if rows is not None:
+            joined = np.empty((len(rows), len(positions) + len(velocities)))
+            joined[:, positions] = rows["position"]
+            joined[:, velocities] = rows["velocity"]
+            states[part] = _frozen(joined)
+    rows = records.pop(layout.CONTROL, None)
+    control = {} if rows is None else {name: _frozen(rows["row"][:, i].copy()) for i, name in enumerate(tick.fields)}
     described = file.metadata[layout.LAYOUT_RECORD]
     limits = tuple(float(text) for text in described["limits"].split())
+    said = {name: unsealed(name, record) or {} for name, record in file.metadata.items()}
+    result = {key: value for key, value in said.get(layout.RESULT_RECORD, {}).items() if key != layout.TICKS}
     return RunLog(
         path=path,
         time=_frozen(measured["log_time"] / 1e9),
         measured=_frozen(measured["position"].copy()),
-        estimate=state(layout.ESTIMATE),
-        reference=state(layout.REFERENCE),
-        truth=state(layout.TRUTH) if tick.has_truth else None,
-        control=control,
+        rates=_frozen(measured["velocity"].copy()) if "rates" in tick.parts else None,
+        states=states,
+        controls=control,
         events=tuple(events),
-        metadata={
-            **file.metadata.get(layout.RESULT_RECORD, {}),
-            **file.metadata.get(layout.RUN_RECORD, {}),
-            "program": described["program"],
-        },
+        metadata={**result, **said.get(layout.RUN_RECORD, {}), "program": described["program"]},
         attachments=dict(file.attachments),
         joint_names=tick.names,
         arm_lengths=tuple(float(text) for text in described["arm_lengths"].split()),
         has_cart=tick.has_cart,
         rate_hz=float(described["rate_hz"]),
         limits=(limits[0], limits[1], limits[2]) if limits else None,
+        recovered=said.get(layout.RECOVERY_RECORD, {}).get(layout.LOST) or None,
     )
 
 

@@ -52,32 +52,18 @@ def poses(states: NDArray[np.float64], *, arm_lengths: Sequence[float], has_cart
         (K, F, 7): x, y, z in m and the quaternion's x, y, z, w.
     """
     arms = len(arm_lengths)
-    rows = [_still(len(states))]
+    first = 1 + has_cart
+    half = states[:, :arms] / 2
+    sine, cosine = np.sin(half), np.cos(half)
+    found = np.zeros((len(states), first + 2 * arms - 1, 7))
+    found[:, :first, 6] = 1.0
     if has_cart:
-        cart = _still(len(states))
-        cart[:, 0] = states[:, 2 * arms]
-        rows.append(cart)
-    for i in range(arms):
-        rows.append(_turned(states[:, i]))
-        if i < arms - 1:
-            elbow = _turned(-states[:, i])
-            elbow[:, 2] = -arm_lengths[i]
-            rows.append(elbow)
-    return np.stack(rows, axis=1)
-
-
-def _still(count: int) -> NDArray[np.float64]:
-    pose = np.zeros((count, 7))
-    pose[:, 6] = 1.0
-    return pose
-
-
-def _turned(angle: NDArray[np.float64]) -> NDArray[np.float64]:
-    # Counter-clockwise with x right and z up is a turn about -y.
-    pose = np.zeros((len(angle), 7))
-    pose[:, 4] = -np.sin(angle / 2)
-    pose[:, 6] = np.cos(angle / 2)
-    return pose
+        found[:, 1, 0] = states[:, 2 * arms]
+    # Counter-clockwise with x right and z up is a turn about -y; arms and elbows alternate.
+    found[:, first::2, 4], found[:, first::2, 6] = -sine, cosine
+    found[:, first + 1 :: 2, 4], found[:, first + 1 :: 2, 6] = sine[:, :-1], cosine[:, :-1]
+    found[:, first + 1 :: 2, 2] = -np.asarray(arm_lengths[:-1])
+    return found
 
 
 def robot_description(

@@ -22,6 +22,7 @@ from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs.container import MAGIC
+from dpcontrol.logs.partial import partials_of
 
 _HEAD = struct.Struct("<BQ")
 _AGAIN = "make it again with `dpcontrol run`"
@@ -77,24 +78,29 @@ class VerifiedFile:
 
 def damaged(path: Path, reason: str, *, cause: BaseException | None = None) -> NoReturn:
     """Raise the InputError for a file whose bytes are not those that were written."""
-    raise InputError(f"{path} is damaged ({reason}); copy it again from its source or {_AGAIN}") from cause
+    raise InputError(f"{path} is damaged ({reason}); copy it again from its source, or {_recover(path)}") from cause
 
 
 def _stream(body: memoryview | bytes) -> ReadDataStream:
     return ReadDataStream(BytesIO(body))
 
 
-def _content(path: Path) -> bytes:
+def recorded_bytes(path: Path) -> bytes:
+    """Return the bytes of a file, whatever they are.
+
+    Raises:
+        InputError: there is no such file, or it cannot be read or is empty.
+    """
     try:
         data = path.read_bytes()
     except FileNotFoundError as error:
-        raise InputError(f"there is no log {path}; check the name or {_AGAIN}") from error
+        left = partials_of(path)
+        remedy = f"a run left {left[-1]}: {_recover(left[-1])}" if left else f"check the name or {_AGAIN}"
+        raise InputError(f"there is no log {path}; {remedy}") from error
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}; give the path of a .mcap file") from error
     if not data:
         raise InputError(f"{path} is empty; {_AGAIN}")
-    if not (data.startswith(MAGIC) or MAGIC.startswith(data)):
-        raise InputError(f"{path} is not an MCAP file (it begins with {data[:8]!r}); give a log of `dpcontrol run`")
     return data
 
 
@@ -111,9 +117,14 @@ def _walk(path: Path, data: bytes) -> list[tuple[int, int, int]]:
         place = end
         if opcode == Opcode.FOOTER:
             break
-    whole = bool(found) and found[-1][0] == Opcode.FOOTER and data[place:] == MAGIC
+    closed = bool(found) and found[-1][0] == Opcode.FOOTER
+    whole = closed and data[place:] == MAGIC
     if whole and any(opcode == Opcode.DATA_END for opcode, _, _ in found):
         return found
+    if closed and data[place:].startswith(MAGIC):
+        extra = len(data) - place - len(MAGIC)
+        what = "byte that does" if extra == 1 else "bytes that do"
+        raise InputError(f"{path} is followed by {extra} {what} not belong to it; {_recover(path)}")
     if data.endswith(MAGIC) and len(data) > len(MAGIC):
         damaged(path, f"its records do not follow one another at byte {place}")
     ends = [
@@ -122,7 +133,11 @@ def _walk(path: Path, data: bytes) -> list[tuple[int, int, int]]:
         if opcode == Opcode.CHUNK and end - start >= 16
     ]
     moment = f"at {max(ends) / 1e9:.3f} s" if ends else "before its first tick"
-    raise InputError(f"{path} is cut off {moment}: the run was interrupted or the copy is incomplete; {_AGAIN}")
+    raise InputError(f"{path} is cut off {moment}: the run was interrupted or the copy is incomplete; {_recover(path)}")
+
+
+def _recover(path: Path) -> str:
+    return f"`dpcontrol recover {path}` makes a log of what is there"
 
 
 def _check(path: Path, data: bytes, records: list[tuple[int, int, int]]) -> bool:
@@ -148,7 +163,9 @@ def open_verified(path: Path) -> VerifiedFile:
     Raises:
         InputError: there is no such file, or it is empty, no MCAP file, cut off or damaged.
     """
-    data = _content(path)
+    data = recorded_bytes(path)
+    if not (data.startswith(MAGIC) or MAGIC.startswith(data)):
+        raise InputError(f"{path} is not an MCAP file (it begins with {data[:8]!r}); give a log of `dpcontrol run`")
     records = _walk(path, data)
     has_checksum = _check(path, data, records)
     view = memoryview(data)

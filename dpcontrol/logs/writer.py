@@ -1,34 +1,44 @@
-"""Write a run's log: one `tick` per period of the loop, `event` for what happens in between.
+"""Write a log: one `tick` per period of the loop, `event` for what happens in between.
+
+One writer serves simulation, rig, import and replay. A tick needs the measured positions only; rates, estimate,
+reference, truth and control are each given in every tick of a log or in none, which the first tick decides. There is
+one rate in a log: what comes at a lower one is an event, or logged again with each tick. Times may jump forward.
 
 Ticks are collected as rows of numbers and turned into messages some twenty milliseconds at a time, so that a run
-that is killed loses no more than that. The file grows as `NAME.mcap.partial` and gets its name when complete.
+that is killed loses no more than that. The file grows as `NAME.mcap.partial` and gets its name when complete and on
+the disk.
 """
 
-import mimetypes
+import json
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from importlib.metadata import version
+from io import FileIO
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs import cdr, layout, schemas, urdf
+from dpcontrol.logs import cdr, layout, urdf
 from dpcontrol.logs.blocks import REFERENCE_PREFIX, ChunkEncoder, Note, TickRows
 from dpcontrol.logs.container import McapFile
+from dpcontrol.logs.partial import moved_away, open_partial, sync_folder
+from dpcontrol.logs.sealed import sealed
 
-_CHUNK_SECONDS = 0.02
-_CHUNK_ROWS = 20
+CHUNK_SECONDS = 0.02
+"""Of a chunk: what a run that is killed loses at most, and a tick."""
+
+Row = NDArray[np.float64]
 
 
 class LogWriter:
-    """Writes the log of one run; a context manager.
+    """Writes one log; a context manager.
 
     Leaving the block normally completes the file and renames it; leaving it by an exception keeps what was written
-    as `NAME.mcap.partial`, for a look at what went wrong.
+    as `NAME.mcap.partial`, which `dpcontrol recover` makes a log of, and adds a note to the exception that says so.
 
     Args:
         path: the log, by convention `*.mcap`; an older one is replaced when this one is complete.
@@ -59,37 +69,34 @@ class LogWriter:
         self._lengths = tuple(float(length) for length in arm_lengths)
         self._has_cart = has_cart
         self._limits = limits
-        self._metadata = dict(metadata or {})
+        self._metadata = sealed(layout.RUN_RECORD, dict(metadata or {}))
         self._attachments = dict(attachments or {})
         self._rate = float(rate_hz)
-        self._arms = len(self._lengths)
-        if self._arms < 1 or not self._rate > 0:
-            raise ValueError(f"a log needs arms and a positive rate; got {self._arms} arms at {rate_hz} Hz")
-        self._size = 2 * self._arms + 2 * has_cart
-        self._joints = self._arms + has_cart
-        self._width = len(layout.control_fields(self._arms, has_cart=has_cart))
-        self._rows = max(_CHUNK_ROWS, round(_CHUNK_SECONDS * self._rate))
+        if not self._lengths or not self._rate > 0:
+            raise ValueError(f"a log needs arms and a positive rate; got {len(self._lengths)} arms at {rate_hz} Hz")
+        tick = layout.TickLayout(len(self._lengths), has_cart, frozenset(layout.PARTS))
+        self._joints, self._size, self._width = len(tick.names), 2 * len(tick.names), len(tick.fields)
+        self._rows = max(1, round(CHUNK_SECONDS * self._rate))
         self._time = np.zeros(self._rows)
         self._measured = np.zeros((self._rows, self._joints))
-        self._estimate = np.zeros((self._rows, self._size))
-        self._reference = np.zeros((self._rows, self._size))
-        self._truth = np.zeros((self._rows, self._size))
-        self._control = np.zeros((self._rows, self._width))
-        self._filled = 0
-        self._has_truth: bool | None = None
+        self._parts = {part: np.zeros((self._rows, width)) for part, width in tick.widths.items()}
+        self._rates, self._estimate, self._reference, self._truth, self._control = self._parts.values()
+        self._given: tuple[bool, ...] | None = None
+        self._filled = self._ticks = 0
         self._last = 0.0
         self._notes: list[Note] = []
         self._result: dict[str, str] = {}
         self._encoder: ChunkEncoder | None = None
         self._file: McapFile | None = None
-        self._stream: BinaryIO | None = None
+        self._stream: FileIO | None = None
+        self._torn = False
 
     def __enter__(self) -> "LogWriter":
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             if self.path.is_dir():
                 raise InputError(f"cannot write {self.path}: it is a folder; choose another file name")
-            self._stream = self._open()
+            self.partial, self._stream = open_partial(self.path)
             self._start(self._stream)
         except OSError as error:
             raise self._unwritable(error) from error
@@ -101,99 +108,109 @@ class LogWriter:
         if self._stream is None or self._file is None:
             return
         try:
-            empty = kind is not None and not self._filled and self._encoder is None
-            if not empty:
-                self._write_chunk()
-            if kind is None:
-                if self._result:
-                    self._file.add_metadata(layout.RESULT_RECORD, self._result)
-                self._file.finish()
-            self._stream.close()
-            if kind is None:
-                self.partial.replace(self.path)
-            elif empty:
-                # A run that failed before its first tick leaves nothing worth a look.
-                self.partial.unlink(missing_ok=True)
+            if error is None:
+                self._finish(self._file, self._stream)
+            else:
+                self._give_up(error)
         except OSError as failure:
             raise self._unwritable(failure) from failure
         finally:
             self._stream.close()
             self._stream = self._file = None
 
-    def _open(self) -> BinaryIO:
-        """Open the partial file; where another run writes the same log, one of this process's own."""
-        try:
-            return self.partial.open("xb")
-        except FileExistsError:
-            self.partial = self.path.with_name(f"{self.path.name}.{os.getpid()}.partial")
-            return self.partial.open("wb")
+    def _finish(self, file: McapFile, stream: FileIO) -> None:
+        if self._encoder is None:
+            self._encoder = self._prepare(file)
+        self._write_chunk()
+        values = {**self._result, layout.TICKS: str(self._ticks)}
+        file.add_metadata(layout.RESULT_RECORD, sealed(layout.RESULT_RECORD, values))
+        file.finish()
+        os.fsync(stream.fileno())
+        stream.close()
+        self.partial.replace(self.path)
+        sync_folder(self.path.parent)
+
+    def _give_up(self, error: BaseException) -> None:
+        """Keep what was written and say where it is; a chunk that was cut short is followed by no other."""
+        if self._encoder is None and not self._filled:
+            # A run that failed before its first tick leaves nothing worth a look.
+            self.partial.unlink(missing_ok=True)
+            return
+        if not self._torn:
+            # Where this fails too, the exception under way says what went wrong first.
+            with suppress(InputError):
+                self._write_chunk()
+        if self.partial.exists():
+            error.add_note(
+                f"{self.partial} keeps the run up to {self._last:.3f} s at most; `dpcontrol recover {self.partial}` "
+                "makes a log of it"
+            )
 
     def _unwritable(self, error: OSError) -> InputError:
         return InputError(f"cannot write {self.path}: {error.strerror or error}; choose another file or folder")
 
-    def _start(self, stream: BinaryIO) -> None:
-        program = f"dpcontrol {version('dpcontrol')}"
-        self._file = McapFile(stream, library=program)
-        described = {
-            "format": "1",
-            "arm_lengths": " ".join(repr(length) for length in self._lengths),
-            "has_cart": "1" if self._has_cart else "0",
-            "rate_hz": repr(self._rate),
-            "limits": " ".join(repr(float(limit)) for limit in self._limits or ()),
-            "program": program,
-        }
-        self._file.add_metadata(layout.LAYOUT_RECORD, described)
+    def _start(self, stream: FileIO) -> None:
+        self._file = McapFile(stream, library=f"dpcontrol {version('dpcontrol')}")
         self._file.add_metadata(layout.RUN_RECORD, self._metadata)
         for name, data in self._attachments.items():
-            kind = "application/toml" if name.endswith(".toml") else mimetypes.guess_type(name)[0]
-            self._file.add_attachment(name, data, media_type=kind or "application/octet-stream")
+            self._file.add_attachment(name, data)
 
     def tick(
         self,
         time_s: float,
         *,
-        measured: NDArray[np.float64],
-        estimate: NDArray[np.float64],
-        reference: NDArray[np.float64],
-        truth: NDArray[np.float64] | None,
-        control: NDArray[np.float64],
+        measured: Row,
+        rates: Row | None = None,
+        estimate: Row | None = None,
+        reference: Row | None = None,
+        truth: Row | None = None,
+        control: Row | None = None,
     ) -> None:
-        """Log one period of the loop.
+        """Log one period of the loop; all but `measured` in every tick of a log or in none.
 
         Args:
             time_s: time since the start in s, not before that of the last tick.
             measured: (n+1,) positions as the sensors gave them: rad, and m for the cart.
+            rates: (n+1,) rates as the sensors gave them, rad/s and m/s, where they give any.
             estimate: (2n+2,) in state order: rad, rad/s, m, m/s.
             reference: (2n+2,) likewise.
-            truth: (2n+2,) likewise, the plant's own state; None in every tick of a run that has none.
+            truth: (2n+2,) likewise, the plant's own state.
             control: (13,) for a double pendulum on a cart: the row of `layout.control_fields`.
 
         Raises:
-            ValueError: an array of another length, a time before the last, or truth in some ticks only.
+            ValueError: an array of another length, a time before the last, or a part in some ticks only.
             InputError: the file cannot be written.
         """
         row = self._filled
-        if (truth is not None) is not self._has_truth:
-            self._decide_truth(truth is not None)
-        if (
-            len(measured) != self._joints
-            or len(estimate) != self._size
-            or len(reference) != self._size
-            or len(control) != self._width
-        ):
-            raise ValueError(
-                f"a tick needs measured ({self._joints},), estimate and reference ({self._size},), control "
-                f"({self._width},); got {len(measured)}, {len(estimate)}, {len(reference)}, {len(control)}"
-            )
+        given = (rates is not None, estimate is not None, reference is not None, truth is not None, control is not None)
+        if given != self._given:
+            self._decide(given)
         if not time_s >= self._last:
             raise ValueError(f"tick at {time_s} s after one at {self._last} s")
-        self._time[row] = self._last = time_s
+        if (
+            len(measured) != self._joints
+            or (rates is not None and len(rates) != self._joints)
+            or (estimate is not None and len(estimate) != self._size)
+            or (reference is not None and len(reference) != self._size)
+            or (truth is not None and len(truth) != self._size)
+            or (control is not None and len(control) != self._width)
+        ):
+            raise ValueError(
+                f"a tick needs measured and rates ({self._joints},), estimate, reference and truth ({self._size},), "
+                f"control ({self._width},)"
+            )
         self._measured[row] = measured
-        self._estimate[row] = estimate
-        self._reference[row] = reference
+        if rates is not None:
+            self._rates[row] = rates
+        if estimate is not None:
+            self._estimate[row] = estimate
+        if reference is not None:
+            self._reference[row] = reference
         if truth is not None:
             self._truth[row] = truth
-        self._control[row] = control
+        if control is not None:
+            self._control[row] = control
+        self._time[row] = self._last = time_s
         self._filled = row + 1
         if self._filled == self._rows:
             self._write_chunk()
@@ -202,34 +219,33 @@ class LogWriter:
         self,
         time_s: ArrayLike,
         *,
-        measured: NDArray[np.float64],
-        estimate: NDArray[np.float64],
-        reference: NDArray[np.float64],
-        truth: NDArray[np.float64] | None,
-        control: NDArray[np.float64],
+        measured: Row,
+        rates: Row | None = None,
+        estimate: Row | None = None,
+        reference: Row | None = None,
+        truth: Row | None = None,
+        control: Row | None = None,
     ) -> None:
         """Log K periods at once, for loops that run as compiled code: arguments as in `tick`, with K rows each."""
         times = np.asarray(time_s, float)
-        arrays = [measured, estimate, reference, control] + ([] if truth is None else [truth])
-        widths = [self._joints, self._size, self._size, self._width, self._size]
-        for array, width in zip(arrays, widths, strict=False):
-            if np.shape(array) != (len(times), width):
-                raise ValueError(f"expected rows of shape {(len(times), width)}, got {np.shape(array)}")
+        rows = (rates, estimate, reference, truth, control)
+        given = tuple(array is not None for array in rows)
+        pairs = [(self._measured, measured)]
+        pairs += [(to, array) for to, array in zip(self._parts.values(), rows, strict=True) if array is not None]
+        for to, array in pairs:
+            if np.shape(array) != (len(times), to.shape[1]):
+                raise ValueError(f"expected rows of shape {(len(times), to.shape[1])}, got {np.shape(array)}")
         if len(times) and not (times[0] >= self._last and (np.diff(times) >= 0).all()):
             raise ValueError("the times of ticks must not decrease")
-        if (truth is not None) is not self._has_truth:
-            self._decide_truth(truth is not None)
+        if given != self._given:
+            self._decide(given)
         done = 0
         while done < len(times):
             count = min(self._rows - self._filled, len(times) - done)
-            to, since = slice(self._filled, self._filled + count), slice(done, done + count)
-            self._time[to] = times[since]
-            self._measured[to] = measured[since]
-            self._estimate[to] = estimate[since]
-            self._reference[to] = reference[since]
-            self._control[to] = control[since]
-            if truth is not None:
-                self._truth[to] = truth[since]
+            into, since = slice(self._filled, self._filled + count), slice(done, done + count)
+            self._time[into] = times[since]
+            for to, array in pairs:
+                to[into] = array[since]
             self._filled += count
             done += count
             self._last = float(times[done - 1])
@@ -240,11 +256,6 @@ class LogWriter:
         """Note how the run went, as metadata at the end of the log: what need not be the same when it is repeated."""
         self._result.update(values)
 
-    def _decide_truth(self, has_truth: bool) -> None:
-        if self._has_truth is not None:
-            raise ValueError("truth must be given in every tick of a run or in none")
-        self._has_truth = has_truth
-
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
         """Log an event: `level` is debug, info, warn, error or fatal, `name` the part it came from."""
         if level not in layout.LEVELS:
@@ -253,44 +264,66 @@ class LogWriter:
         message = cdr.log(time_ns, layout.LEVELS[level], name=name, text=text)
         self._notes.append(Note(row=self._filled, topic=layout.EVENTS, time_ns=time_ns, content=message))
 
+    def _decide(self, given: tuple[bool, ...]) -> None:
+        if self._given is not None:
+            names = (part for part, a, b in zip(layout.PARTS, given, self._given, strict=True) if a != b)
+            raise ValueError(f"{', '.join(names)} must be given in every tick of a run or in none")
+        self._given = given
+
     def _prepare(self, file: McapFile) -> ChunkEncoder:
-        # Done with the first chunk: only then is it known whether the run has a truth.
-        tick = layout.TickLayout(self._arms, self._has_cart, bool(self._has_truth))
-        channels = {topic: file.add_channel(topic, tick.schemas[topic]) for topic in tick.messages}
-        channels[layout.TRANSFORMS] = file.add_channel(layout.TRANSFORMS, schemas.TF_MESSAGE)
-        channels[layout.EVENTS] = file.add_channel(layout.EVENTS, schemas.LOG)
+        # Done with the first chunk: only then is it known what a tick holds.
+        given = self._given or (False,) * len(layout.PARTS)
+        parts = frozenset(part for part, has in zip(layout.PARTS, given, strict=True) if has)
+        tick = layout.TickLayout(len(self._lengths), self._has_cart, parts)
+        described = {
+            "format": layout.FORMAT,
+            "arm_lengths": " ".join(repr(length) for length in self._lengths),
+            "has_cart": "1" if self._has_cart else "0",
+            "rate_hz": repr(self._rate),
+            "limits": " ".join(repr(float(limit)) for limit in self._limits or ()),
+            "parts": " ".join(part for part in layout.PARTS if part in parts),
+            "attachments": json.dumps(list(self._attachments)),
+            "program": f"dpcontrol {version('dpcontrol')}",
+        }
+        file.add_metadata(layout.LAYOUT_RECORD, sealed(layout.LAYOUT_RECORD, described))
+        file.add_channels(tick.schemas, latched=layout.LATCHED)
         first = round(self._time[0] * 1e9) if self._filled else 0
-        for topic, prefix in {layout.ROBOT: "", layout.GHOST: REFERENCE_PREFIX}.items():
-            channels[topic] = file.add_channel(topic, schemas.STRING, latched=True)
+        for topic in (topic for topic in tick.channels if topic in layout.LATCHED):
+            ghost = topic == layout.GHOST
             text = urdf.robot_description(
                 self._lengths,
                 has_cart=self._has_cart,
                 limits=self._limits,
-                prefix=prefix,
-                ghost=topic == layout.GHOST,
+                prefix=REFERENCE_PREFIX if ghost else "",
+                ghost=ghost,
             )
             self._notes.insert(0, Note(row=0, topic=topic, time_ns=first, content=cdr.string(text)))
-        return ChunkEncoder(tick, self._lengths, channels=channels, rows=self._rows)
+        return ChunkEncoder(tick, self._lengths, rows=self._rows)
 
     def _write_chunk(self) -> None:
         if self._file is None:
             raise ValueError(f"the log {self.path} is not open: use LogWriter in a with statement")
-        if self._encoder is None:
-            self._encoder = self._prepare(self._file)
         count = self._filled
         if not count and not self._notes:
             return
-        rows = TickRows(
-            time_ns=np.rint(self._time[:count] * 1e9).astype(np.int64),
-            measured=self._measured[:count],
-            estimate=self._estimate[:count],
-            reference=self._reference[:count],
-            truth=self._truth[:count] if self._has_truth else None,
-            control=self._control[:count],
-        )
+        self._torn = True
         try:
+            if self._encoder is None:
+                self._encoder = self._prepare(self._file)
+            rows = TickRows(
+                time_ns=np.rint(self._time[:count] * 1e9).astype(np.int64),
+                measured=self._measured[:count],
+                parts={part: self._parts[part][:count] for part in layout.PARTS if part in self._encoder.parts},
+            )
             self._file.add_chunk(*self._encoder.encode(rows, self._notes))
         except OSError as error:
             raise self._unwritable(error) from error
         self._notes.clear()
+        self._ticks += count
         self._filled = 0
+        self._torn = False
+        if self._stream is not None and moved_away(self.partial, self._stream):
+            raise InputError(
+                f"cannot go on writing {self.path}: {self.partial.name} or its folder was moved or removed meanwhile; "
+                "run again, and leave the folder alone until the run has ended"
+            )

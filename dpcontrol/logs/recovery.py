@@ -1,0 +1,238 @@
+"""Make a log of what a killed run, a cut copy or a damaged file has left.
+
+Chunks are put in the order of their messages' sequence numbers: what was swapped is put right, what is there twice is
+taken once, and what is missing is counted. Messages are copied bit for bit; nothing is filled in.
+"""
+
+import json
+import os
+import re
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from importlib.metadata import version
+from io import FileIO
+from itertools import count, pairwise
+from pathlib import Path
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import Progress, no_progress, part_of, whole_file
+from dpcontrol.logs import layout
+from dpcontrol.logs.container import McapFile
+from dpcontrol.logs.partial import SUFFIX
+from dpcontrol.logs.reader import read_log, tick_layout_of
+from dpcontrol.logs.salvage import Salvage, SoundChunk, salvage
+from dpcontrol.logs.sealed import sealed
+from dpcontrol.logs.verified import MALFORMED, recorded_bytes
+from dpcontrol.logs.writer import CHUNK_SECONDS
+
+_SHOWN_GAPS = 3
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """A log that was recovered.
+
+    source, log: from which file, to which; the same, and nothing was written, where the log was whole. ticks: that
+    are there; end_s: time of the last. ticks_lost: missing inside, and at the end where the file says how many there
+    were; milliseconds_lost: their time. gaps: (from, to) in s, between which ticks are missing. end_known: whether the
+    file says how the run ended. chunks_dropped: damaged or cut; chunks_repeated: taken once; chunks_moved: whether some
+    stood out of order. attachments: that are there; attachments_lost. lost: all that is missing, a sentence; empty
+    where nothing is.
+    """
+
+    source: Path
+    log: Path
+    ticks: int
+    end_s: float
+    ticks_lost: int
+    milliseconds_lost: float
+    gaps: tuple[tuple[float, float], ...]
+    end_known: bool
+    chunks_dropped: int
+    chunks_repeated: int
+    chunks_moved: bool
+    attachments: tuple[str, ...]
+    attachments_lost: tuple[str, ...]
+    lost: str
+
+
+def recover(path: Path | str, out: Path | None = None, *, progress: Progress = no_progress) -> Recovery:
+    """Rebuild the log in `path`, and write it to `out`, by default beside it under a name that is free.
+
+    Raises:
+        InputError: there is no such file, nothing in it can be recovered, it holds pieces of several logs, or the new
+            log cannot be written.
+    """
+    path = Path(path)
+    data = recorded_bytes(path)
+    found = salvage(data, progress=part_of(progress, 0.0, 0.6))
+    described = _only(path, found, layout.LAYOUT_RECORD)
+    if described is None or not any(chunk.times for chunk in found.chunks):
+        raise InputError(f"{path} cannot be recovered: {_nothing(found)}; make the log again with `dpcontrol run`")
+    try:
+        tick = tick_layout_of(path, sealed(layout.LAYOUT_RECORD, described))
+        chunks = _in_order(path, found.chunks)
+        done = _account(path, found, chunks, described=described, tick=tick)
+    except MALFORMED as error:
+        raise InputError(f"{path} cannot be recovered: what is sound in it does not fit together: {error}") from error
+    with suppress(InputError):
+        read_log(path)
+        return replace(done, lost="")
+    done = replace(done, log=_free_name(path) if out is None else Path(out))
+    _write(found, chunks, described=described, tick=tick, done=done, progress=part_of(progress, 0.6, 1.0))
+    return done
+
+
+def _free_name(path: Path) -> Path:
+    """Return where to write by default: under the log's own name if it is free, or one that is like it."""
+    named = re.sub(r"(\.\d+-\d+)?\.partial$", "", path.name)
+    if path.suffix == SUFFIX and not path.with_name(named).exists():
+        return path.with_name(named)
+    stem = named.removesuffix(".mcap")
+    names = (path.with_name(f"{stem}-recovered{k}.mcap") for k in ("", *(f"-{i}" for i in count(2))))
+    return next(name for name in names if not name.exists())
+
+
+def _only(path: Path, found: Salvage, name: str) -> dict[str, str] | None:
+    """Return the one record of this name.
+
+    Raises:
+        InputError: there are several.
+    """
+    records = found.metadata.get(name, [])
+    if len(records) > 1:
+        raise _several(path)
+    return records[0] if records else None
+
+
+def _several(path: Path) -> InputError:
+    return InputError(f"{path} holds pieces of several logs, and which belong together cannot be told; recover each")
+
+
+def _nothing(found: Salvage) -> str:
+    if layout.LAYOUT_RECORD in found.metadata:
+        return "not one whole tick is in it"
+    return "the description of its layout is damaged" if found.chunks else "it ends before its first tick"
+
+
+def _in_order(path: Path, chunks: Sequence[SoundChunk]) -> list[SoundChunk]:
+    """Return each chunk once, in the order of their sequence numbers."""
+    once = {chunk.identity: chunk for chunk in chunks}.values()
+    after_all_ticks = (1 << 32, 0)
+
+    def key(chunk: SoundChunk) -> tuple:
+        return chunk.sequences.get(layout.MEASURED_CHANNEL, after_all_ticks), sorted(chunk.sequences.items())
+
+    ordered = sorted(once, key=key)
+    last: dict[int, int] = {}
+    for chunk in ordered:
+        for channel, (first, end) in chunk.sequences.items():
+            if first <= last.get(channel, -1):
+                raise _several(path)
+            last[channel] = end
+    return ordered
+
+
+def _account(
+    path: Path, found: Salvage, chunks: Sequence[SoundChunk], *, described: dict[str, str], tick: layout.TickLayout
+) -> Recovery:
+    """Say what is there and what is not."""
+    ticked = [(*c.sequences[layout.MEASURED_CHANNEL], *c.times) for c in chunks if c.times is not None]
+    period = 1 / float(described["rate_hz"])
+    result = _only(path, found, layout.RESULT_RECORD)
+    end_s = ticked[-1][3] / 1e9
+    missing, gaps = ticked[0][0], [(0.0, ticked[0][2] / 1e9)] if ticked[0][0] else []
+    for (_, last, _, before), (first, _, after, _) in pairwise(ticked):
+        if first > last + 1:
+            missing += first - last - 1
+            gaps.append((before / 1e9, after / 1e9))
+    if result is not None and (at_end := int(result[layout.TICKS]) - ticked[-1][1] - 1):
+        missing += at_end
+        gaps.append((end_s, end_s + at_end * period))
+    names = json.loads(described["attachments"])
+    done = Recovery(
+        source=path,
+        log=path,
+        ticks=sum(last - first + 1 for first, last, _, _ in ticked),
+        end_s=end_s,
+        ticks_lost=missing,
+        milliseconds_lost=1e3 * missing * period,
+        gaps=tuple(gaps),
+        end_known=result is not None,
+        chunks_dropped=found.dropped,
+        chunks_repeated=len(found.chunks) - len(chunks),
+        chunks_moved=list(dict.fromkeys(c.identity for c in found.chunks)) != [c.identity for c in chunks],
+        attachments=tuple(name for name in found.attachments if name in names),
+        attachments_lost=tuple(name for name in names if name not in found.attachments),
+        lost="",
+    )
+    return replace(done, lost=_lost(path, found, chunks, done=done, tick=tick, period=period))
+
+
+def _lost(
+    path: Path,
+    found: Salvage,
+    chunks: Sequence[SoundChunk],
+    *,
+    done: Recovery,
+    tick: layout.TickLayout,
+    period: float,
+) -> str:
+    """Return what is missing as a sentence, empty where nothing is."""
+    before = _only(path, found, layout.RECOVERY_RECORD) or {}
+    parts = [before[layout.LOST]] if before.get(layout.LOST) else []
+    if done.ticks_lost:
+        shown = ", ".join(f"{a:.3f} to {b:.3f} s" for a, b in done.gaps[:_SHOWN_GAPS])
+        more = f" and {len(done.gaps) - _SHOWN_GAPS} more" if len(done.gaps) > _SHOWN_GAPS else ""
+        parts.append(f"{done.ticks_lost} ticks ({done.milliseconds_lost:.0f} ms): {shown}{more}")
+    if not done.end_known:
+        most = 1e3 * max(CHUNK_SECONDS, period)
+        parts.append(f"what came after {done.end_s:.3f} s (at most {most:.0f} ms if the run was killed)")
+    for topic, what in ((layout.EVENTS, "events"), (layout.ROBOT, "the arms' description for viewers")):
+        spans = sorted(c.sequences[tick.channels[topic]] for c in chunks if tick.channels[topic] in c.sequences)
+        gone = sum(b[0] - a[1] - 1 for a, b in pairwise([(-1, -1), *spans]))
+        if topic == layout.EVENTS and gone:
+            parts.append(f"{gone} {what}")
+        elif topic == layout.ROBOT and not spans:
+            parts.append(what)
+    if done.attachments_lost:
+        parts.append(f"the attachment{'s'[: len(done.attachments_lost) > 1]} {', '.join(done.attachments_lost)}")
+    if layout.RUN_RECORD not in found.metadata:
+        parts.append("the metadata of the run")
+    return f"{'; '.join(parts)}" if parts else ""
+
+
+def _write(
+    found: Salvage,
+    chunks: Sequence[SoundChunk],
+    *,
+    described: dict[str, str],
+    tick: layout.TickLayout,
+    done: Recovery,
+    progress: Progress,
+) -> None:
+    """Write the new log, read it back, and give it its name."""
+    with whole_file(done.log) as temporary:
+        with FileIO(temporary, "wb") as stream:
+            file = McapFile(stream, library=f"dpcontrol {version('dpcontrol')}")
+            for name, values in found.metadata.items():
+                if name == layout.RUN_RECORD:
+                    file.add_metadata(name, sealed(name, values[0]))
+            for name in done.attachments:
+                file.add_attachment(name, found.attachments[name])
+            file.add_metadata(layout.LAYOUT_RECORD, sealed(layout.LAYOUT_RECORD, described))
+            said = {layout.LOST: done.lost, "source": done.source.name}
+            file.add_metadata(layout.RECOVERY_RECORD, sealed(layout.RECOVERY_RECORD, said))
+            file.add_channels(tick.schemas, latched=layout.LATCHED)
+            for k, chunk in enumerate(chunks):
+                file.add_chunk(*chunk.messages())
+                progress("writing what is sound", k / len(chunks))
+            for values in found.metadata.get(layout.RESULT_RECORD, []):
+                file.add_metadata(layout.RESULT_RECORD, sealed(layout.RESULT_RECORD, values))
+            file.finish()
+            os.fsync(stream.fileno())
+        written = read_log(temporary)
+        if len(written.time) != done.ticks or tuple(written.attachments) != done.attachments:
+            raise InputError(f"{done.source} cannot be recovered: what was rebuilt from it does not read back the same")
+    progress("writing what is sound", 1.0)
