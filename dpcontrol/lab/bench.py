@@ -6,15 +6,21 @@
 Sources: the rig's data sheets as read for its parameters: 40,000 counts per turn, 1 µm on the cart, 3 m/s.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.dynamics.drive_level import PlantParameters
 from dpcontrol.dynamics.equations import Equations
+from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.lab.disturbances import DisturbanceSettings
+from dpcontrol.lab.drive import DriveSettings
+from dpcontrol.lab.sensors import Encoders, SensorSettings
 from dpcontrol.references.problem import Limits
+
+__all__ = ["BenchSettings", "Drive", "Encoders", "Plant", "SensorSettings"]
 
 Array = NDArray[np.float64]
 
@@ -35,46 +41,23 @@ class Plant:
 
 
 @dataclass(frozen=True)
-class SensorSettings:
-    """counts: of a relative arm encoder per turn; cart_resolution: of the cart's scale, m."""
+class BenchSettings:
+    """What stands between the model and the world."""
 
-    counts: int = 40_000
-    cart_resolution: float = 1e-6
+    sensors: SensorSettings = field(default_factory=SensorSettings)
+    drive: DriveSettings = field(default_factory=DriveSettings)
+    disturbances: DisturbanceSettings = field(default_factory=DisturbanceSettings)
 
-    def __post_init__(self) -> None:
-        """Refuse what is no encoder.
+    def plant(self, arms: ArmChainParameters) -> PlantParameters:
+        """Return these arms on this drive and track.
 
         Raises:
-            InputError: names the setting, its value and what is allowed.
+            InputError: the drive or the tilt is impossible.
         """
-        if self.counts < 1:
-            raise InputError(f"sensors: counts = {self.counts!r}: must be at least 1")
-        if not 1e-12 <= self.cart_resolution <= 1.0:
-            raise InputError(f"sensors: cart_resolution = {self.cart_resolution!r}: must be 1e-12 to 1 metres")
-
-
-class Encoders:
-    """Relative encoders of `arms` joints and the cart's scale; they count from hanging and from the centre."""
-
-    def __init__(self, arms: int, settings: SensorSettings) -> None:
-        self.settings = settings
-        steps = np.full(arms + 1, 2 * np.pi / settings.counts)
-        steps[arms] = settings.cart_resolution
-        self._steps = steps
-        # Relative angles from a state, the cart last; and their sums back to absolute angles.
-        relative = np.zeros((arms + 1, 2 * arms + 2))
-        relative[np.arange(arms), np.arange(arms)] = 1.0
-        relative[np.arange(1, arms), np.arange(arms - 1)] = -1.0
-        relative[arms, 2 * arms] = 1.0
-        self._counts_from_state = relative / steps[:, None]
-        sums = np.zeros((arms + 1, arms + 1))
-        sums[:arms, :arms] = np.tril(np.ones((arms, arms)))
-        sums[arms, arms] = 1.0
-        self._positions_from_counts = sums * steps[None, :]
-
-    def measure(self, state: Array) -> Array:
-        """Return absolute angles and cart position (n+1,) as the encoders give them for `state` (2n+2,)."""
-        return self._positions_from_counts.dot(np.rint(self._counts_from_state.dot(state)))
+        drive = self.drive
+        return PlantParameters(
+            arms, lag=drive.lag, cart_mass=drive.cart_mass, cart_viscous=drive.cart_viscous, tilt=self.disturbances.tilt
+        )
 
 
 @dataclass(frozen=True)

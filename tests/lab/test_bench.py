@@ -30,10 +30,10 @@ def test_a_coarse_encoder_sees_nothing_below_half_a_count() -> None:
     half = np.pi / 128
     assert encoders.measure(np.array([0.99 * half, 0, 0.0049, 0])) == pytest.approx([0, 0], abs=0)
     assert encoders.measure(np.array([1.01 * half, 0, 0.0051, 0])) == pytest.approx([2 * half, 0.01])
-    with pytest.raises(InputError, match="counts = 0"):
-        SensorSettings(counts=0)
+    with pytest.raises(InputError, match="counts = -1"):
+        SensorSettings(counts=-1)
     with pytest.raises(InputError, match="cart_resolution"):
-        SensorSettings(cart_resolution=0)
+        SensorSettings(cart_resolution=-1)
 
 
 def test_drive_keeps_acceleration_and_velocity_inside() -> None:
