@@ -13,8 +13,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.control.interface import Action, Mode
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.tables import suggest
 from dpcontrol.references.problem import ANGLE_SCALE, CART_VELOCITY_SCALE, RATE_SCALE
 from dpcontrol.references.reference import Reference
 
@@ -47,12 +49,11 @@ class FeedforwardSettings:
 
 
 @dataclass(frozen=True)
-class TvlqrSettings:
+class QuadraticWeights:
     """Weights per second of the squared errors, each scaled: angles by π, rates by 10 rad/s, the cart's velocity
     by 3 m/s; the cart's position by 1 m and the effort by 1 m/s².
     """
 
-    kind: str = "tvlqr"
     angle: float = 1000.0
     rate: float = 100.0
     position: float = 100.0
@@ -78,6 +79,27 @@ class TvlqrSettings:
         return np.array(scaled + cart) * period, self.effort * period
 
 
+SCHEDULES = ("time", "phase")
+
+
+@dataclass(frozen=True)
+class TvlqrSettings(QuadraticWeights):
+    """Linear-quadratic feedback. schedule: whether reference and gains are taken by time or at the nearest phase."""
+
+    kind: str = "tvlqr"
+    schedule: str = "time"
+
+    def __post_init__(self) -> None:
+        """Refuse weights without a solution, and a schedule that there is not.
+
+        Raises:
+            InputError: names the setting, its value and what is allowed.
+        """
+        super().__post_init__()
+        if self.schedule not in SCHEDULES:
+            raise InputError(f"controller: schedule = {self.schedule!r}: {suggest(self.schedule, SCHEDULES)}")
+
+
 ControllerSettings = FeedforwardSettings | TvlqrSettings
 
 
@@ -99,6 +121,54 @@ class TrackingController:
         k = min(tick, len(self.feedforward) - 1)
         feedback = self.gains[k].dot(self.reference_states[k] - state)
         return float(self.feedforward[k]), float(feedback)
+
+    @property
+    def first_state(self) -> Array:
+        """Return the state (N,) from which it starts."""
+        return self.reference_states[0]
+
+    @property
+    def ticks(self) -> int:
+        """Return for how many periods it has something to do."""
+        return len(self.feedforward)
+
+    def commands(self, tick: int, states: Array, extras: Array) -> tuple[float, Array, Array]:
+        """Return feedforward m/s², feedbacks (S,) m/s² and the reference (N,) for `states` (N, S) of many runs.
+
+        The products are added up in the order of the state, as for one run, so that both agree to the last bit.
+        """
+        k = min(tick, len(self.feedforward) - 1)
+        wanted = self.reference_states[min(tick, len(self.feedforward))]
+        products = self.gains[k][:, None] * (self.reference_states[k][:, None] - states)
+        return float(self.feedforward[k]), np.add.reduce(products, axis=0), wanted
+
+    def begin(self) -> "TrackingSession":
+        """Return a session for one run."""
+        return TrackingSession(self)
+
+
+class TrackingSession:
+    """A tracking controller during one run: its clock is the loop's."""
+
+    def __init__(self, controller: TrackingController) -> None:
+        self._feedforward = controller.feedforward.tolist()
+        self._gains, self._wanted = controller.gains, controller.reference_states
+        self._still = not controller.gains.any()
+        self._last = len(self._feedforward) - 1
+
+    def command(self, tick: int, state: Array, extra: Array) -> Action:
+        """Return what to do in the period from `tick`; after the last, its gain holds the reference's end."""
+        k = tick if tick < self._last else self._last
+        wanted = self._wanted[tick if tick <= self._last else self._last + 1]
+        feedback = 0.0
+        if not self._still:
+            for product in (self._gains[k] * (self._wanted[k] - state)).tolist():
+                feedback += product
+        return Action(self._feedforward[k], feedback, wanted, Mode.TRACKING)
+
+    def resynchronise(self, tick: int, state: Array) -> str:
+        """Leave the clock as it is: gains by time have no other."""
+        return ""
 
 
 def terminal_cost(state_jacobian: Array, input_jacobian: Array, *, weights: Array, effort: float) -> Array:
@@ -122,8 +192,8 @@ def terminal_cost(state_jacobian: Array, input_jacobian: Array, *, weights: Arra
 
 def riccati_gains(
     state_jacobians: Array, input_jacobians: Array, *, weights: Array, effort: float, terminal: Array
-) -> Array:
-    """Return the gains (K, N) of the backward recursion over A (K, N, N), B (K, N) from P (N, N) = `terminal`."""
+) -> tuple[Array, Array]:
+    """Return gains (K, N) of the backward recursion over A (K, N, N), B (K, N) from P (N, N) = `terminal`, and P_0."""
     gains = np.empty_like(input_jacobians)
     cost = terminal
     diagonal = np.diag(weights)
@@ -136,7 +206,7 @@ def riccati_gains(
         # The symmetric form keeps P positive (Joseph): thousands of steps would lose it otherwise.
         cost = diagonal + effort * np.outer(gain, gain) + closed.T @ cost @ closed
         cost = (cost + cost.T) / 2
-    return gains
+    return gains, cost
 
 
 def tracking_controller(reference: Reference, model: SampledModel, settings: ControllerSettings) -> TrackingController:
@@ -167,7 +237,7 @@ def tracking_controller(reference: Reference, model: SampledModel, settings: Con
     weights, effort = settings.weights(model.arms, model.period)
     a, b = model.linearised(states[:-1], feedforward)
     terminal = terminal_cost(a[-1], b[-1], weights=weights, effort=effort)
-    gains = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
+    gains, _ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
     if not np.isfinite(gains).all():
         raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
     return TrackingController(settings.kind, states, feedforward, gains, f"gains for {count} ticks")
