@@ -1,6 +1,6 @@
 """What can be wrong with samples of time and angles, found and named; repaired only where asked.
 
-In order: values that are not finite (nan), time that stands or runs backward (time), samples left out (gaps), angles
+In order: time that stands or runs backward (time), values that are not finite (nan), samples left out (gaps), angles
 wrapped into one turn (wrap), uneven sampling (sampling). What no repair can mend is refused: jumps, too few samples.
 """
 
@@ -86,7 +86,14 @@ def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) 
     Raises:
         InputError: something is wrong whose repair was not asked for, or that none can mend; names row and time.
     """
-    steps: list[Callable[[Samples, frozenset[str], float], Repaired]] = [_finite, _forward, _whole, _continuous, _even]
+    steps: list[Callable[[Samples, frozenset[str], float], Repaired]] = [
+        _timed,
+        _forward,
+        _finite,
+        _whole,
+        _continuous,
+        _even,
+    ]
     segments, notes = [samples], []
     for step in steps:
         following: list[Samples] = []
@@ -115,44 +122,17 @@ def _cut(samples: Samples, keep: NDArray[np.bool_]) -> list[Samples]:
     return [samples.taken(np.arange(first, end)) for first, end in edges.reshape(-1, 2)]
 
 
-def _finite(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
-    bad = ~np.isfinite(samples.values)
+def _timed(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
     late = ~np.isfinite(samples.time)
-    if late.any():
-        index = int(np.argmax(late))
-        fault = f"{samples.at(index)}: the time is missing or not finite ({late.sum()} such rows)"
-        if "nan" not in repairs:
-            raise _refuse(fault, "nan")
-        if late.all():
-            raise InputError(f"{fault}; no time is left: give [sampling] period in the mapping instead of a column")
-        # Without its time a sample cannot be placed: it is left out, and the gap is found below.
-        notes = [f"{samples.where}: {late.sum()} rows without time left out"]
-        segments, more = _finite(samples.taken(~late), repairs, period)
-        return segments, notes + more
-    if not bad.any():
+    if not late.any():
         return [samples], []
-    index, column = (int(k[0]) for k in np.nonzero(bad))
-    count = int(bad.any(axis=1).sum())
+    fault = f"{samples.at(int(np.argmax(late)))}: the time is missing or not finite ({late.sum()} such rows)"
+    if late.all():
+        raise InputError(f"{fault}; no time is left: give [sampling] period in the mapping instead of a column")
     if "nan" not in repairs:
-        raise _refuse(f"{samples.at(index)}: {samples.names[column]} is no finite number ({count} such rows)", "nan")
-    rows: NDArray[np.bool_] = np.any(bad, axis=1, keepdims=True)[:, 0]
-    good = ~rows
-    if not good.any():
-        raise InputError(f"{samples.where}: every row holds a number that is not finite; nothing is left")
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(np.int8))).reshape(-1, 2)
-    keep, values = np.ones(len(rows), bool), samples.values.copy()
-    for first, end in edges:
-        if end - first > _FILLED_IN_A_ROW or first == 0 or end == len(rows):
-            keep[first:end] = False
-    whole = values[good]
-    if "wrap" in repairs:
-        whole[:, : samples.arms] = np.unwrap(whole[:, : samples.arms], axis=0)
-        values[good] = whole
-    for column in range(values.shape[1]):
-        values[rows, column] = np.interp(samples.time[rows], samples.time[good], whole[:, column])
-    filled = int((rows & keep).sum())
-    notes = [f"{samples.where}: {filled} rows filled between their neighbours, {count - filled} left out"]
-    return _cut(replace(samples, values=values), keep), notes
+        raise _refuse(fault, "nan")
+    # Without its time a sample cannot be placed: it is left out, and the gap is found below.
+    return [samples.taken(~late)], [f"{samples.where}: {late.sum()} rows without time left out"]
 
 
 def _forward(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
@@ -170,6 +150,39 @@ def _forward(samples: Samples, repairs: frozenset[str], period: float) -> Repair
     if behind.mean() > _MOST_LEFT_OUT:
         raise InputError(f"{fault}; that is too many to leave out: give [sampling] period in place of the time column")
     return [samples.taken(~behind)], [f"{samples.where}: {behind.sum()} rows left out that did not come later in time"]
+
+
+def _finite(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
+    bad = ~np.isfinite(samples.values)
+    if not bad.any():
+        return [samples], []
+    index, column = (int(k[0]) for k in np.nonzero(bad))
+    rows: NDArray[np.bool_] = np.any(bad, axis=1, keepdims=True)[:, 0]
+    count, good = int(rows.sum()), ~rows
+    if "nan" not in repairs:
+        raise _refuse(f"{samples.at(index)}: {samples.names[column]} is no finite number ({count} such rows)", "nan")
+    if good.sum() < FEWEST_SAMPLES:
+        raise InputError(f"{samples.where}: {count} of {len(rows)} rows are not finite; too few are left")
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(np.int8))).reshape(-1, 2)
+    keep, values = np.ones(len(rows), bool), samples.values.copy()
+    for first, end in edges:
+        if end - first > _FILLED_IN_A_ROW or first == 0 or end == len(rows):
+            keep[first:end] = False
+    whole = values[good]
+    if "wrap" in repairs:
+        whole[:, : samples.arms] = np.unwrap(whole[:, : samples.arms], axis=0)
+        values[good] = whole
+    # A cubic: over ten samples a swinging arm leaves a straight line by several counts.
+    values[rows] = _cubic(samples.time[good], whole, samples.time[rows])
+    filled = int((rows & keep).sum())
+    notes = [f"{samples.where}: {filled} rows filled between their neighbours, {count - filled} left out"]
+    return _cut(replace(samples, values=values), keep), notes
+
+
+def _cubic(times: Array, values: Array, at: Array) -> Array:
+    from scipy.interpolate import CubicSpline
+
+    return np.asarray(CubicSpline(times, values)(at))
 
 
 def _spacing(samples: Samples, period: float) -> float:
@@ -206,7 +219,7 @@ def _whole(samples: Samples, repairs: frozenset[str], period: float) -> Repaired
 def _even(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
     if len(samples.time) < 3:
         return [samples], []
-    spacing = period or float((samples.time[-1] - samples.time[0]) / (len(samples.time) - 1))
+    spacing = period or float(np.polyfit(np.arange(len(samples.time)), samples.time, 1)[0])
     grid = samples.time[0] + spacing * np.arange(len(samples.time))
     off = np.abs(np.diff(samples.time) - spacing)
     drift = np.abs(samples.time - grid)
@@ -218,10 +231,8 @@ def _even(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
             f"{samples.at(worst)}: the step of time there is {off[worst]:.3g} s off {spacing:.6g} s: uneven sampling"
         )
         raise _refuse(fault, "sampling")
-    from scipy.interpolate import CubicSpline
-
     inside = grid[: int((samples.time[-1] - samples.time[0]) / spacing + 1e-6) + 1]
-    even = np.asarray(CubicSpline(samples.time, samples.values)(inside))
+    even = _cubic(samples.time, samples.values, inside)
     rows = samples.rows[np.searchsorted(samples.time, inside, side="right") - 1]
     return [replace(samples, rows=rows, time=inside, values=even)], [f"{samples.where}: interpolated to even times"]
 
@@ -250,6 +261,6 @@ def _continuous(samples: Samples, repairs: frozenset[str], period: float) -> Rep
         index, arm = (int(k[0]) for k in np.nonzero(jumps))
         raise InputError(
             f"{samples.at(index + 1)}: {samples.names[arm]} jumps by {abs(steps[index, arm]):.3g} rad in one sample "
-            f"({jumps.sum()} such jumps); check unit, columns and sampling, or cut the recording there"
+            f"({jumps.sum()} such jumps); check the unit (degrees taken for rad?), columns, sampling, or cut it there"
         )
     return [samples], notes

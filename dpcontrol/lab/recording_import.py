@@ -192,6 +192,11 @@ def _recording(
         found, said = sound_segments(_samples(stretch, mapping, period), period=period, repairs=repairs)
         parts += found
         notes += said
+    spacing = period or float(np.median(np.concatenate([np.diff(part.time) for part in parts])))
+    if not 1e-6 <= spacing <= 0.1:
+        raise InputError(
+            f"{path}: samples are {spacing:.6g} s apart, and swings are seen at 1e-6 to 0.1 s; check the unit of time"
+        )
     check_plausible(
         parts,
         arms=arms,
@@ -199,11 +204,6 @@ def _recording(
         clamped=first.cart is None and first.command is None,
         file=str(path),
     )
-    spacing = period or float(np.median(np.concatenate([np.diff(part.time) for part in parts])))
-    if not 1e-6 <= spacing <= 0.1:
-        raise InputError(
-            f"{path}: samples are {spacing:.6g} s apart, and swings are seen at 1e-6 to 0.1 s; check the unit of time"
-        )
     parts, laid = _in_order(parts, spacing)
     ends = np.cumsum([len(part.time) for part in parts])
     values = np.concatenate([part.values for part in parts])

@@ -31,8 +31,12 @@ _AGREES = 0.15
 """Share by which the slope of derivative over rate may differ from one: filters lag and damp."""
 _FALLS_UP = 0.5
 """Correlation of the inner arm's acceleration with sin θ above which it falls upward; below -0.2 in free swings."""
+_MATCHES = 0.97
+"""Correlation that rates filtered on line still reach with the angles' differences; other columns come to 0.9."""
 _LEAST_MOTION = 0.2
 """rad/s: slower recordings tell nothing."""
+_WINDOW = 0.02
+"""s: quantised angles have no derivatives from one sample to the next."""
 
 
 def check_plausible(segments: Sequence[Samples], *, arms: int, rates: bool, clamped: bool, file: str) -> None:
@@ -48,7 +52,8 @@ def check_plausible(segments: Sequence[Samples], *, arms: int, rates: bool, clam
     Raises:
         InputError: says what disagrees, by how much, and what it looks like.
     """
-    derivative = np.concatenate([_derivative(segment, arms) for segment in segments])
+    turned = [_turned(segment, arms, rates) for segment in segments]
+    derivative = np.concatenate([part[0] for part in turned])
     fastest = float(np.percentile(np.abs(derivative), 99))
     if fastest > _FASTEST:
         raise InputError(
@@ -56,34 +61,48 @@ def check_plausible(segments: Sequence[Samples], *, arms: int, rates: bool, clam
             "check the unit of angles and time in the mapping (degrees taken for rad? counts? ms?)"
         )
     if rates:
-        recorded = np.concatenate([segment.values[:, arms : 2 * arms] for segment in segments])
-        _compare(derivative, recorded, file=file)
+        _compare(derivative, np.concatenate([part[1] for part in turned]), file=file)
     if clamped:
         _check_zero(segments, file=file)
 
 
-def _derivative(segment: Samples, arms: int) -> Array:
-    return np.asarray(np.gradient(segment.values[:, :arms], segment.time, axis=0))
+def _stride(segment: Samples) -> int:
+    spacing = float(np.median(np.diff(segment.time)))
+    return int(min(max(1, round(_WINDOW / spacing)), max(1, len(segment.time) // 8)))
+
+
+def _turned(segment: Samples, arms: int, rates: bool) -> tuple[Array, Array]:
+    """Return how fast the arms turned (W, n) over short windows, by the angles and by the mean of the rates."""
+    stride = _stride(segment)
+    ends = np.arange(0, len(segment.time), stride)
+    by_angles = np.diff(segment.values[ends, :arms], axis=0) / np.diff(segment.time[ends])[:, None]
+    if not rates:
+        return by_angles, by_angles
+    given = segment.values[:, arms : 2 * arms]
+    area = np.concatenate([np.zeros((1, arms)), np.cumsum((given[1:] + given[:-1]) / 2, axis=0)])
+    return by_angles, np.diff(area[ends], axis=0) / stride
 
 
 def _compare(derivative: Array, rates: Array, *, file: str) -> None:
     arms = derivative.shape[1]
-    moving = np.sqrt(np.mean(derivative**2, axis=0)), np.sqrt(np.mean(rates**2, axis=0))
-    if max(moving[0].max(), moving[1].max()) < _LEAST_MOTION:
-        return
-    fits = np.array([[_fit(derivative[:, i], rates[:, j]) for j in range(arms)] for i in range(arms)])
-    own = [(float(fits[i, i, 0]), float(fits[i, i, 1])) for i in range(arms)]
-    wrong = [i for i, (slope, match) in enumerate(own) if match < 0.9 or abs(slope - 1) > _AGREES]
+    size = np.sqrt(np.maximum(np.mean(derivative**2, axis=0), np.mean(rates**2, axis=0)))
+    fits = [[_fit(derivative[:, i], rates[:, j]) for j in range(arms)] for i in range(arms)]
+
+    def agree(i: int, j: int) -> bool:
+        slope, match = fits[i][j]
+        return match > _MATCHES and abs(slope - 1) < _AGREES
+
+    wrong = [i for i in range(arms) if size[i] > _LEAST_MOTION and not agree(i, i)]
     if not wrong:
         return
     arm = wrong[0]
-    slope, match = own[arm]
-    if match >= 0.8:
+    slope, match = fits[arm][arm]
+    if match > _MATCHES:
         factor = min(_FACTORS, key=lambda f: abs(slope / f - 1))
         guess = _FACTORS[factor] if abs(slope / factor - 1) < 0.3 else "check the units of angles, rates and time"
         raise InputError(f"{file}: the derivative of angle {arm + 1} is {slope:.4g} times its rate; {guess}")
-    others = [j for j in range(arms) if j != arm and abs(fits[arm, j, 1]) > 0.9]
-    looks = f"it is that of rate {others[0] + 1}: are columns swapped?" if others else "are columns swapped?"
+    others = [j for j in range(arms) if j != arm and agree(arm, j)]
+    looks = f"it is rate {others[0] + 1}: are columns swapped?" if others else "are columns swapped?"
     raise InputError(
         f"{file}: the derivative of angle {arm + 1} is not its rate (they correlate by {match:.2f}); {looks} "
         "Check the mapping's columns"
@@ -102,8 +121,7 @@ def _fit(derivative: Array, rate: Array) -> tuple[float, float]:
 def _check_zero(segments: Sequence[Samples], *, file: str) -> None:
     pull, square, sines = 0.0, 0.0, 0.0
     for segment in segments:
-        stride = max(1, round(0.02 / max(float(np.median(np.diff(segment.time))), 1e-6)))
-        # Differences over 20 ms: quantised angles have no second derivative from one sample to the next.
+        stride = _stride(segment)
         angle, time = segment.values[::stride, 0], segment.time[::stride]
         if len(angle) < 5:
             continue
