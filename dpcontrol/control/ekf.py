@@ -17,6 +17,7 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import NDArray
 
+from dpcontrol.control.estimator_settings import EkfSettings as EkfSettings
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.foundation.errors import InputError
 
@@ -36,35 +37,6 @@ class Estimate:
     def standard_deviations(self) -> Array:
         """Return the square roots of the covariance's diagonal, (N,)."""
         return np.sqrt(self.covariance.diagonal())
-
-
-@dataclass(frozen=True)
-class EkfSettings:
-    """Noise that the filter assumes.
-
-    parameter_error: share by which accelerations may be wrong, and correlation_time s for which such an error
-    lasts: Q's density is 2 · time · (share · acceleration)². rate_noise rad/s/√s and cart_noise m/s/√s: floors.
-    first_angle rad, first_rate rad/s, first_cart m: standard deviations at the start (the cart's velocity: m/s).
-    """
-
-    parameter_error: float = 0.01
-    correlation_time: float = 0.02
-    rate_noise: float = 0.03
-    cart_noise: float = 1e-3
-    first_angle: float = 0.05
-    first_rate: float = 0.1
-    first_cart: float = 1e-3
-
-    def __post_init__(self) -> None:
-        """Refuse what is no standard deviation.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        for name, value in vars(self).items():
-            low = 0.0 if name == "parameter_error" else np.finfo(float).tiny
-            if not np.isfinite(value) or value < low:
-                raise InputError(f"estimator: {name} = {value!r}: must be a positive, finite number")
 
 
 def encoder_noise(arms: int, *, counts: int, cart_resolution: float) -> Array:

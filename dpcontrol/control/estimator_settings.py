@@ -1,0 +1,168 @@
+"""What the estimators assume: process noise, first uncertainty, and what they estimate besides the state.
+
+    zeros        the arms' encoders start from wrong zeros: constants b_i added to the measured angles
+    disturbance  further accelerations of the arms, rad/s², that fade: first-order Gauss-Markov
+    drive        further acceleration of the cart, m/s², that fades: what the drive gives beyond the command
+    friction     relative errors of the joints' friction: constants
+    parameters   relative errors of the base parameters, over M12 (one arm: M11): constants
+
+With the cart's acceleration as input only ratios of the inertial parameters matter, so one of them stays fixed; G_i and
+S_i share a factor, for gravity is known. What is common to all zeros is seen through gravity alone: while the arms
+barely move about a vertical, zeros and disturbance cannot be told apart, so give both only with a reason.
+
+Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 8.2 and 11.9.
+"""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.tables import suggest
+
+Array = NDArray[np.float64]
+
+
+class Augment(StrEnum):
+    """What an estimator may estimate besides the state, in the order in which it stands in `extra`."""
+
+    ZEROS = "zeros"
+    DISTURBANCE = "disturbance"
+    DRIVE = "drive"
+    FRICTION = "friction"
+    PARAMETERS = "parameters"
+
+
+_DRIFT = 1e-3
+"""Of a constant per √s, as a share of its first standard deviation: keeps the filter from becoming deaf to it."""
+
+
+def extra_names(arms: int, augment: tuple[Augment, ...]) -> tuple[str, ...]:
+    """Return the names of the extra quantities: zero_1 …, disturbance_1 …, drive, friction_1 …, M11 …, S1 …"""
+    joints = range(1, arms + 1)
+    inertias = [f"M{i}{j}" for i in joints for j in range(i, arms + 1)]
+    fixed = "M12" if arms > 1 else "M11"
+    names = {
+        Augment.ZEROS: [f"zero_{i}" for i in joints],
+        Augment.DISTURBANCE: [f"disturbance_{i}" for i in joints],
+        Augment.DRIVE: ["drive"],
+        Augment.FRICTION: [f"friction_{i}" for i in joints],
+        Augment.PARAMETERS: [*(name for name in inertias if name != fixed), *(f"S{i}" for i in joints)],
+    }
+    return tuple(name for kind in Augment if kind in augment for name in names[kind])
+
+
+@dataclass(frozen=True)
+class FilterSettings:
+    """Noise that a filter assumes, and what it estimates besides the state.
+
+    parameter_error: share by which accelerations may be wrong, and correlation_time s for which such an error
+    lasts: Q's density is 2 · time · (share · acceleration)². rate_noise rad/s/√s and cart_noise m/s/√s: floors.
+    first_angle rad, first_rate rad/s, first_cart m: standard deviations at the start (the cart's velocity: m/s).
+
+    augment: any of zeros, disturbance, drive, friction, parameters. Standard deviations: zero_error rad, disturbance
+    rad/s² with its disturbance_time s, drive_error m/s² with its drive_time s, friction_error and model_error, shares.
+    """
+
+    kind: str = "ekf"
+    parameter_error: float = 0.01
+    correlation_time: float = 0.02
+    rate_noise: float = 0.03
+    cart_noise: float = 1e-3
+    first_angle: float = 0.05
+    first_rate: float = 0.1
+    first_cart: float = 1e-3
+    augment: tuple[str, ...] = ()
+    zero_error: float = 0.02
+    disturbance: float = 1.0
+    disturbance_time: float = 0.1
+    drive_error: float = 0.5
+    drive_time: float = 0.01
+    friction_error: float = 0.3
+    model_error: float = 0.1
+
+    def __post_init__(self) -> None:
+        """Refuse what is no standard deviation.
+
+        Raises:
+            InputError: names the setting, its value and what is allowed.
+        """
+        for name, value in vars(self).items():
+            if not isinstance(value, float | int):
+                continue
+            low = 0.0 if name == "parameter_error" else np.finfo(float).tiny
+            if not np.isfinite(value) or value < low:
+                raise InputError(f"estimator: {name} = {value!r}: must be a positive, finite number")
+        for name in self.augment:
+            if name not in tuple(Augment):
+                raise InputError(
+                    f"estimator: augment holds {name!r}: {suggest(str(name), [kind.value for kind in Augment])}"
+                )
+        if len(set(self.augment)) != len(self.augment):
+            raise InputError(f"estimator: augment = {list(self.augment)!r}: name each once")
+
+    @property
+    def augments(self) -> tuple[Augment, ...]:
+        """Return what is estimated besides the state, in the order in which it stands."""
+        return tuple(kind for kind in Augment if kind in self.augment)
+
+    def first_sigmas(self, arms: int) -> Array:
+        """Return the standard deviations at the start of state and extra, (N+E,)."""
+        state = [self.first_angle] * arms + [self.first_rate] * arms + [self.first_cart] * 2
+        return np.array([*state, *(self._sigma(name) for name in extra_names(arms, self.augments))])
+
+    def _sigma(self, name: str) -> float:
+        kind = name.partition("_")[0]
+        known = {
+            "zero": self.zero_error,
+            "disturbance": self.disturbance,
+            "drive": self.drive_error,
+            "friction": self.friction_error,
+        }
+        return known.get(kind, self.model_error)
+
+    def process(self, arms: int, period: float) -> Array:
+        """Return what the equations of the filter take: three densities, then decay (E,) and variance (E,) a period."""
+        densities = [
+            self.rate_noise**2,
+            2 * self.correlation_time * (self.parameter_error / period) ** 2,
+            self.cart_noise**2,
+        ]
+        decay, variance = [], []
+        fading = {"disturbance": self.disturbance_time, "drive": self.drive_time}
+        for name in extra_names(arms, self.augments):
+            sigma, lasts = self._sigma(name), fading.get(name.partition("_")[0])
+            kept = 1.0 if lasts is None else float(np.exp(-period / lasts))
+            decay.append(kept)
+            # A fading quantity keeps its variance: φ² σ² + q = σ².
+            variance.append((sigma * _DRIFT) ** 2 * period if lasts is None else sigma**2 * (1 - kept**2))
+        return np.array([*densities, *decay, *variance])
+
+
+@dataclass(frozen=True)
+class EkfSettings(FilterSettings):
+    """The extended Kalman filter as one compiled function."""
+
+
+@dataclass(frozen=True)
+class FilterpyEkfSettings(FilterSettings):
+    """The extended Kalman filter with filterpy's arithmetic: the same numbers, slower; a check."""
+
+    kind: str = "ekf-filterpy"
+
+
+@dataclass(frozen=True)
+class UkfSettings(FilterSettings):
+    """The unscented Kalman filter, filterpy's; the sigma points lie `spread` · √(N+E) standard deviations out.
+
+    weight: Merwe's beta, what is known of the distribution's fourth moment; 2 for a Gaussian.
+    """
+
+    kind: str = "ukf"
+    spread: float = field(default=0.5)
+    weight: float = field(default=2.0)
+
+
+EstimatorSettings = EkfSettings | FilterpyEkfSettings | UkfSettings

@@ -1,0 +1,288 @@
+from decimal import Decimal, localcontext
+
+import numpy as np
+import pytest
+from shadowing_stand_in import LAB
+
+from dpcontrol.control.compiled_ekf import CompiledEkf, checked_noise
+from dpcontrol.control.ekf import Ekf, encoder_noise
+from dpcontrol.control.ekf_equations import packed, unpacked
+from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.interface import Estimate
+from dpcontrol.control.sampled import SampledModel
+from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.foundation.errors import InputError
+
+ROUNDING = 1e-9  # Of two filters over thousands of ticks, relative to standard deviations; NIS loses most.
+DIGITS = 1e-13  # Relative, of a few ticks against 50 decimal digits.
+PACKS = 1e-9  # Sines of vectors round differently, and zeros that are hardly known yet enlarge that.
+
+NOISE = encoder_noise(2, counts=40_000, cart_resolution=1e-6)
+ROOT = np.linalg.cholesky(NOISE)
+STATE = np.array([0.4, 2.8, 6.0, -9.0, 0.1, -0.3])
+POSITIONS = np.eye(6)[[0, 1, 4]]
+MODEL = SampledModel(arm_chain_equations(2, Level.CART), LAB.base(), period=1e-3)
+
+
+@pytest.fixture(scope="module")
+def plain() -> CompiledEkf:
+    return CompiledEkf(MODEL, EkfSettings(), noise=NOISE)
+
+
+@pytest.fixture(scope="module")
+def zeros() -> CompiledEkf:
+    return CompiledEkf(MODEL, EkfSettings(augment=("zeros",)), noise=NOISE)
+
+
+def swing(ticks: int, *, seed: int = 3, root: np.ndarray = ROOT) -> tuple[list[float], np.ndarray, np.ndarray]:
+    """Commands, true states and measured positions of a free swing with a moving cart."""
+    random = np.random.default_rng(seed)
+    truth, commands = STATE + 0.01 * random.standard_normal(6), (2 * np.sin(np.arange(ticks) / 60)).tolist()
+    states = np.empty((ticks, 6))
+    for k, command in enumerate(commands):
+        truth = states[k] = MODEL.step(truth, command)
+    return commands, states, states @ POSITIONS.T + random.standard_normal((ticks, 3)) @ root.T
+
+
+def test_a_swing_gives_the_numbers_of_filterpys_filter(plain: CompiledEkf) -> None:
+    other = Ekf(MODEL, EkfSettings(), noise=NOISE)
+    estimate, expected = plain.first(STATE), other.first(STATE)
+    assert estimate.sigmas == pytest.approx(expected.standard_deviations)
+    for command, _, measured in zip(*swing(3000), strict=True):
+        estimate = plain.step(estimate, command, measured)
+        expected = other.update(other.predict(expected, command), measured)
+        sigmas = expected.standard_deviations
+        assert (np.abs(estimate.state - expected.state) <= ROUNDING * sigmas + 1e-15).all()
+        assert estimate.sigmas == pytest.approx(sigmas, rel=ROUNDING)
+        assert estimate.nis == pytest.approx(expected.nis, rel=1e-6, abs=1e-6)
+        assert estimate.innovation == pytest.approx(expected.innovation, abs=1e-14)
+    assert plain.covariance(estimate) == pytest.approx(expected.covariance, rel=ROUNDING, abs=1e-20)
+
+
+def test_the_first_ticks_are_right_to_the_last_digits(plain: CompiledEkf) -> None:
+    def large(array: np.ndarray) -> np.ndarray:
+        return np.vectorize(lambda v: Decimal(float(v)), otypes=[object])(array)
+
+    with localcontext() as context:
+        context.prec = 50
+        estimate = plain.first(STATE)
+        covariance, h, r = large(plain.covariance(estimate)), large(POSITIONS), large(NOISE)
+        settings, step = plain.settings, 1e-3
+        for command, _, measured in zip(*swing(5), strict=True):
+            following, jacobian = MODEL.step_with_jacobian(estimate.state, command)
+            a, q = large(jacobian), np.zeros((6, 6))
+            density = [
+                *(
+                    settings.rate_noise**2 + 2 * settings.correlation_time * (settings.parameter_error * c / step) ** 2
+                    for c in (following - estimate.state)[2:4]
+                ),
+                settings.cart_noise**2,
+            ]
+            for p, v, d in zip((0, 1, 4), (2, 3, 5), density, strict=True):
+                q[p, p], q[p, v], q[v, p], q[v, v] = d * step**3 / 3, d * step**2 / 2, d * step**2 / 2, d * step
+            prior = a @ covariance @ a.T + large(q)
+            s = h @ prior @ h.T + r
+            # By Cramer's rule: the adjugate of three by three.
+            cofactors = np.array([np.cross(s[1], s[2]), np.cross(s[2], s[0]), np.cross(s[0], s[1])], dtype=object)
+            inverse = cofactors.T / (s[0] @ cofactors[0])
+            gain, y = prior @ h.T @ inverse, large(measured) - h @ large(following)
+            covariance = prior - gain @ h @ prior
+            estimate = plain.step(estimate, command, measured)
+            assert estimate.sigmas == pytest.approx([float(covariance[i, i].sqrt()) for i in range(6)], rel=DIGITS)
+            assert estimate.nis == pytest.approx(float(y @ inverse @ y), rel=1e-9)
+            assert estimate.state == pytest.approx((large(following) + gain @ y).astype(float), abs=1e-13)
+
+
+@pytest.mark.parametrize("missing", [(0,), (1,), (2,), (0, 2), (0, 1)])
+def test_a_missing_position_is_as_if_there_were_no_such_sensor(zeros: CompiledEkf, missing: tuple[int, ...]) -> None:
+    estimate = zeros.first(STATE)
+    for command, _, measured in zip(*swing(30), strict=True):
+        estimate = zeros.step(estimate, command, measured)
+    present = np.ones(3, dtype=bool)
+    present[[*missing]] = False
+    holed = POSITIONS @ estimate.state + np.array([2e-4, -1e-4, 3e-6])
+    holed[~present] = np.nan
+    updated = zeros.update(estimate, holed, present)
+    h = zeros.program.equations.observation[present]
+    p, r = zeros.covariance(estimate), NOISE[np.ix_(present, present)]
+    z = np.concatenate([estimate.state, estimate.extra])
+    s, y = h @ p @ h.T + r, holed[present] - h @ z
+    after = z + p @ h.T @ np.linalg.solve(s, y)
+    assert np.concatenate([updated.state, updated.extra]) == pytest.approx(after, abs=1e-11)
+    posterior = np.linalg.inv(np.linalg.inv(p) + h.T @ np.linalg.inv(r) @ h)
+    assert updated.sigmas == pytest.approx(np.sqrt(np.diag(posterior)), rel=1e-4)
+    assert updated.nis == pytest.approx(y @ np.linalg.solve(s, y), rel=1e-9)
+    assert updated.used == present.sum()
+    assert (updated.innovation[~present] == 0).all()
+    # And the next tick, with all of them, knows nothing of the hole.
+    assert zeros.update(updated, POSITIONS @ updated.state).used == 3
+
+
+def test_a_tick_without_any_measurement_is_the_prediction(plain: CompiledEkf) -> None:
+    estimate = plain.first(STATE)
+    blind = plain.step(estimate, 2.0, np.full(3, np.nan), np.zeros(3, dtype=bool))
+    assert blind.state == pytest.approx(MODEL.step(STATE, 2.0), abs=1e-15)
+    assert blind.used == 0
+    assert blind.nis == 0
+    other = Ekf(MODEL, EkfSettings(), noise=NOISE)
+    assert blind.sigmas == pytest.approx(other.predict(other.first(STATE), 2.0).standard_deviations, rel=DIGITS)
+
+
+def test_many_runs_at_once_are_each_alone(zeros: CompiledEkf) -> None:
+    program, runs = zeros.program, 37
+    random = np.random.default_rng(5)
+    states = STATE[:, None] + 0.1 * random.standard_normal((6, runs))
+    inputs = program.inputs(NOISE, runs=runs)
+    memory = program.first(states)
+    alone = [zeros.first(x) for x in states.T]
+    truths = [x + 0.02 * random.standard_normal(6) for x in states.T]
+    out = np.empty((program.step.size_out, runs))
+    for k in range(40):
+        commands = random.uniform(-5, 5, runs)
+        truths = truths if k == 0 else [MODEL.step(x, u) for x, u in zip(truths, commands, strict=True)]
+        measured = POSITIONS @ np.array(truths).T + ROOT @ random.standard_normal((3, runs))
+        present = random.random((3, runs)) > 0.2
+        for name, value in (("memory", memory), ("command", commands), ("measured", measured), ("present", present)):
+            inputs[program.slices[name]] = value
+        memory = (program.step if k else program.update)(inputs, out)[program.out["memory"]]
+        for i, estimate in enumerate(alone):
+            a, b = measured[:, i], present[:, i]
+            alone[i] = zeros.step(estimate, commands[i], a, b) if k else zeros.update(estimate, a, b)
+    for i, estimate in enumerate(alone):
+        assert out[program.out["state"], i] == pytest.approx(estimate.state, rel=PACKS, abs=PACKS)
+        assert out[program.out["extra"], i] == pytest.approx(estimate.extra, rel=PACKS, abs=PACKS)
+        assert out[program.out["sigmas"], i] == pytest.approx(estimate.sigmas, rel=1e-9)
+        assert out[program.out["nis"], i] == pytest.approx(estimate.nis, rel=1e-6, abs=1e-6)
+        assert out[program.out["used"], i] == estimate.used
+
+
+def test_looking_ahead_is_the_model_with_what_the_extras_do() -> None:
+    ekf = CompiledEkf(MODEL, EkfSettings(augment=("drive", "friction", "parameters")), noise=NOISE)
+    assert ekf.extra_names == ("drive", "friction_1", "friction_2", "M11", "M22", "S1", "S2")
+    first = ekf.first(STATE)
+    memory = first.memory.copy()
+    memory[6:13] = extra = np.array([0.4, 0.3, -0.2, 0.05, -0.04, 0.03, 0.02])
+    estimate = Estimate(memory[:6], memory[6:13], first.sigmas, first.innovation, 0.0, 3, memory)
+    # Base parameters: M11, M12, M22, G1, G2, S1, S2, k1, k2.
+    factors = 1 + np.array([extra[3], 0, extra[4], extra[5], extra[6], extra[5], extra[6], extra[1], extra[2]])
+    changed = SampledModel(MODEL.equations, LAB.base() * factors, period=1e-3)
+    fades = np.exp(-1e-3 / ekf.settings.drive_time)
+    expected = changed.step(changed.step(STATE, 2.0 + 0.4), -1.0 + 0.4 * fades)
+    assert ekf.ahead(estimate, [2.0, -1.0]) == pytest.approx(expected, abs=1e-13)
+    assert (ekf.ahead(estimate, []) == STATE).all()
+
+
+def test_a_whole_turn_in_a_measured_angle_makes_no_difference(plain: CompiledEkf) -> None:
+    measured = POSITIONS @ STATE + np.array([1e-4, -2e-4, 0.0])
+    once = plain.update(plain.first(STATE), measured)
+    wound = plain.update(plain.first(STATE), measured + 2 * np.pi * np.array([-3, 2, 0]))
+    assert wound.state == pytest.approx(once.state, abs=1e-12)
+    far = measured + np.array([0, 0, 10.0])
+    assert plain.update(plain.first(STATE), far).innovation[2] == pytest.approx(10.0)
+
+
+def smallest(covariance: np.ndarray) -> float:
+    """Smallest eigenvalue of the correlations, -1 if a variance is not positive."""
+    variances = np.diag(covariance)
+    if not (variances > 0).all():
+        return -1.0
+    return float(np.linalg.eigvalsh(covariance / np.sqrt(np.outer(variances, variances))).min())
+
+
+@pytest.mark.parametrize("start", [(0, 0, 0, 0, 0, 0), (np.pi, np.pi, 0, 0, 0, 0), (0.4, 2.8, 6, -9, 0, 0)])
+@pytest.mark.parametrize("augment", [(), ("zeros",)])
+def test_the_covariance_stays_positive_hanging_standing_and_swinging(
+    start: tuple[float, ...], augment: tuple[str, ...]
+) -> None:
+    # Along an exact motion the update takes away as much as it ever does: the noise is small, the covariance large.
+    ekf = CompiledEkf(MODEL, EkfSettings(augment=augment, rate_noise=1e-4, parameter_error=1e-4), noise=NOISE)
+    truth = np.array(start, dtype=float)
+    estimate = ekf.first(truth)
+    lowest = 1.0
+    for k in range(12_000):
+        truth = truth if start[2] == 0 else MODEL.step(truth, 0.0)
+        estimate = ekf.step(estimate, 0.0, POSITIONS @ truth)
+        if k < 20 or k % 200 == 0:
+            lowest = min(lowest, smallest(ekf.covariance(estimate)))
+    assert lowest > 1e-12
+    assert np.isfinite(estimate.sigmas).all()
+
+
+def test_josephs_form_holds_where_the_plain_form_breaks() -> None:
+    # A prior seventeen orders above the noise: (I - K H) P alone leaves only rounding, of either sign.
+    share = 1e-10
+    settings = EkfSettings(rate_noise=3e-7, cart_noise=1e-8, parameter_error=1e-7)
+    ekf = CompiledEkf(MODEL, settings, noise=NOISE * share)
+    estimate, h = ekf.first(STATE), POSITIONS
+    p = ekf.covariance(estimate)
+    gain = p @ h.T @ np.linalg.inv(h @ p @ h.T + NOISE * share)
+    assert smallest(p - gain @ h @ p) < 0.0
+    for command, _, measured in zip(*swing(500, root=ROOT * np.sqrt(share)), strict=True):
+        estimate = ekf.step(estimate, command, measured)
+        assert smallest(ekf.covariance(estimate)) > 0.01
+
+
+def test_a_covariance_that_is_lost_is_an_arithmetic_error(plain: CompiledEkf) -> None:
+    first = plain.first(STATE)
+    for place, damage in ((6, np.nan), (11, -1.0)):  # A variance of an angle; of a rate.
+        memory = first.memory.copy()
+        memory[place] = damage
+        with pytest.raises(ArithmeticError, match="no longer positive"):
+            plain.step(first._replace(memory=memory), 0.0, POSITIONS @ STATE)
+    with pytest.raises(ArithmeticError, match="no longer finite"):
+        plain.step(first, np.inf, POSITIONS @ STATE)
+
+
+def test_nothing_given_is_changed_and_the_same_call_gives_the_same(zeros: CompiledEkf) -> None:
+    first = zeros.first(STATE)
+    memory, measured = first.memory.copy(), POSITIONS @ STATE + 1e-4
+    kept = measured.copy()
+    once = zeros.step(first, 1.0, measured)
+    zeros.step(zeros.first(STATE * 2), -5.0, measured + 0.1, np.array([True, False, True]))
+    again = zeros.step(first, 1.0, measured)
+    assert (first.memory == memory).all()
+    assert (measured == kept).all()
+    assert (once.memory == again.memory).all()
+
+
+def test_a_restart_trusts_the_positions_and_little_else(zeros: CompiledEkf) -> None:
+    estimate = zeros.first(STATE)
+    measured = np.array([1.0, -2.0, 0.2])
+    lost = estimate._replace(state=np.array([9.0, np.nan, 400.0, np.nan, 9.0, 9.0]))
+    begun = zeros.restarted(lost, measured)
+    assert begun.state[[0, 1, 4]] == pytest.approx(measured)
+    assert np.isfinite(begun.state).all()
+    assert not begun.extra.any()
+    assert np.isfinite(zeros.step(begun, 0.0, measured).sigmas).all()
+    with pytest.raises(InputError, match="finite positions"):
+        zeros.restarted(lost, np.array([1.0, np.nan, 0.0]))
+
+
+def test_shapes_and_noise_that_do_not_fit_are_refused(plain: CompiledEkf, zeros: CompiledEkf) -> None:
+    with pytest.raises(InputError, match="measurement has shape"):
+        plain.update(plain.first(STATE), np.zeros(2))
+    with pytest.raises(InputError, match="memory"):
+        plain.update(zeros.first(STATE), np.zeros(3))
+    with pytest.raises(InputError, match="state has shape"):
+        plain.first(np.zeros(5))
+    with pytest.raises(InputError, match="has shape"):
+        checked_noise(np.eye(2), 2)
+    for wrong in (np.zeros((3, 3)), np.full((3, 3), np.nan), np.eye(3) + np.eye(3, k=1)):
+        with pytest.raises(InputError, match="positive definite"):
+            CompiledEkf(MODEL, EkfSettings(), noise=wrong)
+
+
+def test_settings_name_what_is_wrong_with_them() -> None:
+    with pytest.raises(InputError, match=r"zero_error = -1.0"):
+        EkfSettings(zero_error=-1.0)
+    with pytest.raises(InputError, match="did you mean 'zeros'"):
+        EkfSettings(augment=("zero",))
+    with pytest.raises(InputError, match="name each once"):
+        EkfSettings(augment=("zeros", "zeros"))
+
+
+def test_packing_is_undone_by_unpacking() -> None:
+    random = np.random.default_rng(1)
+    a = random.standard_normal((4, 7, 7))
+    symmetric = a + a.transpose(0, 2, 1)
+    assert (unpacked(packed(symmetric)) == symmetric).all()
