@@ -78,8 +78,12 @@ def _plain(path: Path, size: int) -> dict[str, Any]:
 def _with_objects(path: Path) -> dict[str, Any]:
     # Takes half a second to import, and most files do not need it.
     from matio import load_from_mat
+    from matio.utils.matclass import MatReadError
 
-    return load_from_mat(str(path), raw_data=True) or {}
+    try:
+        return load_from_mat(str(path), raw_data=True) or {}
+    except MatReadError as error:
+        raise ValueError(str(error)) from error
 
 
 def column(variables: Mapping[str, Any], name: str, *, file: Path) -> Array:

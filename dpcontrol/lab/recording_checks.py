@@ -1,7 +1,8 @@
 """What can be wrong with samples of time and angles, found and named; repaired only where asked.
 
 In order: time that stands or runs backward (time), values that are not finite (nan), samples left out (gaps), angles
-wrapped into one turn (wrap), uneven sampling (sampling). What no repair can mend is refused: jumps, too few samples.
+wrapped into one turn (wrap), rates that stand out (spikes), uneven sampling (sampling). What no repair can mend is
+refused: jumps, too few samples.
 """
 
 from collections.abc import Callable
@@ -21,6 +22,7 @@ REPAIRS = {
     "gaps": "cut the segment where samples were left out",
     "sampling": "interpolate to even times",
     "wrap": "unwrap angles that jump by a turn",
+    "spikes": "replace a rate that stands out from its neighbours by their median",
 }
 """Repairs by name, and what each does."""
 
@@ -32,6 +34,8 @@ _UNEVEN = 0.2
 """Share of a period by which a sample may come early or late: clocks jitter by a few hundredths."""
 _JUMP, _FASTEST_RATE = 0.3, 100.0
 """No arm of a bench turns further in one sample than `_JUMP` rad plus what it does at `_FASTEST_RATE` rad/s."""
+_SPIKE = 10.0
+"""rad/s: how far a rate may stand out from the median of five; no arm accelerates to a fourth of it in two samples."""
 _MOST_LEFT_OUT = 0.05
 
 
@@ -92,6 +96,7 @@ def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) 
         _finite,
         _whole,
         _continuous,
+        _steady,
         _even,
     ]
     segments, notes = [samples], []
@@ -214,6 +219,30 @@ def _whole(samples: Samples, repairs: frozenset[str], period: float) -> Repaired
         raise _refuse(f"{fault} ({len(gaps)} such gaps)", "gaps")
     pieces = np.split(np.arange(len(samples.time)), gaps + 1)
     return [samples.taken(piece) for piece in pieces], [f"{samples.where}: cut at {len(gaps)} gaps"]
+
+
+def _steady(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
+    columns = [k for k, name in enumerate(samples.names) if name.startswith("rate ")]
+    if not columns or len(samples.time) < FEWEST_SAMPLES:
+        return [samples], []
+    from scipy.ndimage import median_filter
+
+    rates = samples.values[:, columns]
+    median = median_filter(rates, size=(5, 1), mode="nearest")
+    spikes = np.abs(rates - median) > _SPIKE
+    if not spikes.any():
+        return [samples], []
+    index, column = (int(k[0]) for k in np.nonzero(spikes))
+    name, value = samples.names[columns[column]], rates[index, column]
+    others = f"among {median[index, column]:.4g} ({spikes.sum()} such spikes)"
+    fault = f"{samples.at(index)}: {name} is {value:.4g} rad/s {others}"
+    if spikes.mean() > _MOST_LEFT_OUT:
+        raise InputError(f"{fault}; these are no rates: check unit and columns")
+    if "spikes" not in repairs:
+        raise _refuse(fault, "spikes")
+    values = samples.values.copy()
+    values[:, columns] = np.where(spikes, median, rates)
+    return [replace(samples, values=values)], [f"{samples.where}: {spikes.sum()} spikes of rates taken out"]
 
 
 def _even(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:

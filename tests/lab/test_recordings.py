@@ -187,6 +187,10 @@ def _wrapped(columns: dict[str, Any]) -> None:
     columns["angle_1"] = [(v - least) % (2 * np.pi) + least for v in columns["angle_1"]]
 
 
+def _spiked(columns: dict[str, Any]) -> None:
+    columns["rate_2"][100] += 300.0
+
+
 def _uneven(columns: dict[str, Any]) -> None:
     times = np.array(columns["time"]) + 0.3 * PERIOD * np.sin(np.arange(len(columns["time"])))
     clock, states = free_swing(300)
@@ -203,6 +207,7 @@ def _uneven(columns: dict[str, Any]) -> None:
         (_backward, "time", "row 101 (t = 0.097 s) goes back in time by 0.002 s"),
         (_gap, "gaps", "row 100 (t = 0.099 s): the next sample comes 0.031 s later, not 0.001 s"),
         (_wrapped, "wrap", "angle 1 jumps by a turn"),
+        (_spiked, "spikes", "row 101 (t = 0.1 s): rate 2 is 29"),
         (_uneven, "sampling", "uneven sampling"),
     ],
 )
@@ -213,7 +218,7 @@ def test_a_fault_is_named_and_mended_only_where_asked(tmp_path: Path, fault: Fau
     with pytest.raises(InputError, match="repair " + repair) as refused:
         import_recording(file)
     assert said in str(refused.value)
-    other = {"nan", "time", "gaps", "wrap", "sampling"} - {repair, "gaps", "sampling"}
+    other = {"nan", "time", "gaps", "wrap", "spikes", "sampling"} - {repair, "gaps", "sampling"}
     with pytest.raises(InputError):
         import_recording(file, repairs=sorted(other))
     # A row left out for its time leaves a gap.
@@ -242,7 +247,7 @@ def test_a_long_hole_and_a_gap_cut_the_recording_into_segments(tmp_path: Path) -
 def test_a_jump_is_refused_whatever_is_asked_for(tmp_path: Path) -> None:
     columns = table_columns()
     columns["angle_1"][100:] = [v + 2.0 for v in columns["angle_1"][100:]]
-    everything = ["nan", "time", "gaps", "wrap", "sampling"]
+    everything = ["nan", "time", "gaps", "wrap", "spikes", "sampling"]
     with pytest.raises(InputError, match=r"row 101 .*angle 1 jumps by 2.01 rad in one sample"):
         import_recording(write_csv(tmp_path / "jump.csv", columns), repairs=everything)
 
