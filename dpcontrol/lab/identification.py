@@ -1,0 +1,337 @@
+"""Which arms swung so: base-parameter ratios, friction laws and encoder zeros from recordings.
+
+Every third segment is left out. Each candidate (friction viscous; with Coulomb; with the air's drag; with both; the
+encoders' zeros free or not) is fitted to the others and predicts those left out from a fitted start over their whole
+length. The one of fewest unknowns whose mean squared error is within one standard error of the least is taken.
+
+Sources: Hastie, Tibshirani, Friedman, The elements of statistical learning (2009), section 7.10, for the choice;
+`dpcontrol.control.swing_fit` for the fit; `dpcontrol.lab.identification_statistics` for what is said of its errors.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import savgol_filter
+
+from dpcontrol.control.swing_fit import FitSettings, Swing, SwingFit, fit_swings
+from dpcontrol.control.swings import Swings
+from dpcontrol.dynamics.base_ratios import base_ratios, inertial_count, nearest_arms, ratio_names, unit_name, with_laws
+from dpcontrol.dynamics.parameters import ArmChainParameters, Friction
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.lab.identification_statistics import covariance_of, undetermined_of
+from dpcontrol.lab.recordings import Recording
+
+Array = NDArray[np.float64]
+
+LAWS: tuple[tuple[Friction, ...], ...] = (
+    (),
+    (Friction.COULOMB,),
+    (Friction.QUADRATIC,),
+    (Friction.COULOMB, Friction.QUADRATIC),
+)
+_STILL = 1e-3
+
+
+@dataclass(frozen=True)
+class IdentificationSettings:
+    """zeros: "free", "none", or "chosen" by the error on what was left out. left_out: one segment of so many, the last
+    of each. longest s: a longer segment is cut into equal ones.
+    """
+
+    zeros: str = "chosen"
+    left_out: int = 3
+    longest: float = 4.0
+    fit: FitSettings = field(default_factory=FitSettings)
+
+    def __post_init__(self) -> None:
+        """Refuse impossible settings.
+
+        Raises:
+            InputError: names the setting, its value and what is allowed.
+        """
+        if self.zeros not in ("free", "none", "chosen"):
+            raise InputError(f"identify: zeros = {self.zeros!r}: must be free, none or chosen")
+        if self.left_out < 2:
+            raise InputError(f"identify: left_out = {self.left_out!r}: must be at least 2")
+        if not (np.isfinite(self.longest) and self.longest > 0):
+            raise InputError(f"identify: longest = {self.longest!r}: must be a positive number of seconds")
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A segment as it was used: running index over all logs, log, first time s, length s, used or left out, rms rad."""
+
+    index: int
+    log: str
+    start: float
+    seconds: float
+    used: bool
+    rms: float
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A set of terms: fitted, and its rms (L,) in rad on each segment left out."""
+
+    laws: tuple[Friction, ...]
+    zeros: bool
+    unknowns: int
+    left_out: Array
+    fit: SwingFit
+    predicted: SwingFit
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of its terms."""
+        return ("viscous", *(law.value for law in self.laws), *(("zeros",) if self.zeros else ()))
+
+    @property
+    def left_out_rms(self) -> float:
+        """Root of the mean squared error over all segments left out, rad."""
+        return float(np.sqrt((self.left_out**2).mean()))
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What was identified.
+
+    arms: the nearest to the starting model's with the identified ratios. names, values, errors (f,): of the ratios,
+    then of the encoders' zeros where free (rad, each recording's own); covariance (f, f). zeros (recordings, n) rad,
+    shown less true. undetermined: sentences. candidates, chosen: index of one. started_at: rms (L,) rad of the
+    starting model on the segments left out. angles, errors of prediction: of each segment (K, n) rad.
+    """
+
+    start: ArmChainParameters
+    arms: ArmChainParameters
+    names: tuple[str, ...]
+    values: Array
+    errors: Array
+    covariance: Array
+    zeros: Array
+    undetermined: tuple[str, ...]
+    candidates: tuple[Candidate, ...]
+    chosen: int
+    started_at: Array
+    segments: tuple[Segment, ...]
+    swings: tuple[Swing, ...]
+    residuals: tuple[Array, ...]
+    status: str
+
+    @property
+    def friction_terms(self) -> tuple[str, ...]:
+        """Laws of friction that were chosen."""
+        return tuple(term for term in self.candidates[self.chosen].terms if term != "zeros")
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation matrix (f, f)."""
+        deviations = np.sqrt(np.diag(self.covariance))
+        return self.covariance / np.outer(deviations, deviations)
+
+
+def identify(
+    recordings: Sequence[Recording],
+    start: ArmChainParameters,
+    *,
+    settings: IdentificationSettings | None = None,
+    progress: Progress = no_progress,
+) -> Identification:
+    """Identify arms from recordings, starting from those of a model.
+
+    Raises:
+        InputError: the recordings are of another pendulum, too short or too few.
+        GoalMissed: no candidate could be fitted; the sentence says why.
+    """
+    settings = settings or IdentificationSettings()
+    swings, about = cut_into_swings(recordings, start.count, settings.longest)
+    used = np.array([k % settings.left_out != settings.left_out - 1 for k in range(len(swings))])
+    if used.all():
+        raise InputError(
+            f"{len(swings)} segments: one in {settings.left_out} is left out to choose the friction laws by, so give at "
+            f"least {settings.left_out} segments"
+        )
+    choices = {"free": (True,), "none": (False,), "chosen": (False, True)}[settings.zeros]
+    ways = [(laws, zeros) for laws in LAWS for zeros in choices]
+    candidates: list[Candidate] = []
+    reasons: list[str] = []
+    for number, (laws, zeros) in enumerate(ways):
+        progress(_doing(laws, zeros), number / (len(ways) + 1))
+        near = candidates[-1] if candidates and candidates[-1].laws == laws else None
+        candidate = _fitted(swings, used, with_laws(start, laws), zeros, settings.fit, near)
+        if candidate.fit.converged and candidate.predicted.converged:
+            candidates.append(candidate)
+        else:
+            reasons.append(f"{' + '.join(candidate.terms)}: {candidate.fit.status}")
+    if not candidates:
+        raise GoalMissed(f"no candidate could be fitted; {reasons[0]}")
+    progress("uncertainty", len(ways) / (len(ways) + 1))
+    before = _start_alone(swings, used, start, settings.fit)
+    chosen = choose(candidates)
+    best = candidates[chosen]
+    arms = with_laws(start, best.laws)
+    names = (*ratio_names(arms), *_zero_names(recordings, best.fit.zeros, best.zeros))
+    covariance = covariance_of(best.fit)
+    values = np.concatenate([best.fit.parameters, best.fit.zeros.ravel() if best.zeros else []])
+    friction = slice(inertial_count(arms.count), len(best.fit.parameters))
+    rms = np.empty(len(swings))
+    rms[used], rms[~used] = best.fit.rms, best.left_out
+    residuals: list[Array] = []
+    of_used, of_left = iter(best.fit.residuals), iter(best.predicted.residuals)
+    residuals = [next(of_used if one else of_left) for one in used]
+    progress("done", 1.0)
+    failed = f"; {len(reasons)} candidates failed ({reasons[0]})" if reasons else ""
+    return Identification(
+        start=start,
+        arms=nearest_arms(best.fit.parameters, arms),
+        names=names,
+        values=values,
+        errors=np.sqrt(np.diag(covariance)),
+        covariance=covariance,
+        zeros=best.fit.zeros,
+        undetermined=(
+            f"{unit_name(arms.count)} itself: masses, inertias and friction may all grow in proportion and the arms swing "
+            "the same; only ratios to it are known",
+            *undetermined_of(names, values, covariance, friction),
+        ),
+        candidates=tuple(candidates),
+        chosen=chosen,
+        started_at=before,
+        segments=tuple(replace(one, used=bool(used[k]), rms=float(rms[k])) for k, one in enumerate(about)),
+        swings=tuple(swings),
+        residuals=tuple(residuals),
+        status=f"{' + '.join(best.terms)}: {best.fit.status}{failed}",
+    )
+
+
+def _doing(laws: tuple[Friction, ...], zeros: bool) -> str:
+    return "fit " + ", ".join(["viscous", *laws, *(["zeros"] if zeros else [])])
+
+
+def _zero_names(recordings: Sequence[Recording], zeros: Array, free: bool) -> list[str]:
+    if not free:
+        return []
+    of = [f" {r.name}" if len(recordings) > 1 else "" for r in recordings]
+    return [f"zero_{i + 1}{of[k]}" for k in range(zeros.shape[0]) for i in range(zeros.shape[1])]
+
+
+def choose(candidates: Sequence[Candidate]) -> int:
+    """Return the index of the one with fewest unknowns whose mean squared error is within one standard error of best.
+
+    The standard error is that of the best one's mean over the segments left out. Of equally many unknowns the better.
+    """
+    squares = [c.left_out**2 for c in candidates]
+    best = min(squares, key=lambda s: float(s.mean()))
+    most = float(best.mean()) + (float(best.std(ddof=1)) / np.sqrt(len(best)) if len(best) > 1 else 0.0)
+    within = [k for k, s in enumerate(squares) if s.mean() <= most]
+    return min(within, key=lambda k: (candidates[k].unknowns, float(squares[k].mean())))
+
+
+def _fitted(
+    swings: list[Swing],
+    used: NDArray[np.bool_],
+    arms: ArmChainParameters,
+    zeros: bool,
+    settings: FitSettings,
+    near: Candidate | None,
+) -> Candidate:
+    model = near_model(arms)
+    m, from_ = model.parameters, inertial_count(arms.count)
+    groups = 1 + max(s.group for s in swings)
+    fit = fit_swings(
+        model,
+        [s for s, one in zip(swings, used, strict=True) if one],
+        parameters=base_ratios(arms) if near is None else near.fit.parameters,
+        zeros=np.zeros((groups, arms.count)),
+        free=np.ones(m, dtype=bool),
+        free_zeros=zeros,
+        friction_from=from_,
+        settings=settings,
+    )
+    predicted = predict_swings(model, [s for s, one in zip(swings, used, strict=True) if not one], fit, settings)
+    unknowns = m + (fit.zeros.size if zeros else 0)
+    return Candidate(arms.friction, zeros, unknowns, predicted.rms, fit, predicted)
+
+
+def near_model(arms: ArmChainParameters) -> Swings:
+    """Return the swings of arms with these laws, compiled once for each set of laws."""
+    return Swings(arms)
+
+
+def predict_swings(model: Swings, swings: list[Swing], fit: SwingFit, settings: FitSettings) -> SwingFit:
+    """Return the swings' starts fitted by least squares with the ratios and zeros of `fit` held."""
+    return fit_swings(
+        model,
+        swings,
+        parameters=fit.parameters,
+        zeros=fit.zeros,
+        free=np.zeros(model.parameters, dtype=bool),
+        free_zeros=False,
+        friction_from=model.parameters,
+        settings=replace(settings, robust=0.0),
+    )
+
+
+def _start_alone(
+    swings: list[Swing], used: NDArray[np.bool_], start: ArmChainParameters, settings: FitSettings
+) -> Array:
+    model = near_model(start)
+    return fit_swings(
+        model,
+        [s for s, one in zip(swings, used, strict=True) if not one],
+        parameters=base_ratios(start),
+        zeros=np.zeros((1 + max(s.group for s in swings), start.count)),
+        free=np.zeros(model.parameters, dtype=bool),
+        free_zeros=False,
+        friction_from=model.parameters,
+        settings=replace(settings, robust=0.0),
+    ).rms
+
+
+def cut_into_swings(recordings: Sequence[Recording], arms: int, longest: float) -> tuple[list[Swing], list[Segment]]:
+    """Return the recordings' segments as swings, long ones cut into equal pieces, and what they are.
+
+    Raises:
+        InputError: a recording has another number of arms, or hardly moves.
+    """
+    swings: list[Swing] = []
+    about: list[Segment] = []
+    for group, recording in enumerate(recordings):
+        if recording.arms != arms:
+            raise InputError(
+                f"{recording.name} is of {recording.arms} arms, the model has {arms}; give a model of as many"
+            )
+        for part in recording.split():
+            pieces = max(int(np.ceil((len(part.time) - 1) * part.dt / longest)), 1)
+            edges = np.linspace(0, len(part.time), pieces + 1).round().astype(int)
+            accelerations, velocities = _cart_motion(part)
+            for a, b in zip(edges[:-1], edges[1:], strict=True):
+                angles = part.angles[a:b]
+                # Turns counted before a segment say nothing about it.
+                angles = angles - 2 * np.pi * np.rint(angles[0] / (2 * np.pi))
+                u = None if accelerations is None else accelerations[a:b]
+                v = None if velocities is None else velocities[a:b]
+                about.append(
+                    Segment(len(about), recording.name, float(part.time[a]), float((b - a - 1) * part.dt), True, np.nan)
+                )
+                swings.append(Swing(angles, part.dt, group, u, v))
+    if not swings:
+        raise InputError("the recordings hold no segment; import them again")
+    if max(float(np.ptp(s.angles, axis=0).max()) for s in swings) < _STILL:
+        raise InputError(
+            f"no angle moves by more than {_STILL:g} rad: there is nothing to identify; record free swings"
+        )
+    return swings, about
+
+
+def _cart_motion(part: Recording) -> tuple[Array | None, Array | None]:
+    """Return the cart's acceleration and velocity at each sample, or nothing where it was clamped."""
+    if part.cart is None or float(np.ptp(part.cart)) < _STILL:
+        return None, None
+    width = min(max(int(0.02 / part.dt) | 1, 5), (len(part.cart) - 1) | 1)
+    velocity = np.asarray(savgol_filter(part.cart, width, 3, deriv=1, delta=part.dt), dtype=float)
+    if part.command is not None:
+        return part.command, velocity
+    return np.asarray(savgol_filter(part.cart, width, 3, deriv=2, delta=part.dt), dtype=float), velocity
