@@ -1,88 +1,72 @@
 """How the viewer arranges a recording: the views, what each shows, and where."""
 
-from dataclasses import dataclass
-
-import rerun as rr
+import numpy as np
 import rerun.blueprint as rrb
 
-from dpcontrol.review import style
+from dpcontrol.review import series
+from dpcontrol.review.context import ReviewContext
+from dpcontrol.review.motion import Motion
+from dpcontrol.review.recorded import TIMELINE
+from dpcontrol.review.recorded_planes import bounds
+from dpcontrol.review.recorded_scene import WORLD
 
-TIMELINE = "message_log_time"
-"""The timeline of the log's own messages, a duration from the start; derived series go on the same."""
-
-_PAPER = [250, 251, 252]
-WORLD = "world"
-"""The frame that the log's transforms start from."""
-
-
-@dataclass(frozen=True)
-class Arrangement:
-    """What the blueprint depends on.
-
-    Attributes:
-        arm_lengths: (n,) in m.
-        has_cart: whether the pivot is on a cart.
-        has_truth: whether the estimate's error is known.
-        has_energy: whether the energy was given.
-        bounds: for each phase plane, least and greatest x, least and greatest y, as drawn.
-        ranges: least and greatest value to show at first, for plots whose limits lie far out, by name.
-    """
-
-    arm_lengths: tuple[float, ...]
-    has_cart: bool
-    has_truth: bool
-    has_energy: bool
-    bounds: tuple[tuple[float, float, float, float], ...]
-    ranges: dict[str, tuple[float, float]]
+PAPER = [250, 251, 252]
+Range = tuple[float, float]
 
 
-def blueprint(arrangement: Arrangement) -> rrb.Blueprint:
-    """Return the blueprint of a recording."""
-    distance = 2.4 * sum(arrangement.arm_lengths)
-    scene = rrb.Spatial3DView(
-        name="Scene",
-        origin="/",
-        contents=["+ /pendulum/**", "+ /reference_pendulum/**", "+ /tf/**", "+ /tip/**"],
-        eye_controls=rrb.EyeControls3D(
-            position=(0.0, -distance, 0.0), look_target=(0.0, 0.0, 0.0), eye_up=(0.0, 0.0, 1.0)
-        ),
-        line_grid=False,
-        spatial_information=rrb.SpatialInformation(target_frame=WORLD),
-        background=_PAPER,
+def blueprint(motion: Motion, context: ReviewContext, *, from_log: bool) -> rrb.Blueprint:
+    """Return the blueprint of a recording; one made `from_log` has the log's own bodies in its scene, and events."""
+    ranges = shown_ranges(motion, context)
+    named = "arm 1 blue, arm 2 orange" if motion.arms == 2 else "one colour for each arm"
+    grey = ", reference grey" if motion.reference is not None else ""
+    plots = [plot(f"Angles (rad): {named}{grey}", "/plots/angles"), plot("Rates (rad/s)", "/plots/rates")]
+    if motion.has_cart:
+        plots.append(plot(f"Cart position (m){grey}", "/plots/cart", shown=ranges.get("cart")))
+    if motion.control is not None:
+        limit = f", limit ±{context.limits[2]:g}" if context.limits else ""
+        title = f"Cart's acceleration (m/s²){limit}"
+        corner = rrb.Corner2D.RightTop
+        plots.append(plot(title, "/plots/acceleration", legend=corner, shown=ranges.get("acceleration")))
+    checks = (
+        [plot("Tracking error of the angles (rad)", "/plots/tracking_error")] if motion.reference is not None else []
     )
-    planes = [
-        rrb.Spatial2DView(
-            name=f"Phase plane of arm {arm + 1}",
-            origin=f"/phase_planes/arm_{arm + 1}",
-            visual_bounds=rrb.VisualBounds2D(x_range=bounds[:2], y_range=bounds[2:]),
-            background=_PAPER,
+    if motion.error is not None and motion.sigma is not None:
+        title = "Estimation error of the angles (rad), band ±2σ"
+        checks.append(plot(title, "/plots/estimation_error", shown=ranges.get("estimation_error")))
+    if motion.nis is not None:
+        checks.append(plot("NIS: means of 50 ticks; 95 % belong between the green lines", "/plots/nis"))
+    if series.energy_of(motion, context) is not None:
+        corner = rrb.Corner2D.RightTop
+        checks.append(plot("Energy and saddles (J)", "/plots/energy", legend=corner, shown=ranges.get("energy")))
+    planes = [plane_view(motion, context, arm, "/phase_planes") for arm in range(min(motion.arms, 2))]
+    texts: list[rrb.View] = [rrb.TextDocumentView(name="Summary", origin="/summary")]
+    if from_log:
+        columns = rrb.TextLogColumns(text_log_columns=["loglevel", "body"])
+        texts.append(rrb.TextLogView(name="Events", origin="/rosout", columns=columns))
+    middle = [*plots]
+    if context.planned or motion.control is not None:
+        middle.insert(
+            0, rrb.StateTimelineView(name="Itinerary as asked and done, symbols, controller", origin="/states")
         )
-        for arm, bounds in enumerate(arrangement.bounds)
-    ]
-    ranges = arrangement.ranges
-    plots = [
-        _plot("Angles (rad)", "/plots/angles", legend=rrb.Corner2D.LeftTop),
-        _plot("Rates (rad/s): reference grey", "/plots/rates", legend=None),
-    ]
-    if arrangement.has_cart:
-        plots.append(_plot("Cart position (m): reference grey", "/plots/cart", legend=None, shown=ranges.get("cart")))
-    plots.append(_plot("Acceleration (m/s²)", "/plots/acceleration", shown=ranges.get("acceleration")))
-    checks = [_plot("NIS: means of 50 ticks, and where 95 % of them belong", "/plots/nis", legend=None)]
-    if arrangement.has_truth:
-        title = "Estimation error in angles (rad), band 2σ"
-        checks.insert(0, _plot(title, "/plots/estimation_error", shown=ranges.get("estimation_error")))
-    if arrangement.has_energy:
-        checks.append(_plot("Energy and saddles (J)", "/plots/energy", shown=ranges.get("energy")))
-    summary = rrb.TextDocumentView(name="Summary", origin="/summary")
-    events = rrb.TextLogView(name="Events", origin="/rosout")
-    states = rrb.StateTimelineView(name="Controller and itinerary", origin="/states")
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(scene, rrb.Horizontal(*planes), rrb.Horizontal(summary, events), row_shares=[4, 3, 2]),
-            rrb.Vertical(states, *plots, row_shares=[1.3, *([2] * len(plots))]),
-            rrb.Vertical(*checks),
-            column_shares=[5, 4, 4],
+    shares = [2.2 if k == 0 and len(middle) > len(plots) else 2 for k in range(len(middle))]
+    columns_of_views = [
+        rrb.Vertical(
+            scene_view(context, from_log=from_log),
+            rrb.Horizontal(*planes),
+            rrb.Horizontal(*texts),
+            row_shares=[4, 4, 2.4],
         ),
+        rrb.Vertical(*middle, row_shares=shares),
+    ]
+    if checks:
+        columns_of_views.append(rrb.Vertical(*checks))
+    return page(rrb.Horizontal(*columns_of_views, column_shares=[5, 4.3, 3.7][: len(columns_of_views)]))
+
+
+def page(root: rrb.Container) -> rrb.Blueprint:
+    """Return a blueprint without side panels."""
+    return rrb.Blueprint(
+        root,
         rrb.TimePanel(state="collapsed", timeline=TIMELINE),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -91,13 +75,42 @@ def blueprint(arrangement: Arrangement) -> rrb.Blueprint:
     )
 
 
-def _plot(
-    name: str,
-    origin: str,
-    *,
-    legend: rrb.Corner2D | None = rrb.Corner2D.RightTop,
-    shown: tuple[float, float] | None = None,
-) -> rrb.TimeSeriesView:
+def scene_view(context: ReviewContext, *, from_log: bool, home: str = "/scene", name: str = "Scene") -> rrb.View:
+    """Return the view of the pendulum in space, seen from the front."""
+    reach = sum(context.arm_lengths)
+    distance = max(2.4 * reach, 1.9 * context.limits[0] if context.limits else 0.0)
+    contents = (
+        ["+ /pendulum/**", "+ /reference_pendulum/**", "+ /tf/**", "+ /tip/**"]
+        if from_log
+        else [f"+ {home}/**", "+ /tip/**"]
+    )
+    return rrb.Spatial3DView(
+        name=f"{name}: reference grey" if from_log else name,
+        origin="/",
+        contents=contents,
+        eye_controls=rrb.EyeControls3D(
+            position=(0.0, -distance, 0.0), look_target=(0.0, 0.0, 0.0), eye_up=(0.0, 0.0, 1.0)
+        ),
+        line_grid=False,
+        spatial_information=rrb.SpatialInformation(target_frame=WORLD),
+        background=PAPER,
+    )
+
+
+def plane_view(motion: Motion, context: ReviewContext, arm: int, home: str, *, name: str = "") -> rrb.View:
+    """Return the view of an arm's phase plane."""
+    box = bounds(motion, context, arm)
+    tubes = "; tubes from an orbit red, to it green" if context.tubes and not name else ""
+    return rrb.Spatial2DView(
+        name=name or f"Arm {arm + 1}: rate (rad/s) over angle{tubes}",
+        origin=f"{home}/arm_{arm + 1}",
+        visual_bounds=rrb.VisualBounds2D(x_range=box[:2], y_range=box[2:]),
+        background=PAPER,
+    )
+
+
+def plot(name: str, origin: str, *, legend: rrb.Corner2D | None = None, shown: Range | None = None) -> rrb.View:
+    """Return the view of a plot; `shown` is its range at first."""
     return rrb.TimeSeriesView(
         name=name,
         origin=origin,
@@ -106,6 +119,17 @@ def _plot(
     )
 
 
-def line(colour: str, name: str, *, width: float = 1.3) -> rr.SeriesLines:
-    """Return the look of one curve."""
-    return rr.SeriesLines(colors=[style.rgb(colour)], names=[name], widths=[width])
+def shown_ranges(motion: Motion, context: ReviewContext) -> dict[str, Range]:
+    """Return what to show at first of each plot whose limits, levels or first instants would flatten the rest."""
+    ranges: dict[str, Range] = {}
+    if motion.control is not None and "applied" in motion.control:
+        ranges["acceleration"] = series.padded(motion.control["applied"])
+    if motion.has_cart:
+        ranges["cart"] = series.padded(motion.state[:, 2 * motion.arms])
+    if motion.error is not None:
+        most = series.error_reach(motion)
+        ranges["estimation_error"] = (-most, most)
+    energy = series.energy_of(motion, context)
+    if energy is not None:
+        ranges["energy"] = series.energy_range(energy, context.saddle_energies)
+    return {name: span for name, span in ranges.items() if np.isfinite(span).all()}

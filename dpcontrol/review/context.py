@@ -10,15 +10,17 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class OrbitCurve:
-    """A periodic orbit of the pendulum.
+    """A periodic orbit of the pendulum, or an equilibrium, at a place where a plan stops.
 
     Attributes:
         name: as shown, such as "down-up at -0.07 J".
         states: (M, 2n) along one period, angles then rates; rad, rad/s.
+        saddle: that it lies about.
     """
 
     name: str
     states: Array
+    saddle: str = ""
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ class ReviewContext:
         title: of the recording and the picture.
         arm_lengths: (n,) in m.
         limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s²; or None.
-        orbits: the itinerary's orbits.
+        orbits: the itinerary's orbits, at each place where it stops.
         saddle_energies: energy of each saddle in J, by name.
         symbols: for each symbol of the itinerary, the planned time of its section crossing in s, and its name.
         energy: (N,) in J, of the pendulum in each tick, true if known, else estimated; or None.

@@ -5,46 +5,48 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 from numpy.typing import NDArray
 
-from dpcontrol.logs import RunLog
 from dpcontrol.review import series, style
 from dpcontrol.review.context import ReviewContext
+from dpcontrol.review.motion import Motion
+
+Span = tuple[float, float]
 
 _FRAME_STEP = 2.12
 """Between the film's frames, in lengths of all arms: just enough for two stretched towards one another."""
 
 
-def draw_film(axes: Axes, log: RunLog, context: ReviewContext, *, frames: int) -> None:
+def draw_film(axes: Axes, motion: Motion, context: ReviewContext, *, frames: int) -> None:
     """Draw the arms at several instants, the reference grey behind them, the tip's path since the last frame."""
-    state, _ = series.shown_state(log)
-    arms = len(context.arm_lengths)
+    state, arms = motion.state, motion.arms
     reach = sum(context.arm_lengths)
     step = _FRAME_STEP * reach
-    rows = film_rows(log, context, frames=frames)
-    horizontal, vertical = film_extent(log, context, frames=frames)
+    rows = film_rows(motion, context, frames=frames)
+    horizontal, vertical = film_extent(motion, context, frames=frames)
     axes.set_xlim(*horizontal)
     axes.set_ylim(*vertical)
-    pivot = series.pivot_positions(log, state)
-    ghost_pivot = series.pivot_positions(log, log.reference)
+    pivot = motion.pivot
     width = 0.05 * reach
     for i, row in enumerate(rows):
         at = i * step
-        if log.has_cart:
+        if motion.has_cart:
             axes.plot([at - 0.98 * reach, at + 0.98 * reach], [0, 0], color=style.FAINT, linewidth=2.5, zorder=1)
             axes.add_patch(Rectangle((at - 0.13 * reach, -width), 0.26 * reach, 2 * width, color=style.CART, zorder=2))
-        since = max(rows[i - 1], row - _rows_in(log, 0.25)) if i else max(row - _rows_in(log, 0.1), 0)
+        since = max(rows[i - 1], row - _rows_in(motion, 0.25)) if i else max(row - _rows_in(motion, 0.1), 0)
         tips = series.arm_points(state[since : row + 1, :arms], context.arm_lengths)[:, -1]
         drift = pivot[since : row + 1] - pivot[row]
         axes.plot(at + tips[:, 0] + drift, tips[:, 1], color=style.arm_colour(arms - 1), alpha=0.3, linewidth=1.3)
-        ghost = series.arm_points(log.reference[row : row + 1, :arms], context.arm_lengths)[0]
-        shift = at + ghost_pivot[row] - pivot[row]
-        axes.plot(shift + ghost[:, 0], ghost[:, 1], color="#b4bbc3", linewidth=6.5, solid_capstyle="round", zorder=2.5)
+        if motion.reference is not None:
+            ghost = series.arm_points(motion.reference[row : row + 1, :arms], context.arm_lengths)[0]
+            shift = at + (motion.reference[row, 2 * arms] - pivot[row] if motion.has_cart else 0.0)
+            look = {"color": "#b4bbc3", "linewidth": 6.5, "solid_capstyle": "round", "zorder": 2.5}
+            axes.plot(shift + ghost[:, 0], ghost[:, 1], **look)
         points = series.arm_points(state[row : row + 1, :arms], context.arm_lengths)[0]
         for arm in range(arms):
             x, y = points[arm : arm + 2].T
             axes.plot(at + x, y, color=style.arm_colour(arm), linewidth=2.6, solid_capstyle="round", zorder=3)
         axes.plot(at + points[:-1, 0], points[:-1, 1], "o", color=style.INK, markersize=3.2, zorder=4)
         axes.plot(at + points[-1, 0], points[-1, 1], "o", color=style.arm_colour(arms - 1), markersize=5.5, zorder=4)
-        text = f"{log.time[row]:.2f} s" + (_cart_text(float(pivot[row])) if log.has_cart else "")
+        text = f"{motion.time[row]:.2f} s" + (_cart_text(float(pivot[row])) if motion.has_cart else "")
         axes.text(
             at,
             vertical[0] + 0.46 * reach,
@@ -62,12 +64,14 @@ def _cart_text(position: float) -> str:
     return f"\ncart {round(1000 * position):+d} mm" if np.isfinite(position) else "\nlost"
 
 
-def film_extent(log: RunLog, context: ReviewContext, *, frames: int) -> tuple[tuple[float, float], tuple[float, float]]:
+def film_extent(
+    motion: Motion, context: ReviewContext, *, frames: int
+) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return the x and y limits in m that `draw_film` needs: as low and as high as the arms reach in its frames."""
     reach = sum(context.arm_lengths)
-    rows = film_rows(log, context, frames=frames)
-    arms = len(context.arm_lengths)
-    both = np.concatenate([series.shown_state(log)[0][rows, :arms], log.reference[rows, :arms]])
+    rows = film_rows(motion, context, frames=frames)
+    shown = [motion.state] if motion.reference is None else [motion.state, motion.reference]
+    both = np.concatenate([states[rows, : motion.arms] for states in shown])
     heights = series.arm_points(both[np.isfinite(both).all(axis=1)], context.arm_lengths)[..., 1].ravel()
     heights = np.append(heights, 0.0)
     low, high = min(float(heights.min()), -0.2 * reach), max(float(heights.max()), 0.1 * reach)
@@ -75,11 +79,11 @@ def film_extent(log: RunLog, context: ReviewContext, *, frames: int) -> tuple[tu
     return (-0.53 * step, (frames - 0.47) * step), (low - 0.62 * reach, high + 0.1 * reach)
 
 
-def film_rows(log: RunLog, context: ReviewContext, *, frames: int) -> NDArray[np.int64]:
+def film_rows(motion: Motion, context: ReviewContext, *, frames: int) -> NDArray[np.int64]:
     """Return the ticks that the film shows."""
-    times = series.film_times(context, log.time, frames=frames)
-    return np.searchsorted(log.time, times).clip(0, len(log.time) - 1)
+    times = series.film_times(context, motion.time, frames=frames)
+    return np.searchsorted(motion.time, times).clip(0, len(motion.time) - 1)
 
 
-def _rows_in(log: RunLog, seconds: float) -> int:
-    return max(1, round(seconds * log.rate_hz))
+def _rows_in(motion: Motion, seconds: float) -> int:
+    return max(1, round(seconds * motion.rate_hz))

@@ -17,7 +17,7 @@ from dpcontrol.references.reference import Reference
 
 Array = NDArray[np.float64]
 
-_LARGEST = 1e6
+LARGEST = 1e6
 """In rad, rad/s, m …: no run that is worth a look comes near, and drawing libraries fail far beyond."""
 _REFERENCE_RATE = 500.0
 _DRIVEN = ("command", "applied", "feedforward")
@@ -83,15 +83,14 @@ class Motion:
 def motion_of(log: RunLog) -> Motion:
     """Return what a log says, as it can be drawn."""
     n = len(log.arm_lengths)
-    truth, estimate, reference = (_cleaned(part) for part in (log.truth, log.estimate, log.reference))
+    truth, estimate, reference = (_cleaned(log.states.get(part)) for part in ("truth", "estimate", "reference"))
     if estimate is not None and reference is not None and np.array_equal(estimate, reference, equal_nan=True):
         reference = None
     breaks = np.flatnonzero(np.diff(log.time) > 1.5 / log.rate_hz) + 1
     state, what = (estimate, "estimate") if truth is None else (truth, "plant")
     if state is None or (what == "estimate" and _stands_in(state, log.measured, n)):
-        rates = getattr(log, "rates", None)
-        state, what, estimate = _measured(log, rates, breaks), "measured", None
-    control = {name: _clean(values) for name, values in (log.control or {}).items()}
+        state, what, estimate = _measured(log, breaks), "measured", None
+    control = {name: _clean(values) for name, values in log.controls.items()}
     sigma = None
     if "sigma_1" in control:
         sigma = np.column_stack([control[f"sigma_{i + 1}"] for i in range(state.shape[1])])
@@ -147,7 +146,7 @@ def motion_of_reference(reference: Reference, path: Path, *, arm_lengths: tuple[
 
 def _clean(values: Array) -> Array:
     with np.errstate(invalid="ignore"):
-        return np.where(np.abs(values) < _LARGEST, values, np.nan)
+        return np.where(np.abs(values) < LARGEST, values, np.nan)
 
 
 def _cleaned(values: Array | None) -> Array | None:
@@ -159,10 +158,11 @@ def _stands_in(state: Array, measured: Array, arms: int) -> bool:
     return np.array_equal(state[:, :arms], measured[:, :arms]) and not state[:, arms : 2 * arms].any()
 
 
-def _measured(log: RunLog, rates: Array | None, breaks: NDArray[np.int64]) -> Array:
+def _measured(log: RunLog, breaks: NDArray[np.int64]) -> Array:
     """Return the measured positions in state order, with rates by differences within each segment if none are given."""
     n, size = len(log.arm_lengths), log.measured.shape[1]
     positions = _clean(log.measured)
+    rates = log.rates
     if rates is None:
         edges = [0, *breaks.tolist(), len(log.time)]
         parts = [

@@ -1,6 +1,8 @@
 """What a review of a log needs, from the log alone: its plan, model and score where it carries them."""
 
 import json
+from collections.abc import Iterator
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,7 +16,7 @@ from dpcontrol.references.reference import Reference
 from dpcontrol.review.context import OrbitCurve, ReviewContext, Stay
 from dpcontrol.review.run_tubes import tubes_of
 from dpcontrol.review.score import REFERENCE_ATTACHMENT, Score, plan_of, score
-from dpcontrol.review.stops import Decoded, decode_run
+from dpcontrol.review.stops import Decoded, decode_run, orbit_index
 
 Array = NDArray[np.float64]
 
@@ -28,7 +30,7 @@ def review_context(log: RunLog) -> ReviewContext:
     Raises:
         InputError: the plan that the log carries is damaged.
     """
-    if REFERENCE_ATTACHMENT not in log.attachments or log.reference is None:
+    if REFERENCE_ATTACHMENT not in log.attachments or "reference" not in log.states:
         return _without_plan(log)
     plan = plan_of(log)
     notes: dict[str, Any] = dict(plan.notes)
@@ -73,15 +75,16 @@ def plan_context(plan: Reference, *, system: System | None) -> ReviewContext:
     notes: dict[str, Any] = dict(plan.notes)
     try:
         symbols = tuple((float(s["time"]), str(s["text"])) for s in notes.get("symbols") or [])
-        orbits = tuple(
-            OrbitCurve(f"{o['saddle']} at {o['energy']:g} J", np.asarray(plan.extra[f"orbit_{k}"]))
-            for k, o in enumerate(notes.get("orbits") or [])
-        )
+        orbits = _placed_orbits(plan, notes)
         saddles = {str(name): float(s["energy"]) for name, s in (notes.get("saddles") or {}).items()}
         stops = [str(stop["saddle"]) for stop in notes.get("stops") or []]
         edges = [float(plan.mesh[0]), *(at for at, _ in symbols), float(plan.mesh[-1])]
-        planned = tuple(Stay(a, b, name, name) for a, b, name in zip(edges[:-1], edges[1:], stops, strict=False))
         transfers = tuple((float(a), float(b)) for a, b in notes.get("transfers") or [])
+        planned = tuple(
+            Stay(a, b, name, name)
+            for (first, last), name in zip(pairwise(edges), stops, strict=False)
+            for a, b in _outside(transfers, first, last)
+        )
         tubes = tubes_of(notes, system) if system is not None and symbols else ()
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"the reference's notes are not those of a plan ({error}); plan again") from error
@@ -101,9 +104,34 @@ def plan_context(plan: Reference, *, system: System | None) -> ReviewContext:
     )
 
 
+def _outside(transfers: tuple[tuple[float, float], ...], first: float, last: float) -> Iterator[tuple[float, float]]:
+    """Yield the parts of a stretch of time that no transfer covers."""
+    for begin, end in transfers:
+        if begin > first and begin < last:
+            yield first, begin
+        if end > first and begin < last:
+            first = end
+    if first < last:
+        yield first, last
+
+
+def _placed_orbits(plan: Reference, notes: dict[str, Any]) -> tuple[OrbitCurve, ...]:
+    """Return the orbits of a plan at each place where it stops."""
+    placed: dict[tuple[Any, ...], OrbitCurve] = {}
+    for stop in notes.get("stops") or []:
+        for k in {orbit_index(notes, stop), stop.get("arrived_on", orbit_index(notes, stop))}:
+            note = notes["orbits"][k]
+            home = np.asarray(notes["saddles"][stop["saddle"]]["angles"])
+            lift = np.asarray(stop["angles"]) - home
+            states = np.asarray(plan.extra[f"orbit_{k}"]) + np.concatenate([lift, np.zeros_like(lift)])
+            name = f"{note['saddle']} at {note['energy']:.4g} J"
+            placed[(k, *np.rint(lift).tolist())] = OrbitCurve(name, states, note["saddle"])
+    return tuple(placed.values())
+
+
 def _without_plan(log: RunLog) -> ReviewContext:
     n = len(log.arm_lengths)
-    states = log.estimate if log.truth is None else log.truth
+    states = log.states.get("truth", log.states.get("estimate"))
     seconds = float(log.time[-1] - log.time[0])
     system = _system(log)
     return ReviewContext(

@@ -1,4 +1,4 @@
-"""Series derived from a log for recordings and pictures: arms, errors with bands, lattice copies, modes."""
+"""Series derived from a motion for recordings and pictures: arms, means of the NIS, lattice copies, modes."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -6,48 +6,13 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.logs import Mode, RunLog
-from dpcontrol.review.context import OrbitCurve, ReviewContext
+from dpcontrol.logs import Mode
+from dpcontrol.review.context import ReviewContext
+from dpcontrol.review.motion import LARGEST, Motion
+
+Array = NDArray[np.float64]
 
 _TURN = 2 * np.pi
-_LARGEST = 1e6
-"""In rad, rad/s, m …: no run that is worth a look comes near, and drawing libraries fail far beyond."""
-
-
-def shown_state(log: RunLog) -> tuple[NDArray[np.float64], str]:
-    """Return the (N, 2n+2) state to draw and what it is: the plant's own where known, else the estimate."""
-    return (log.estimate, "estimate") if log.truth is None else (log.truth, "plant")
-
-
-def drawable(log: RunLog, context: ReviewContext) -> tuple[RunLog, ReviewContext]:
-    """Return the run with nan for every number that no picture can show: a run gone wrong must be shown as well."""
-
-    def cleaned(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        with np.errstate(invalid="ignore"):
-            return np.where(np.abs(values) < _LARGEST, values, np.nan)
-
-    shown = replace(
-        log,
-        measured=cleaned(log.measured),
-        estimate=cleaned(log.estimate),
-        reference=cleaned(log.reference),
-        truth=None if log.truth is None else cleaned(log.truth),
-        control={name: cleaned(values) for name, values in log.control.items()},
-    )
-    energy = None if context.energy is None else cleaned(np.asarray(context.energy, float))
-    if energy is None or len(energy) != len(log.time) or not np.isfinite(energy).any():
-        energy = None
-    return shown, replace(context, energy=energy)
-
-
-def time_range(log: RunLog) -> tuple[float, float]:
-    """Return the first and the last time in s, at least one period of the loop apart."""
-    return float(log.time[0]), max(float(log.time[-1]), float(log.time[0]) + 1 / log.rate_hz)
-
-
-def pivot_positions(log: RunLog, states: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (K,) the pivot's position in m, zero without a cart."""
-    return states[:, 2 * len(log.arm_lengths)] if log.has_cart else np.zeros(len(states))
 
 
 def arm_points(angles: NDArray[np.float64], arm_lengths: Sequence[float]) -> NDArray[np.float64]:
@@ -65,41 +30,41 @@ def arm_points(angles: NDArray[np.float64], arm_lengths: Sequence[float]) -> NDA
     return np.concatenate([np.zeros((len(angles), 1, 2)), np.cumsum(steps, axis=1)], axis=1)
 
 
-def estimation_error(log: RunLog) -> NDArray[np.float64] | None:
-    """Return (N, 2n+2) estimate minus truth, or None without truth."""
-    return None if log.truth is None else log.estimate - log.truth
-
-
-def sigmas(log: RunLog) -> NDArray[np.float64]:
-    """Return (N, 2n+2) standard deviations of the estimate in state order."""
-    return np.column_stack([log.control[f"sigma_{i + 1}"] for i in range(log.estimate.shape[1])])
-
-
-def smoothed_nis(log: RunLog, *, window: int = 50) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+def smoothed_nis(motion: Motion, *, window: int = 50) -> tuple[Array, Array, float]:
     """Return times (K,), means (K,) of the NIS over windows of ticks that have one, and two sigmas of such a mean.
 
     With a consistent filter the NIS of m measurements has mean m and variance 2m (chi-square), so that the mean
     over a window of w ticks has variance 2m/w.
     """
-    nis = log.control["nis"]
+    nis = np.full(len(motion.time), np.nan) if motion.nis is None else motion.nis
     known = np.isfinite(nis)
-    values, times = nis[known], log.time[known]
+    values, times = nis[known], motion.time[known]
     count = len(values) // window
     if count < 1:
-        return times, values, 2 * float(np.sqrt(2 * log.measured.shape[1]))
+        return times, values, 2 * float(np.sqrt(2 * motion.sensors))
     kept = count * window
     means = values[:kept].reshape(count, window).mean(axis=1)
     moments = times[:kept].reshape(count, window).mean(axis=1)
-    return moments, means, 2 * float(np.sqrt(2 * log.measured.shape[1] / window))
+    return moments, means, 2 * float(np.sqrt(2 * motion.sensors / window))
 
 
-def mode_spans(log: RunLog) -> list[tuple[float, float, str]]:
+def spans(time: Array, flags: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Return start and end in s of each stretch of ticks at which (N,) `flags` hold, a tick's width at least."""
+    padded_flags = np.concatenate([[False], flags, [False]])
+    edges = np.flatnonzero(padded_flags[1:] != padded_flags[:-1])
+    return [(float(time[a]), float(time[min(b, len(time) - 1)])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def mode_spans(motion: Motion) -> list[tuple[float, float, str]]:
     """Return start and end in s and the name of each stretch of constant mode."""
-    modes = np.nan_to_num(log.control["mode"], nan=-1.0)
+    if motion.control is None or "mode" not in motion.control:
+        return []
+    modes = np.nan_to_num(motion.control["mode"], nan=-1.0)
     starts = np.concatenate([[0], np.flatnonzero(np.diff(modes) != 0) + 1])
     ends = np.concatenate([starts[1:], [len(modes) - 1]])
     return [
-        (float(log.time[a]), float(log.time[b]), mode_name(float(modes[a]))) for a, b in zip(starts, ends, strict=True)
+        (float(motion.time[a]), float(motion.time[b]), mode_name(float(modes[a])))
+        for a, b in zip(starts, ends, strict=True)
     ]
 
 
@@ -111,45 +76,43 @@ def mode_name(number: float) -> str:
         return "unknown mode"
 
 
-def lattice_copies(
-    orbit: OrbitCurve, angles: NDArray[np.float64], *, arm: int, most: int = 12
-) -> list[NDArray[np.float64]]:
-    """Return copies (M, 2) of an orbit in one arm's phase plane, one at each lattice point that the motion visits.
-
-    Args:
-        orbit: the orbit.
-        angles: (N,) the arm's unwrapped angle; rad.
-        arm: from zero.
-        most: the greatest number of copies, those visited longest.
-    """
-    arms = orbit.states.shape[1] // 2
-    angle, rate = orbit.states[:, arm], orbit.states[:, arms + arm]
-    centre = (angle.max() + angle.min()) / 2
-    turns, visits = np.unique(np.rint((angles[np.isfinite(angles)] - centre) / _TURN), return_counts=True)
-    chosen = turns[np.argsort(visits)[::-1][:most]]
-    return [np.column_stack([angle + _TURN * turn, rate]) for turn in chosen]
-
-
-def thinned(
-    time: NDArray[np.float64], values: NDArray[np.float64], *, bins: int = 1500
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def thinned(time: Array, values: Array, *, bins: int = 1500) -> tuple[Array, Array]:
     """Return a curve that looks the same with at most two points, the least and the greatest, in each of `bins`."""
     size = len(time) // bins
     if size < 3:
         return time, values
     kept = len(time) // size * size
-    block = np.where(np.isfinite(values[:kept]), values[:kept], 0.0).reshape(-1, size)
+    known = np.isfinite(values[:kept]).reshape(-1, size)
+    block = np.where(known, values[:kept].reshape(-1, size), 0.0)
     ends = np.sort(np.stack([block.argmin(axis=1), block.argmax(axis=1)], axis=1), axis=1)
     chosen = np.unique(np.concatenate([(ends + size * np.arange(len(block))[:, None]).ravel(), [len(time) - 1]]))
     return time[chosen], values[chosen]
 
 
-def film_times(context: ReviewContext, time: NDArray[np.float64], *, frames: int) -> NDArray[np.float64]:
+def curve(motion: Motion, values: Array) -> tuple[Array, Array]:
+    """Return a series (N,) of a motion, thinned, with nan in its gaps so that no line is drawn across them."""
+    time, shown = thinned(motion.time, values)
+    if not len(motion.breaks):
+        return time, shown
+    gaps = (motion.time[motion.breaks] + motion.time[motion.breaks - 1]) / 2
+    places = np.searchsorted(time, gaps)
+    return np.insert(time, places, gaps), np.insert(shown, places, np.nan)
+
+
+def film_times(context: ReviewContext, time: Array, *, frames: int) -> Array:
     """Return (frames,) instants for a filmstrip, shared out among the symbols' crossings; without any, evenly spread.
 
-    Around a crossing they span a third of the period of a simple pendulum as long as all arms, on either side.
+    Around a crossing they span a third of the period of a simple pendulum as long as all arms, on either side. Of a run
+    that went wrong the last quarter of the frames shows how it ended.
     """
-    moments = np.array([moment for moment, _ in context.symbols if time[0] <= moment <= time[-1]])
+    if context.good is False and frames > 3 and time[-1] > time[0]:
+        last = frames // 4
+        ending = np.linspace(max(time[0], time[-1] - 0.2 * last), time[-1], last + 1)
+        before = film_times(replace(context, good=None), time[time <= ending[0]], frames=frames - last)
+        return np.concatenate([before, ending[1:]])
+    actual = (*context.crossings, *[None] * len(context.symbols))
+    moments = np.array([done or planned for (planned, _), done in zip(context.symbols, actual, strict=False)])
+    moments = moments[(moments >= time[0]) & (moments <= time[-1])] if len(moments) else moments
     if not len(moments):
         return np.linspace(time[0], time[-1], frames)
     moments = moments[np.linspace(0, len(moments) - 1, min(len(moments), frames)).astype(int)]
@@ -171,6 +134,24 @@ def padded(values: NDArray[np.float64]) -> tuple[float, float]:
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
     margin = 0.1 * (high - low) or 0.1 * abs(high) or 1e-3
     return low - margin, high + margin
+
+
+def energy_of(motion: Motion, context: ReviewContext) -> Array | None:
+    """Return (N,) the energy in J with nan where no picture can show it, or None where it is not known."""
+    energy = None if context.energy is None else np.asarray(context.energy, dtype=float)
+    if energy is None or len(energy) != len(motion.time) or not np.isfinite(energy).any():
+        return None
+    with np.errstate(invalid="ignore"):
+        return np.where(np.abs(energy) < LARGEST, energy, np.nan)
+
+
+def error_reach(motion: Motion) -> float:
+    """Return how far an estimation error's axis must reach, in rad; the first instants' large errors are left out."""
+    parts = [] if motion.sigma is None else [2 * motion.sigma[:, : motion.arms]]
+    parts += [] if motion.error is None else [np.abs(motion.error[:, : motion.arms])]
+    finite = [part[np.isfinite(part)] for part in parts]
+    most = max((1.6 * float(np.quantile(part, 0.97)) for part in finite if part.size), default=0.0)
+    return most if most > 0 else 1e-6
 
 
 def energy_range(values: NDArray[np.float64], saddle_energies: dict[str, float]) -> tuple[float, float]:

@@ -21,6 +21,19 @@ MODES = {
 }
 
 
+SADDLES = {"down-down": "#8d96a0", "down-up": "#0f8b8d", "up-down": "#8a4fa3", "up-up": "#b0851e"}
+"""Where a run stays, apart from the arms' colours."""
+UNSTABLE, STABLE = "#d4544b", "#3c9c5f"
+"""The usual red for tubes that leave an orbit and green for those that come to it."""
+RUNS = ("#1f6fb4", "#d9640d", "#2c8a4b", "#8a4fa3", "#9a6b15", "#c2185b")
+"""One colour for each of several runs compared."""
+
+
+def saddle_colour(saddle: str) -> str:
+    """Return the colour of a stay near a saddle."""
+    return SADDLES.get(saddle, CART)
+
+
 def arm_colour(arm: int) -> str:
     """Return the colour of an arm, counted from zero."""
     return ARMS[arm % len(ARMS)]

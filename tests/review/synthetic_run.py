@@ -96,9 +96,10 @@ def context_for(run: SyntheticRun) -> ReviewContext:
         title="Turn the outer arm once",
         arm_lengths=ARM_LENGTHS,
         limits=LIMITS,
-        orbits=(OrbitCurve("down-up at -0.07 J", states),),
+        orbits=(OrbitCurve("down-up at -0.07 J", states, "down-up"),),
         saddle_energies={"down-down": -0.4906, "down-up": -0.1754, "up-down": 0.1754, "up-up": 0.4906},
         symbols=((float(run.time[-1]) / 2, "down-up +"),),
         energy=-0.07 + 0.02 * np.sin(3 * run.time) + 0.05 * np.exp(-run.time / 0.3),
         verdict="completed: 1 of 1 symbols",
+        good=True,
     )

@@ -1,0 +1,115 @@
+"""Phase planes in a recording: orbits, tubes with their cuts, the run, where it is now, and lines to read them by.
+
+The viewer's y points down and its scales are equal: a rate of 10 rad/s is drawn as long as an angle of 2 rad.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from dpcontrol.review import style
+from dpcontrol.review.context import ReviewContext
+from dpcontrol.review.motion import Motion
+from dpcontrol.review.panel_frame import in_pi
+from dpcontrol.review.recorded import times, trace_rows
+
+Array = NDArray[np.float64]
+
+_RATE = 0.2
+_MOST = 20_000
+_GRID = (226, 229, 233)
+_EACH = 2
+"""Of a tube's strands every second is enough here, and quicker to draw without a graphics card."""
+_TUBES = (
+    (False, style.UNSTABLE, "#f0bdb9", "tubes_from"),
+    (True, style.STABLE, "#b3d9c0", "tubes_to"),
+)
+"""Stable, colours of the cut and of the strands (the viewer's thin lines do not let through), and name."""
+_FAR = 60.0
+"""rad and rad/s: what lies farther out is not what the view is chosen for."""
+
+
+def record_planes(recording: rr.RecordingStream, home: str, motion: Motion, context: ReviewContext) -> None:
+    """Record the phase plane of each arm under `home/arm_K`."""
+    for arm in range(motion.arms):
+        at = f"{home}/arm_{arm + 1}"
+        _lines(recording, at, bounds(motion, context, arm))
+        for stable, colour, pale, name in _TUBES:
+            tubes = [tube for tube in context.tubes if tube.stable == stable]
+            strands = [_scaled(strand, motion, arm) for tube in tubes for strand in tube.strands[::_EACH]]
+            _strips(recording, f"{at}/{name}", strands, [pale] * len(strands), alpha=255, width=0.5)
+            cuts = [run for tube in tubes for run in _runs(_scaled(tube.cut, motion, arm))]
+            _strips(recording, f"{at}/{name}/cut", cuts, [colour] * len(cuts), alpha=255, width=1.2)
+        closed = [np.vstack([orbit.states, orbit.states[:1]]) for orbit in context.orbits]
+        tints = [style.saddle_colour(orbit.saddle) for orbit in context.orbits]
+        orbits = [_scaled(states, motion, arm) for states in closed]
+        _strips(recording, f"{at}/orbits", orbits, tints, alpha=255, width=1.8)
+        step = max(1, len(motion.time) // _MOST)
+        walked = _scaled(motion.state, motion, arm)
+        edges = [0, *motion.breaks.tolist(), len(walked)]
+        runs = [run for a, b in pairwise(edges) for run in _runs(walked[a:b][::step])]
+        _strips(recording, f"{at}/run", runs, [style.INK] * len(runs), alpha=255, width=0.7)
+        rows = trace_rows(motion)
+        look = rr.Points2D.from_fields(colors=[style.rgb(style.LIMIT)], radii=rr.Radius.ui_points(5))
+        recording.log(f"{at}/now", look, static=True)
+        columns = rr.Points2D.columns(positions=walked[rows])
+        recording.send_columns(f"{at}/now", indexes=times(motion.time[rows]), columns=columns)
+
+
+def bounds(motion: Motion, context: ReviewContext, arm: int) -> tuple[float, float, float, float]:
+    """Return least and greatest x, least and greatest y of an arm's phase plane, as drawn."""
+    parts = [motion.state, *(orbit.states for orbit in context.orbits)]
+    parts += [strand for tube in context.tubes for strand in tube.strands]
+    every = np.concatenate([_scaled(part, motion, arm) for part in parts])
+    near = np.isfinite(every).all(axis=1) & (np.abs(every[:, 1]) < _FAR)
+    every = every[near] if near.any() else np.zeros((1, 2))
+    low, high = every.min(axis=0), every.max(axis=0)
+    margin = 0.08 * float(max(high - low)) + 1e-3
+    low, high = low - margin, high + margin
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+
+def _scaled(states: Array, motion: Motion, arm: int) -> Array:
+    return states[:, [arm, motion.arms + arm]] * [1.0, -_RATE]
+
+
+def _runs(points: Array) -> list[Array]:
+    """Return the stretches of points (K, 2) between those that are nan."""
+    known = np.isfinite(points).all(axis=1)
+    edges = np.flatnonzero(np.diff(known.astype(int))) + 1
+    return [run for run in np.split(points, edges) if len(run) > 1 and np.isfinite(run).all()]
+
+
+def _strips(
+    recording: rr.RecordingStream, at: str, strips: list[Array], colours: list[str], *, alpha: int, width: float
+) -> None:
+    if strips:
+        tints = [(*style.rgb(colour), alpha) for colour in colours]
+        recording.log(at, rr.LineStrips2D(strips, colors=tints, radii=rr.Radius.ui_points(width)), static=True)
+
+
+def _lines(recording: rr.RecordingStream, at: str, box: tuple[float, float, float, float]) -> None:
+    """Draw lines at multiples of π and of a round rate, named at their ends."""
+    left, right, top, bottom = box
+    turns = max(1.0, np.ceil((right - left) / np.pi / 6))
+    spin = next((s for s in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if (bottom - top) / (_RATE * s) <= 6), 100.0)
+    strips, places, labels = [], [], []
+    if (right - left) > 100 * np.pi:
+        return
+    for k in np.arange(np.ceil(left / np.pi / turns), np.floor(right / np.pi / turns) + 1) * turns:
+        strips.append([(k * np.pi, top), (k * np.pi, bottom)])
+        places.append((k * np.pi, bottom - 0.04 * (bottom - top)))
+        labels.append(in_pi(k))
+    for k in np.arange(np.ceil(-bottom / _RATE / spin), np.floor(-top / _RATE / spin) + 1) * spin:
+        strips.append([(left, -_RATE * k), (right, -_RATE * k)])
+        places.append((left + 0.06 * (right - left), -_RATE * k))
+        labels.append(f"{k:g}")
+    if strips:
+        look = {"colors": [_GRID], "radii": rr.Radius.ui_points(0.5), "draw_order": -10.0}
+        recording.log(f"{at}/grid", rr.LineStrips2D(strips, **look), static=True)  # type: ignore[arg-type]
+        names = rr.Points2D(
+            places, labels=labels, colors=[(70, 76, 84)], radii=rr.Radius.ui_points(1.0), show_labels=True
+        )
+        recording.log(f"{at}/grid/names", names, static=True)
