@@ -28,6 +28,8 @@ VERBS = {
     "reference": "Show a reference that a plan made: limits, effort, mesh, error, picture.",
     "run": "Run an itinerary in closed loop and write its log.",
     "score": "Say whether logged runs did what was asked.",
+    "info": "Show what is in a log: topics, rates, metadata, attachments.",
+    "recover": "Rebuild a log that is cut or damaged, and say what is lost.",
     "review": "Open a log in the viewer, or save a recording or a picture.",
     "import": "Import a recording of the bench as a log.",
     "replay": "Predict a recording by a model, and run an estimator over it.",
@@ -89,12 +91,14 @@ def main(arguments: list[str] | None = None) -> None:
         code = error.exit_code
     except InputError as error:
         click.echo(f"dpcontrol: {error}", err=True)
+        _echo_notes(error)
         code = 2
     except GoalMissed as error:
         click.echo(f"dpcontrol: {error}", err=True)
         code = 1
-    except (KeyboardInterrupt, click.Abort):
+    except (KeyboardInterrupt, click.Abort) as error:
         click.echo("dpcontrol: interrupted; what was finished is kept", err=True)
+        _echo_notes(error)
         code = 130
     except click.exceptions.Exit as done:
         code = done.exit_code
@@ -103,15 +107,25 @@ def main(arguments: list[str] | None = None) -> None:
             raise
         click.echo("dpcontrol: no space left where the output goes; nothing more was written", err=True)
         code = 1
-    except (ImportError, SystemError):
+    except (ImportError, SystemError) as error:
         # Compiled code that is interrupted reports it as an error of its own.
         if not interrupted:
             raise
         click.echo("dpcontrol: interrupted; what was finished is kept", err=True)
+        _echo_notes(error)
         code = 130
     else:
         code = 0
     sys.exit(code)
+
+
+def _echo_notes(error: BaseException) -> None:
+    """Say what was noted on the way out of an error or of those behind it: what was kept, and where."""
+    found: BaseException | None = error
+    while found is not None:
+        for note in getattr(found, "__notes__", ()):
+            click.echo(f"dpcontrol: {note}", err=True)
+        found = found.__cause__ or found.__context__
 
 
 def _note_interrupts() -> list[int]:

@@ -90,7 +90,7 @@ def _free_name(path: Path) -> Path:
     if path.suffix == SUFFIX and not path.with_name(named).exists():
         return path.with_name(named)
     stem = named.removesuffix(".mcap")
-    names = (path.with_name(f"{stem}-recovered{k}.mcap") for k in ("", *(f"-{i}" for i in count(2))))
+    names = (path.with_name(f"{stem}-recovered{f'-{k}' if k > 1 else ''}.mcap") for k in count(1))
     return next(name for name in names if not name.exists())
 
 
