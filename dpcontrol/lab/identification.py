@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
 
 from dpcontrol.control.swing_fit import FitSettings, Swing, SwingFit, fit_swings
 from dpcontrol.control.swings import Swings
@@ -23,6 +22,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import Progress, no_progress
 from dpcontrol.lab.identification_statistics import covariance_of, undetermined_of
 from dpcontrol.lab.recordings import Recording
+from dpcontrol.lab.swing_segments import Segment, cut_into_swings
 
 Array = NDArray[np.float64]
 
@@ -32,7 +32,6 @@ LAWS: tuple[tuple[Friction, ...], ...] = (
     (Friction.QUADRATIC,),
     (Friction.COULOMB, Friction.QUADRATIC),
 )
-_STILL = 1e-3
 
 
 @dataclass(frozen=True)
@@ -58,18 +57,6 @@ class IdentificationSettings:
             raise InputError(f"identify: left_out = {self.left_out!r}: must be at least 2")
         if not (np.isfinite(self.longest) and self.longest > 0):
             raise InputError(f"identify: longest = {self.longest!r}: must be a positive number of seconds")
-
-
-@dataclass(frozen=True)
-class Segment:
-    """A segment as it was used: running index over all logs, log, first time s, length s, used or left out, rms rad."""
-
-    index: int
-    log: str
-    start: float
-    seconds: float
-    used: bool
-    rms: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,8 +137,8 @@ def identify(
     used = np.array([k % settings.left_out != settings.left_out - 1 for k in range(len(swings))])
     if used.all():
         raise InputError(
-            f"{len(swings)} segments: one in {settings.left_out} is left out to choose the friction laws by, so give at "
-            f"least {settings.left_out} segments"
+            f"{len(swings)} segments: one in {settings.left_out} is left out to choose the laws by; give at "
+            f"least {settings.left_out}"
         )
     choices = {"free": (True,), "none": (False,), "chosen": (False, True)}[settings.zeros]
     ways = [(laws, zeros) for laws in LAWS for zeros in choices]
@@ -192,8 +179,8 @@ def identify(
         covariance=covariance,
         zeros=best.fit.zeros,
         undetermined=(
-            f"{unit_name(arms.count)} itself: masses, inertias and friction may all grow in proportion and the arms swing "
-            "the same; only ratios to it are known",
+            f"{unit_name(arms.count)} itself: masses, inertias and friction may all grow in proportion and the arms "
+            "swing the same; only ratios to it are known",
             *undetermined_of(names, values, covariance, friction),
         ),
         candidates=tuple(candidates),
@@ -237,7 +224,7 @@ def _fitted(
     settings: FitSettings,
     near: Candidate | None,
 ) -> Candidate:
-    model = near_model(arms)
+    model = Swings(arms)
     m, from_ = model.parameters, inertial_count(arms.count)
     groups = 1 + max(s.group for s in swings)
     fit = fit_swings(
@@ -253,11 +240,6 @@ def _fitted(
     predicted = predict_swings(model, [s for s, one in zip(swings, used, strict=True) if not one], fit, settings)
     unknowns = m + (fit.zeros.size if zeros else 0)
     return Candidate(arms.friction, zeros, unknowns, predicted.rms, fit, predicted)
-
-
-def near_model(arms: ArmChainParameters) -> Swings:
-    """Return the swings of arms with these laws, compiled once for each set of laws."""
-    return Swings(arms)
 
 
 def predict_swings(model: Swings, swings: list[Swing], fit: SwingFit, settings: FitSettings) -> SwingFit:
@@ -277,7 +259,7 @@ def predict_swings(model: Swings, swings: list[Swing], fit: SwingFit, settings: 
 def _start_alone(
     swings: list[Swing], used: NDArray[np.bool_], start: ArmChainParameters, settings: FitSettings
 ) -> Array:
-    model = near_model(start)
+    model = Swings(start)
     return fit_swings(
         model,
         [s for s, one in zip(swings, used, strict=True) if not one],
@@ -288,50 +270,3 @@ def _start_alone(
         friction_from=model.parameters,
         settings=replace(settings, robust=0.0),
     ).rms
-
-
-def cut_into_swings(recordings: Sequence[Recording], arms: int, longest: float) -> tuple[list[Swing], list[Segment]]:
-    """Return the recordings' segments as swings, long ones cut into equal pieces, and what they are.
-
-    Raises:
-        InputError: a recording has another number of arms, or hardly moves.
-    """
-    swings: list[Swing] = []
-    about: list[Segment] = []
-    for group, recording in enumerate(recordings):
-        if recording.arms != arms:
-            raise InputError(
-                f"{recording.name} is of {recording.arms} arms, the model has {arms}; give a model of as many"
-            )
-        for part in recording.split():
-            pieces = max(int(np.ceil((len(part.time) - 1) * part.dt / longest)), 1)
-            edges = np.linspace(0, len(part.time), pieces + 1).round().astype(int)
-            accelerations, velocities = _cart_motion(part)
-            for a, b in zip(edges[:-1], edges[1:], strict=True):
-                angles = part.angles[a:b]
-                # Turns counted before a segment say nothing about it.
-                angles = angles - 2 * np.pi * np.rint(angles[0] / (2 * np.pi))
-                u = None if accelerations is None else accelerations[a:b]
-                v = None if velocities is None else velocities[a:b]
-                about.append(
-                    Segment(len(about), recording.name, float(part.time[a]), float((b - a - 1) * part.dt), True, np.nan)
-                )
-                swings.append(Swing(angles, part.dt, group, u, v))
-    if not swings:
-        raise InputError("the recordings hold no segment; import them again")
-    if max(float(np.ptp(s.angles, axis=0).max()) for s in swings) < _STILL:
-        raise InputError(
-            f"no angle moves by more than {_STILL:g} rad: there is nothing to identify; record free swings"
-        )
-    return swings, about
-
-
-def _cart_motion(part: Recording) -> tuple[Array | None, Array | None]:
-    """Return the cart's acceleration and velocity at each sample, or nothing where it was clamped."""
-    if part.cart is None or float(np.ptp(part.cart)) < _STILL:
-        return None, None
-    width = min(max(int(0.02 / part.dt) | 1, 5), (len(part.cart) - 1) | 1)
-    velocity = np.asarray(savgol_filter(part.cart, width, 3, deriv=1, delta=part.dt), dtype=float)
-    if part.command is not None:
-        return part.command, velocity
-    return np.asarray(savgol_filter(part.cart, width, 3, deriv=2, delta=part.dt), dtype=float), velocity

@@ -112,5 +112,5 @@ def profile(
     loss_at(index, value) fits the others. A profile that is no parabola of width `error` tells that the standard error
     does not describe it.
     """
-    grid = value + error * np.linspace(-reach, reach, points)
+    grid = value + error * np.linspace(-3, 3, points)
     return grid, np.array([loss_at(index, float(v)) for v in grid])
