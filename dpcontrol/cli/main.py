@@ -32,6 +32,7 @@ VERBS = {
     "recover": "Rebuild a log that is cut or damaged, and say what is lost.",
     "review": "Open a log in the viewer, or save a recording or a picture.",
     "import": "Import a recording of the bench as a log.",
+    "identify": "Identify a model from recordings of the bench.",
     "replay": "Predict a recording by a model, and run an estimator over it.",
     "figures": "Draw the paper's computational figures, with captions.",
 }

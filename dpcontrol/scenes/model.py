@@ -8,6 +8,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.base_ratios import base_ratios, nearest_arms, ratio_names
 from dpcontrol.dynamics.parameters import ArmChainParameters, Friction
 from dpcontrol.dynamics.system import System, pendulum_system
 from dpcontrol.dynamics.three_body import ThreeBodyParameters, three_body_system
@@ -19,8 +23,45 @@ SYSTEMS = ("arm-chain", "three-body")
 
 
 @dataclass(frozen=True)
+class Uncertainty:
+    """How well arms are known: covariance (f, f) of the f ratios of `dpcontrol.dynamics.base_ratios`, row by row."""
+
+    names: tuple[str, ...]
+    covariance: tuple[float, ...]
+
+    @property
+    def matrix(self) -> NDArray[np.float64]:
+        """The covariance (f, f)."""
+        return np.reshape(self.covariance, (len(self.names), len(self.names)))
+
+    def check(self, arms: ArmChainParameters) -> None:
+        """Refuse what is not the covariance of these arms' ratios.
+
+        Raises:
+            InputError: names the key and what is allowed.
+        """
+        wanted = ratio_names(arms)
+        if self.names != wanted:
+            raise InputError(f"names = {list(self.names)}: must be {list(wanted)} for these arms")
+        if len(self.covariance) != len(wanted) ** 2:
+            raise InputError(
+                f"covariance has {len(self.covariance)} numbers: must have {len(wanted) ** 2}, one row for each name"
+            )
+        scale = np.sqrt(np.maximum(np.diag(self.matrix), 1e-300))
+        scaled = self.matrix / np.outer(scale, scale)
+        if not np.allclose(scaled, scaled.T, atol=1e-9) or np.linalg.eigvalsh(scaled)[0] < -1e-6:
+            raise InputError(
+                "covariance is none: it must be symmetric, and no direction may have a variance below zero"
+            )
+
+
+@dataclass(frozen=True)
 class Model:
-    """A model as its file gives it: title, parameters, the source of each table, and the text itself."""
+    """A model as its file gives it: title, parameters, the source of each table, and the text itself.
+
+    encoder_zeros (n,) rad: what recorded absolute angles show where the true ones are zero, if the file tells;
+    uncertainty: of identified arms.
+    """
 
     name: str
     path: Path
@@ -28,6 +69,8 @@ class Model:
     parameters: ArmChainParameters | ThreeBodyParameters
     sources: dict[str, str]
     text: str
+    encoder_zeros: tuple[float, ...] = ()
+    uncertainty: Uncertainty | None = None
 
     @cached_property
     def system(self) -> System:
@@ -53,6 +96,24 @@ class Model:
         if not isinstance(self.parameters, ArmChainParameters):
             raise InputError(f"{self.path}: {self.title} has no arms and no cart; choose a model of arms, such as lab")
         return self.parameters
+
+    def drawn(self, random: np.random.Generator) -> ArmChainParameters:
+        """Return arms as likely as the identification says: ratios drawn from its normal distribution.
+
+        Friction drawn below zero becomes zero.
+
+        Raises:
+            InputError: the file has no [uncertainty].
+            GoalMissed: no arms near these have the ratios drawn, as where an uncertainty is as large as its value.
+        """
+        if self.uncertainty is None:
+            raise InputError(
+                f"{self.path} has no [uncertainty] to draw from; identify the model from recordings, or use a mismatch"
+            )
+        ratios = base_ratios(self.arms)
+        sizes, axes = np.linalg.eigh(self.uncertainty.matrix)
+        drawn = ratios + axes @ (np.sqrt(np.maximum(sizes, 0.0)) * random.standard_normal(len(ratios)))
+        return nearest_arms(drawn, self.arms)
 
 
 def load_model(name: str) -> Model:
@@ -83,7 +144,16 @@ def _model(table: Table, text: str, path: Path) -> Model:
                 "or leave it out"
             )
         laws["smoothing"] = friction.number("smoothing")
-    for part in (table, arms, gravity, friction):
+    encoders, uncertain = table.table("encoders"), table.table("uncertainty")
+    zeros: tuple[float, ...] = ()
+    if "encoders" in table:
+        sources["encoders"] = encoders.text("source")
+        zeros = encoders.numbers("zeros")
+    uncertainty = None
+    if "uncertainty" in table:
+        sources["uncertainty"] = uncertain.text("source")
+        uncertainty = Uncertainty(uncertain.texts("names"), uncertain.numbers("covariance"))
+    for part in (table, arms, gravity, friction, encoders, uncertain):
         part.finish()
     try:
         parameters = ArmChainParameters(**columns, gravity=acceleration, viscous=viscous, **laws)
@@ -91,7 +161,14 @@ def _model(table: Table, text: str, path: Path) -> Model:
         key = str(error).split()[0]
         home = {"acceleration": gravity}.get(key, friction if key in ("viscous", "smoothing", *Friction) else arms)
         raise InputError(f"{home.where()} {error}") from error
-    return Model(path.stem, path, title, parameters, sources, text)
+    if zeros and len(zeros) != parameters.count:
+        raise InputError(f"{encoders.where('zeros')} has {len(zeros)} values; give one for each arm")
+    if uncertainty is not None:
+        try:
+            uncertainty.check(parameters)
+        except InputError as error:
+            raise InputError(f"{uncertain.where()} {error}") from error
+    return Model(path.stem, path, title, parameters, sources, text, zeros, uncertainty)
 
 
 def _three_body(table: Table, title: str, text: str, path: Path) -> Model:
