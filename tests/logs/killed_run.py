@@ -1,0 +1,29 @@
+"""A run to be killed: a script that logs at 1 kHz and tells on stdout, tick by tick, what it has handed over.
+
+Arguments: the log; how many ticks; how many seconds a tick takes (0: as fast as it goes).
+"""
+
+import os
+import sys
+import time
+from pathlib import Path
+
+from log_samples import open_writer, sample
+
+if __name__ == "__main__":
+    path, ticks, period = Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3])
+    run = sample(ticks)
+    with open_writer(path, run) as log:
+        begin = time.perf_counter()
+        for k in range(ticks):
+            log.tick(
+                run.time[k],
+                measured=run.measured[k],
+                estimate=run.estimate[k],
+                reference=run.reference[k],
+                truth=run.truth[k],
+                control=run.control[k],
+            )
+            os.write(sys.stdout.fileno(), k.to_bytes(4, "little"))
+            while time.perf_counter() < begin + (k + 1) * period:
+                time.sleep(0.2 * period)

@@ -1,0 +1,81 @@
+"""Read and recover damaged logs, and hold what comes out against what was written."""
+
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from log_corruption import KINDS, corruptions
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs import Recovery, RunLog, read_log, recover
+
+Result = TypeVar("Result")
+
+
+def rows_of(log: RunLog) -> np.ndarray:
+    """Return all numbers of each tick as one row of bits."""
+    columns = [log.time[:, None], log.measured, *(log.states[part] for part in sorted(log.states))]
+    columns += [values[:, None] for _, values in sorted(log.controls.items())]
+    return np.column_stack(columns).view(np.int64)
+
+
+def is_part_of(found: RunLog, log: RunLog) -> None:
+    """Assert that all that was recovered is in the log, at its place."""
+    assert found.parts == log.parts
+    places = np.searchsorted(log.time, found.time)
+    assert (np.diff(places) > 0).all()
+    np.testing.assert_array_equal(rows_of(found), rows_of(log)[places])
+    assert [e for e in log.events if e in found.events] == list(found.events)
+    assert found.attachments.items() <= log.attachments.items()
+    assert found.metadata.items() <= log.metadata.items()
+
+
+def is_honest(done: Recovery, found: RunLog, log: RunLog) -> None:
+    """Assert that a recovery says what is missing, neither more nor less."""
+    assert done.ticks == len(found.time)
+    assert (found.recovered or "") == done.lost
+    if done.end_known:
+        assert done.ticks + done.ticks_lost == len(log.time)
+    assert set(done.attachments) | set(done.attachments_lost) == set(log.attachments)
+    if not done.lost:
+        for field in fields(RunLog):
+            if field.name not in ("path", "states", "controls", "time", "measured", "rates"):
+                assert getattr(found, field.name) == getattr(log, field.name)
+        assert len(found.time) == len(log.time)
+
+
+def endure(whole: RunLog, folder: Path, *, count: int, seed: int) -> dict[str, list[str]]:
+    """Read and recover damaged copies; return for each kind of damage how they ended."""
+    ends: dict[str, list[str]] = {kind: [] for kind in KINDS}
+    bad, out = folder / "bad.mcap", folder / "out.mcap"
+    for kind, data in corruptions(whole.path.read_bytes(), count=count, seed=seed):
+        bad.write_bytes(data)
+        as_read = tried(read_log, bad)
+        if as_read is not None:
+            np.testing.assert_array_equal(rows_of(as_read), rows_of(whole))
+            is_part_of(as_read, whole)
+            ends[kind].append("harmless")
+            continue
+        done = tried(lambda path: recover(path, out), bad)
+        if done is None:
+            assert not out.exists()
+            ends[kind].append("refused")
+            continue
+        found = read_log(out)
+        is_part_of(found, whole)
+        is_honest(done, found, whole)
+        ends[kind].append("partly" if done.lost else "wholly")
+        out.unlink()
+    return ends
+
+
+def tried(function: Callable[[Path], Result], path: Path) -> Result | None:
+    """Return what a function makes of a file, or None if it refuses it with a sentence that names it."""
+    try:
+        return function(path)
+    except InputError as error:
+        if str(path) not in str(error) or "\n" in str(error):
+            raise AssertionError(f"no sentence on {path}: {error}") from error
+        return None

@@ -1,0 +1,198 @@
+"""A run that is killed, interrupted, or left without a disk keeps what it had, and says where."""
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kills import FIRST, kill_one
+from log_samples import open_writer, sample, tick_all
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs import LogWriter, read_log, recover
+
+LOST_TICKS = 25
+"""At 1 kHz: milliseconds that a killed run may lose."""
+KILLS = 4
+ROOM = 60_000
+"""Bytes that the small disk takes: a few chunks of the sample."""
+
+posix = pytest.mark.skipif(os.name != "posix", reason="signals and limits of POSIX")
+
+
+@posix
+def test_a_killed_run_loses_no_more_than_a_chunk(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    for after_s in rng.uniform(FIRST, 0.6, KILLS):
+        killed = kill_one(tmp_path, float(after_s))
+        assert 0 <= killed.told - killed.recovered <= LOST_TICKS
+
+
+@pytest.mark.parametrize("rate", [33.0, 500.0, 1000.0, 10_000.0])
+def test_at_any_rate_what_is_not_yet_written_is_no_longer_than_twenty_milliseconds_or_a_tick(
+    tmp_path: Path, rate: float
+) -> None:
+    ticks = round(0.5 * rate)
+    log = LogWriter(tmp_path / "run.mcap", arm_lengths=(0.2,), rate_hz=rate, has_cart=False).__enter__()
+    for k in range(ticks):
+        log.tick(k / rate, measured=np.zeros(1))
+    copy = tmp_path / "copy.mcap.partial"
+    copy.write_bytes(log.partial.read_bytes())
+    log.__exit__(None, None, None)
+    assert (ticks - recover(copy).ticks) / rate <= max(0.02, 1 / rate)
+
+
+class FullDisk:
+    """A stream on a disk with little room left, in place of the writer's own."""
+
+    def __init__(self, stream, room: int) -> None:
+        self.stream, self.room = stream, room
+
+    def write(self, data: memoryview) -> int:
+        if not self.room:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        count = self.stream.write(data[: self.room])
+        self.room -= count
+        return count
+
+    def __getattr__(self, name: str):
+        return getattr(self.stream, name)
+
+
+@pytest.mark.parametrize("room", [0, 100, 30_000, ROOM])
+def test_a_full_disk_stops_a_run_with_a_sentence_and_keeps_what_fitted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, room: int
+) -> None:
+    from dpcontrol.logs import writer
+
+    open_partial = writer.open_partial
+
+    def small(path: Path):
+        name, stream = open_partial(path)
+        return name, FullDisk(stream, room)
+
+    monkeypatch.setattr(writer, "open_partial", small)
+    run = sample(1000)
+    with pytest.raises(InputError, match="No space left") as caught, open_writer(tmp_path / "run.mcap", run) as log:
+        tick_all(log, run)
+    assert not (tmp_path / "run.mcap").exists()
+    left = tmp_path / "run.mcap.partial"
+    if room < ROOM:
+        return
+    (note,) = caught.value.__notes__
+    assert f"dpcontrol recover {left}" in note
+    done = recover(left)
+    np.testing.assert_array_equal(read_log(done.log).truth, run.truth[: done.ticks])
+    assert done.ticks >= 100
+
+
+@posix
+def test_a_limit_on_the_size_of_files_stops_a_run_like_a_full_disk(tmp_path: Path) -> None:
+    program = (
+        "import resource, sys; sys.path.insert(0, sys.argv[2]); import log_samples as s; from pathlib import Path\n"
+        f"resource.setrlimit(resource.RLIMIT_FSIZE, ({ROOM}, {ROOM}))\n"
+        "from dpcontrol.foundation.errors import InputError\n"
+        "run = s.sample(1000)\n"
+        "try:\n"
+        "    with s.open_writer(Path(sys.argv[1]), run) as log: s.tick_all(log, run)\n"
+        "except InputError as error: print(error, *error.__notes__)\n"
+    )
+    arguments = [sys.executable, "-c", program, str(tmp_path / "run.mcap"), str(Path(__file__).parent)]
+    done = subprocess.run(arguments, capture_output=True, text=True, check=True)
+    assert "cannot write" in done.stdout
+    assert "dpcontrol recover" in done.stdout
+    assert done.stderr == ""
+    assert recover(tmp_path / "run.mcap.partial").ticks >= 100
+
+
+@posix
+@pytest.mark.parametrize("how", ["removed", "renamed"])
+def test_a_folder_that_vanishes_stops_a_run_with_a_sentence(tmp_path: Path, how: str) -> None:
+    folder = tmp_path / "logs"
+
+    def vanish() -> None:
+        if how == "renamed":
+            folder.rename(tmp_path / "elsewhere")
+        else:
+            for file in folder.iterdir():
+                file.unlink()
+            folder.rmdir()
+
+    ticked: list[int] = []
+    with pytest.raises(InputError, match="moved or removed"):
+        _run_until(folder / "run.mcap", ticked, at=100, then=vanish)
+    assert len(ticked) <= 120
+    assert not folder.exists()
+    if how == "renamed":
+        assert recover(tmp_path / "elsewhere" / "run.mcap.partial").ticks >= 100
+
+
+def test_an_interrupt_keeps_every_tick_so_far_and_says_how_to_get_at_them(tmp_path: Path) -> None:
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt) as caught:
+        _run_until(tmp_path / "run.mcap", [], at=137, then=interrupt)
+    (note,) = caught.value.__notes__
+    assert "dpcontrol recover" in note
+    assert recover(tmp_path / "run.mcap.partial").ticks == 137
+
+
+def _run_until(path: Path, ticked: list[int], *, at: int, then: Callable[[], None]) -> None:
+    """Log a sample, noting each tick that was taken, and do something before tick `at`."""
+    run = sample()
+    with open_writer(path, run) as log:
+        for k in range(len(run.time)):
+            if k == at:
+                then()
+            log.tick(
+                run.time[k], measured=run.measured[k], estimate=run.estimate[k], reference=run.reference[k],
+                truth=run.truth[k], control=run.control[k],
+            )  # fmt: skip
+            ticked.append(k)
+
+
+def test_an_interrupt_within_a_chunk_leaves_no_tick_twice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from dpcontrol.logs.container import McapFile
+
+    add, calls = McapFile.add_chunk, []
+
+    def interrupted(file: McapFile, *arguments) -> None:
+        add(file, *arguments)
+        calls.append(1)
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(McapFile, "add_chunk", interrupted)
+    run = sample()
+    with pytest.raises(KeyboardInterrupt), open_writer(tmp_path / "run.mcap", run) as log:
+        tick_all(log, run)
+    monkeypatch.undo()
+    done = recover(tmp_path / "run.mcap.partial")
+    assert (done.ticks, done.ticks_lost, done.chunks_repeated) == (60, 0, 0)
+
+
+@posix
+def test_ctrl_c_in_the_program_names_the_file_and_the_remedy(tmp_path: Path) -> None:
+    program = Path(sys.executable).parent / "dpcontrol"
+    child = subprocess.Popen(
+        [program, "run", "outer-turn", "--out", "run.mcap"], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    )
+    partial, end = tmp_path / "run.mcap.partial", time.monotonic() + 120
+    while not (partial.exists() and partial.stat().st_size > 300_000) and child.poll() is None:
+        assert time.monotonic() < end
+        time.sleep(0.005)
+    child.send_signal(signal.SIGINT)
+    _, said = child.communicate(timeout=60)
+    assert child.returncode == 130
+    assert "Traceback" not in said
+    assert "dpcontrol recover run.mcap.partial" in said
+    log = read_log(recover(partial).log)
+    assert len(log.time) > 100
+    assert {"scene.toml", "model.toml", "reference.npz"} <= log.attachments.keys()
