@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.drive_level import PlantParameters, after_blow, plant_step, substeps
+from dpcontrol.dynamics.drive_level import PlantParameters, after_blow, longest_step, plant_step
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.lab.bench import BenchSettings
 from dpcontrol.lab.draw import BenchDraw
@@ -35,42 +35,48 @@ class SimulatedPlant:
         self._inputs, self._following = np.zeros(step.size_in), np.zeros(step.size_out)
         self.state: Array = self._inputs[step.slices["state"]]
         """The state now; overwritten as the plant moves."""
-        self.state[:] = state
         self._inputs[step.slices["parameters"]] = parameters.numbers()
         self._input, self._duration = step.slices["inputs"].start, step.slices["duration"].start
         self._cart = 2 * parameters.arms.count
         self._lag = parameters.lag
-        self._splits: dict[float, int] = {}
+        self._longest = longest_step(parameters)
+        self.values: list[float] = []
+        """The state as plain floats, which cost less one by one."""
+        self._be(np.asarray(state))
+
+    def _be(self, state: Array) -> None:
+        self.state[:] = state
+        self.values = state.tolist()
 
     @property
     def velocity(self) -> float:
         """The cart's velocity, m/s."""
-        return self.state.item(self._cart + 1)
+        return self.values[self._cart + 1]
 
     @property
     def loop_velocity(self) -> float:
         """The velocity reference w of the drive's loop, m/s; the cart's velocity where nothing lags."""
-        v = self.state.item(self._cart + 1)
-        return v + self._lag * self.state.item(self._cart + 2) if self._lag else v
+        v = self.values[self._cart + 1]
+        return v + self._lag * self.values[self._cart + 2] if self._lag else v
 
     def move(self, acceleration: float, duration: float, *, time: float) -> None:
         """Let `duration` s pass from `time` s with a held demand of `acceleration` m/s²."""
-        splits = self._splits.get(duration)
-        if splits is None:
-            splits = self._splits[duration] = substeps(self.parameters, duration)
-        inputs, following, track = self._inputs, self._following, self.track
+        splits = 1 if duration <= self._longest else math.ceil(duration / self._longest)
+        inputs, following, track, cart = self._inputs, self._following, self.track, self._cart
         inputs[self._input], inputs[self._duration] = acceleration, duration / splits
         for k in range(splits):
             self._step(inputs, following)
-            if abs(following.item(self._cart)) > track:
+            values = following.tolist()
+            if values[cart] > track or values[cart] < -track:
                 self._meet_stop(acceleration, duration / splits, time + k * duration / splits)
                 inputs[self._input], inputs[self._duration] = acceleration, duration / splits
             else:
                 self.state[:] = following
+                self.values = values
 
     def strike(self, *, impulses: Array, jumps: Array, knock: float) -> None:
         """Apply a blow: couples' impulses (n,) N m s, jumps (n,) rad/s of rates, the cart's knock m/s."""
-        self.state[:] = after_blow(self.parameters, self.state, impulses=impulses, jumps=jumps, knock=knock)
+        self._be(after_blow(self.parameters, self.state, impulses=impulses, jumps=jumps, knock=knock))
 
     def _flow(self, acceleration: float, duration: float) -> Array:
         self._inputs[self._input], self._inputs[self._duration] = acceleration, duration
@@ -86,9 +92,8 @@ class SimulatedPlant:
                 met = middle
             else:
                 free = middle
-        self.state[:] = self._flow(acceleration, free)
-        side = math.copysign(1.0, self.state.item(cart))
-        speed = self.state.item(cart + 1)
+        self._be(self._flow(acceleration, free))
+        side, speed = math.copysign(1.0, self.values[cart]), self.velocity
         if not self.fault:
             self.fault = (
                 f"cart hit its hard stop at t = {time + free:.3f} s: x = {side * track:.3f} m at {speed:.3g} m/s; "
@@ -96,16 +101,17 @@ class SimulatedPlant:
             )
         self._hold(side)
         # The drive does not push on against the stop.
-        self.state[:] = self._flow(0.0, duration - free)
-        if side * self.state.item(cart) > track:
+        self._be(self._flow(0.0, duration - free))
+        if side * self.values[cart] > track:
             self._hold(side)
 
     def _hold(self, side: float) -> None:
         n = self.parameters.arms.count
         none = np.zeros(n)
         self.strike(impulses=none, jumps=none, knock=-self.velocity)
-        self.state[self._cart] = side * self.track
-        self.state[self._cart + 1 :] = 0.0
+        held = self.state.copy()
+        held[self._cart], held[self._cart + 1 :] = side * self.track, 0.0
+        self._be(held)
 
 
 class SimulatedRig:
@@ -146,7 +152,8 @@ class SimulatedRig:
         if draw.plant.lag:
             first = np.append(first, self._demands[0])
         self._plant = SimulatedPlant(draw.plant, first, track=self._limits.position)
-        self._seen = self._bench = self._plant.state[: 2 * n + 2]
+        self._bench = self._plant.state[: 2 * n + 2]
+        self._seen: list[float] | None = None
         self._cart = 2 * n
         self._tick, self._acted, self._braking = -1, 0.0, False
 
@@ -189,13 +196,13 @@ class SimulatedRig:
             self._pass(k - 1)
         self._tick = k
         now = k * self._period
-        state = self._bench
-        if not math.isfinite(state.dot(state)):
+        values = self._plant.values
+        if not math.isfinite(sum(values)):
             raise ArithmeticError(f"plant failed at t = {now:.3f} s: its state is no longer finite")
-        position = state.item(self._cart)
+        position = values[self._cart]
         switch = 0 if abs(position) < self._switch_at else 1 if position > 0 else -1
         measured = self._encoders.measure(
-            self._seen,
+            values if self._seen is None else self._seen,
             now,
             missed=None if draw.missed is None else draw.missed[k],
             noise=None if draw.noise is None else draw.noise[k],
@@ -236,7 +243,7 @@ class SimulatedRig:
         else:
             # The next reading is of the state `seen` seconds into this period.
             seen = period if self._ages is None else period - self._ages[k + 1]
-            self._seen = self._bench
+            self._seen = None
             change = fraction * period
             if change:
                 self._part(k, demands[k], 0.0, change, seen)
@@ -249,11 +256,11 @@ class SimulatedRig:
         acting = self._acting(demand, end - begin)
         if begin < seen < end:
             plant.move(acting, seen - begin, time=start + begin)
-            self._seen = self._bench.copy()
+            self._seen = plant.values
             plant.move(acting, end - seen, time=start + seen)
         else:
             if seen == begin:
-                self._seen = self._bench.copy()
+                self._seen = plant.values
             plant.move(acting, end - begin, time=start + begin)
 
     def _acting(self, demand: float, duration: float) -> float:

@@ -4,36 +4,10 @@ from scipy.integrate import solve_ivp
 from shadowing_stand_in import LAB
 
 from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
-from dpcontrol.foundation.errors import InputError
-from dpcontrol.lab.bench import Drive, Encoders, Plant, SensorSettings
+from dpcontrol.lab.bench import Drive, Plant
 from dpcontrol.references.problem import Limits
 
 EXACT = 1e-10  # DOP853 at 1e-12 over a tenth of a second.
-COUNT = 2 * np.pi / 40_000
-
-
-def test_relative_joints_are_rounded_to_counts_and_then_summed() -> None:
-    encoders = Encoders(2, SensorSettings())
-    random = np.random.default_rng(5)
-    for state in random.uniform(-20, 20, (200, 6)):
-        measured = encoders.measure(state)
-        joints = np.array([measured[0], measured[1] - measured[0]]) / COUNT
-        assert joints == pytest.approx(np.rint(joints), abs=1e-6)
-        assert abs(measured[0] - state[0]) <= COUNT / 2 + 1e-12
-        assert abs((measured[1] - measured[0]) - (state[1] - state[0])) <= COUNT / 2 + 1e-12
-        assert measured[2] == pytest.approx(state[4], abs=0.5e-6 + 1e-12)
-    assert encoders.measure(np.zeros(6)) == pytest.approx(np.zeros(3), abs=0)
-
-
-def test_a_coarse_encoder_sees_nothing_below_half_a_count() -> None:
-    encoders = Encoders(1, SensorSettings(counts=128, cart_resolution=0.01))
-    half = np.pi / 128
-    assert encoders.measure(np.array([0.99 * half, 0, 0.0049, 0])) == pytest.approx([0, 0], abs=0)
-    assert encoders.measure(np.array([1.01 * half, 0, 0.0051, 0])) == pytest.approx([2 * half, 0.01])
-    with pytest.raises(InputError, match="counts = -1"):
-        SensorSettings(counts=-1)
-    with pytest.raises(InputError, match="cart_resolution"):
-        SensorSettings(cart_resolution=-1)
 
 
 def test_drive_keeps_acceleration_and_velocity_inside() -> None:
