@@ -90,9 +90,13 @@ class DriveLimits:
         return min(max(wanted, last - self.jerk_step), last + self.jerk_step)
 
     def acting(self, demanded: float, velocity: float, duration: float) -> float:
-        """Return what acts for `duration` s, so that the loop's velocity reference, now `velocity`, stays in bounds."""
+        """Return what acts for `duration` s, so that the loop's velocity reference, now `velocity`, stays in bounds.
+
+        One that a knock has thrown out of them comes back as fast as the drive can.
+        """
         low, high = (-self.velocity - velocity) / duration, (self.velocity - velocity) / duration
-        return min(max(demanded, low), high)
+        wanted, most = min(max(demanded, low), high), self.acceleration
+        return wanted if -most <= wanted <= most else math.copysign(most, wanted)
 
     def braking(self, velocity: float, duration: float) -> float:
         """Return the acceleration that brings `velocity` to zero, as fast as the drive can."""

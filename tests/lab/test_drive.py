@@ -24,6 +24,9 @@ def test_acceleration_and_velocity_stay_inside() -> None:
     assert drive.acting(30.0, 3.0, PERIOD) == pytest.approx(0.0, abs=1e-9)
     # Over a fraction of a period more is allowed, to the same velocity.
     assert drive.acting(30.0, 2.99, PERIOD / 2) == pytest.approx(20.0)
+    # Too fast by a knock: back with all the drive has, not more.
+    assert drive.acting(30.0, 3.5, PERIOD) == -30.0
+    assert drive.acting(-30.0, -3.5, PERIOD) == 30.0
 
 
 def test_a_weaker_drive_than_the_scene_believes_gives_less() -> None:
