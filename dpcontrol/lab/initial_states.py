@@ -1,0 +1,135 @@
+"""Which initial states make a model follow recorded angles best: all stretches at once.
+
+    minimise over x_0:  Σ_k |θ(t_k; x_0) - θ_k|²    for each stretch    (Levenberg–Marquardt; ∂θ/∂x_0 by differences)
+
+Every stretch and every perturbed copy of it is one lane of the same compiled step, so fifteen fits cost what one does.
+Source: Nocedal & Wright, Numerical Optimization (2006), section 10.3.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.arm_chain import Level, equations_of
+from dpcontrol.dynamics.fixed_step import compiled_step
+from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.foundation.files import Progress, no_progress
+
+Array = NDArray[np.float64]
+
+_DIFFERENCE = 1e-6
+"""rad and rad/s: of the derivatives; errors of 1e-12 · e^(λt) leave six digits after a few Lyapunov times."""
+_ITERATIONS = 25
+_ENOUGH = 1e-6
+"""Relative gain in the sum of squares below which a fit has ended."""
+_GUESS_SECONDS = 0.02
+
+
+class FreeMotion:
+    """Arms on a pivot at rest, sampled every `period` s, for many motions at once. Not to be shared between threads."""
+
+    def __init__(self, arms: ArmChainParameters, *, period: float) -> None:
+        self.arms = arms.count
+        self.period = period
+        self._step = compiled_step(equations_of(arms, Level.DISSIPATIVE))
+        self._base = arms.base()
+
+    def paths(self, states: Array, samples: int) -> Array:
+        """Return the states (samples, N, S) that follow from `states` (N, S), the first included."""
+        size, lanes = states.shape
+        inputs = np.zeros((self._step.size_in, lanes))
+        where = self._step.slices
+        inputs[where["duration"]] = self.period
+        inputs[where["parameters"]] = self._base[:, None]
+        out = np.empty((samples, size, lanes))
+        out[0] = states
+        for k in range(1, samples):
+            inputs[where["state"]] = out[k - 1]
+            self._step(inputs, out[k])
+        return out
+
+
+def first_guess(angles: Array, period: float) -> Array:
+    """Return the state (2n,) at the first of `angles` (K, n): a parabola through the first 20 ms."""
+    count = int(np.clip(round(_GUESS_SECONDS / period), 5, len(angles)))
+    times = period * np.arange(count)
+    curve = np.polynomial.polynomial.polyfit(times, angles[:count], 2)
+    return np.concatenate([curve[0], curve[1]])
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPath:
+    """The motion nearest to a stretch: states (K, 2n); residual (n,) rad rms of each angle; status, a sentence."""
+
+    states: Array
+    residual: Array
+    converged: bool
+    status: str
+
+
+def fit_initial_states(
+    motion: FreeMotion, stretches: Sequence[Array], *, progress: Progress = no_progress
+) -> list[FittedPath]:
+    """Return for each stretch of angles (K, n) the motion that follows it best.
+
+    A stretch over which the motion cannot be followed, for it is longer than the model predicts, has a status that
+    says so; its path is the best that was found.
+    """
+    n, count = motion.arms, len(stretches)
+    size, longest = 2 * n, max(len(angles) for angles in stretches)
+    measured = np.zeros((longest, n, count))
+    inside = np.zeros((longest, 1, count))
+    for s, angles in enumerate(stretches):
+        measured[: len(angles), :, s] = angles
+        inside[: len(angles), 0, s] = 1.0
+    states = np.stack([first_guess(angles, motion.period) for angles in stretches], axis=1)
+    damping = np.full(count, 1e-6)
+    path = motion.paths(states, longest)
+    cost = _cost(path, measured, inside)
+    ended = np.zeros(count, dtype=bool)
+    for iteration in range(_ITERATIONS):
+        progress("fitting initial states", iteration / _ITERATIONS)
+        lanes = np.repeat(states[:, None, :], size, axis=1) + _DIFFERENCE * np.eye(size)[:, :, None]
+        moved = motion.paths(lanes.reshape(size, -1), longest)[:, :n].reshape(longest, n, size, count)
+        slopes = (moved - path[:, :n, None, :]) / _DIFFERENCE * inside[:, :, None, :]
+        residual = (path[:, :n] - measured) * inside
+        normal = np.einsum("kais,kajs->sij", slopes, slopes)
+        gradient = np.einsum("kais,kas->si", slopes, residual)
+        scale = np.einsum("sii->si", normal)
+        finite = np.isfinite(normal).all(axis=(1, 2)) & np.isfinite(gradient).all(axis=1)
+        normal[~finite], gradient[~finite], scale[~finite] = np.eye(size), 0.0, 1.0
+        damped = normal + damping[:, None, None] * scale[:, :, None] * np.eye(size)
+        tried = states - np.linalg.solve(damped, gradient[:, :, None])[:, :, 0].T
+        following = motion.paths(tried, longest)
+        lower = _cost(following, measured, inside)
+        better = lower < cost
+        ended |= better & (cost - lower <= _ENOUGH * cost)
+        states = np.where(better, tried, states)
+        path = np.where(better, following, path)
+        cost = np.where(better, lower, cost)
+        damping = np.clip(np.where(better, damping / 10, damping * 10), 1e-12, 1e9)
+        # A step that gains nothing however short it is has nothing left to gain.
+        ended |= ~better & (damping >= 1e3)
+        if ended.all():
+            break
+    return [_fitted(path[: len(angles), :, s], angles, bool(ended[s])) for s, angles in enumerate(stretches)]
+
+
+def _cost(path: Array, measured: Array, inside: Array) -> Array:
+    n = measured.shape[1]
+    total = np.sum(np.square((path[:, :n] - measured) * inside), axis=(0, 1))
+    return np.where(np.isfinite(total), total, np.inf)
+
+
+def _fitted(path: Array, angles: Array, converged: bool) -> FittedPath:
+    residual = np.sqrt(np.mean(np.square(path[:, : angles.shape[1]] - angles), axis=0))
+    status = (
+        "the initial state is fitted"
+        if converged
+        else (
+            "no initial state was found that the model follows the angles from: shorten the span, or identify the model"
+        )
+    )
+    return FittedPath(path.copy(), residual, converged, status)
