@@ -13,6 +13,10 @@ from dpcontrol.foundation.errors import InputError
 T = TypeVar("T")
 
 
+_SIMPLE = (float, int, str, tuple[str, ...])
+"""Types of settings that a table can fill."""
+
+
 class Table:
     """One table of a TOML file. Values are taken key by key; `finish` refuses keys that nobody took.
 
@@ -113,7 +117,9 @@ class Table:
                 values[field.name] = self.integer(field.name)
             elif hint is str:
                 values[field.name] = self.text(field.name)
-        simple = [f.name for f in fields(kind) if hints[f.name] in (float, int, str)]  # type: ignore[arg-type]
+            elif hint == tuple[str, ...]:
+                values[field.name] = self.texts(field.name)
+        simple = [f.name for f in fields(kind) if hints[f.name] in _SIMPLE]  # type: ignore[arg-type]
         self.finish(also=[*(name for name in simple if name not in given), *also])
         return self.checked(kind, **values)
 

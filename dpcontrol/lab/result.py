@@ -1,5 +1,6 @@
 """What a run of the loop leaves: every tick as arrays, how it ended, and a few figures."""
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Protocol
@@ -7,9 +8,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.control.interface import Action, Estimate
 from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.lab.rig import Reading
 
 Array = NDArray[np.float64]
+
+CONTROL_HEAD = 7
+"""Columns of `control` before the standard deviations: see `dpcontrol.logs.layout.control_fields`."""
 
 
 class Ending(StrEnum):
@@ -17,26 +23,91 @@ class Ending(StrEnum):
 
     FINISHED = "finished"
     """It came to the reference's end. Whether the itinerary was completed is for the score to say."""
+    FELL_BACK = "fell back"
+    """The reference was given up and the nearest orbit held instead, to the end."""
     CART_STOP = "cart at its stop"
     ESTIMATE_LOST = "estimate lost"
     TRACKING_LOST = "tracking lost"
     PLANT_FAILED = "plant failed"
 
 
-class LoopSink(Protocol):
-    """Takes every tick and event as it happens; a log writer is one."""
+@dataclass(frozen=True, eq=False)
+class Ticks:
+    """K ticks, n arms.
 
-    def tick(
+    times (K,) s; measured (K, n+1), not-a-number where an encoder gave nothing; estimates, references (K, 2n+2) in
+    state order; truth the same, or None where it is not known; control (K, 9+2n) with the columns of
+    `dpcontrol.logs.layout.control_fields`.
+    """
+
+    times: Array
+    measured: Array
+    estimates: Array
+    references: Array
+    truth: Array | None
+    control: Array
+
+    @classmethod
+    def empty(cls, count: int, arms: int, *, has_truth: bool, period: float) -> "Ticks":
+        """Return room for `count` ticks, `period` s apart."""
+        n = 2 * arms + 2
+        measured, estimates, references = (np.empty((count, size)) for size in (arms + 1, n, n))
+        return cls(
+            times=np.asarray(np.arange(count) * period, dtype=np.float64),
+            measured=measured,
+            estimates=estimates,
+            references=references,
+            truth=np.empty((count, n)) if has_truth else None,
+            control=np.empty((count, CONTROL_HEAD + n)),
+        )
+
+    def take(
         self,
-        time_s: float,
-        *,
-        measured: Array,
-        estimate: Array,
-        reference: Array,
+        k: int,
+        reading: Reading,
+        estimate: Estimate,
+        action: Action,
+        acted: tuple[float, bool, int],
         truth: Array | None,
-        control: Array,
     ) -> None:
-        """Take one tick: measured (n+1,), states (2n+2,), control (7+2n+2,) as `control_fields` names it."""
+        """Write tick k; acted: acceleration in m/s², whether it was cut, mode."""
+        self.measured[k] = reading.positions
+        if reading.present is not None:
+            self.measured[k, ~reading.present] = math.nan
+        self.estimates[k] = estimate.state
+        self.references[k] = action.reference
+        if self.truth is not None:
+            self.truth[k] = truth
+        row = self.control[k]
+        applied, saturated, mode = acted
+        feedforward, feedback = action.feedforward, action.feedback
+        row[:CONTROL_HEAD] = (
+            feedforward + feedback, feedforward, feedback, applied, saturated, estimate.nis, mode
+        )  # fmt: skip
+        row[CONTROL_HEAD:] = estimate.sigmas[: len(row) - CONTROL_HEAD]
+
+    def between(self, first: int, end: int) -> "Ticks":
+        """Return the ticks from `first` up to `end`, sharing memory."""
+        rows = slice(first, end)
+        return Ticks(
+            times=self.times[rows],
+            measured=self.measured[rows],
+            estimates=self.estimates[rows],
+            references=self.references[rows],
+            truth=None if self.truth is None else self.truth[rows],
+            control=self.control[rows],
+        )
+
+    def head(self, count: int) -> "Ticks":
+        """Return the first `count` ticks."""
+        return self.between(0, count)
+
+
+class LoopSink(Protocol):
+    """Takes ticks and events as they happen; a log writer is made into one."""
+
+    def ticks(self, rows: Ticks) -> None:
+        """Take the next ticks; the arrays are reused afterwards."""
         ...
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
@@ -47,17 +118,8 @@ class LoopSink(Protocol):
 class NoSink:
     """Takes nothing: the result holds every tick anyway."""
 
-    def tick(
-        self,
-        time_s: float,
-        *,
-        measured: Array,
-        estimate: Array,
-        reference: Array,
-        truth: Array | None,
-        control: Array,
-    ) -> None:
-        """Ignore a tick."""
+    def ticks(self, rows: Ticks) -> None:
+        """Ignore ticks."""
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
         """Ignore an event."""
@@ -67,19 +129,14 @@ class NoSink:
 class LoopResult:
     """A run of K ticks, n arms.
 
-    times (K,) s; measured (K, n+1); estimates, references, truth (K, 2n+2) in state order; control (K, 9+2n) with
-    the columns of `dpcontrol.logs.layout.control_fields`. ending, and reason, a sentence. nis_inside_95: share of
-    the ticks whose NIS lies in its two-sided 95 % band. rms_tracking_error rad: over all angles, truth against
-    reference. max_cart_position m; rms_cart_acceleration m/s², as applied; rms_feedback m/s². real_time_factor:
-    simulated over elapsed time. plant: the parameters that were simulated.
+    ticks: its rows. ending, and reason, a sentence. nis_inside_95: share of the ticks whose NIS lies in its two-sided
+    95 % band. rms_tracking_error rad: over all angles, truth (where known, else the estimate) against reference.
+    max_cart_position m; rms_cart_acceleration m/s², as applied; rms_feedback m/s². real_time_factor: simulated over
+    elapsed time; thinking_median, thinking_99 s: what estimator, controller and supervisor took of a tick, its median
+    and 99th percentile; late: ticks that began too late. plant: the parameters that were simulated, if any.
     """
 
-    times: Array
-    measured: Array
-    estimates: Array
-    references: Array
-    truth: Array
-    control: Array
+    ticks: Ticks
     ending: Ending
     reason: str
     nis_inside_95: float
@@ -88,7 +145,10 @@ class LoopResult:
     rms_cart_acceleration: float
     rms_feedback: float
     real_time_factor: float
-    plant: ArmChainParameters
+    thinking_median: float
+    thinking_99: float
+    late: int
+    plant: ArmChainParameters | None = None
 
     @property
     def finished(self) -> bool:
@@ -108,4 +168,4 @@ class LoopResult:
     @property
     def stats(self) -> dict[str, float]:
         """Return the run's size and pace."""
-        return {"ticks": len(self.times), "real_time_factor": self.real_time_factor}
+        return {"ticks": len(self.ticks.times), "real_time_factor": self.real_time_factor, "late": self.late}

@@ -107,8 +107,8 @@ class Flown:
     """What a run is judged by: K ticks, n arms.
 
     time (K,) s; states (K, 2n+2): true ones where they are known; reference_angles (K, n); applied (K,): the cart's
-    acceleration, m/s². ended: why the run ended, for one that ended before its reference. has_cart: whether there is
-    a cart to keep inside its limits.
+    acceleration, m/s². ended: why the run ended, for one that ended before its reference. limits: the cart's in this
+    run: position m, velocity m/s, acceleration m/s²; None without a cart.
     """
 
     time: Array
@@ -116,8 +116,8 @@ class Flown:
     reference_angles: Array
     applied: Array
     rate_hz: float
+    limits: tuple[float, float, float] | None
     ended: str = ""
-    has_cart: bool = True
 
     @property
     def angles(self) -> Array:
@@ -152,8 +152,8 @@ def flown_of(log: RunLog) -> Flown:
         reference_angles=log.reference[:, : len(log.arm_lengths)],
         applied=log.control["applied"],
         rate_hz=log.rate_hz,
+        limits=log.limits if log.has_cart else None,
         ended=bad[-1].text if bad else "",
-        has_cart=log.has_cart,
     )
 
 
@@ -224,7 +224,7 @@ def _problem(flown: Flown, plan: Reference, *, visits: list[Visit], matched: int
     for k, (asked, done) in enumerate(zip(notes["wraps"], wraps, strict=False)):
         if asked is not None and asked != done:
             return f"wraps at stop {k + 1} are {done} instead of {asked}, before symbol {k + 2}"
-    return _limits(flown, plan) or _last_orbit(flown, plan, last=last, ended=ended)
+    return _limits(flown) or _last_orbit(flown, plan, last=last, ended=ended)
 
 
 def _ended(flown: Flown, plan: Reference) -> str:
@@ -236,15 +236,16 @@ def _ended(flown: Flown, plan: Reference) -> str:
     return f"; the run ended {short:.2f} s early{why}"
 
 
-def _limits(flown: Flown, plan: Reference) -> str:
+def _limits(flown: Flown) -> str:
     """Return which of the cart's limits was passed, or an empty string."""
     states, n = flown.states, flown.angles.shape[1]
-    if not flown.has_cart:
+    if flown.limits is None:
         return ""
+    position, velocity, acceleration = flown.limits
     for name, values, bound in (
-        ("position", states[:, 2 * n], plan.limits.position),
-        ("velocity", states[:, 2 * n + 1], plan.limits.velocity),
-        ("acceleration", flown.applied, plan.limits.acceleration),
+        ("position", states[:, 2 * n], position),
+        ("velocity", states[:, 2 * n + 1], velocity),
+        ("acceleration", flown.applied, acceleration),
     ):
         worst = int(np.argmax(np.abs(values)))
         if abs(values[worst]) > bound + 1e-9:

@@ -1,24 +1,19 @@
 """Itinerary files: what to do and how, from TOML to the settings of each stage."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from dpcontrol.control.ekf import EkfSettings
-from dpcontrol.control.tracking import ControllerSettings, FeedforwardSettings, TvlqrSettings
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.tables import Table, read_toml, suggest
-from dpcontrol.lab.bench import SensorSettings
+from dpcontrol.foundation.tables import Table, read_toml
 from dpcontrol.lab.loop import LoopSettings
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.scenes.lookup import find
 from dpcontrol.scenes.model import Model, load_model
 from dpcontrol.scenes.parts import HoldPart, Part, WalkPart, read_parts
+from dpcontrol.scenes.run_settings import overridden, read_run_settings
 
-CONTROLLERS: Mapping[str, type[ControllerSettings]] = {"tvlqr": TvlqrSettings, "feedforward": FeedforwardSettings}
-"""Kinds of controller and what holds the settings of each."""
 ENDS = ("orbit", "rest")
 """Where an itinerary may start and finish."""
 
@@ -58,24 +53,18 @@ class Itinerary:
         return tuple(count for part in self.walks for count in part.wraps)
 
     def with_run(self, **overrides: Any) -> "Itinerary":
-        """Return the scene with run settings replaced: mismatch, initial_error, seed, controller kind; None keeps.
+        """Return the scene with run settings replaced by name, such as mismatch or controller; None keeps.
 
         Raises:
-            InputError: an unknown controller or an impossible value.
+            InputError: an unknown name or kind, or an impossible value.
         """
-        given = {key: value for key, value in overrides.items() if value is not None}
-        kind = given.pop("controller", None)
-        if kind is not None and kind != self.loop.controller.kind:
-            if kind not in CONTROLLERS:
-                raise InputError(f"controller = {kind!r}: {suggest(kind, CONTROLLERS)}")
-            given["controller"] = CONTROLLERS[kind]()
-        return replace(self, loop=replace(self.loop, **given))
+        return replace(self, loop=overridden(self.loop, overrides))
 
 
-def load_itinerary(name: str) -> Itinerary:
+def load_itinerary(name: str, *, model: Model | None = None) -> Itinerary:
     """Load an itinerary, and its model, by name or path.
 
-    A relative model path is taken from the itinerary's folder.
+    A relative model path is taken from the itinerary's folder. model: taken instead of the one that the file names.
 
     Raises:
         InputError: no such file, or a mistake in it or in its model: names file, table, key, value and remedy.
@@ -83,7 +72,7 @@ def load_itinerary(name: str) -> Itinerary:
     path = find("itineraries", name)
     table, text = read_toml(path)
     title = table.text("title", path.stem)
-    model = _model(table, path)
+    model = _model(table, path, model)
     _ = model.arms  # an itinerary needs arms on a cart
     parts = read_parts(table, model)
     start = table.text("start", "orbit", allowed=ENDS)
@@ -99,13 +88,18 @@ def load_itinerary(name: str) -> Itinerary:
         raise InputError(
             f'{path}: [reference] level = "conservative": rest, holds and changes of energy need the cart; use "cart"'
         )
-    loop = _loop(table.table("run"), _controller(table.table("controller")), _estimator(table.table("estimator")))
+    loop = read_run_settings(
+        table.table("run"), controller=table.table("controller"), estimator=table.table("estimator"),
+        supervisor=table.table("supervisor"),
+    )  # fmt: skip
     table.finish()
     return Itinerary(path.stem, path, title, model, parts, start, finish, limits, reference, loop, text)
 
 
-def _model(table: Table, path: Path) -> Model:
+def _model(table: Table, path: Path, given: Model | None) -> Model:
     name = table.text("model", "lab")
+    if given is not None:
+        return given
     beside = path.parent / name
     try:
         return load_model(str(beside) if name.endswith(".toml") and beside.is_file() else name)
@@ -120,26 +114,3 @@ def _reference(table: Table) -> ReferenceSettings:
     except InputError as error:
         raise InputError(f"{table.where('method')}: {error}") from error
     return settings
-
-
-def _controller(table: Table) -> ControllerSettings:
-    kind = CONTROLLERS[table.text("kind", "tvlqr", allowed=CONTROLLERS)]
-    return table.settings(kind)
-
-
-def _estimator(table: Table) -> EkfSettings:
-    table.text("kind", "ekf", allowed=("ekf",))
-    return table.settings(EkfSettings)
-
-
-def _loop(table: Table, controller: ControllerSettings, estimator: EkfSettings) -> LoopSettings:
-    sensor_names = [f.name for f in fields(SensorSettings)]
-    values = table.remaining()
-    sensors, rest = (
-        Table({k: v for k, v in values.items() if (k in sensor_names) == wanted}, file=table.file, name=table.name)
-        for wanted in (True, False)
-    )
-    found = sensors.settings(SensorSettings)
-    return rest.settings(
-        LoopSettings, also=sensor_names, seed=0, controller=controller, estimator=estimator, sensors=found
-    )

@@ -9,6 +9,7 @@ from pathlib import Path
 import dpcontrol
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import Progress, content_hash, no_progress
+from dpcontrol.lab.log_sink import LogSink
 from dpcontrol.lab.loop import run_loop
 from dpcontrol.logs import LogWriter, read_log
 from dpcontrol.review.of_log import MODEL_METADATA
@@ -32,7 +33,7 @@ def run_plan(plan: Plan, out: Path, *, progress: Progress = no_progress) -> Scor
     itinerary, reference = plan.itinerary, plan.reference
     if not reference.converged:
         raise GoalMissed(f"{itinerary.name} has no reference to follow: {reference.status}")
-    limits = itinerary.limits
+    limits = itinerary.loop.limits(reference)
     with LogWriter(
         out,
         arm_lengths=itinerary.model.arms.length,
@@ -45,7 +46,8 @@ def run_plan(plan: Plan, out: Path, *, progress: Progress = no_progress) -> Scor
             REFERENCE_ATTACHMENT: plan.file.read_bytes(),
         },
     ) as writer:
-        result = run_loop(reference, itinerary.model.arms, settings=itinerary.loop, sink=writer, progress=progress)
+        sink = LogSink(writer)
+        result = run_loop(reference, itinerary.model.arms, settings=itinerary.loop, sink=sink, progress=progress)
         writer.result(real_time_factor=repr(result.real_time_factor), ending=result.ending.value)
     return score(read_log(out))
 

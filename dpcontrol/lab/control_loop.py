@@ -1,0 +1,225 @@
+"""The control loop, tick by tick, on any rig: read, estimate, decide, command.
+
+At tick k the positions are read and the estimate updated; the command computed then acts from tick k + delay on, and
+is computed for the estimate predicted to that tick through the commands on their way. The supervisor judges every
+tick; the cart is braked to rest before a run ends early. Rows of ticks go to the sink some twenty at a time.
+"""
+
+import math
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.control.interface import Action, Controller, Estimate, Estimator, Mode, Session
+from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.lab.command_path import CommandPath
+from dpcontrol.lab.result import Ending, LoopSink, Ticks
+from dpcontrol.lab.rig import Reading, Rig
+from dpcontrol.lab.supervisor import Outcome, Supervisor
+
+Array = NDArray[np.float64]
+
+_FLUSH_EVERY = 20
+_PROGRESS_EVERY = 500
+_HEAD = 7
+"""Fields of /control before the standard deviations."""
+_BRAKING = 0.9
+"""Share of the greatest acceleration with which the cart is braked: more than the supervisor counts on."""
+_SETTLING = 0.05
+"""Seconds for which the loop goes on after the cart was commanded to rest: delays and lags have passed by then."""
+
+
+class Fallback(Protocol):
+    """Finds something to hold where the reference was given up."""
+
+    def session(self, tick: int, state: Array) -> tuple[Session, str]:
+        """Return a session that holds what is nearest to `state` (N,) from `tick` on, and a sentence saying what."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class LoopRecord:
+    """A run as the loop saw it: ticks, how it ended and why.
+
+    thinking (K,) s: what estimator, controller and supervisor took in each tick; late: ticks that began too late;
+    elapsed s.
+    """
+
+    ticks: Ticks
+    ending: Ending
+    reason: str
+    thinking: Array
+    late: int
+    elapsed: float
+
+
+class ControlLoop:
+    """One run of a controller and an estimator on a rig; `run` may be called once.
+
+    fallback: used when the supervisor gives the reference up; without one the run ends then. The rig's `truth`, where
+    it has one, is recorded and never used.
+    """
+
+    def __init__(
+        self,
+        estimator: Estimator,
+        controller: Controller,
+        *,
+        path: CommandPath,
+        supervisor: Supervisor,
+        sink: LoopSink,
+        fallback: Fallback | None = None,
+        progress: Progress = no_progress,
+    ) -> None:
+        self.estimator, self.path, self.supervisor, self.sink = estimator, path, supervisor, sink
+        self.controller, self.fallback, self.progress = controller, fallback, progress
+        self.session: Session = controller.begin()
+        self.count = controller.ticks + 1
+        self.ending, self.reason = Ending.FINISHED, "came to the reference's end"
+        self._n = len(controller.first_state)
+        self._arms = (self._n - 2) // 2
+        self._rows = Ticks.empty(self.count, self._arms, has_truth=False, period=path.period)
+        self._flushed = 0
+        self._braking_since: float | None = None
+        self._first = estimator.first(controller.first_state)
+        # The commands that act before the first tick's own can, computed for the start.
+        self._coming = deque(self.session.command(k, self._first.state, self._first.extra) for k in range(path.lead))
+
+    @property
+    def queued(self) -> list[float]:
+        """The commands (m/s²) to be on their way when the run begins, oldest first."""
+        return [action.feedforward + action.feedback for action in self._coming]
+
+    def run(self, rig: Rig) -> LoopRecord:
+        """Run to the controller's last tick, or to where the supervisor ends it and the cart stands.
+
+        Raises:
+            InputError: the sink cannot be written.
+        """
+        path, period, n, estimate = self.path, self.path.period, self._n, self._first
+        if rig.truth is not None:
+            self._rows = Ticks.empty(self.count, self._arms, has_truth=True, period=period)
+        rows = self._rows
+        path.start(self.queued, velocity=float(self.controller.first_state[-1]))
+        ticks = f"{self.count - 1} ticks at {1 / period:g} Hz"
+        self._event(0.0, "info", "start", f"{self.controller.kind}, {self.estimator.kind}, {ticks}")
+        thinking = np.zeros(self.count)
+        most, fastest = path.limits.acceleration, path.limits.velocity
+        acted, was_saturated, late, done = 0.0, False, 0, 0
+        clock = time.perf_counter
+        began = clock()
+        for k in range(self.count):
+            now = k * period
+            try:
+                reading = rig.read()
+            except ArithmeticError as failure:
+                self.ending, self.reason = Ending.PLANT_FAILED, str(failure)
+                break
+            before = clock()
+            try:
+                if k:
+                    estimate = self.estimator.step(estimate, acted, reading.positions, reading.present)
+                else:
+                    estimate = self.estimator.update(estimate, reading.positions, reading.present)
+                nis = estimate.nis
+            except ArithmeticError:
+                nis = math.inf
+            action, estimate = self._decided(k, now, estimate, reading, nis)
+            command = action.feedforward + action.feedback
+            path.send(command)
+            thinking[k] = clock() - before
+            rig.command(command)
+            x = estimate.state
+            acted = path.acted(float(x[n - 1]))
+            mode = action.mode
+            saturated = abs(command) > most or abs(path.velocity) >= fastest
+            if saturated and mode is not Mode.ABORTED:
+                mode = Mode.SATURATED
+            rows.take(k, reading, estimate, action, (acted, saturated, mode), rig.truth)
+            late += reading.late > 0
+            done = k + 1
+            if rig.fault and self.ending is not Ending.CART_STOP:
+                self.ending, self.reason = Ending.CART_STOP, rig.fault
+                break
+            if saturated and not was_saturated:
+                self._event(now, "warn", "saturated", f"command {command:.3g} m/s², applied {acted:.3g} m/s²")
+            was_saturated = saturated
+            if self._braking_since is not None and now > self._braking_since + _SETTLING:
+                break
+            if done - self._flushed >= _FLUSH_EVERY:
+                self._flush(done)
+                if not k % _PROGRESS_EVERY:
+                    self.progress("run", k / self.count)
+        elapsed = clock() - began
+        rig.stop()
+        self._flush(done)
+        fine = self.ending is Ending.FINISHED
+        self._event((done - 1) * period, "info" if fine else "error", self.ending.value, self.reason)
+        self.progress("run", 1.0)
+        return LoopRecord(rows.head(done), self.ending, self.reason, thinking[:done], late, elapsed)
+
+    def _decided(self, k: int, now: float, estimate: Estimate, reading: Reading, nis: float) -> tuple[Action, Estimate]:
+        """Return the command of tick k, with the reference of tick k, and the estimate, restarted if need be."""
+        if self._braking_since is not None:
+            return self._brake(now, self._rows.references[k - 1]), estimate
+        x, n, lead = estimate.state, self._n, self.path.lead
+        if lead:
+            ahead = self.estimator.ahead(estimate, self.path.on_their_way())
+            self._coming.append(action := self.session.command(k + lead, ahead, estimate.extra))
+            wanted = self._coming.popleft().reference
+            action = Action(action.feedforward, action.feedback, wanted, action.mode, action.event)
+        else:
+            ahead = x
+            action = self.session.command(k, x, estimate.extra)
+            wanted = action.reference
+        if action.event:
+            self._event(now, "info", "controller", action.event)
+        pairs = zip(x[: self._arms].tolist(), wanted[: self._arms].tolist(), strict=True)
+        error = max([abs(a - b) for a, b in pairs])
+        outcome, ending, why = self.supervisor.judge(
+            now, error=error, nis=nis, used=estimate.used, position=float(x[n - 2]), velocity=float(x[n - 1])
+        )
+        if outcome is Outcome.CONTINUE and reading.switch:
+            outcome, ending = Outcome.STOP, Ending.CART_STOP
+            why = f"cart at its stop at t = {now:.3f} s: a limit switch answered; allow more travel"
+        if outcome is Outcome.CONTINUE:
+            return action, estimate
+        self._event(now, "warn", outcome.value, why)
+        if outcome is Outcome.RESTART:
+            return action, self.estimator.restarted(estimate, reading.positions)
+        if outcome is Outcome.RESYNCHRONISE:
+            moved = self.session.resynchronise(k + lead, ahead)
+            self._event(now, "info", "re-synchronise", moved or "the controller has no clock to move")
+            return action, estimate
+        if outcome is Outcome.HOLD and self.fallback is not None:
+            self.session, held = self.fallback.session(k + lead, ahead)
+            self._coming.clear()
+            self._coming.extend([action] * lead)
+            self._event(now, "warn", "fallback", held)
+            self.ending, self.reason = Ending.FELL_BACK, f"{why}; {held}"
+            return action, estimate
+        self.ending, self.reason = ending, why
+        if ending is not Ending.ESTIMATE_LOST:
+            # What was sent and what the cart does differ by noise; the estimate knows better where it can be trusted.
+            self.path.velocity = float(ahead[n - 1])
+        self._braking_since = now
+        return self._brake(now, wanted), estimate
+
+    def _brake(self, now: float, wanted: Array) -> Action:
+        if self.path.velocity:
+            self._braking_since = now
+        return Action(0.0, self.path.braking(_BRAKING), wanted, Mode.ABORTED)
+
+    def _event(self, time_s: float, level: str, name: str, text: str) -> None:
+        # Events stand among the ticks they belong to.
+        self._flush(round(time_s / self.path.period))
+        self.sink.event(time_s, level, name, text)
+
+    def _flush(self, until: int) -> None:
+        if until > self._flushed:
+            self.sink.ticks(self._rows.between(self._flushed, until))
+            self._flushed = until

@@ -1,0 +1,64 @@
+"""How sure a campaign's counts are: Wilson's interval for a share, McNemar's exact test for pairs.
+
+Sources: Wilson, Probable inference, the law of succession, and statistical inference, JASA 22 (1927); McNemar, Note on
+the sampling error of the difference between correlated proportions, Psychometrika 12 (1947).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+
+@dataclass(frozen=True)
+class Share:
+    """`successes` of `runs`, and the 95 % interval of the share behind them."""
+
+    successes: int
+    runs: int
+    low: float
+    high: float
+
+    @property
+    def rate(self) -> float:
+        """The share seen."""
+        return self.successes / self.runs if self.runs else float("nan")
+
+
+def wilson(successes: int, runs: int, *, confidence: float = 0.95) -> Share:
+    """Return the share with Wilson's interval; without runs nothing is known, and the interval is 0 to 1."""
+    if not runs:
+        return Share(0, 0, 0.0, 1.0)
+    # scipy.stats takes half a second to import.
+    from scipy.stats import binomtest
+
+    interval = binomtest(successes, runs).proportion_ci(confidence, method="wilson")
+    return Share(successes, runs, float(interval.low), float(interval.high))
+
+
+@dataclass(frozen=True)
+class Pairing:
+    """Two controllers on the same seeds: how often only the one succeeded, only the other, and McNemar's p."""
+
+    pairs: int
+    only_first: int
+    only_second: int
+    p_value: float
+
+
+def paired(first: ArrayLike, second: ArrayLike) -> Pairing:
+    """Compare outcomes (K,) of the same seeds, true for success.
+
+    Raises:
+        ValueError: the outcomes are not of the same seeds.
+    """
+    one, two = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
+    if one.shape != two.shape:
+        raise ValueError(f"outcomes of {one.shape} and {two.shape} runs cannot be paired")
+    only_first, only_second = int((one & ~two).sum()), int((two & ~one).sum())
+    differing = only_first + only_second
+    if not differing:
+        return Pairing(one.size, 0, 0, 1.0)
+    from scipy.stats import binomtest
+
+    return Pairing(one.size, only_first, only_second, float(binomtest(only_first, differing).pvalue))

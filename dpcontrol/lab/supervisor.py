@@ -1,0 +1,160 @@
+"""The supervisor: watches estimate, tracking and cart, and decides whether to go on.
+
+    consistency   mean of NIS / degrees of freedom over a fifth of a second
+    tracking      mean over about a second of the largest angle's distance from the reference, by the estimate
+    cart          |x| + v²/(2a) + |v| t_d: where it comes to rest if it brakes from now, after the delay t_d
+
+Outcomes: go on; restart the estimator; re-synchronise the reference's clock; hold the nearest orbit; stop the cart in
+time. What is decided is an event of the log. A run that cannot be saved ends with the cart at rest inside its limits.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.lab.result import Ending
+
+
+class Outcome(StrEnum):
+    """What the supervisor may decide."""
+
+    CONTINUE = "continue"
+    RESTART = "restart the estimator"
+    RESYNCHRONISE = "re-synchronise"
+    HOLD = "hold"
+    STOP = "stop"
+
+
+@dataclass(frozen=True)
+class SupervisorSettings:
+    """When to step in.
+
+    lost_tracking rad: mean distance of an angle from the reference from which no feedback returns (half a turn is π,
+    and a completed period asks for 0.1); resynchronise rad: distance from which the clock is moved to the nearest
+    phase, 0 for never. lost_estimate: mean NIS per degree of freedom; a filter with a model wrong by a fifth shows
+    thirty. restarts: how often the estimator is restarted before it counts as lost. missing s: longest time without
+    a measurement. braking: share of the greatest acceleration that is counted on to stop the cart (it brakes harder),
+    and margin m: what must be left of the track then.
+    """
+
+    lost_tracking: float = 1.5
+    resynchronise: float = 0.0
+    lost_estimate: float = 3000.0
+    restarts: int = 2
+    missing: float = 0.1
+    braking: float = 0.5
+    margin: float = 0.002
+
+    def __post_init__(self) -> None:
+        """Refuse what could not stop anything.
+
+        Raises:
+            InputError: names the setting, its value and what is allowed.
+        """
+        for name, low, high in (
+            ("lost_tracking", 0.05, 100.0),
+            ("resynchronise", 0.0, 100.0),
+            ("lost_estimate", 5.0, 1e12),
+            ("restarts", 0, 1000),
+            ("missing", 1e-4, 60.0),
+            ("braking", 0.01, 1.0),
+            ("margin", 0.0, 1.0),
+        ):
+            value = getattr(self, name)
+            if not math.isfinite(value) or not low <= value <= high:
+                raise InputError(f"supervisor: {name} = {value!r}: must be {low:g} to {high:g}")
+
+
+TRACKING_MEMORY = 1.0
+ESTIMATE_MEMORY = 0.2
+"""Time constants of the means, s."""
+
+
+@dataclass
+class Supervisor:
+    """Watches one run. travel m, acceleration m/s²: the cart's limits; reaction s: until a command acts."""
+
+    settings: SupervisorSettings
+    period: float
+    travel: float
+    acceleration: float
+    reaction: float
+    can_hold: bool = False
+    error: float = 0.0
+    nis: float = 0.0
+    silent: float = 0.0
+    restarts: int = 0
+    _moved: float = -math.inf
+
+    def __post_init__(self) -> None:
+        self._tracking_share = min(self.period / TRACKING_MEMORY, 1.0)
+        self._estimate_share = min(self.period / ESTIMATE_MEMORY, 1.0)
+        self._brake = 2 * self.settings.braking * self.acceleration
+
+    def stopping_point(self, position: float, velocity: float) -> float:
+        """Return where the cart comes to rest, as a distance from the centre in m, if it brakes now."""
+        ahead = position + velocity * self.reaction
+        return abs(ahead + math.copysign(velocity * velocity / self._brake, velocity)) + self.settings.margin
+
+    def judge(
+        self, now: float, *, error: float, nis: float, used: int, position: float, velocity: float
+    ) -> tuple[Outcome, Ending, str]:
+        """Return what to do, the run's ending if it is to stop, and why.
+
+        error rad: largest distance of an angle from the reference; nis over `used` positions, of this tick; position m
+        and velocity m/s of the cart as estimated, outward motion alone being dangerous.
+        """
+        s = self.settings
+        if used:
+            self.silent = 0.0
+            self.nis += (nis / used - self.nis) * self._estimate_share
+        else:
+            self.silent += self.period
+        self.error += (error - self.error) * self._tracking_share
+        # Written so that what is no number stops the run.
+        if not self.nis <= s.lost_estimate or not math.isfinite(error):
+            return self._estimate(now)
+        if self.silent > s.missing:
+            return (
+                Outcome.STOP,
+                Ending.ESTIMATE_LOST,
+                (
+                    f"estimate lost at t = {now:.3f} s: no measurement for {self.silent:.3f} s; "
+                    "check the encoders' cables"
+                ),
+            )
+        if position * velocity >= 0 and self.stopping_point(position, velocity) >= self.travel:
+            return (
+                Outcome.STOP,
+                Ending.CART_STOP,
+                (
+                    f"cart at its stop at t = {now:.3f} s: at {position:.3f} m with {velocity:.2f} m/s "
+                    "it must brake now to stay on the track; weigh its position more, or allow more travel"
+                ),
+            )
+        if self.error > s.lost_tracking:
+            reason = f"tracking lost at t = {now:.3f} s: an angle has stayed {self.error:.2g} rad from the reference"
+            if self.can_hold:
+                self.can_hold, self.error = False, 0.0
+                return Outcome.HOLD, Ending.TRACKING_LOST, reason
+            return Outcome.STOP, Ending.TRACKING_LOST, reason
+        if s.resynchronise and self.error > s.resynchronise and now - self._moved > TRACKING_MEMORY:
+            self._moved = now
+            return Outcome.RESYNCHRONISE, Ending.TRACKING_LOST, f"an angle is {self.error:.2g} rad from the reference"
+        return Outcome.CONTINUE, Ending.FINISHED, ""
+
+    def _estimate(self, now: float) -> tuple[Outcome, Ending, str]:
+        shown = f"mean NIS {self.nis:.3g} for each position" if math.isfinite(self.nis) else "it is no longer finite"
+        if self.restarts < self.settings.restarts:
+            self.restarts += 1
+            self.nis = 0.0
+            return Outcome.RESTART, Ending.ESTIMATE_LOST, f"{shown}: the estimator starts anew from the encoders"
+        return (
+            Outcome.STOP,
+            Ending.ESTIMATE_LOST,
+            (
+                f"estimate lost at t = {now:.3f} s: {shown} where 1 or so is expected; "
+                "check the encoders and the model's parameters, or assume more noise"
+            ),
+        )

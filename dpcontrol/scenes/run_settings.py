@@ -1,0 +1,91 @@
+"""A scene's run settings: [run], [controller], [estimator] and [supervisor] of its file, and what overrides them.
+
+In [run] the keys of sensors, drive and disturbances stand side by side, for a user thinks of one bench; [[run.blows]]
+lists blows at given times. The same names serve as overrides: `mismatch = 0.05` in the file is `--mismatch 0.05`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import fields, replace
+from typing import Any
+
+from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterpyEkfSettings, UkfSettings
+from dpcontrol.control.tracking import ControllerSettings, FeedforwardSettings, TvlqrSettings
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.tables import Table, suggest
+from dpcontrol.lab.disturbances import DisturbanceSettings, Push
+from dpcontrol.lab.drive import DriveSettings
+from dpcontrol.lab.loop import LoopSettings
+from dpcontrol.lab.sensors import SensorSettings
+from dpcontrol.lab.supervisor import SupervisorSettings
+
+CONTROLLERS: Mapping[str, type[ControllerSettings]] = {"tvlqr": TvlqrSettings, "feedforward": FeedforwardSettings}
+"""Kinds of controller and what holds the settings of each."""
+ESTIMATORS: Mapping[str, type[EstimatorSettings]] = {
+    "ekf": EkfSettings, "ekf-filterpy": FilterpyEkfSettings, "ukf": UkfSettings
+}  # fmt: skip
+"""Kinds of estimator and what holds the settings of each."""
+_PARTS: Mapping[str, type] = {"sensors": SensorSettings, "drive": DriveSettings, "disturbances": DisturbanceSettings}
+_OWN = ("rate", "initial_error", "mismatch", "travel", "seed")
+_LISTS = ("explicit",)
+
+
+def _part_of_name() -> dict[str, str]:
+    return {f.name: part for part, kind in _PARTS.items() for f in fields(kind) if f.name not in _LISTS}
+
+
+def setting_names() -> tuple[str, ...]:
+    """Return the names that [run] and overrides may use."""
+    return (*(name for name in _OWN if name != "seed"), *_part_of_name())
+
+
+def read_run_settings(run: Table, *, controller: Table, estimator: Table, supervisor: Table) -> LoopSettings:
+    """Return the settings of a scene's runs, with seed 0.
+
+    Raises:
+        InputError: an unknown key or an impossible value; names file, table, key, value and what is allowed.
+    """
+    blows = [table.settings(Push) for table in run.tables("blows")]
+    names, values = _part_of_name(), run.remaining()
+    known = setting_names()
+    parts = {}
+    for part, kind in _PARTS.items():
+        own = {k: v for k, v in values.items() if names.get(k) == part}
+        given = {"explicit": tuple(blows)} if part == "disturbances" else {}
+        parts[part] = Table(own, file=run.file, name=run.name).settings(kind, also=known, **given)
+    rest = Table({k: v for k, v in values.items() if k not in names}, file=run.file, name=run.name)
+    return rest.settings(
+        LoopSettings, also=known, seed=0, controller=_kind(controller, CONTROLLERS, "tvlqr"),
+        estimator=_kind(estimator, ESTIMATORS, "ekf"), supervisor=supervisor.settings(SupervisorSettings), **parts,
+    )  # fmt: skip
+
+
+def _kind(table: Table, kinds: Mapping[str, type], default: str) -> Any:
+    return table.settings(kinds[table.text("kind", default, allowed=kinds)])
+
+
+def overridden(loop: LoopSettings, overrides: Mapping[str, Any]) -> LoopSettings:
+    """Return the settings with values replaced by name; None keeps. A controller or estimator is named by its kind.
+
+    Raises:
+        InputError: an unknown name or kind, or an impossible value.
+    """
+    names = _part_of_name()
+    changes: dict[str, dict[str, Any]] = {}
+    own: dict[str, Any] = {}
+    for name, value in overrides.items():
+        if value is None:
+            continue
+        if name in ("controller", "estimator"):
+            kinds: Mapping[str, type] = CONTROLLERS if name == "controller" else ESTIMATORS
+            if value not in kinds:
+                raise InputError(f"{name} = {value!r}: {suggest(str(value), kinds)}")
+            if value != getattr(loop, name).kind:
+                own[name] = kinds[value]()
+        elif name in _OWN:
+            own[name] = value
+        elif name in names:
+            changes.setdefault(names[name], {})[name] = value
+        else:
+            raise InputError(f"{name} = {value!r}: no such run setting; {suggest(name, setting_names())}")
+    own |= {part: replace(getattr(loop, part), **values) for part, values in changes.items()}
+    return replace(loop, **own)
