@@ -8,40 +8,48 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dpcontrol.cli.output import checked_suffix, json_option, print_json, progress_bar, reports_failure
+from dpcontrol.foundation.errors import InputError
 
 if TYPE_CHECKING:
     from dpcontrol.review.picture import Picture
 
 
 @click.command("review", epilog="Example:  dpcontrol review logs/outer-turn-0.mcap --picture outer-turn.png")
-@click.argument("log", metavar="LOG|ATLAS", type=click.Path(path_type=Path))
+@click.argument("files", metavar="LOG...|ATLAS|REFERENCE", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--save", type=click.Path(dir_okay=False, path_type=Path), help="Save a Rerun recording (.rrd).")
 @click.option("--picture", type=click.Path(dir_okay=False, path_type=Path), help="Save a picture (.png).")
+@click.option("--align", default=1, show_default=True, metavar="N", help="Symbol at which several logs are aligned.")
 @json_option
 @reports_failure
-def command(*, log: Path, save: Path | None, picture: Path | None, as_json: bool) -> None:
-    """Open a log in the Rerun viewer: arms with the reference's ghost, angles, rates, command, errors, phase planes.
+def command(*, files: tuple[Path, ...], save: Path | None, picture: Path | None, align: int, as_json: bool) -> None:
+    """Open a log in the Rerun viewer: arms with the reference's ghost, the itinerary as asked and as done, angles,
+    rates, command, errors, energy, phase planes with the tubes used. A recording from the bench opens as well.
 
-    An atlas (.npz) opens as its tubes, orbits and flights in space, and the cuts with the connections numbered on them.
-    With --save or --picture the viewer is not opened; where no renderer is installed the picture is drawn by
-    matplotlib, and the message says so.
+    Several logs open side by side, each delayed so that all cross the section of symbol N at the same moment. An atlas
+    (.npz) opens as its tubes, orbits and flights in space, and its cuts with the connections numbered on them; a
+    reference (.npz) as its motion, command and limits. With --save or --picture the viewer is not opened; where no
+    renderer is installed the picture is drawn by matplotlib, and the message says so.
     """
-    from dpcontrol.scenes.atlas_file import is_atlas
-
     for option, file, suffix in (("--save", save, ".rrd"), ("--picture", picture, ".png")):
         if file is not None:
             checked_suffix(file, suffix, option=option)
 
-    document: dict[str, Any] = {"log": str(log), "recording": None, "picture": None, "status": "done"}
-    write_recording, write_picture = _atlas_writers(log) if is_atlas(log) else _log_writers(log)
+    first, *others = files
+    document: dict[str, Any] = {"log": str(first), "recording": None, "picture": None, "status": "done"}
     with progress_bar("review") as progress:
+        progress("reading", 0.05)
+        if others:
+            document = {"logs": [str(file) for file in files], **document}
+            write_recording, write_picture, document["aligned"] = _comparison_writers(files, align)
+        else:
+            write_recording, write_picture = _writers(first)
         if save is not None or picture is None:
-            progress("recording", 0.1)
-            recording = save or Path(tempfile.mkdtemp(prefix="dpcontrol-")) / f"{log.stem}.rrd"
+            progress("recording", 0.2)
+            recording = save or Path(tempfile.mkdtemp(prefix="dpcontrol-")) / f"{first.stem}.rrd"
             write_recording(recording)
             document["recording"] = str(recording)
         if picture is not None:
-            progress("picture", 0.4)
+            progress("picture", 0.5)
             drawn = write_picture(picture)
             document |= {"picture": str(drawn.path), "renderer": drawn.renderer, "status": drawn.status}
     if save is None and picture is None:
@@ -51,8 +59,8 @@ def command(*, log: Path, save: Path | None, picture: Path | None, as_json: bool
     if as_json:
         print_json(document)
         return
-    for kind in ("recording", "picture"):
-        if document[kind]:
+    for kind in ("recording", "picture", "aligned"):
+        if document.get(kind):
             click.echo(f"{kind:<10} {document[kind]}")
     if picture is not None:
         click.echo(document["status"])
@@ -60,6 +68,15 @@ def command(*, log: Path, save: Path | None, picture: Path | None, as_json: bool
 
 Writers = tuple[Callable[[Path], None], Callable[[Path], "Picture"]]
 """What writes the recording to a path, and the picture."""
+
+
+def _writers(file: Path) -> Writers:
+    from dpcontrol.review.of_reference import is_reference
+    from dpcontrol.scenes.atlas_file import is_atlas
+
+    if is_reference(file):
+        return _reference_writers(file)
+    return _atlas_writers(file) if is_atlas(file) else _log_writers(file)
 
 
 def _log_writers(file: Path) -> Writers:
@@ -78,6 +95,48 @@ def _log_writers(file: Path) -> Writers:
         from dpcontrol.review.picture import write_picture
 
         return write_picture(run, context, path)
+
+    return recording, picture
+
+
+def _comparison_writers(files: tuple[Path, ...], symbol: int) -> tuple[Callable, Callable, str]:
+    from dpcontrol.logs import read_log
+    from dpcontrol.review.comparison import compare
+    from dpcontrol.review.of_log import review_context
+
+    other = [file for file in files if file.suffix.lower() == ".npz"]
+    if other:
+        raise InputError(f"{other[0]} is no log: several files are compared only if all are logs; review it alone")
+    logs = [read_log(file) for file in files]
+    comparison = compare([(log, review_context(log)) for log in logs], symbol=symbol)
+
+    def recording(path: Path) -> None:
+        from dpcontrol.review.comparison_recording import write_comparison_recording
+
+        write_comparison_recording(comparison, path)
+
+    def picture(path: Path) -> "Picture":
+        from dpcontrol.review.picture import write_comparison_picture
+
+        return write_comparison_picture(comparison, path)
+
+    return recording, picture, comparison.status
+
+
+def _reference_writers(file: Path) -> Writers:
+    from dpcontrol.review.of_reference import reference_review
+
+    reference = reference_review(file)
+
+    def recording(path: Path) -> None:
+        from dpcontrol.review.recording import write_motion_recording
+
+        write_motion_recording(reference.motion, reference.context, path)
+
+    def picture(path: Path) -> "Picture":
+        from dpcontrol.review.picture import write_reference_picture
+
+        return write_reference_picture(reference, path)
 
     return recording, picture
 

@@ -7,7 +7,7 @@ from dpcontrol.review import series
 from dpcontrol.review.context import ReviewContext
 from dpcontrol.review.motion import Motion
 from dpcontrol.review.recorded import TIMELINE
-from dpcontrol.review.recorded_planes import bounds
+from dpcontrol.review.recorded_planes import Box, bounds
 from dpcontrol.review.recorded_scene import WORLD
 
 PAPER = [250, 251, 252]
@@ -19,7 +19,10 @@ def blueprint(motion: Motion, context: ReviewContext, *, from_log: bool) -> rrb.
     ranges = shown_ranges(motion, context)
     named = "arm 1 blue, arm 2 orange" if motion.arms == 2 else "one colour for each arm"
     grey = ", reference grey" if motion.reference is not None else ""
-    plots = [plot(f"Angles (rad): {named}{grey}", "/plots/angles"), plot("Rates (rad/s)", "/plots/rates")]
+    plots = [
+        plot(f"Angles (rad): {named}{grey}", "/plots/angles"),
+        plot("Rates (rad/s)" + (", by differences" if motion.differenced else ""), "/plots/rates"),
+    ]
     if motion.has_cart:
         plots.append(plot(f"Cart position (m){grey}", "/plots/cart", shown=ranges.get("cart")))
     if motion.control is not None:
@@ -51,7 +54,7 @@ def blueprint(motion: Motion, context: ReviewContext, *, from_log: bool) -> rrb.
     shares = [2.2 if k == 0 and len(middle) > len(plots) else 2 for k in range(len(middle))]
     columns_of_views = [
         rrb.Vertical(
-            scene_view(context, from_log=from_log),
+            scene_view(context, from_log=from_log, name=f"Scene{grey.replace(',', ':')}"),
             rrb.Horizontal(*planes),
             rrb.Horizontal(*texts),
             row_shares=[4, 4, 2.4],
@@ -85,21 +88,23 @@ def scene_view(context: ReviewContext, *, from_log: bool, home: str = "/scene", 
         else [f"+ {home}/**", "+ /tip/**"]
     )
     return rrb.Spatial3DView(
-        name=f"{name}: reference grey" if from_log else name,
+        name=name,
         origin="/",
         contents=contents,
         eye_controls=rrb.EyeControls3D(
             position=(0.0, -distance, 0.0), look_target=(0.0, 0.0, 0.0), eye_up=(0.0, 0.0, 1.0)
         ),
         line_grid=False,
-        spatial_information=rrb.SpatialInformation(target_frame=WORLD),
+        spatial_information=rrb.SpatialInformation(target_frame=WORLD) if from_log else None,
         background=PAPER,
     )
 
 
-def plane_view(motion: Motion, context: ReviewContext, arm: int, home: str, *, name: str = "") -> rrb.View:
-    """Return the view of an arm's phase plane."""
-    box = bounds(motion, context, arm)
+def plane_view(
+    motion: Motion, context: ReviewContext, arm: int, home: str, *, name: str = "", box: Box | None = None
+) -> rrb.View:
+    """Return the view of an arm's phase plane, in its own box or in one that is given."""
+    box = box or bounds(motion, context, arm)
     tubes = "; tubes from an orbit red, to it green" if context.tubes and not name else ""
     return rrb.Spatial2DView(
         name=name or f"Arm {arm + 1}: rate (rad/s) over angle{tubes}",

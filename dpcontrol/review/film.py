@@ -9,25 +9,32 @@ from dpcontrol.review import series, style
 from dpcontrol.review.context import ReviewContext
 from dpcontrol.review.motion import Motion
 
+Array = NDArray[np.float64]
 Span = tuple[float, float]
 
 _FRAME_STEP = 2.12
 """Between the film's frames, in lengths of all arms: just enough for two stretched towards one another."""
 
 
-def draw_film(axes: Axes, motion: Motion, context: ReviewContext, *, frames: int) -> None:
-    """Draw the arms at several instants, the reference grey behind them, the tip's path since the last frame."""
+def draw_film(axes: Axes, motion: Motion, context: ReviewContext, *, frames: int, times: Array | None = None) -> None:
+    """Draw the arms at several instants, the reference grey behind them, the tip's path since the last frame.
+
+    Without `times` (frames,) in s the film chooses its own; an instant outside the motion is left out.
+    """
     state, arms = motion.state, motion.arms
     reach = sum(context.arm_lengths)
     step = _FRAME_STEP * reach
-    rows = film_rows(motion, context, frames=frames)
-    horizontal, vertical = film_extent(motion, context, frames=frames)
+    rows = film_rows(motion, context, frames=frames, times=times)
+    horizontal, vertical = film_extent(motion, context, frames=frames, times=times)
     axes.set_xlim(*horizontal)
     axes.set_ylim(*vertical)
     pivot = motion.pivot
     width = 0.05 * reach
     for i, row in enumerate(rows):
         at = i * step
+        if times is not None and not motion.time[0] <= times[i] <= motion.time[-1]:
+            axes.text(at, 0, f"no data at\n{times[i]:.2f} s", ha="center", va="center", fontsize=8.5, color="#7a828b")
+            continue
         if motion.has_cart:
             axes.plot([at - 0.98 * reach, at + 0.98 * reach], [0, 0], color=style.FAINT, linewidth=2.5, zorder=1)
             axes.add_patch(Rectangle((at - 0.13 * reach, -width), 0.26 * reach, 2 * width, color=style.CART, zorder=2))
@@ -65,11 +72,11 @@ def _cart_text(position: float) -> str:
 
 
 def film_extent(
-    motion: Motion, context: ReviewContext, *, frames: int
-) -> tuple[tuple[float, float], tuple[float, float]]:
+    motion: Motion, context: ReviewContext, *, frames: int, times: Array | None = None
+) -> tuple[Span, Span]:
     """Return the x and y limits in m that `draw_film` needs: as low and as high as the arms reach in its frames."""
     reach = sum(context.arm_lengths)
-    rows = film_rows(motion, context, frames=frames)
+    rows = film_rows(motion, context, frames=frames, times=times)
     shown = [motion.state] if motion.reference is None else [motion.state, motion.reference]
     both = np.concatenate([states[rows, : motion.arms] for states in shown])
     heights = series.arm_points(both[np.isfinite(both).all(axis=1)], context.arm_lengths)[..., 1].ravel()
@@ -79,9 +86,10 @@ def film_extent(
     return (-0.53 * step, (frames - 0.47) * step), (low - 0.62 * reach, high + 0.1 * reach)
 
 
-def film_rows(motion: Motion, context: ReviewContext, *, frames: int) -> NDArray[np.int64]:
+def film_rows(motion: Motion, context: ReviewContext, *, frames: int, times: Array | None = None) -> NDArray[np.int64]:
     """Return the ticks that the film shows."""
-    times = series.film_times(context, motion.time, frames=frames)
+    if times is None:
+        times = series.film_times(context, motion.time, frames=frames)
     return np.searchsorted(motion.time, times).clip(0, len(motion.time) - 1)
 
 

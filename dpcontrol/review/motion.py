@@ -38,6 +38,7 @@ class Motion:
         nis: (N,) nan where there was no measurement; or None. sensors: numbers in a measurement.
         events, metadata, arm_lengths, has_cart, rate_hz: as in the log.
         breaks: rows that follow a gap in time.
+        differenced: whether the rates are differences of the measured angles.
     """
 
     path: Path
@@ -57,6 +58,7 @@ class Motion:
     has_cart: bool
     rate_hz: float
     breaks: NDArray[np.int64]
+    differenced: bool = False
 
     @property
     def arms(self) -> int:
@@ -116,6 +118,7 @@ def motion_of(log: RunLog) -> Motion:
         has_cart=log.has_cart,
         rate_hz=log.rate_hz,
         breaks=breaks,
+        differenced=what == "measured" and log.rates is None,
     )
 
 

@@ -33,7 +33,7 @@ def angles(axes: Axes, motion: Motion, context: ReviewContext) -> None:
 def rates(axes: Axes, motion: Motion, context: ReviewContext) -> None:
     """Draw the arms' rates with the reference behind."""
     arms = motion.arms
-    prepare(axes, "Rates (rad/s)" + (", by differences" if motion.what == "measured" else ""))
+    prepare(axes, "Rates (rad/s)" + (", by differences" if motion.differenced else ""))
     for arm in range(arms):
         colour = style.arm_colour(arm)
         if motion.reference is not None:

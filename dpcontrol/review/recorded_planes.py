@@ -3,6 +3,7 @@
 The viewer's y points down and its scales are equal: a rate of 10 rad/s is drawn as long as an angle of 2 rad.
 """
 
+from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
@@ -16,6 +17,8 @@ from dpcontrol.review.panel_frame import in_pi
 from dpcontrol.review.recorded import times, trace_rows
 
 Array = NDArray[np.float64]
+Box = tuple[float, float, float, float]
+"""Least and greatest x, least and greatest y, as drawn."""
 
 _RATE = 0.2
 _MOST = 20_000
@@ -31,11 +34,13 @@ _FAR = 60.0
 """rad and rad/s: what lies farther out is not what the view is chosen for."""
 
 
-def record_planes(recording: rr.RecordingStream, home: str, motion: Motion, context: ReviewContext) -> None:
-    """Record the phase plane of each arm under `home/arm_K`."""
+def record_planes(
+    recording: rr.RecordingStream, home: str, motion: Motion, context: ReviewContext, *, boxes: list[Box] | None = None
+) -> None:
+    """Record the phase plane of each arm under `home/arm_K`; lines to read by fill the arm's box."""
     for arm in range(motion.arms):
         at = f"{home}/arm_{arm + 1}"
-        _lines(recording, at, bounds(motion, context, arm))
+        _lines(recording, at, boxes[arm] if boxes else bounds(motion, context, arm))
         for stable, colour, pale, name in _TUBES:
             tubes = [tube for tube in context.tubes if tube.stable == stable]
             strands = [_scaled(strand, motion, arm) for tube in tubes for strand in tube.strands[::_EACH]]
@@ -58,7 +63,7 @@ def record_planes(recording: rr.RecordingStream, home: str, motion: Motion, cont
         recording.send_columns(f"{at}/now", indexes=times(motion.time[rows]), columns=columns)
 
 
-def bounds(motion: Motion, context: ReviewContext, arm: int) -> tuple[float, float, float, float]:
+def bounds(motion: Motion, context: ReviewContext, arm: int) -> Box:
     """Return least and greatest x, least and greatest y of an arm's phase plane, as drawn."""
     parts = [motion.state, *(orbit.states for orbit in context.orbits)]
     parts += [strand for tube in context.tubes for strand in tube.strands]
@@ -69,6 +74,16 @@ def bounds(motion: Motion, context: ReviewContext, arm: int) -> tuple[float, flo
     margin = 0.08 * float(max(high - low)) + 1e-3
     low, high = low - margin, high + margin
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+
+def common_boxes(runs: Sequence[tuple[Motion, ReviewContext]]) -> list[Box]:
+    """Return for each arm the box that holds all runs."""
+    boxes = []
+    for arm in range(runs[0][0].arms):
+        every = np.array([bounds(motion, context, arm) for motion, context in runs])
+        (left, _, top, _), (_, right, _, bottom) = every.min(axis=0), every.max(axis=0)
+        boxes.append((float(left), float(right), float(top), float(bottom)))
+    return boxes
 
 
 def _scaled(states: Array, motion: Motion, arm: int) -> Array:
@@ -90,7 +105,7 @@ def _strips(
         recording.log(at, rr.LineStrips2D(strips, colors=tints, radii=rr.Radius.ui_points(width)), static=True)
 
 
-def _lines(recording: rr.RecordingStream, at: str, box: tuple[float, float, float, float]) -> None:
+def _lines(recording: rr.RecordingStream, at: str, box: Box) -> None:
     """Draw lines at multiples of π and of a round rate, named at their ends."""
     left, right, top, bottom = box
     turns = max(1.0, np.ceil((right - left) / np.pi / 6))
@@ -105,7 +120,7 @@ def _lines(recording: rr.RecordingStream, at: str, box: tuple[float, float, floa
     for k in np.arange(np.ceil(-bottom / _RATE / spin), np.floor(-top / _RATE / spin) + 1) * spin:
         strips.append([(left, -_RATE * k), (right, -_RATE * k)])
         places.append((left + 0.06 * (right - left), -_RATE * k))
-        labels.append(f"{k:g}")
+        labels.append(f"{k + 0.0:g}")
     if strips:
         look = {"colors": [_GRID], "radii": rr.Radius.ui_points(0.5), "draw_order": -10.0}
         recording.log(f"{at}/grid", rr.LineStrips2D(strips, **look), static=True)  # type: ignore[arg-type]

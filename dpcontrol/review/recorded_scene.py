@@ -20,8 +20,13 @@ _TRACE_SECONDS = 0.4
 _DEPTH = -0.05
 
 
-def trace_tip(recording: rr.RecordingStream, path: str, motion: Motion, context: ReviewContext) -> None:
-    """Trace the tip over the last moments, in the plane in which the outermost arm is drawn."""
+def trace_tip(
+    recording: rr.RecordingStream, path: str, motion: Motion, context: ReviewContext, *, frame: str | None = None
+) -> None:
+    """Trace the tip over the last moments, in the plane in which the outermost arm is drawn.
+
+    frame: of the log's transforms, where there are any.
+    """
     rows = trace_rows(motion)
     points = _points(motion.state[rows], motion, context)
     length = round(_TRACE_SECONDS * TRACE_RATE)
@@ -29,7 +34,8 @@ def trace_tip(recording: rr.RecordingStream, path: str, motion: Motion, context:
     strips = [tips[max(0, k - length) : k + 1] for k in range(len(rows))]
     colour = style.rgb(style.arm_colour(motion.arms - 1))
     recording.log(path, rr.LineStrips3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(1.5)), static=True)
-    recording.log(path, rr.CoordinateFrame(WORLD), static=True)
+    if frame is not None:
+        recording.log(path, rr.CoordinateFrame(frame), static=True)
     recording.send_columns(path, indexes=times(motion.time[rows]), columns=rr.LineStrips3D.columns(strips=strips))
 
 
@@ -50,6 +56,7 @@ def draw_pendulum(recording: rr.RecordingStream, home: str, motion: Motion, cont
             recording.log(at, look, static=True)
             columns = rr.LineStrips3D.columns(strips=list(points[:, arm : arm + 2]))
             recording.send_columns(at, indexes=times(motion.time[rows]), columns=columns)
+    trace_tip(recording, f"{home}/tip", motion, context)
     if motion.has_cart:
         centres = np.column_stack([motion.pivot[rows], np.full(len(rows), 0.02), np.zeros(len(rows))])
         at = f"{home}/cart"

@@ -19,7 +19,7 @@ from dpcontrol.review.blueprint import blueprint
 from dpcontrol.review.context import ReviewContext
 from dpcontrol.review.motion import Motion, motion_of
 from dpcontrol.review.recorded_planes import record_planes
-from dpcontrol.review.recorded_scene import draw_pendulum, trace_tip
+from dpcontrol.review.recorded_scene import WORLD, draw_pendulum, trace_tip
 from dpcontrol.review.recorded_series import record_checks, record_motion, record_story
 
 _APPLICATION = "dpcontrol"
@@ -40,7 +40,7 @@ def write_recording(log: RunLog, context: ReviewContext, path: Path) -> None:
     with recording_to(path, context.title, blueprint(motion, context, from_log=True)) as recording:
         recording.send_chunks(McapReader(log.path, timeline_type="duration", include_topic_regex=_TOPICS).stream())
         _record(recording, motion, context)
-        trace_tip(recording, "tip", motion, context)
+        trace_tip(recording, "tip", motion, context, frame=WORLD)
 
 
 def write_motion_recording(motion: Motion, context: ReviewContext, path: Path) -> None:
@@ -52,7 +52,6 @@ def write_motion_recording(motion: Motion, context: ReviewContext, path: Path) -
     with recording_to(path, context.title, blueprint(motion, context, from_log=False)) as recording:
         _record(recording, motion, context)
         draw_pendulum(recording, SCENE, motion, context)
-        trace_tip(recording, "tip", motion, context)
 
 
 @contextmanager

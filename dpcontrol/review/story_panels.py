@@ -25,11 +25,20 @@ def story_rows(motion: Motion, context: ReviewContext) -> list[str]:
     return rows + (["controller"] if series.mode_spans(motion) else [])
 
 
-def story(axes: Axes, motion: Motion, context: ReviewContext) -> None:
-    """Draw over time, one below the other: stays as planned, as decoded from the angles, and the controller's modes."""
+def story(
+    axes: Axes,
+    motion: Motion,
+    context: ReviewContext,
+    *,
+    span: tuple[float, float] | None = None,
+    legend: bool = True,
+) -> None:
+    """Draw over time, one below the other: stays as planned, as decoded from the angles, and the controller's modes.
+
+    span: of time in s to show, if not the motion's and its plan's.
+    """
     rows = story_rows(motion, context)
-    begin, end = motion.time_range
-    end = max(end, context.duration or end)
+    begin, end = span or (motion.time_range[0], max(motion.time_range[1], context.duration or motion.time_range[1]))
     letter = _LETTER * (end - begin)
     stopped = float(motion.time[-1])
     for place, row in enumerate(reversed(rows)):
@@ -59,7 +68,8 @@ def story(axes: Axes, motion: Motion, context: ReviewContext) -> None:
     for side, spine in axes.spines.items():
         spine.set_visible(side == "bottom")
         spine.set_color(style.FAINT)
-    _legend(axes, motion, context)
+    if legend:
+        _legend(axes, motion, context)
 
 
 def _stay(axes: Axes, stay: Stay, place: int, *, letter: float) -> None:

@@ -13,7 +13,8 @@ from dpcontrol.foundation.files import write_whole
 from dpcontrol.logs import RunLog
 from dpcontrol.review.context import ReviewContext
 
-_SECONDS = 60.0
+_SECONDS = 120.0
+"""A software renderer on a busy machine takes half of it."""
 _LEAST_BYTES = 20_000
 """A picture of the viewer with nothing in its views is smaller."""
 _PACKAGES = "mesa-vulkan-drivers libegl1 libgl1 libxkbcommon-x11-0 fonts-dejavu-core"
@@ -81,7 +82,10 @@ def screenshot(log: RunLog, context: ReviewContext, path: Path, *, seconds: floa
     """
     from dpcontrol.review.recording import write_recording
 
-    moment = context.symbols[0][0] if context.symbols else float(log.time[0] + log.time[-1]) / 2
+    middle = float(log.time[0] + log.time[-1]) / 2
+    moment = context.symbols[0][0] if context.symbols else middle
+    # Of a run that ended before its first symbol the last moments tell most.
+    moment = moment if moment < log.time[-1] else float(log.time[0] + 0.8 * (log.time[-1] - log.time[0]))
     return picture_of(lambda file: write_recording(log, context, file), path, moment=moment, seconds=seconds)
 
 
