@@ -3,8 +3,8 @@
     z = mean θ - ½ mean(τ²) θ̈(x̂),      R = R_encoder / M        (M samples at times τ about their middle)
 
 One sample of a real encoder is no Gaussian number: it sticks when the arm turns back and jumps by whole counts, so the
-95 % band of a single sample's NIS holds four fifths of them. Means of ten come close to Gaussian, and what a mean misses
-of a curved motion is known from the model.
+95 % band of a single sample's NIS holds four fifths of them. Means of ten come close to Gaussian, and what a mean
+misses of a curved motion is known from the model.
 
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 5.4.2, 10.3.
 """
@@ -71,7 +71,7 @@ def estimate_recording(
     estimator = make_estimator(filters, model, noise=noise)
     # The cart is not measured: it stands still in the model as it does on the bench.
     present = np.array([True] * n + [False])
-    times = (np.arange(mean_of) - (mean_of - 1) / 2) * recording.dt
+    times: Array = np.asarray((np.arange(mean_of) - (mean_of - 1) / 2) * recording.dt, dtype=np.float64)
     out = RecordedEstimate(np.zeros((total, 2 * n)), np.zeros((total, 2 * n)), np.full(total, np.nan))
     for first, end in recording.segments:
         blocks = (end - first) // mean_of
@@ -79,10 +79,12 @@ def estimate_recording(
             raise InputError(
                 f"{recording.source}: a segment of {end - first} samples is shorter than a mean of {mean_of}"
             )
-        means = recording.angles[first : first + blocks * mean_of].reshape(blocks, mean_of, n).mean(axis=1)
+        used = recording.angles[first : first + blocks * mean_of]
+        means: Array = np.asarray(np.mean(used.reshape(blocks, mean_of, n), axis=1), dtype=float)
         guess = first_guess(recording.angles[first:end], recording.dt)
         middle = _nearby(guess, still.rate(guess)[n:], -times[:1])[0]
         estimate = estimator.first(np.concatenate([middle, [0.0, 0.0]]))
+        rows = slice(first, first)
         try:
             for k in range(blocks):
                 rows = slice(first + k * mean_of, first + (k + 1) * mean_of)

@@ -21,7 +21,7 @@ LAB = {"m": (0.0938439747983407, 0.137595970499412), "a": (0.108565214610396, 0.
 
 def rig_file() -> Path:
     """The rig's recorded free swings; the test is skipped where they are not."""
-    folder = os.environ.get("DPCONTROL_LAB_DATA") or Path(__file__).parents[3] / "shared" / "data"
+    folder = os.environ.get("DPCONTROL_LAB_DATA") or Path(__file__).parents[2] / "shared" / "data"
     file = Path(folder) / "lab_free_swing.mat"
     if not file.is_file():
         pytest.skip(f"the rig's recordings are not in {file.parent}; DPCONTROL_LAB_DATA names their folder")

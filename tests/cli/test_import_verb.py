@@ -1,0 +1,96 @@
+"""`dpcontrol import` and `replay`: a recording comes in, is predicted, and both leave logs that others open."""
+
+from pathlib import Path
+
+import pytest
+from bench_recordings import rig_variables, table_columns, write_csv, write_mat
+from command_line import dpcontrol
+
+from dpcontrol.lab.recordings import load_recording
+
+ROUNDING = 1e-12
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let default names point into the test's folder."""
+    monkeypatch.chdir(tmp_path)
+
+
+def test_import_writes_a_log_named_after_the_file_and_tells_its_segments() -> None:
+    write_mat(Path("swing.mat"), rig_variables(segments=3))
+    document = dpcontrol("import", "swing.mat", "--json").document
+    assert document["log"] == str(Path("logs/swing.mcap"))
+    assert (document["arms"], document["samples"], document["sampling_period"]) == (2, 900, 1e-3)
+    assert [part["index"] for part in document["segments"]] == [0, 1, 2]
+    assert [part["start"] for part in document["segments"]] == pytest.approx([0.0, 0.3, 0.6], abs=ROUNDING)
+    assert (document["rates"], document["cart"], document["notes"]) == (True, False, [])
+    assert load_recording("logs/swing.mcap").segments == ((0, 300), (300, 600), (600, 900))
+
+
+def test_a_fault_is_refused_with_the_option_that_mends_it_and_then_mended() -> None:
+    columns = table_columns()
+    columns["angle_1"][50] = ""
+    write_csv(Path("swing.csv"), columns)
+    refused = dpcontrol("import", "swing.csv")
+    assert refused.code == 2
+    assert "row 51 (t = 0.05 s): angle 1 is no finite number" in refused.message
+    assert "--repair nan" in refused.message
+    assert not Path("logs").exists()
+    mended = dpcontrol("import", "swing.csv", "--repair", "nan,gaps", "--out", "mended.mcap")
+    assert mended.code == 0
+    assert "1 rows filled" in mended.stdout
+    assert load_recording("mended.mcap").notes
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--repair", "gap"], "did you mean 'gaps'?"),
+        (["--mapping", "multi-arms"], "did you mean 'multi-arm'?"),
+        (["--mapping", "nowhere.toml"], "nowhere.toml"),
+        (["--out", "."], "is a directory"),
+    ],
+)
+def test_options_that_name_nothing_are_refused(options: list[str], said: str) -> None:
+    write_csv(Path("swing.csv"), table_columns())
+    ended = dpcontrol("import", "swing.csv", *options)
+    assert ended.code == 2
+    assert said in ended.stderr
+    assert not Path("logs").exists()
+
+
+def test_replay_tells_each_segments_error_and_writes_a_log_that_review_opens() -> None:
+    write_mat(Path("swing.mat"), rig_variables(segments=2, samples=600))
+    dpcontrol("import", "swing.mat")
+    ended = dpcontrol("replay", "logs/swing.mcap", "--model", "lab", "--json")
+    assert ended.code == 0
+    document = ended.document
+    assert document["log"] == str(Path("logs/swing-replay.mcap"))
+    for part, start in zip(document["segments"], (0.0, 0.6), strict=True):
+        assert part["start"] == pytest.approx(start, abs=ROUNDING)
+        squares = part["rms_angle_1"] ** 2 + part["rms_angle_2"] ** 2
+        assert part["rms"] == pytest.approx((squares / 2) ** 0.5)
+        # The recording is exact, and of the model's own motion.
+        assert part["rms"] < 1e-6
+    assert 0.0 <= document["nis_inside_95"] <= 1.0
+    assert set(document["rms_ahead"]) == {"1", "100"}
+    picture = dpcontrol("review", "logs/swing-replay.mcap", "--picture", "replay.png")
+    assert picture.code == 0
+    assert Path("replay.png").stat().st_size > 10_000
+
+
+def test_what_cannot_be_replayed_is_refused_with_the_reason() -> None:
+    write_mat(Path("swing.mat"), rig_variables())
+    dpcontrol("import", "swing.mat")
+    for options, said in (
+        (["logs/swing.mcap", "--model", "triple"], "has 2 arms and the model 3"),
+        (["logs/swing.mcap", "--model", "three-body"], "no arms"),
+        (["logs/swing.mcap", "--estimator", "kalman"], "there is no such estimator"),
+        (["logs/swing.mcap", "--counts", "0"], "counts = 0"),
+        (["swing.mat"], "swing.mat"),
+    ):
+        ended = dpcontrol("replay", *options)
+        assert ended.code == 2
+        assert said in ended.message
+    assert not Path("logs/swing-replay.mcap").exists()
