@@ -51,18 +51,10 @@ class ChunkEncoder:
     def __init__(self, tick: layout.TickLayout, arm_lengths: Sequence[float], *, rows: int):
         self._tick = tick
         self._lengths = tuple(arm_lengths)
-        self._channels = channels = tick.channels
-        self._counts = dict.fromkeys(channels, 0)
-        formats = [layout.message_type(message) for message in tick.messages.values()]
-        template, offsets = b"", []
-        for topic, message in tick.messages.items():
-            offsets.append(len(template))
-            template += layout.message_template(message, channels[topic])
-        self._offsets = dict(zip(tick.messages, offsets, strict=True))
-        block = np.dtype(
-            {"names": list(tick.messages), "formats": formats, "offsets": offsets, "itemsize": len(template)}
-        )
-        self._block = np.frombuffer(bytearray(template * rows), block)
+        self._channels = tick.channels
+        self._counts = dict.fromkeys(tick.channels, 0)
+        self._offsets = tick.block_offsets
+        self._block = np.frombuffer(bytearray(tick.block_template * rows), tick.block_type)
         self._positions, self._velocities = layout.joint_order(tick.arms, has_cart=tick.has_cart)
         frames = [
             frame

@@ -1,15 +1,13 @@
 """Are two logs the same, message for message?"""
 
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
-from mcap.records import Channel
-
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import layout
-from dpcontrol.logs.reader import batches
+from dpcontrol.logs.decoding import batches, check_channels, tick_layout_of
 from dpcontrol.logs.verified import MALFORMED, VerifiedFile, damaged, open_verified
 
 _HEAD = struct.Struct("<BQHIQ")
@@ -33,19 +31,19 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
     """
     one, other = Path(one), Path(other)
     sides = [open_verified(path) for path in (one, other)]
-    for side in sides:
-        if layout.LAYOUT_RECORD not in side.metadata:
-            raise InputError(f"{side.path} is not a log of dpcontrol: it lacks {layout.LAYOUT_RECORD}")
+    ticks = [tick_layout_of(side) for side in sides]
+    if ticks[0] != ticks[1]:
+        return Comparison(0, f"{one} and {other} do not have the same topics")
     partial = bool(sides[0].metadata.get(layout.RECOVERY_RECORD, {}).get(layout.LOST))
-    first, second = (_messages(path, side) for path, side in zip((one, other), sides, strict=True))
+    first, second = (_pieces(side, ticks[0]) for side in sides)
     same = 0
-    for record in first:
+    for piece in first:
         for against in second:
-            if record == against:
-                same += 1
+            if piece == against:
+                same += _count(piece, ticks[0])
                 break
-            if not partial or _identity(record) == _identity(against):
-                return Comparison(same, _differs(record, against, sides[0].channels))
+            if not partial or _head(piece)[2:4] == _head(against)[2:4]:
+                return Comparison(same, _differs(piece, against, ticks[0]))
         else:
             return Comparison(same, f"{other} ends after {same} messages, {one} goes on")
     if not partial and next(second, None) is not None:
@@ -53,23 +51,37 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
     return Comparison(same, None)
 
 
-def _messages(path: Path, side: VerifiedFile) -> Iterator[bytes]:
+def _pieces(side: VerifiedFile, tick: layout.TickLayout) -> Iterator[bytes]:
+    """Yield the bytes of each tick and of each other message, in order."""
     try:
-        for data, places in batches(side):
-            for place in sorted(place for offsets in places.values() for place in offsets):
-                yield data[place : place + 9 + int.from_bytes(data[place + 1 : place + 9], "little")]
+        for batch in batches(side, tick):
+            check_channels(side, tick)
+            places = [(place, len(tick.block_template)) for place in batch.ticks]
+            others = (place for offsets in batch.others.values() for place in offsets)
+            places += [(place, 9 + int.from_bytes(batch.data[place + 1 : place + 9], "little")) for place in others]
+            for place, length in sorted(places):
+                yield batch.data[place : place + length]
     except MALFORMED as error:
-        damaged(path, f"its messages do not decode: {error}", cause=error)
+        damaged(side.path, f"its messages do not decode: {error}", cause=error)
 
 
-def _identity(record: bytes) -> tuple[int, int]:
-    _, _, channel, sequence, _ = _HEAD.unpack_from(record)
-    return channel, sequence
+def _count(piece: bytes, tick: layout.TickLayout) -> int:
+    return len(tick.messages) if piece[:11] == tick.block_template[:11] else 1
 
 
-def _differs(record: bytes, against: bytes, channels: Mapping[int, Channel]) -> str:
-    _, _, channel, sequence, time = _HEAD.unpack_from(record)
-    topic = channels[channel].topic if channel in channels else f"channel {channel}"
-    if _identity(record) != _identity(against):
+def _head(piece: bytes, offset: int = 0) -> tuple[int, int, int, int, int]:
+    """Return opcode, length, channel, sequence number and time of a message."""
+    return _HEAD.unpack_from(piece, offset)
+
+
+def _differs(piece: bytes, against: bytes, tick: layout.TickLayout) -> str:
+    if _head(piece)[2:4] == _head(against)[2:4] and _count(piece, tick) > 1:
+        ends = [*tick.block_offsets.values(), len(piece)]
+        at = next(a for a, b in pairwise(ends) if piece[a:b] != against[a:b])
+    else:
+        at = 0
+    _, _, channel, sequence, time = _head(piece, at)
+    topic = next((name for name, number in tick.channels.items() if number == channel), f"channel {channel}")
+    if _head(piece)[2:4] != _head(against)[2:4]:
         return f"at {time / 1e9:.3f} s another message stands where message {sequence} of {topic} was"
     return f"message {sequence} of {topic} at {time / 1e9:.3f} s differs"

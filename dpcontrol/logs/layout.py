@@ -7,6 +7,7 @@ channels follow from the layout alone, so that a log that lost them can be rebui
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -161,6 +162,25 @@ class TickLayout:
     def channels(self) -> dict[str, int]:
         """The number of each topic's channel."""
         return {topic: number for number, topic in enumerate(self.schemas, start=1)}
+
+    @cached_property
+    def block_type(self) -> np.dtype:
+        """The structured type of a whole tick: one field for each topic, in order of writing."""
+        formats = [message_type(message) for message in self.messages.values()]
+        offsets = list(self.block_offsets.values())
+        size = offsets[-1] + formats[-1].itemsize
+        return np.dtype({"names": list(self.messages), "formats": formats, "offsets": offsets, "itemsize": size})
+
+    @cached_property
+    def block_offsets(self) -> dict[str, int]:
+        """Where each topic's message begins in a whole tick."""
+        sizes = [message_type(message).itemsize for message in self.messages.values()]
+        return dict(zip(self.messages, (0, *accumulate(sizes)), strict=False))
+
+    @cached_property
+    def block_template(self) -> bytes:
+        """The message records of a tick, times and numbers zero."""
+        return b"".join(message_template(message, self.channels[topic]) for topic, message in self.messages.items())
 
 
 def message_type(layout: cdr.MessageLayout) -> np.dtype:

@@ -4,10 +4,8 @@ The file's checksums are compared first (see `verified`). Messages are then foun
 and those at loop rate are decoded as arrays, for their layout is known from the log's own metadata.
 """
 
-import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -16,16 +14,16 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import cdr, layout
+from dpcontrol.logs.decoding import batches, check_channels, tick_layout_of
 from dpcontrol.logs.sealed import unsealed
-from dpcontrol.logs.verified import MALFORMED, VerifiedFile, damaged, note_channel, open_verified
+from dpcontrol.logs.verified import MALFORMED, VerifiedFile, damaged, open_verified
 
 if TYPE_CHECKING:
     from pandas import DataFrame
 
 Array = NDArray[np.float64]
 
-_RECORD = struct.Struct("<BQH")
-_BATCH_BYTES = 4_000_000
+_AGAIN = "make the log again with `dpcontrol run`"
 _LEVEL_NAMES = {number: name for name, number in layout.LEVELS.items()}
 
 
@@ -163,122 +161,39 @@ def read_log(path: Path | str) -> RunLog:
 
 
 def _decode(path: Path, file: VerifiedFile) -> RunLog:
-    found = batches(file)
-    first = next(found, None)
-    tick = _tick_layout(path, file)
-    if first is None or not file.has_checksum:
-        reason = "holds no messages" if first is None else "carries no checksum of its data, so nothing vouches for it"
-        raise InputError(f"{path} {reason}; make the log again with `dpcontrol run`")
-    topics = {channel.id: channel.topic for channel in file.channels.values()}
-    columns: dict[str, list[NDArray]] = {topic: [] for topic in tick.messages}
+    tick = tick_layout_of(file)
     events: list[Event] = []
-    for data, places in chain([first], found):
-        for number, offsets in places.items():
-            topic = topics.get(number, "")
-            if topic in columns:
-                columns[topic].append(_columns(path, data, offsets, topic=topic, tick=tick))
-            elif topic == layout.EVENTS:
-                events += [_event(data, offset) for offset in offsets]
-    whole = {topic: np.concatenate(parts) if parts else None for topic, parts in columns.items()}
-    return _run_log(path, file, tick=tick, records=whole, events=events)
+    rows: dict[str, list[Array]] = {name: [] for name in ("time", "measured", *tick.parts)}
+    for batch in batches(file, tick):
+        check_channels(file, tick)
+        for name, values in _numbers(batch.ticks_as(tick), tick):
+            rows[name].append(values)
+        events += [_event(batch.data, offset) for offset in batch.others.get(tick.channels[layout.EVENTS], ())]
+    if not file.has_checksum:
+        raise InputError(f"{path} carries no checksum of its data, so nothing vouches for it; {_AGAIN}")
+    if not sum(map(len, rows["time"])):
+        raise InputError(f"{path} holds no ticks: the run ended before its first; {_AGAIN}")
+    # Taken out of the mapping as they are joined: a long log is held once, not twice.
+    whole = {name: _frozen(np.concatenate(rows.pop(name))) for name in list(rows)}
+    return _run_log(path, file, tick=tick, rows=whole, events=events)
 
 
-def batches(file: VerifiedFile) -> Iterator[tuple[bytes, dict[int, list[int]]]]:
-    """Yield the records of several chunks, and the offsets of their messages by channel."""
-    pending, size = [], 0
-    for content in file.contents():
-        pending.append(content)
-        size += len(content)
-        if size >= _BATCH_BYTES:
-            yield _offsets(file, b"".join(pending))
-            pending, size = [], 0
-    if pending:
-        yield _offsets(file, b"".join(pending))
-
-
-def _offsets(file: VerifiedFile, data: bytes) -> tuple[bytes, dict[int, list[int]]]:
-    found: dict[int, list[int]] = {}
-    place, end, unpack = 0, len(data), _RECORD.unpack_from
-    while place < end:
-        opcode, length, channel = unpack(data, place)
-        if place + 9 + length > end:
-            raise ValueError("a record runs over the end of its chunk")
-        if opcode == layout.MESSAGE_OPCODE:
-            if channel in found:
-                found[channel].append(place)
-            else:
-                found[channel] = [place]
-        else:
-            note_channel(file, opcode, data[place + 9 : place + 9 + length])
-        place += 9 + length
-    return data, found
-
-
-def log_times(data: bytes, offsets: list[int]) -> NDArray[np.int64]:
-    """Return the times in ns of the messages at `offsets`."""
-    size = layout.RECORD_HEADER.itemsize
-    everywhere = np.ndarray((len(data) - size + 1,), f"V{size}", buffer=data, strides=(1,))
-    return everywhere[np.array(offsets)].view(layout.RECORD_HEADER)["log_time"].astype(np.int64)
-
-
-def _tick_layout(path: Path, file: VerifiedFile) -> layout.TickLayout:
-    """Return what a tick of this log holds, once topics, encodings and schemas are those of a run's log."""
-    by_topic = {channel.topic: channel for channel in file.channels.values()}
-    described = file.metadata.get(layout.LAYOUT_RECORD)
-    if described is None:
-        writer = f" (written by {file.library})" if file.library else ""
-        raise InputError(
-            f"{path}{writer} is not a log of dpcontrol: it lacks the metadata record {layout.LAYOUT_RECORD}; give a "
-            "log of `dpcontrol run`"
-        )
-    tick = tick_layout_of(path, described)
-    for topic, (name, definition) in tick.schemas.items():
-        channel = by_topic.get(topic)
-        schema = file.schemas.get(channel.schema_id) if channel else None
-        if channel is None or schema is None or schema.data != definition or channel.message_encoding != "cdr":
-            encoding = channel.message_encoding if channel else ""
-            found = f"{schema.name if schema else 'no schema'} in {encoding or 'no encoding'}"
-            raise InputError(
-                f"{path}: topic {topic} carries {found}, not {name} in cdr as a log of `dpcontrol run` does"
-            )
-    return tick
-
-
-def tick_layout_of(path: Path, described: Mapping[str, str]) -> layout.TickLayout:
-    """Return what a tick holds by the metadata record of a log's layout.
-
-    Raises:
-        InputError: the layout is of another version of this program.
-        LookupError, ValueError: the record is not as the writer makes it.
-    """
-    if described.get("format") != layout.FORMAT:
-        raise InputError(
-            f"{path} has layout {described.get('format')!r}, and this version of dpcontrol reads layout "
-            f"{layout.FORMAT!r}; read it with the version that wrote it, or run the itinerary again"
-        )
-    if unsealed(layout.LAYOUT_RECORD, described) is None:
-        raise ValueError(f"the checksum of {layout.LAYOUT_RECORD} differs")
-    parts = frozenset(described["parts"].split())
-    if not parts <= set(layout.PARTS):
-        raise ValueError(f"unknown parts {sorted(parts)}")
-    return layout.TickLayout(len(described["arm_lengths"].split()), described["has_cart"] == "1", parts)
-
-
-def _columns(path: Path, data: bytes, offsets: list[int], *, topic: str, tick: layout.TickLayout) -> NDArray:
-    """Return log_time and the numbers of each message at `offsets`, as one structured array."""
-    kind = layout.message_type(tick.messages[topic])
-    if offsets[-1] + kind.itemsize > len(data):
-        raise ValueError(f"a message of {topic} is too short")
-    # A view at every byte, so that fancy indexing copies whole messages.
-    everywhere = np.ndarray((len(data) - kind.itemsize + 1,), f"V{kind.itemsize}", buffer=data, strides=(1,))
-    records = everywhere[np.array(offsets)].view(kind)
-    if (records["length"] != kind.itemsize - 9).any():
-        damaged(path, f"the messages of {topic} differ in length")
-    names = ["log_time", *(name for name in kind.names or () if name in ("position", "velocity", "row"))]
-    packed = np.empty(len(records), np.dtype([(name, kind[name]) for name in names]))
-    for name in names:
-        packed[name] = records[name]
-    return packed
+def _numbers(ticks: NDArray, tick: layout.TickLayout) -> Iterator[tuple[str, Array]]:
+    """Yield the rows of each part, by its name, from ticks as the file has them."""
+    measured = ticks[layout.MEASURED]
+    yield "time", measured["log_time"] / 1e9
+    yield "measured", measured["position"].copy()
+    if "rates" in tick.parts:
+        yield "rates", measured["velocity"].copy()
+    positions, velocities = layout.joint_order(tick.arms, has_cart=tick.has_cart)
+    for part, topic in layout.STATE_TOPICS.items():
+        if part in tick.parts:
+            joined = np.empty((len(ticks), tick.widths[part]))
+            joined[:, positions] = ticks[topic]["position"]
+            joined[:, velocities] = ticks[topic]["velocity"]
+            yield part, joined
+    if "control" in tick.parts:
+        yield "control", ticks[layout.CONTROL]["row"].copy()
 
 
 def _event(data: bytes, offset: int) -> Event:
@@ -289,42 +204,20 @@ def _event(data: bytes, offset: int) -> Event:
 
 
 def _run_log(
-    path: Path,
-    file: VerifiedFile,
-    *,
-    tick: layout.TickLayout,
-    records: dict[str, NDArray | None],
-    events: list[Event],
+    path: Path, file: VerifiedFile, *, tick: layout.TickLayout, rows: dict[str, Array], events: list[Event]
 ) -> RunLog:
-    measured = records[layout.MEASURED]
-    if measured is None or not len(measured):
-        raise InputError(f"{path} holds no ticks: the run ended before its first; make it again with `dpcontrol run`")
-    for topic, part in records.items():
-        if part is None or not np.array_equal(part["log_time"], measured["log_time"]):
-            damaged(path, f"the messages of {topic} do not pair with those of {layout.MEASURED}")
-    positions, velocities = layout.joint_order(tick.arms, has_cart=tick.has_cart)
-    states: dict[str, Array] = {}
-    for part, topic in layout.STATE_TOPICS.items():
-        # Taken out of the mapping as they are used: a long log is held once, not twice.
-        rows = records.pop(topic, None)
-        if rows is not None:
-            joined = np.empty((len(rows), len(positions) + len(velocities)))
-            joined[:, positions] = rows["position"]
-            joined[:, velocities] = rows["velocity"]
-            states[part] = _frozen(joined)
-    rows = records.pop(layout.CONTROL, None)
-    control = {} if rows is None else {name: _frozen(rows["row"][:, i].copy()) for i, name in enumerate(tick.fields)}
     described = file.metadata[layout.LAYOUT_RECORD]
     limits = tuple(float(text) for text in described["limits"].split())
     said = {name: unsealed(name, record) or {} for name, record in file.metadata.items()}
     result = {key: value for key, value in said.get(layout.RESULT_RECORD, {}).items() if key != layout.TICKS}
+    columns = _frozen(np.ascontiguousarray(rows.pop("control").T)) if "control" in rows else ()
     return RunLog(
         path=path,
-        time=_frozen(measured["log_time"] / 1e9),
-        measured=_frozen(measured["position"].copy()),
-        rates=_frozen(measured["velocity"].copy()) if "rates" in tick.parts else None,
-        states=states,
-        controls=control,
+        time=rows["time"],
+        measured=rows["measured"],
+        rates=rows.get("rates"),
+        states={part: rows[part] for part in layout.STATE_TOPICS if part in rows},
+        controls=dict(zip(tick.fields, columns, strict=False)),
         events=tuple(events),
         metadata={**result, **said.get(layout.RUN_RECORD, {}), "program": described["program"]},
         attachments=dict(file.attachments),

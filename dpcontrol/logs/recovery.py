@@ -19,8 +19,9 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Progress, no_progress, part_of, whole_file
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import McapFile
+from dpcontrol.logs.decoding import described_layout
 from dpcontrol.logs.partial import SUFFIX
-from dpcontrol.logs.reader import read_log, tick_layout_of
+from dpcontrol.logs.reader import read_log
 from dpcontrol.logs.salvage import Salvage, SoundChunk, salvage
 from dpcontrol.logs.sealed import sealed
 from dpcontrol.logs.verified import MALFORMED, recorded_bytes
@@ -71,7 +72,7 @@ def recover(path: Path | str, out: Path | None = None, *, progress: Progress = n
     if described is None or not any(chunk.times for chunk in found.chunks):
         raise InputError(f"{path} cannot be recovered: {_nothing(found)}; make the log again with `dpcontrol run`")
     try:
-        tick = tick_layout_of(path, sealed(layout.LAYOUT_RECORD, described))
+        tick = described_layout(path, described)
         chunks = _in_order(path, found.chunks)
         done = _account(path, found, chunks, described=described, tick=tick)
     except MALFORMED as error:

@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import layout
+from dpcontrol.logs.decoding import batches, check_channels, gathered, tick_layout_of
 from dpcontrol.logs.partial import partials_of
-from dpcontrol.logs.reader import batches, log_times, tick_layout_of
 from dpcontrol.logs.sealed import unsealed
 from dpcontrol.logs.verified import MALFORMED, VerifiedFile, damaged, open_verified
 
@@ -65,16 +64,19 @@ def summarise(path: Path | str) -> LogSummary:
 
 
 def _summary(path: Path, file: VerifiedFile) -> LogSummary:
-    described = file.metadata.get(layout.LAYOUT_RECORD)
-    if described is None:
-        raise InputError(f"{path} is not a log of dpcontrol: it lacks {layout.LAYOUT_RECORD}; give one of its logs")
-    tick = tick_layout_of(path, described)
+    tick = tick_layout_of(file)
+    described = file.metadata[layout.LAYOUT_RECORD]
     spans: dict[int, tuple[int, int, int]] = {}
-    for data, places in batches(file):
-        for channel, offsets in places.items():
-            times = log_times(data, offsets)
-            count, first, last = spans.get(channel, (0, int(times.min()), int(times.max())))
-            spans[channel] = (count + len(times), min(first, int(times.min())), max(last, int(times.max())))
+    for batch in batches(file, tick):
+        check_channels(file, tick)
+        ticks = gathered(batch.data, batch.ticks, layout.RECORD_HEADER)
+        found = {tick.channels[topic]: ticks for topic in tick.messages}
+        found |= {k: gathered(batch.data, places, layout.RECORD_HEADER) for k, places in batch.others.items()}
+        for channel, heads in found.items():
+            if len(heads):
+                low, high = int(heads["log_time"].min()), int(heads["log_time"].max())
+                count, first, last = spans.get(channel, (0, low, high))
+                spans[channel] = (count + len(heads), min(first, low), max(last, high))
     said = {name: unsealed(name, record) or {} for name, record in file.metadata.items()}
     ends = [(first, last) for _, first, last in spans.values()]
     return LogSummary(

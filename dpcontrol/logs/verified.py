@@ -25,6 +25,9 @@ from dpcontrol.logs.container import MAGIC
 from dpcontrol.logs.partial import partials_of
 
 _HEAD = struct.Struct("<BQ")
+_CHUNK = struct.Struct("<QQQI8sQ")
+_ZSTD = b"\x04\x00\x00\x00zstd"
+_LARGEST_CHUNK = 1 << 28
 _AGAIN = "make it again with `dpcontrol run`"
 MALFORMED = (
     McapError,
@@ -68,12 +71,20 @@ class VerifiedFile:
         Raises:
             InputError: a chunk does not unpack, or not to what its checksum says.
         """
+        unpack = zstandard.ZstdDecompressor().decompress
         for chunk in self.chunks:
             try:
-                stream, size = get_chunk_data_stream(Chunk.read(_stream(chunk)), validate_crc=True)
-                yield stream.read(size)
+                _, _, size, checksum, kind, packed = _CHUNK.unpack_from(chunk)
+                if kind == _ZSTD and size <= _LARGEST_CHUNK:
+                    content = unpack(chunk[_CHUNK.size :], max_output_size=size)
+                    if len(content) != size or packed != len(chunk) - _CHUNK.size or zlib.crc32(content) != checksum:
+                        raise ValueError("its checksum or its size differs")
+                else:
+                    stream, length = get_chunk_data_stream(Chunk.read(_stream(chunk)), validate_crc=True)
+                    content = stream.read(length)
             except MALFORMED as error:
                 damaged(self.path, f"a chunk does not unpack: {error}", cause=error)
+            yield content
 
 
 def damaged(path: Path, reason: str, *, cause: BaseException | None = None) -> NoReturn:
@@ -107,13 +118,13 @@ def recorded_bytes(path: Path) -> bytes:
 def _walk(path: Path, data: bytes) -> list[tuple[int, int, int]]:
     """Return opcode, start and end of the body of each record up to the footer."""
     found: list[tuple[int, int, int]] = []
-    place = len(MAGIC)
-    while place + _HEAD.size <= len(data):
-        opcode, length = _HEAD.unpack_from(data, place)
-        end = place + _HEAD.size + length
-        if end > len(data) or opcode == 0:
+    place, size, unpack = len(MAGIC), len(data), _HEAD.unpack_from
+    while place + 9 <= size:
+        opcode, length = unpack(data, place)
+        end = place + 9 + length
+        if end > size or opcode == 0:
             break
-        found.append((opcode, place + _HEAD.size, end))
+        found.append((opcode, place + 9, end))
         place = end
         if opcode == Opcode.FOOTER:
             break
@@ -173,6 +184,8 @@ def open_verified(path: Path) -> VerifiedFile:
     library, chunks = "", []
     try:
         for opcode, start, end in records:
+            if opcode == Opcode.MESSAGE_INDEX:
+                continue
             body = view[start:end]
             if opcode == Opcode.DATA_END:
                 break
