@@ -10,13 +10,13 @@ Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking a
 """
 
 from dataclasses import dataclass
-from functools import cache
 from typing import Any
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 from numpy.typing import NDArray
 
+from dpcontrol.control.consistency import chi_square_band as nis_band  # noqa: F401
 from dpcontrol.control.estimator_settings import EkfSettings as EkfSettings
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.foundation.errors import InputError
@@ -168,12 +168,3 @@ class Ekf:
 
     def _observe(self, state: Array) -> Array:
         return state[self._positions]
-
-
-@cache
-def nis_band(measurements: int, *, share: float = 0.95) -> tuple[float, float]:
-    """Return the interval that holds `share` of the NIS of a consistent filter: chi-square, two-sided."""
-    from scipy.stats import chi2
-
-    low, high = chi2.ppf([(1 - share) / 2, (1 + share) / 2], measurements)
-    return float(low), float(high)

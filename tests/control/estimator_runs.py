@@ -1,0 +1,68 @@
+"""Swings with parameters, zeros, lag and disturbance of their own, seen through encoders; for tests of estimators."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from shadowing_stand_in import LAB
+
+from dpcontrol.control.ekf import encoder_noise
+from dpcontrol.control.sampled import SampledModel
+from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+
+NOISE = encoder_noise(2, counts=40_000, cart_resolution=1e-6)
+EQUATIONS = arm_chain_equations(2, Level.CART)
+MODEL = SampledModel(EQUATIONS, LAB.base(), period=1e-3)
+SWING = (0.4, 2.8, 2.0, -3.0, 0.0, 0.0)
+COUNT = 2 * np.pi / 40_000
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """Commands (K,), true states (K, 6) and encoder counts as relative angles and cart position (K, 3)."""
+
+    commands: np.ndarray
+    states: np.ndarray
+    relative: np.ndarray
+
+    def measured(self, k: int) -> np.ndarray:
+        inner, outer, cart = self.relative[k]
+        return np.array([inner, inner + outer, cart])
+
+
+def run(
+    seconds: float,
+    *,
+    base: np.ndarray | None = None,
+    zeros: tuple[float, float] = (0.0, 0.0),
+    lag: float = 0.0,
+    torque: float = 0.0,
+    frequency: float = 2.5,
+    amplitude: float = 0.5,
+    seed: int = 0,
+    start: tuple[float, ...] = SWING,
+) -> Run:
+    """torque: a further acceleration of the outer arm, rad/s², given as steps of its rate."""
+    plant = SampledModel(EQUATIONS, LAB.base() if base is None else base, period=1e-3)
+    random = np.random.default_rng(seed)
+    count = round(seconds * 1000)
+    commands = amplitude * np.sin(frequency * 1e-3 * np.arange(count))
+    x, acting = np.array(start, dtype=float), 0.0
+    x[:2] += 0.02 * random.uniform(-1, 1, 2)
+    states = np.empty((count, 6))
+    for k, command in enumerate(commands):
+        if k:
+            acting = command + (acting - command) * np.exp(-1e-3 / lag) if lag else command
+            x = plant.step(x, acting)
+            x[3] += torque * 1e-3
+        states[k] = x
+    inner, outer = states[:, 0] + zeros[0], states[:, 1] + zeros[1]
+    angles = np.rint(np.array([inner, outer - inner]).T / COUNT) * COUNT
+    return Run(commands, states, np.column_stack([angles, np.rint(states[:, 4] * 1e6) * 1e-6]))
+
+
+def estimated(estimator, flown: Run, *, start: tuple[float, ...] = SWING) -> list:
+    """Estimates at all ticks."""
+    estimates = [estimator.update(estimator.first(np.array(start)), flown.measured(0))]
+    for k in range(1, len(flown.commands)):
+        estimates.append(estimator.step(estimates[-1], float(flown.commands[k]), flown.measured(k)))
+    return estimates
