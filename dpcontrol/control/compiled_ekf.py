@@ -6,7 +6,6 @@ Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking a
 """
 
 from collections.abc import Sequence
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -134,7 +133,7 @@ class CompiledEkf:
         """Return the name of its kind."""
         return self.settings.kind
 
-    @cached_property
+    @property
     def extra_names(self) -> tuple[str, ...]:
         """Return the names of what it is augmented by."""
         return self.program.equations.extra_names

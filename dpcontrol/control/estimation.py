@@ -1,0 +1,28 @@
+"""From settings to estimators."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.control.compiled_ekf import CompiledEkf
+from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterpyEkfSettings, UkfSettings
+from dpcontrol.control.interface import Estimator
+from dpcontrol.control.sampled import SampledModel
+from dpcontrol.control.ukf import FilterpyEkf, Ukf
+
+ESTIMATORS: dict[str, type[EstimatorSettings]] = {
+    settings.kind: settings for settings in (EkfSettings, UkfSettings, FilterpyEkfSettings)
+}
+"""The settings of each kind of estimator, by its name in an itinerary."""
+
+
+def make_estimator(settings: EstimatorSettings, model: SampledModel, *, noise: NDArray[np.float64]) -> Estimator:
+    """Return the estimator of `settings` for `model`; noise (n+1, n+1): of the measured positions.
+
+    Raises:
+        InputError: the noise has the wrong shape or is no covariance.
+    """
+    if isinstance(settings, UkfSettings):
+        return Ukf(model, settings, noise=noise)
+    if isinstance(settings, FilterpyEkfSettings):
+        return FilterpyEkf(model, settings, noise=noise)
+    return CompiledEkf(model, settings, noise=noise)

@@ -1,0 +1,106 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from estimator_runs import MODEL, NOISE, SWING, estimated, run
+from shadowing_stand_in import LAB
+
+from dpcontrol.control.compiled_ekf import CompiledEkf
+from dpcontrol.control.estimator_settings import Augment, EkfSettings, extra_names
+from dpcontrol.control.sampled import SampledModel
+from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.parameters import Friction
+
+ZERO = 1e-3  # rad, after four seconds of swinging: a hundredth of what harms a run.
+SHARE = 0.01  # Of base parameters, after four seconds.
+
+
+@pytest.mark.parametrize("zeros", [(0.03, -0.03), (-0.02, 0.03), (0.03, 0.03)])
+def test_encoder_zeros_are_found_while_swinging(zeros: tuple[float, float]) -> None:
+    ekf = CompiledEkf(MODEL, EkfSettings(augment=("zeros",)), noise=NOISE)
+    flown = run(4, zeros=zeros)
+    last = estimated(ekf, flown)[-1]
+    assert ekf.extra_names == ("zero_1", "zero_2")
+    assert last.extra == pytest.approx(zeros, abs=ZERO)
+    assert last.state[:2] == pytest.approx(flown.states[-1][:2], abs=ZERO)
+    blind = estimated(CompiledEkf(MODEL, EkfSettings(), noise=NOISE), flown)[-1]
+    assert np.abs(blind.state[:2] - flown.states[-1][:2]).max() > 10 * ZERO
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_parameters_wrong_by_a_tenth_are_found_while_swinging(seed: int) -> None:
+    plant = LAB.mismatched(0.1, np.random.default_rng(seed)).base()
+    augment = ("zeros", "friction", "parameters")
+    ekf = CompiledEkf(MODEL, EkfSettings(augment=augment, parameter_error=1e-3, rate_noise=1e-2), noise=NOISE)
+    last = estimated(ekf, run(4, base=plant, zeros=(0.02, -0.01), seed=seed))[-1]
+    found = dict(zip(ekf.extra_names, last.extra, strict=True))
+    # Only ratios matter: over M12, the second of M11, M12, M22, G1, G2, S1, S2, k1, k2.
+    true = (plant / plant[1]) / (LAB.base() / LAB.base()[1]) - 1
+    for name, place in (("M11", 0), ("M22", 2), ("S1", 5), ("S2", 6)):
+        assert found[name] == pytest.approx(true[place], abs=SHARE)
+    assert found["zero_1"] == pytest.approx(0.02, abs=ZERO)
+    sigmas = last.sigmas[6:]
+    for i, name in enumerate(ekf.extra_names):
+        if name.startswith("friction"):
+            assert abs(found[name] - true[6 + int(name[-1])]) < 4 * sigmas[i]
+
+
+def test_what_rest_does_not_show_stays_as_unknown_as_it_was() -> None:
+    hanging = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    still = run(2, amplitude=0.0, start=hanging)
+    still.relative[:] = 0.0
+    ekf = CompiledEkf(MODEL, EkfSettings(augment=("disturbance", "parameters")), noise=NOISE)
+    last = estimated(ekf, still, start=hanging)[-1]
+    known = dict(zip(ekf.extra_names, last.sigmas[6:], strict=True))
+    prior = ekf.settings.model_error
+    # Inertia needs accelerations, and an angle's zero within a disturbance is not told from it.
+    assert known["M11"] > 0.9 * prior
+    assert known["S1"] > 0.9 * prior
+    moving = estimated(ekf, run(2))[-1]
+    assert dict(zip(ekf.extra_names, moving.sigmas[6:], strict=True))["M11"] < 0.2 * prior
+
+
+def test_a_lumped_disturbance_is_followed() -> None:
+    flown = run(3, torque=2.0)
+    plain = estimated(CompiledEkf(MODEL, EkfSettings(parameter_error=1e-3), noise=NOISE), flown)
+    # It is drawn towards zero the more, the sooner it is expected to fade.
+    settings = EkfSettings(augment=("disturbance",), disturbance_time=1.0, parameter_error=1e-3)
+    ekf = CompiledEkf(MODEL, settings, noise=NOISE)
+    told = estimated(ekf, flown)
+    mean = np.mean([e.extra for e in told[1000:]], axis=0)
+    assert mean == pytest.approx([0.0, 2.0], abs=0.3)
+    late = slice(1000, None)
+    errors = [np.array([e.state[3] for e in es[late]]) - flown.states[late, 3] for es in (plain, told)]
+    assert np.abs(errors[1].mean()) < 0.5 * np.abs(errors[0].mean())
+
+
+def test_what_the_drive_gives_beyond_the_command_is_followed() -> None:
+    flown = run(3, lag=0.005, frequency=40.0, amplitude=10.0)
+    plain = estimated(CompiledEkf(MODEL, EkfSettings(), noise=NOISE), flown)
+    told = estimated(CompiledEkf(MODEL, EkfSettings(augment=("drive",), drive_error=2.0), noise=NOISE), flown)
+    errors = [np.array([e.state[5] for e in es[200:]]) - flown.states[200:, 5] for es in (plain, told)]
+    assert np.std(errors[1]) < 0.3 * np.std(errors[0])
+    assert np.mean([e.nis for e in told[200:]]) < np.mean([e.nis for e in plain[200:]])
+
+
+def test_friction_errors_count_for_every_law_and_the_smoothing_stays() -> None:
+    arms = replace(LAB, coulomb=(1e-3, 2e-3))
+    equations = arm_chain_equations(2, Level.CART, friction=(Friction.COULOMB,))
+    model = SampledModel(equations, arms.base(), period=1e-3)
+    ekf = CompiledEkf(model, EkfSettings(augment=("friction",)), noise=NOISE)
+    memory = ekf.first(np.array(SWING)).memory.copy()
+    memory[6:8] = 0.5, -0.4
+    estimate = ekf.first(np.array(SWING))._replace(memory=memory)
+    factors = (1.5, 0.6)
+    changed = replace(
+        arms,
+        viscous=tuple(k * f for k, f in zip(arms.viscous, factors, strict=True)),
+        coulomb=tuple(c * f for c, f in zip(arms.coulomb, factors, strict=True)),
+    )
+    expected = SampledModel(equations, changed.base(), period=1e-3).step(np.array(SWING), 1.0)
+    assert ekf.ahead(estimate, [1.0]) == pytest.approx(expected, abs=1e-14)
+
+
+def test_one_arm_keeps_its_inertia_as_the_unit() -> None:
+    assert extra_names(1, (Augment.PARAMETERS,)) == ("S1",)
+    assert extra_names(3, (Augment.PARAMETERS,)) == ("M11", "M13", "M22", "M23", "M33", "S1", "S2", "S3")

@@ -1,0 +1,109 @@
+import numpy as np
+import pytest
+from estimator_runs import MODEL, NOISE, SWING, estimated, run
+
+from dpcontrol.control.ekf import Ekf
+from dpcontrol.control.estimation import ESTIMATORS, make_estimator
+from dpcontrol.control.estimator_settings import EkfSettings, FilterpyEkfSettings, UkfSettings
+from dpcontrol.control.interface import Estimate, Estimator
+from dpcontrol.foundation.errors import InputError
+
+ROUNDING = 1e-7  # Of a filter's standard deviations; zeros that are hardly known amplify rounding.
+NEAR = 0.2  # Of a standard deviation: what linearisation errs by, at most, in a swing.
+
+KINDS = [EkfSettings, FilterpyEkfSettings, UkfSettings]
+
+
+def apart(one: Estimate, other: Estimate) -> float:
+    """Largest difference of two estimates in standard deviations of the second."""
+    away = np.concatenate([one.state - other.state, one.extra - other.extra])
+    return float(np.abs(away / other.sigmas).max())
+
+
+@pytest.mark.parametrize("augment", [(), ("zeros",), ("zeros", "parameters")])
+def test_filterpys_arithmetic_gives_the_compiled_filters_numbers(augment: tuple[str, ...]) -> None:
+    flown = run(0.6, zeros=(0.01, -0.01))
+    pair = [make_estimator(s(augment=augment), MODEL, noise=NOISE) for s in (EkfSettings, FilterpyEkfSettings)]
+    for ours, theirs in zip(*(estimated(e, flown) for e in pair), strict=True):
+        assert apart(ours, theirs) < ROUNDING
+        assert ours.sigmas == pytest.approx(theirs.sigmas, rel=ROUNDING)
+        assert ours.nis == pytest.approx(theirs.nis, rel=1e-5, abs=1e-5)
+        assert ours.innovation == pytest.approx(theirs.innovation, abs=1e-9)
+
+
+def test_the_unscented_filter_agrees_with_the_extended_one_in_a_swing() -> None:
+    flown = run(1.0)
+    ukf, ekf = (make_estimator(s(), MODEL, noise=NOISE) for s in (UkfSettings, EkfSettings))
+    for k, (one, other) in enumerate(zip(estimated(ukf, flown), estimated(ekf, flown), strict=True)):
+        assert apart(one, other) < NEAR
+        if k > 10:
+            assert one.sigmas == pytest.approx(other.sigmas, rel=0.02)
+
+
+def test_the_unscented_filter_sees_what_a_jacobian_at_the_mean_does_not() -> None:
+    # Standing arms, unsure by half a radian, unseen for 0.2 s: they fall either way, farther than linearly and bounded.
+    standing, blind = np.array([np.pi, np.pi, 0, 0, 0, 0]), np.zeros(3, dtype=bool)
+    random = np.random.default_rng(2)
+    sigmas = []
+    for kind in (EkfSettings, UkfSettings):
+        estimator = make_estimator(kind(first_angle=0.5), MODEL, noise=NOISE)
+        estimate = estimator.first(standing)
+        if kind is EkfSettings:
+            cloud = standing[:, None] + estimate.sigmas[:, None] * random.standard_normal((6, 2000))
+        for _ in range(200):
+            estimate = estimator.step(estimate, 0.0, np.zeros(3), blind)
+        sigmas.append(estimate.sigmas)
+    fallen = np.array([MODEL.ahead(x, [0.0] * 200) for x in cloud.T]).std(axis=0)
+    errors = [np.abs(s / fallen - 1)[:4].max() for s in sigmas]
+    assert errors[1] < 0.5 * errors[0]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_is_an_estimator_that_finds_zeros(kind) -> None:
+    estimator: Estimator = make_estimator(kind(augment=("zeros",)), MODEL, noise=NOISE)
+    assert ESTIMATORS[estimator.kind] is kind
+    flown = run(1.0, zeros=(0.03, -0.02))
+    last = estimated(estimator, flown)[-1]
+    assert last.extra == pytest.approx([0.03, -0.02], abs=2e-3)
+    assert np.sqrt(np.diag(estimator.covariance(last))) == pytest.approx(last.sigmas)
+    assert estimator.ahead(last, [1.0, 2.0]) == pytest.approx(MODEL.ahead(last.state, [1.0, 2.0]), abs=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_missing_position_is_left_out_by_every_kind(kind) -> None:
+    estimator, expected = (make_estimator(k(), MODEL, noise=NOISE) for k in (kind, EkfSettings))
+    one, other = estimator.first(np.array(SWING)), expected.first(np.array(SWING))
+    measured, present = np.array([0.41, np.nan, 1e-4]), np.array([True, False, True])
+    one, other = estimator.update(one, measured, present), expected.update(other, measured, present)
+    assert apart(one, other) < ROUNDING
+    assert one.used == 2
+    assert one.nis == pytest.approx(other.nis, rel=1e-6)
+    nothing = estimator.step(one, 0.0, measured, np.zeros(3, dtype=bool))
+    assert nothing.used == 0
+    assert not nothing.innovation.any()
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_turns_restarts_and_mistakes_are_treated_alike(kind) -> None:
+    estimator = make_estimator(kind(), MODEL, noise=NOISE)
+    first, measured = estimator.first(np.array(SWING)), np.array([0.41, 2.79, 0.0])
+    wound = estimator.update(first, measured + 2 * np.pi * np.array([2, -1, 0]))
+    assert wound.state == pytest.approx(estimator.update(first, measured).state, abs=1e-11)
+    begun = estimator.restarted(first, np.array([1.0, 2.0, 0.1]))
+    assert begun.state[[0, 1, 4]] == pytest.approx([1.0, 2.0, 0.1])
+    with pytest.raises(InputError, match="measurement has shape"):
+        estimator.update(first, np.zeros(2))
+    with pytest.raises(InputError, match="state has shape"):
+        estimator.first(np.zeros(3))
+    with pytest.raises(ArithmeticError, match="no longer"):
+        estimator.step(first, np.nan, measured)
+
+
+def test_the_old_filter_and_the_new_one_by_filterpy_are_the_same() -> None:
+    flown = run(0.2)
+    old, new = Ekf(MODEL, EkfSettings(), noise=NOISE), make_estimator(FilterpyEkfSettings(), MODEL, noise=NOISE)
+    expected = old.update(old.first(np.array(SWING)), flown.measured(0))
+    found = estimated(new, flown)
+    for k in range(1, 200):
+        expected = old.update(old.predict(expected, float(flown.commands[k])), flown.measured(k))
+        assert found[k].state == pytest.approx(expected.state, abs=1e-12)
