@@ -1,0 +1,120 @@
+"""`dpcontrol info`, `recover` and `run --from`: what a log holds, what is left of it, and the run once more."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+from mcap.reader import make_reader
+
+from dpcontrol.logs import read_log
+
+RUN = ("run", "outer-turn", "--seed", "3", "--mismatch", "0.02", "--initial-error", "0.02")
+
+
+@pytest.fixture(scope="module")
+def logged(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    log = tmp_path_factory.mktemp("logs") / "run.mcap"
+    ended = dpcontrol(*RUN, "--out", log)
+    assert ended.code == 0, ended.stderr
+    return log
+
+
+def messages(log: Path) -> list[tuple[str, int, int, int, bytes]]:
+    """Return topic, sequence, times and bytes of every message, as the public reader gives them."""
+    with log.open("rb") as stream:
+        found = make_reader(stream).iter_messages(log_time_order=False)
+        return [(channel.topic, m.sequence, m.log_time, m.publish_time, m.data) for _, channel, m in found]
+
+
+def test_info_lists_topics_rates_attachments_and_metadata(logged: Path) -> None:
+    shown = dpcontrol("info", logged, "--json").document
+    rates = {t["topic"]: t["rate_hz"] for t in shown["topics"]}
+    assert rates["/joint_states"] == pytest.approx(1000)
+    assert rates["/tf"] == pytest.approx(50, rel=0.01)
+    assert sum(t["count"] for t in shown["topics"]) == len(messages(logged))
+    assert set(shown["attachments"]) == {"scene.toml", "model.toml", "reference.npz"}
+    assert shown["metadata"]["seed"] == "3"
+    text = dpcontrol("info", logged)
+    assert text.code == 0
+    for word in ("/truth/joint_states", "sensor_msgs/msg/JointState", "reference.npz", "checksums agree"):
+        assert word in text.stdout
+
+
+def test_a_cut_log_is_refused_by_info_recovered_and_then_scored(logged: Path, tmp_path: Path) -> None:
+    left = tmp_path / "cut.mcap.partial"
+    left.write_bytes(logged.read_bytes()[: int(0.7 * logged.stat().st_size)])
+    refused = dpcontrol("info", left)
+    assert refused.code == 2
+    assert f"dpcontrol recover {left}" in refused.message
+    done = dpcontrol("recover", left, "--json")
+    assert done.code == 0
+    assert done.document["log"] == str(tmp_path / "cut.mcap")
+    assert not done.document["end_known"]
+    found, whole = read_log(tmp_path / "cut.mcap"), read_log(logged)
+    assert found.attachments == whole.attachments
+    np.testing.assert_array_equal(found.truth, whole.truth[: done.document["ticks"]])
+    scored = dpcontrol("score", tmp_path / "cut.mcap", "--json")
+    assert scored.code == 1
+    assert scored.document["completed"] is False
+    assert "recovered; lost: what came after" in dpcontrol("info", tmp_path / "cut.mcap").stdout
+
+
+def test_recover_says_what_is_lost_and_leaves_a_whole_log_alone(logged: Path, tmp_path: Path) -> None:
+    data = bytearray(logged.read_bytes())
+    data[len(data) // 2] ^= 16
+    (tmp_path / "bad.mcap").write_bytes(data)
+    done = dpcontrol("recover", tmp_path / "bad.mcap")
+    assert done.code == 0
+    assert "lost: " in done.stdout
+    assert "20 ms" in done.stdout
+    assert "nothing to recover" in dpcontrol("recover", logged).stdout
+    assert dpcontrol("recover", tmp_path / "bad.mcap", "--out", tmp_path / "x.txt").code == 2
+    assert dpcontrol("recover", tmp_path / "none.mcap").code == 2
+
+
+def test_a_run_repeated_from_its_log_has_the_same_bytes_in_every_message(
+    logged: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "empty"))
+    ended = dpcontrol("run", "--from", logged, "--json")
+    assert ended.code == 0, ended.stderr
+    again = tmp_path / "logs" / "run-again.mcap"
+    assert messages(again) == messages(logged)
+    assert ended.document["repeated"]["identical_messages"] == len(messages(logged))
+    assert read_log(again).attachments == read_log(logged).attachments
+    differing = {k for k, v in read_log(logged).metadata.items() if read_log(again).metadata.get(k) != v}
+    assert differing <= {"real_time_factor", "commit", "plan"}
+
+
+def test_a_recovered_log_repeats_the_run_that_it_is_a_part_of(logged: Path, tmp_path: Path) -> None:
+    left = tmp_path / "cut.mcap.partial"
+    left.write_bytes(logged.read_bytes()[: int(0.7 * logged.stat().st_size)])
+    assert dpcontrol("recover", left).code == 0
+    ended = dpcontrol("run", "--from", tmp_path / "cut.mcap", "--out", tmp_path / "again.mcap")
+    assert ended.code == 0, ended.stderr
+    assert messages(tmp_path / "again.mcap") == messages(logged)
+
+
+def test_a_log_from_another_run_is_told_by_its_first_difference(logged: Path, tmp_path: Path) -> None:
+    from dpcontrol.logs import compare_messages
+
+    assert dpcontrol(*RUN[:2], "--seed", "4", *RUN[4:], "--out", tmp_path / "four.mcap").code == 0
+    assert "differs" in str(compare_messages(logged, tmp_path / "four.mcap").difference)
+
+
+def test_repeating_takes_no_other_options_and_needs_a_log_of_a_run(logged: Path, tmp_path: Path) -> None:
+    refused = dpcontrol("run", "outer-turn", "--from", logged, "--mismatch", "0.1")
+    assert refused.code == 2
+    assert "leave out" in refused.message
+    assert "--mismatch" in refused.message
+    assert dpcontrol("run", "--from", logged, "--out", logged).code == 2
+    assert dpcontrol("run").code == 2
+    from dpcontrol.logs import LogWriter
+
+    with LogWriter(tmp_path / "bench.mcap", arm_lengths=(0.2, 0.2), rate_hz=500.0, has_cart=False) as log:
+        log.tick(0.0, measured=np.zeros(2))
+    lacking = dpcontrol("run", "--from", tmp_path / "bench.mcap")
+    assert lacking.code == 2
+    assert "lacks scene.toml" in lacking.message
