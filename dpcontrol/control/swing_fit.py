@@ -30,12 +30,14 @@ _HALVINGS = 8
 @dataclass(frozen=True)
 class FitSettings:
     """window s: length of a shooting window. robust: where the loss turns from square to straight, in standard
-    deviations of the bulk; 0 for squares alone. least_scale rad: the bulk is taken as no narrower; half a count or so.
+    deviations of the bulk; 0 for squares alone. bend rad: where it turns, if it is to be held there rather than found.
+    least_scale rad: the bulk is taken as no narrower; half a count or so.
     tolerance: share of the loss by which the last step may still lessen it.
     """
 
     window: float = 0.5
     robust: float = 3.0
+    bend: float = 0.0
     least_scale: float = 1e-4
     iterations: int = 40
     tolerance: float = 1e-7
@@ -49,8 +51,9 @@ class FitSettings:
         for name in ("window", "least_scale", "tolerance"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
                 raise InputError(f"fit: {name} = {getattr(self, name)!r}: must be positive")
-        if not (np.isfinite(self.robust) and self.robust >= 0):
-            raise InputError(f"fit: robust = {self.robust!r}: must be zero or positive")
+        for name in ("robust", "bend"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
+                raise InputError(f"fit: {name} = {getattr(self, name)!r}: must be zero or positive")
         if self.iterations < 1:
             raise InputError(f"fit: iterations = {self.iterations!r}: must be at least 1")
 
@@ -61,7 +64,8 @@ class SwingFit:
 
     residuals: of each swing (K, n), rad, measured less predicted. information: of the free unknowns (see `unknowns`),
     with the starts eliminated; scores: of each swing (K, f), each sample's part of the gradient, starts eliminated.
-    unknowns: indices of the free ones among (p, z raveled). converged, status: a sentence; largest gap between windows.
+    unknowns: indices of the free ones among (p, z raveled). bend rad: where the loss turned straight. window_starts
+    (W, 2n). converged, status: a sentence; gap: the largest between windows.
     """
 
     parameters: Array
@@ -72,6 +76,8 @@ class SwingFit:
     scores: list[Array]
     unknowns: NDArray[np.intp]
     loss: float
+    bend: float
+    window_starts: Array
     gap: float
     iterations: int
     converged: bool
@@ -93,11 +99,12 @@ def fit_swings(
     free_zeros: bool,
     friction_from: int,
     settings: FitSettings,
+    near: Array | None = None,
 ) -> SwingFit:
     """Fit the swings' starts, and those of the parameters (m,) that are `free` (m,), and the zeros if asked.
 
-    parameters and zeros (groups, n) are the first guess, or what is held. From index `friction_from` on parameters
-    stay at zero or above.
+    parameters and zeros (groups, n) are the first guess, or what is held; near (W, 2n): that of the windows' starts, in
+    place of the measured angles. From index `friction_from` on parameters stay at zero or above.
 
     Raises:
         InputError: a swing is too short.
@@ -110,10 +117,11 @@ def fit_swings(
     values = np.concatenate([parameters, zeros.ravel()])
     lower = np.where((np.arange(len(values)) >= friction_from) & (np.arange(len(values)) < m), 0.0, -np.inf)
     where = np.flatnonzero(unknown)
-    starts = cut.guess()
+    starts = cut.guess() if near is None else near.copy()
     groups = [s.group for s in swings]
-    for windows, group in zip(cut.of_swing, groups, strict=True):
-        starts[windows, :arms] -= zeros[group]
+    if near is None:
+        for windows, group in zip(cut.of_swing, groups, strict=True):
+            starts[windows, :arms] -= zeros[group]
 
     def evaluated(starts: Array, values: Array) -> Linearised:
         states, slopes = cut.flown(starts, values[:m])
@@ -163,6 +171,8 @@ def fit_swings(
         scores=[_scores(now, normal, s, threshold) for s in range(len(swings))],
         unknowns=where,
         loss=now.loss(threshold),
+        bend=float(threshold),
+        window_starts=starts,
         gap=now.gap,
         iterations=iteration,
         converged=converged,
@@ -171,6 +181,8 @@ def fit_swings(
 
 
 def _threshold(now: Linearised, settings: FitSettings) -> float:
+    if settings.bend:
+        return settings.bend
     if settings.robust == 0:
         return np.inf
     every = np.abs(np.concatenate([r.ravel() for r in now.residuals]))

@@ -20,7 +20,7 @@ from dpcontrol.dynamics.base_ratios import base_ratios, inertial_count, nearest_
 from dpcontrol.dynamics.parameters import ArmChainParameters, Friction
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import Progress, no_progress
-from dpcontrol.lab.identification_statistics import covariance_of, undetermined_of
+from dpcontrol.lab.identification_statistics import covariance_at_bounds, undetermined_of
 from dpcontrol.lab.recordings import Recording
 from dpcontrol.lab.swing_segments import Segment, cut_into_swings
 
@@ -37,12 +37,13 @@ LAWS: tuple[tuple[Friction, ...], ...] = (
 @dataclass(frozen=True)
 class IdentificationSettings:
     """zeros: "free", "none", or "chosen" by the error on what was left out. left_out: one segment of so many, the last
-    of each. longest s: a longer segment is cut into equal ones.
+    of each. longest s: a longer segment is cut into equal ones. laws: the sets of laws besides the viscous one to try.
     """
 
     zeros: str = "chosen"
     left_out: int = 3
     longest: float = 4.0
+    laws: tuple[tuple[Friction, ...], ...] = LAWS
     fit: FitSettings = field(default_factory=FitSettings)
 
     def __post_init__(self) -> None:
@@ -53,6 +54,8 @@ class IdentificationSettings:
         """
         if self.zeros not in ("free", "none", "chosen"):
             raise InputError(f"identify: zeros = {self.zeros!r}: must be free, none or chosen")
+        if not self.laws:
+            raise InputError("identify: laws = (): must name at least one set, () for viscous friction alone")
         if self.left_out < 2:
             raise InputError(f"identify: left_out = {self.left_out!r}: must be at least 2")
         if not (np.isfinite(self.longest) and self.longest > 0):
@@ -86,7 +89,8 @@ class Identification:
     """What was identified.
 
     arms: the nearest to the starting model's with the identified ratios. names, values, errors (f,): of the ratios,
-    then of the encoders' zeros where free (rad, each recording's own); covariance (f, f). zeros (recordings, n) rad,
+    then of the encoders' zeros where free (rad, each recording's own); covariance (f, f), without variance where a value
+    lies on its bound. zeros (recordings, n) rad,
     shown less true. undetermined: sentences. candidates, chosen: index of one. started_at: rms (L,) rad of the
     starting model on the segments left out. angles, errors of prediction: of each segment (K, n) rad.
     """
@@ -114,9 +118,10 @@ class Identification:
 
     @property
     def correlation(self) -> Array:
-        """Correlation matrix (f, f)."""
+        """Correlation matrix (f, f), zero for what lies on a bound or is not determined."""
         deviations = np.sqrt(np.diag(self.covariance))
-        return self.covariance / np.outer(deviations, deviations)
+        scale = np.where((deviations > 0) & np.isfinite(deviations), deviations, np.inf)
+        return self.covariance / np.outer(scale, scale)
 
 
 def identify(
@@ -141,7 +146,7 @@ def identify(
             f"least {settings.left_out}"
         )
     choices = {"free": (True,), "none": (False,), "chosen": (False, True)}[settings.zeros]
-    ways = [(laws, zeros) for laws in LAWS for zeros in choices]
+    ways = [(laws, zeros) for laws in settings.laws for zeros in choices]
     candidates: list[Candidate] = []
     reasons: list[str] = []
     for number, (laws, zeros) in enumerate(ways):
@@ -160,9 +165,11 @@ def identify(
     best = candidates[chosen]
     arms = with_laws(start, best.laws)
     names = (*ratio_names(arms), *_zero_names(recordings, best.fit.zeros, best.zeros))
-    covariance = covariance_of(best.fit)
     values = np.concatenate([best.fit.parameters, best.fit.zeros.ravel() if best.zeros else []])
     friction = slice(inertial_count(arms.count), len(best.fit.parameters))
+    bound = np.zeros(len(values), dtype=bool)
+    bound[friction] = values[friction] <= 0
+    covariance, errors = covariance_at_bounds(best.fit, bound)
     rms = np.empty(len(swings))
     rms[used], rms[~used] = best.fit.rms, best.left_out
     residuals: list[Array] = []
@@ -175,13 +182,13 @@ def identify(
         arms=nearest_arms(best.fit.parameters, arms),
         names=names,
         values=values,
-        errors=np.sqrt(np.diag(covariance)),
+        errors=errors,
         covariance=covariance,
         zeros=best.fit.zeros,
         undetermined=(
             f"{unit_name(arms.count)} itself: masses, inertias and friction may all grow in proportion and the arms "
             "swing the same; only ratios to it are known",
-            *undetermined_of(names, values, covariance, friction),
+            *undetermined_of(names, values, errors, covariance=covariance, friction=friction),
         ),
         candidates=tuple(candidates),
         chosen=chosen,
@@ -236,6 +243,7 @@ def _fitted(
         free_zeros=zeros,
         friction_from=from_,
         settings=settings,
+        near=None if near is None else near.fit.window_starts,
     )
     predicted = predict_swings(model, [s for s, one in zip(swings, used, strict=True) if not one], fit, settings)
     unknowns = m + (fit.zeros.size if zeros else 0)

@@ -1,4 +1,4 @@
-"""How well identified numbers are known: covariance, what cannot be told apart, profiles.
+"""How well identified numbers are known: covariance, what cannot be told apart.
 
     Cov = H⁻¹ (b/(b-f) Σ_blocks g gᵀ) H⁻¹,     H = Σ w J̃ᵀJ̃,   g = Σ_block J̃ᵀ ψ(e)
 
@@ -8,10 +8,10 @@ summed over blocks several times as long as they stay alike; b blocks, f unknown
 would give errors too small by that factor's root.
 
 Sources: White, Maximum likelihood estimation of misspecified models (1982); Cameron, Miller, A practitioner's guide to
-cluster-robust inference (2015), section II; Raue et al., Structural and practical identifiability analysis (2009).
+cluster-robust inference (2015), section II.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,9 +48,23 @@ def correlation_time(residuals: Sequence[Array]) -> float:
     return float(max(1.0, 1 + 2 * shape[1:end].sum()))
 
 
-def covariance_of(fit: SwingFit) -> Array:
-    """Return the covariance (f, f) of the fit's free unknowns; directions the data do not see get infinite variance."""
-    f = len(fit.unknowns)
+def covariance_at_bounds(fit: SwingFit, bound: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return the covariance (f, f) of the fit's unknowns and their standard errors (f,).
+
+    bound (f,): which lie on a bound. They are taken as held there for the others' sake, and have no variance; their own
+    standard errors are those that they would have without it.
+    """
+    errors = np.sqrt(np.diag(covariance_of(fit)))
+    covariance = np.zeros((len(bound), len(bound)))
+    covariance[np.ix_(~bound, ~bound)] = covariance_of(fit, ~bound)
+    errors[~bound] = np.sqrt(np.diag(covariance)[~bound])
+    return covariance, errors
+
+
+def covariance_of(fit: SwingFit, among: NDArray[np.bool_] | None = None) -> Array:
+    """Return the covariance of the unknowns that are `among`, the others held; what the data do not see: infinite."""
+    among = np.ones(len(fit.unknowns), dtype=bool) if among is None else among
+    information, f = fit.information[np.ix_(among, among)], int(among.sum())
     lengths = [len(s) for s in fit.scores]
     block = max(int(_BLOCK_TIMES * correlation_time(fit.residuals)), _LEAST_BLOCK)
     # More unknowns than blocks would make the sum singular, and every error zero somewhere.
@@ -58,11 +72,11 @@ def covariance_of(fit: SwingFit) -> Array:
     sums: list[Array] = []
     for score in fit.scores:
         edges = np.linspace(0, len(score), max(round(len(score) / block), 1) + 1).round().astype(int)[:-1]
-        sums.append(np.add.reduceat(score, edges, axis=0))
+        sums.append(np.add.reduceat(score[:, among], edges, axis=0))
     blocks = np.concatenate(sums)
     middle = blocks.T @ blocks * len(blocks) / max(len(blocks) - f, 1)
-    scale = 1 / np.sqrt(np.maximum(np.diag(fit.information), 1e-300))
-    sizes, axes = np.linalg.eigh(fit.information * np.outer(scale, scale))
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    sizes, axes = np.linalg.eigh(information * np.outer(scale, scale))
     seen = sizes > _UNSEEN * sizes[-1]
     inverse = (axes[:, seen] / sizes[seen]) @ axes[:, seen].T * np.outer(scale, scale)
     covariance = inverse @ middle @ inverse
@@ -73,15 +87,17 @@ def covariance_of(fit: SwingFit) -> Array:
     return (covariance + covariance.T) / 2
 
 
-def undetermined_of(names: Sequence[str], values: Array, covariance: Array, friction: slice) -> list[str]:
+def undetermined_of(
+    names: Sequence[str], values: Array, errors: Array, *, covariance: Array, friction: slice
+) -> list[str]:
     """Return sentences on numbers that the data leave open, and on pairs that they cannot tell apart."""
     deviations = np.sqrt(np.diag(covariance))
     sentences: list[str] = []
     for k, name in enumerate(names):
-        if not np.isfinite(deviations[k]):
+        if not np.isfinite(errors[k]):
             sentences.append(f"{name}: these swings do not depend on it, or only together with another")
-        elif k in range(*friction.indices(len(names))) and abs(values[k]) < 2 * deviations[k]:
-            sentences.append(f"{name}: {values[k]:.3g} ± {deviations[k]:.2g} (standard error) may as well be zero")
+        elif k in range(*friction.indices(len(names))) and abs(values[k]) < 2 * errors[k]:
+            sentences.append(f"{name}: {values[k]:.3g} ± {errors[k]:.2g} (standard error) may as well be zero")
     for i in range(len(names)):
         for j in range(i):
             product = deviations[i] * deviations[j]
@@ -96,21 +112,3 @@ def undetermined_of(names: Sequence[str], values: Array, covariance: Array, fric
                     f"error, is known {factor:.0f} times better than what is across it"
                 )
     return sentences
-
-
-def profile(
-    loss_at: Callable[[int, float], float],
-    index: int,
-    value: float,
-    error: float,
-    *,
-    points: int = 7,
-    reach: float = 3.0,
-) -> tuple[Array, Array]:
-    """Return values (points,) about one unknown's and the least loss (points,) with it held there.
-
-    loss_at(index, value) fits the others. A profile that is no parabola of width `error` tells that the standard error
-    does not describe it.
-    """
-    grid = value + error * np.linspace(-3, 3, points)
-    return grid, np.array([loss_at(index, float(v)) for v in grid])
