@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.interface import Action, Mode
+from dpcontrol.control.phase_tracking import PhaseLaw, PhaseRuns, PhaseSession, phase_law
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.tables import suggest
@@ -105,13 +106,17 @@ ControllerSettings = FeedforwardSettings | TvlqrSettings
 
 @dataclass(frozen=True, eq=False)
 class TrackingController:
-    """Feedforward (K,), gains (K, N) and reference states (K+1, N) at the ticks; gains of zero: no feedback."""
+    """Feedforward (K,), gains (K, N) and reference states (K+1, N) at the ticks; gains of zero: no feedback.
+
+    by_phase: None if the clock is the loop's; else the law by which it follows the nearest phase.
+    """
 
     kind: str
     reference_states: Array
     feedforward: Array
     gains: Array
     status: str
+    by_phase: PhaseLaw | None = None
 
     def command(self, tick: int, state: Array) -> tuple[float, float]:
         """Return feedforward and feedback in m/s² for the period from `tick`, at estimated `state` (N,).
@@ -142,15 +147,29 @@ class TrackingController:
         products = self.gains[k][:, None] * (self.reference_states[k][:, None] - states)
         return float(self.feedforward[k]), np.add.reduce(products, axis=0), wanted
 
-    def begin(self) -> "TrackingSession":
+    def begin(self) -> "TrackingSession | PhaseSession":
         """Return a session for one run."""
-        return TrackingSession(self)
+        return TrackingSession(self) if self.by_phase is None else PhaseSession(self.by_phase)
+
+    def begin_many(self, count: int) -> "TrackingController | PhaseRuns":
+        """Return what answers `commands` for `count` runs in lockstep."""
+        return self if self.by_phase is None else PhaseRuns(self.by_phase, count)
+
+    def join(self, tick: int, state: Array) -> "TrackingSession | PhaseSession":
+        """Return a session whose start is at `tick`; by phase, where the reference is nearest to `state` (N,).
+
+        The angles' whole turns must be the reference's.
+        """
+        if self.by_phase is None:
+            return TrackingSession(self, tick)
+        return PhaseSession(self.by_phase, tick=tick, place=self.by_phase.nearest(state))
 
 
 class TrackingSession:
-    """A tracking controller during one run: its clock is the loop's."""
+    """A tracking controller during one run: its clock is the loop's, from tick `start` on."""
 
-    def __init__(self, controller: TrackingController) -> None:
+    def __init__(self, controller: TrackingController, start: int = 0) -> None:
+        self._start = start
         self._feedforward = controller.feedforward.tolist()
         self._gains, self._wanted = controller.gains, controller.reference_states
         self._still = not controller.gains.any()
@@ -158,6 +177,7 @@ class TrackingSession:
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
         """Return what to do in the period from `tick`; after the last, its gain holds the reference's end."""
+        tick = max(tick - self._start, 0)
         k = tick if tick < self._last else self._last
         wanted = self._wanted[tick if tick <= self._last else self._last + 1]
         feedback = 0.0
@@ -240,7 +260,10 @@ def tracking_controller(reference: Reference, model: SampledModel, settings: Con
     gains, _ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
     if not np.isfinite(gains).all():
         raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
-    return TrackingController(settings.kind, states, feedforward, gains, f"gains for {count} ticks")
+    by_phase = None
+    if settings.schedule == "phase":
+        by_phase = phase_law(feedforward, gains, states, period=model.period)
+    return TrackingController(settings.kind, states, feedforward, gains, f"gains for {count} ticks", by_phase)
 
 
 def tick_count(reference: Reference, period: float) -> int:

@@ -44,7 +44,7 @@ def test_gains_far_from_the_end_are_the_stationary_ones() -> None:
     cost = solve_discrete_are(A, B[:, None], np.diag(WEIGHTS), np.array([[EFFORT]]))
     stationary = (B @ cost @ A) / (EFFORT + B @ cost @ B)
     many = 400
-    gains = riccati_gains(
+    gains, _ = riccati_gains(
         np.tile(A, (many, 1, 1)), np.tile(B, (many, 1)), weights=WEIGHTS, effort=EFFORT, terminal=np.eye(3)
     )
     assert gains[0] == pytest.approx(stationary, rel=SOLVED)
@@ -55,7 +55,7 @@ def test_gains_of_a_short_varying_horizon_minimise_the_cost() -> None:
     steps, terminal = 6, np.diag([3.0, 2.0, 1.0])
     a = A + 0.1 * random.standard_normal((steps, 3, 3))
     b = B + 0.1 * random.standard_normal((steps, 3))
-    gains = riccati_gains(a, b, weights=WEIGHTS, effort=EFFORT, terminal=terminal)
+    gains, _ = riccati_gains(a, b, weights=WEIGHTS, effort=EFFORT, terminal=terminal)
     start = np.array([1.0, -0.5, 0.3])
     # The same problem as one least-squares problem in all inputs.
     free, forced = [start], [np.zeros((3, steps))]

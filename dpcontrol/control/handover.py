@@ -1,0 +1,220 @@
+"""Programs of controllers that hand over to each other: OGY keeps a wobble, TVLQR flies the connections.
+
+A stay at an orbit ends where the next flight begins: at the phase of the orbit nearest to the reference's first state,
+after as many periods as were asked for. A flight ends with its reference, and the orbit that it came to is joined at
+the phase nearest to the state. Flights and orbits are each on turns of their own; a run's turns are added up.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.control.hold import HoldController
+from dpcontrol.control.interface import Action, Session
+from dpcontrol.control.ogy import OgyController, OgySession
+from dpcontrol.control.periodic import OrbitController, OrbitSession
+from dpcontrol.control.phase import whole_turns
+from dpcontrol.control.tracking import TrackingController
+from dpcontrol.foundation.errors import GoalMissed, InputError
+
+Array = NDArray[np.float64]
+
+NEAR = 0.2
+"""Scaled distance between a flight's end and the orbit that is to keep it, beyond which they do not belong together."""
+
+
+class Keeper(Protocol):
+    """A controller that can take over any state near its orbit or equilibrium."""
+
+    @property
+    def kind(self) -> str:
+        """Return the name of its kind."""
+        ...
+
+    @property
+    def first_state(self) -> Array:
+        """Return the state (N,) from which it starts."""
+        ...
+
+    def join(self, tick: int, state: Array) -> Session:
+        """Return a session that starts at `tick` from `state` (N,)."""
+        ...
+
+    def distance(self, state: Array) -> float:
+        """Return the scaled distance of the pendulum's `state` (N,), modulo turns."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Keep:
+    """A stay: at an orbit for `wraps` periods, about half a one more or less; at an equilibrium for `seconds`."""
+
+    name: str
+    controller: OgyController | OrbitController | HoldController
+    wraps: int = 0
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Fly:
+    """A flight along a reference from start to end."""
+
+    name: str
+    controller: TrackingController
+
+
+Segment = Keep | Fly
+
+
+@dataclass(frozen=True, eq=False)
+class Program:
+    """Segments one after the other, as one controller; period of the loop in s.
+
+    waits: for each stay, what its clock shows when it is to end (s), not-a-number where it has none; lasts: its ticks
+    at least. The last segment goes on to the end of all ticks.
+    """
+
+    segments: tuple[Segment, ...]
+    waits: tuple[float, ...]
+    lasts: tuple[int, ...]
+    period: float
+    ticks: int
+    status: str
+    kind: str = "program"
+
+    @property
+    def first_state(self) -> Array:
+        """Return the state (N,) from which it starts."""
+        return self.segments[0].controller.first_state
+
+    def begin(self) -> "ProgramSession":
+        """Return a fresh session for one run."""
+        return ProgramSession(self)
+
+
+class ProgramSession:
+    """The segment under way, its session, when it began, and the turns by which a flight is away from its reference."""
+
+    def __init__(self, program: Program) -> None:
+        self._program = program
+        self._index = 0
+        self._began = 0
+        self._lift = np.zeros(len(program.first_state))
+        self._session: Session = program.segments[0].controller.begin()
+        self._past = np.nan
+
+    @property
+    def segment(self) -> int:
+        """Return the index of the segment under way."""
+        return self._index
+
+    def command(self, tick: int, state: Array, extra: Array) -> Action:
+        """Return what to do in the period from `tick` at `state` (N,)."""
+        event = self._hand_over(tick, state) if self._due(tick) else ""
+        action = self._session.command(tick, state - self._lift, extra)
+        return action._replace(reference=action.reference + self._lift, event=event or action.event)
+
+    def _due(self, tick: int) -> bool:
+        """Tell whether the segment under way has ended."""
+        program, index = self._program, self._index
+        if index + 1 == len(program.segments):
+            return False
+        if tick - self._began < program.lasts[index]:
+            return False
+        session = self._session
+        if not isinstance(session, OgySession | OrbitSession):
+            return True
+        whole, before = session.orbit_period, self._past
+        self._past = (session.time + program.period - program.waits[index]) % whole
+        # Passed when the time since begins anew; not-a-number: the next segment may begin at any phase.
+        return np.isnan(self._past) or before - self._past > whole / 2
+
+    def _hand_over(self, tick: int, state: Array) -> str:
+        self._index += 1
+        self._began, self._past = tick, np.nan
+        segment = self._program.segments[self._index]
+        self._lift = np.zeros(len(state))
+        if isinstance(segment, Fly):
+            n = (len(state) - 2) // 2
+            self._lift[:n] = whole_turns(state[:n] - segment.controller.first_state[:n])
+        self._session = segment.controller.join(tick, state - self._lift)
+        return f"hand over to {segment.controller.kind}: {segment.name}"
+
+    def resynchronise(self, tick: int, state: Array) -> str:
+        """Move the clock of the segment under way to the phase nearest to `state` (N,); say by how much."""
+        return self._session.resynchronise(tick, state - self._lift)
+
+
+def program(segments: Sequence[Segment], *, period: float) -> Program:
+    """Return the program of these segments at the loop's period in s.
+
+    Raises:
+        InputError: no segments, two flights in a row that do not meet, or a stay that has no length.
+        GoalMissed: a flight does not begin or end at the orbit before or after it.
+    """
+    if not segments:
+        raise InputError("a program has one segment at least")
+    waits, lasts, total = [], [], 0
+    for k, segment in enumerate(segments):
+        after = segments[k + 1] if k + 1 < len(segments) else None
+        controller = segment.controller
+        wait, room = np.nan, 0
+        if isinstance(segment, Fly):
+            last = segment.controller.ticks
+            if isinstance(after, Fly):
+                _meet(segment, after)
+            if isinstance(after, Keep):
+                _near(after, segment.controller.reference_states[-1], f"{segment.name} ends")
+        elif isinstance(controller, HoldController):
+            if not segment.seconds > 0:
+                raise InputError(f"{segment.name}: seconds = {segment.seconds!r}: a hold must last")
+            last = round(segment.seconds / period)
+        else:
+            if segment.wraps < 0:
+                raise InputError(f"{segment.name}: wraps = {segment.wraps!r}: must be zero or positive")
+            assert isinstance(controller, OgyController | OrbitController)
+            whole = controller.table.period
+            last = max(round((segment.wraps - 0.5) * whole / period), 0)
+            room = round(1.2 * whole / period)
+            if isinstance(after, Fly):
+                wait = float(controller.table.nearest(after.controller.first_state)[0])
+        if isinstance(segment, Keep) and isinstance(after, Fly):
+            _near(segment, after.controller.first_state, f"{after.name} begins")
+        waits.append(wait)
+        lasts.append(last)
+        total += last + room
+    names = ", ".join(segment.name for segment in segments)
+    return Program(tuple(segments), tuple(waits), tuple(lasts), period, total, f"{len(segments)} segments: {names}")
+
+
+def _near(keep: Keep, state: Array, what: str) -> None:
+    distance = keep.controller.distance(state)
+    if not distance <= NEAR:
+        raise GoalMissed(f"{what} {distance:.2g} (scaled) away from {keep.name}: they do not meet")
+
+
+def _meet(before: Fly, after: Fly) -> None:
+    n = (len(after.controller.first_state) - 2) // 2
+    apart = before.controller.reference_states[-1] - after.controller.first_state
+    apart[:n] -= whole_turns(apart[:n])
+    if np.abs(apart[: 2 * n]).max() > NEAR:
+        raise InputError(f"{before.name} ends where {after.name} does not begin: put a stay between them")
+
+
+class NearestKeeper:
+    """What to hold when the reference was given up: of some orbits and equilibria the one nearest to the state."""
+
+    def __init__(self, keepers: Mapping[str, Keeper]) -> None:
+        if not keepers:
+            raise InputError("nothing to fall back to: name one orbit or equilibrium at least")
+        self._keepers = dict(keepers)
+
+    def session(self, tick: int, state: Array) -> tuple[Session, str]:
+        """Return a session that holds what is nearest to `state` (N,) from `tick` on, and a sentence saying what."""
+        distances = {name: keeper.distance(state) for name, keeper in self._keepers.items()}
+        name = min(distances, key=distances.__getitem__)
+        text = f"holds {name}, {distances[name]:.2g} (scaled) away, by {self._keepers[name].kind}"
+        return self._keepers[name].join(tick, state), text

@@ -1,0 +1,132 @@
+import numpy as np
+import pytest
+from bench_stand_in import PERIOD, fly, model_of, plant_of
+from scipy.integrate import solve_ivp
+from scipy.linalg import solve_discrete_are
+from shadowing_stand_in import LAB
+
+from dpcontrol.control.hold import HoldController, HoldSettings, basin, delay_margin, hold_controller
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.references.problem import Limits
+
+GAIN = 1e-6  # Relative, of two solvers of one Riccati equation.
+HELD = 0.02  # rad: 5 % of mismatch and encoder counts leave less than a hundredth.
+EQUILIBRIA = {"down-down": (0.0, 0.0), "down-up": (0.0, np.pi), "up-down": (np.pi, 0.0), "up-up": (np.pi, np.pi)}
+NONE = np.zeros(0)
+
+
+def hold(name: str) -> HoldController:
+    return hold_controller([*EQUILIBRIA[name], 0.0, 0.0], model_of(), HoldSettings(), seconds=60.0)
+
+
+@pytest.mark.parametrize("name", EQUILIBRIA)
+def test_the_gain_is_that_of_the_riccati_equation(name: str) -> None:
+    model, controller = model_of(), hold(name)
+    step = 1e-6 * np.eye(6)
+    a = np.array([model.step(controller.state + d, 0.0) - model.step(controller.state - d, 0.0) for d in step]).T / 2e-6
+    b = (model.step(controller.state, 1e-3) - model.step(controller.state, -1e-3)) / 2e-3
+    weights, effort = HoldSettings().weights(2, PERIOD)
+    cost = solve_discrete_are(a, b[:, None], np.diag(weights), np.array([[effort]]))
+    expected = (b @ cost @ a) / (effort + b @ cost @ b)
+    # The Jacobian by differences is good to 1e-9.
+    assert controller.gain == pytest.approx(expected, rel=1e3 * GAIN, abs=1e-3)
+    assert np.abs(np.linalg.eigvals(a - np.outer(b, controller.gain))).max() < 1
+
+
+@pytest.mark.parametrize("name", EQUILIBRIA)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_each_equilibrium_is_held_by_encoders_with_other_parameters(name: str, seed: int) -> None:
+    controller = hold(name)
+    start = controller.state + np.random.default_rng(seed).uniform(-0.03, 0.03, 6) * [1, 1, 0, 0, 0, 0]
+    flight = fly(controller.begin(), plant_of(seed, 0.05), start, 6.0, believed=controller.state)
+    assert len(flight.states) == 6000
+    assert np.abs(flight.states[-1000:, :2] - controller.state[:2]).max() < HELD
+    assert np.abs(flight.states[:, 4]).max() < 0.2
+
+
+def test_a_kick_inside_the_basin_is_caught_and_one_beyond_is_lost() -> None:
+    controller, limits = hold("up-up"), Limits()
+    found = basin(controller, model_of(), coordinate=3, limits=limits)
+    assert 0 < found.kick < found.lost < 1.001 * found.kick + 1e-3
+    rate = model_of().equations.function()
+
+    def flown(kick: float) -> tuple[float, float]:
+        state = controller.state + np.array([0, 0, 0, kick, 0, 0])
+        farthest = 0.0
+        for _ in range(3000):
+            u = float(np.clip(controller.gain @ (controller.state - state), -limits.acceleration, limits.acceleration))
+            right = lambda _, x, u=u: np.array(rate(x, u, LAB.base())).ravel()  # noqa: E731
+            state = solve_ivp(right, (0, PERIOD), state, rtol=1e-6, atol=1e-8).y[:, -1]
+            farthest = max(farthest, abs(state[4]))
+            if farthest >= limits.position:
+                break
+        return farthest, float(np.abs(state[:2] - controller.state[:2]).max())
+
+    farthest, away = flown(0.995 * found.kick)
+    assert farthest < limits.position
+    assert away < 0.1
+    assert flown(1.005 * found.lost)[0] >= limits.position
+    assert found.reason == "the cart reached its stop"
+
+
+def test_a_shorter_track_and_a_weaker_drive_catch_less() -> None:
+    controller, model = hold("down-up"), model_of()
+    kicks = [
+        basin(controller, model, coordinate=3, limits=limits).kick
+        for limits in (Limits(), Limits(position=0.1), Limits(acceleration=2.0))
+    ]
+    assert kicks[1] < 0.5 * kicks[0]
+    assert kicks[2] < 0.9 * kicks[0]
+
+
+def test_a_hanging_pendulum_comes_back_from_every_small_kick() -> None:
+    found = basin(hold("down-down"), model_of(), coordinate=2, limits=Limits(), most=1.0)
+    assert found.kick == 1.0
+    assert found.lost == np.inf
+
+
+@pytest.mark.parametrize("name", ["down-up", "up-up"])
+def test_a_delay_that_nobody_knows_of_is_survived_up_to_the_margin_and_not_beyond(name: str) -> None:
+    controller, model = hold(name), model_of()
+    margin = delay_margin(controller, model)
+    assert 5 < margin < 100
+
+    def growth(delay: int) -> float:
+        state = controller.state + np.array([1e-6, 0, 0, 0, 0, 0])
+        queue, sizes = [0.0] * delay, []
+        for _ in range(12_000):
+            queue.append(float(controller.gain @ (controller.state - state)))
+            state = model.step(state, queue.pop(0))
+            sizes.append(np.abs(state - controller.state).max())
+            if sizes[-1] > 0.1:
+                return np.inf
+        return max(sizes[9000:]) / max(sizes[1000:4000])
+
+    assert growth(margin - 1) < 1
+    assert growth(margin + 2) > 1
+
+
+def test_a_turned_arm_is_held_where_it_is() -> None:
+    controller = hold("down-up")
+    turned = controller.state + np.array([-2 * np.pi, 4 * np.pi, 0, 0, 0, 0])
+    session = controller.join(100, turned + np.array([0.01, 0, 0, 0, 0, 0]))
+    action = session.command(100, turned, NONE)
+    assert action.feedback == pytest.approx(0.0, abs=1e-10)
+    assert action.reference == pytest.approx(turned)
+    assert controller.distance(turned) == pytest.approx(0.0, abs=1e-12)
+    assert session.resynchronise(100, turned) == ""
+
+
+def test_many_runs_get_what_one_gets() -> None:
+    controller = hold("up-down")
+    states = controller.state[:, None] + np.random.default_rng(0).normal(0, 0.1, (6, 5))
+    _, many, _ = controller.begin_many(5).commands(0, states)
+    session = controller.begin()
+    assert many.tolist() == [session.command(0, state, NONE).feedback for state in states.T]
+
+
+def test_what_is_no_equilibrium_is_refused() -> None:
+    with pytest.raises(InputError, match="no equilibrium to hold"):
+        hold_controller([0.3, np.pi, 0.0, 0.0], model_of(), HoldSettings(), seconds=1.0)
+    with pytest.raises(InputError, match="effort = -1"):
+        HoldSettings(effort=-1.0)

@@ -1,0 +1,274 @@
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from bench_stand_in import COUNT, fly, model_of, plant_of
+from scipy.integrate import solve_ivp
+from scipy.linalg import solve_discrete_are
+from shadowing_stand_in import LAB
+
+from dpcontrol.control.interface import Mode
+from dpcontrol.control.ogy import ClassicOgySettings, OgyController, OgySettings, ogy_controller, pulse_for_a_count
+from dpcontrol.control.periodic import OrbitController, closed_multipliers, orbit_controller, periodic_gains
+from dpcontrol.control.phase import phase_table
+from dpcontrol.control.section_law import disturbance_shifts, parameter_directions, sensitivities
+from dpcontrol.control.tracking import TvlqrSettings
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.lyapunov import lyapunov_orbit
+
+RICCATI = 1e-5  # Relative; matrices with entries of thousands, squared.
+SLOPE = 1e-3  # Of Runge-Kutta flights with a held input against a tight integrator, relative to the largest.
+ON_ORBIT = 0.1  # rad: what a completed period asks for.
+NONE = np.zeros(0)
+
+
+@cache
+def orbit(saddle: str = "down-up", energy: float = -0.07) -> SustainedOrbit:
+    return sustained_orbit(lyapunov_orbit(load_model("lab").system, saddle, energy=energy), LAB)
+
+
+@cache
+def ogy(sections: int, *, pulse_limit: float = 5.0, parameter_error: float = 0.05) -> OgyController:
+    settings = OgySettings(sections=sections, pulse_limit=pulse_limit, parameter_error=parameter_error)
+    return ogy_controller(orbit(), model_of(), settings, seconds=60.0)
+
+
+@cache
+def classic(sections: int) -> OgyController:
+    return ogy_controller(orbit(), model_of(), ClassicOgySettings(sections=sections), seconds=60.0)
+
+
+@cache
+def tvlqr(schedule: str = "phase") -> OrbitController:
+    return orbit_controller(orbit(), model_of(), TvlqrSettings(schedule=schedule), seconds=60.0)
+
+
+def away(states: np.ndarray, seconds: float = 1.0) -> float:
+    """Largest angle error in the last second, rad, each least over the orbit's phases and turns."""
+    table = orbit().state(np.linspace(0, orbit().period, 4000))[:, :2]
+    last = states[-round(seconds * 1000) :: 5, None, :2] - table
+    return float(np.abs(last - 2 * np.pi * np.rint(last / (2 * np.pi))).max(2).min(1).max())
+
+
+def started(controller: OgyController | OrbitController, seed: int) -> np.ndarray:
+    kick = np.random.default_rng(seed).uniform(-0.03, 0.03, 2)
+    return controller.first_state + np.array([*kick, 0, 0, 0, 0])
+
+
+def test_gains_of_one_section_are_those_of_the_riccati_equation() -> None:
+    here = orbit().section_maps(1)[0]
+    a, b = here.matrix, here.response
+    weights, effort = OgySettings().weights(2, here.duration)
+    cost = solve_discrete_are(a, b[:, None], np.diag(weights), np.array([[effort]]))
+    expected = (b @ cost @ a) / (effort + b @ cost @ b)
+    gains = periodic_gains(a[None], b[None], weights=weights, effort=effort)
+    assert gains[0] == pytest.approx(expected, rel=RICCATI, abs=RICCATI * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("sections", [2, 3, 4, 8, 16])
+def test_pulses_at_any_number_of_sections_make_the_orbit_stable_without_noise(sections: int) -> None:
+    maps = orbit().section_maps(sections)
+    arrays = np.array([m.matrix for m in maps]), np.array([m.response for m in maps])
+    assert np.abs(closed_multipliers(*arrays, np.zeros_like(arrays[1])))[0] > 500
+    assert np.abs(closed_multipliers(*arrays, ogy(sections).gains))[0] < 0.5
+
+
+def test_a_classic_pulse_takes_the_unstable_direction_to_zero_and_leaves_the_cart_to_drift() -> None:
+    maps = orbit().section_maps(4)
+    arrays = np.array([m.matrix for m in maps]), np.array([m.response for m in maps])
+    values = np.abs(closed_multipliers(*arrays, classic(4).gains))
+    # What is left of the pendulum is the energy; the cart's pair stays at one.
+    assert values[0] == pytest.approx(1.0, abs=1e-4)
+    assert values[2] < 0.99
+
+
+def test_what_cannot_be_reached_has_no_periodic_gains() -> None:
+    with pytest.raises(GoalMissed, match="grows by 2 in a period is out of the input's reach"):
+        periodic_gains(np.diag([2.0, 0.5])[None], np.array([[0.0, 1.0]]), weights=np.ones(2), effort=1.0)
+
+
+def test_sensitivities_are_those_of_flights_of_changed_plants() -> None:
+    maps = orbit().section_maps(8)
+    directions = parameter_directions(orbit().equations, orbit().parameters)
+    found = sensitivities(orbit(), maps, directions)
+    rate = orbit().equations.function()
+    here = maps[2]
+    for i in (0, 1, 4, 5):
+        ends = []
+        for sign in (1, -1):
+            parameters = orbit().parameters + sign * 1e-4 * directions[i]
+
+            def right(t: float, x: np.ndarray, p: np.ndarray = parameters) -> np.ndarray:
+                return np.array(rate(x, float(orbit().input(here.start.time + t)), p)).ravel()
+
+            done = solve_ivp(right, (0, here.duration), here.start.state, method="DOP853", rtol=1e-11, atol=1e-12)
+            ends.append(done.y[:, -1])
+        expected = here.end.projection @ (ends[0] - ends[1]) / 2e-4
+        assert found[2, :, i] == pytest.approx(expected, abs=SLOPE * np.abs(found[2]).max())
+
+
+def test_known_disturbances_are_met_by_the_least_cost_of_all_periodic_motions() -> None:
+    k, n = 4, 6
+    maps = orbit().section_maps(k)
+    controller = ogy(k)
+    weights, effort = OgySettings().weights(2, maps[0].duration)
+    effort /= 2
+    random = np.random.default_rng(1)
+    d = random.normal(0, 1e-3, (k, n, 1))
+    for j, m in enumerate(maps):
+        d[j, :, 0] = m.end.projection @ d[j, :, 0]
+    shifts = disturbance_shifts(maps, controller.gains, d, weights=weights, effort=effort)
+    # One quadratic program in all states and pulses of a period, its conditions solved at once.
+    size = k * (n + 1)
+    cost = np.zeros((size, size))
+    rules, right = np.zeros((k * n, size)), np.zeros(k * n)
+    for j, m in enumerate(maps):
+        cost[j * n : (j + 1) * n, j * n : (j + 1) * n] = np.diag(weights)
+        cost[k * n + j, k * n + j] = effort
+        rows, after = slice(j * n, (j + 1) * n), (j + 1) % k
+        rules[rows, after * n : (after + 1) * n] += np.eye(n)
+        rules[rows, j * n : (j + 1) * n] -= m.matrix
+        rules[rows, k * n + j] = -m.response
+        right[rows] = d[j, :, 0]
+    whole = np.block([[cost, rules.T], [rules, np.zeros((k * n, k * n))]])
+    solution = np.linalg.lstsq(whole, np.concatenate([np.zeros(size), right]), rcond=None)[0]
+    states, pulses = solution[: k * n].reshape(k, n), solution[k * n : size]
+    expected = -(controller.gains * states).sum(1) - pulses
+    assert shifts[:, 0] == pytest.approx(expected, rel=1e-4, abs=1e-5 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_sixteen_sections_hold_the_orbit_of_a_plant_with_other_parameters(seed: int) -> None:
+    controller = ogy(16)
+    session = controller.begin()
+    flight = fly(session, plant_of(seed, 0.05), started(controller, seed), 8.0, believed=controller.first_state)
+    assert len(flight.states) == 8000
+    assert away(flight.states) < ON_ORBIT
+    assert session.crossings == pytest.approx(16 * 8.0 / orbit().period, rel=0.06)
+    assert {action.mode for action in flight.actions} <= {Mode.PULSING, Mode.HOLDING}
+    assert not flight.events
+
+
+def test_what_is_learnt_about_the_plant_spares_most_of_the_pulses() -> None:
+    efforts = []
+    for controller in (ogy(16), ogy(16, parameter_error=0.0)):
+        runs = [fly(controller.begin(), plant_of(seed, 0.05), controller.first_state, 8.0) for seed in (0, 1)]
+        settled = [action.feedback for run in runs for action in run.actions[3000:]]
+        efforts.append(np.sqrt(np.mean(np.square(settled))))
+    assert efforts[0] < 0.6 * efforts[1]
+
+
+def test_pulses_cost_no_more_than_feedback_at_every_tick() -> None:
+    plant = plant_of(0, 0.05)
+    pulses = fly(ogy(16).begin(), plant, ogy(16).first_state, 6.0)
+    ticks = fly(tvlqr().begin(), plant, tvlqr().first_state, 6.0)
+    assert away(ticks.states) < ON_ORBIT
+    assert pulses.feedback < 1.3 * ticks.feedback
+
+
+def test_one_section_a_period_fails_on_an_exact_plant_for_want_of_counts() -> None:
+    for controller in (ogy(1), classic(1)):
+        # Nothing is wrong but what the encoders round.
+        flight = fly(controller.begin(), model_of(), controller.first_state, 20.0)
+        assert len(flight.states) < 20_000 or away(flight.states) > ON_ORBIT
+    growth = np.abs(orbit().section_multipliers(1))[0]
+    assert growth * COUNT > 0.05
+    several = fly(ogy(8).begin(), model_of(), ogy(8).first_state, 6.0)
+    assert away(several.states) < ON_ORBIT / 3
+
+
+def test_a_section_that_is_not_crossed_is_named_in_the_events() -> None:
+    controller = ogy(4)
+    session = controller.begin()
+    # An arm that is held fast never comes to the next section.
+    stuck = controller.first_state + np.array([0.0, 0.0, -3.0, -3.0, 0.0, 0.0])
+    events = [session.command(k, stuck, NONE).event for k in range(1000)]
+    assert next(e for e in events if e).startswith("section 2 was not crossed: clock of the orbit moved by")
+
+
+def test_pulses_that_are_too_small_hold_nothing() -> None:
+    small, enough = ogy(16, pulse_limit=0.02), ogy(16, pulse_limit=2.0)
+    plant = plant_of(0, 0.05)
+    assert pulse_for_a_count(small, 40_000) > 0.02
+    lost = fly(small.begin(), plant, small.first_state, 8.0)
+    assert len(lost.states) < 8000 or away(lost.states) > ON_ORBIT
+    assert max(abs(action.feedback) for action in lost.actions) <= 0.02
+    held = fly(enough.begin(), plant, enough.first_state, 8.0)
+    assert away(held.states) < ON_ORBIT
+
+
+def test_feedback_at_every_tick_holds_by_time_and_by_phase() -> None:
+    for schedule in ("time", "phase"):
+        controller = tvlqr(schedule)
+        flight = fly(
+            controller.begin(), plant_of(1, 0.05), started(controller, 1), 5.0, believed=controller.first_state
+        )
+        assert away(flight.states) < ON_ORBIT
+    moved = tvlqr("time").begin()
+    text = moved.resynchronise(0, orbit().state(0.05))
+    assert text == "clock of the orbit moved by +0.0500 s"
+    assert abs(moved.command(0, orbit().state(0.05), NONE).feedback) < 5e-3
+
+
+def test_many_runs_do_what_each_does_alone() -> None:
+    controller, ticks = ogy(8), 3000
+    plants = [plant_of(seed, 0.03) for seed in range(3)]
+    alone = []
+    for seed, plant in enumerate(plants):
+        session, state, sent = controller.begin(), started(controller, seed), []
+        for k in range(ticks):
+            action = session.command(k, state, NONE)
+            sent.append(action.feedforward + action.feedback)
+            state = plant.step(state, sent[-1])
+        alone.append(sent)
+    together = controller.begin_many(3)
+    states = np.array([started(controller, seed) for seed in range(3)]).T
+    for k in range(ticks):
+        feedforward, feedback, wanted = together.commands(k, states)
+        sent = feedforward + feedback
+        assert sent == pytest.approx([alone[s][k] for s in range(3)], abs=1e-6)
+        states = np.array([plant.step(states[:, s], sent[s]) for s, plant in enumerate(plants)]).T
+    assert wanted.shape == (6, 3)
+    assert together.missed.sum() == 0
+
+
+def test_an_orbit_is_joined_at_any_phase_and_on_any_turns() -> None:
+    turns = np.array([2 * np.pi, -4 * np.pi, 0, 0, 0, 0])
+    time = 0.37 * orbit().period
+    for controller in (ogy(8), tvlqr()):
+        session = controller.join(70, orbit().state(time) + turns)
+        action = session.command(70, orbit().state(time) + turns, NONE)
+        assert action.reference == pytest.approx(orbit().state(time) + turns, abs=1e-3)
+        assert controller.distance(orbit().state(time) + turns) < 1e-4
+        assert controller.distance(orbit().state(time) + 0.3 * np.eye(6)[0]) > 0.01
+
+
+def test_the_nearest_phase_is_the_nearest() -> None:
+    table = phase_table(orbit())
+    random = np.random.default_rng(2)
+    times = random.uniform(0, orbit().period, 20)
+    states = orbit().state(times) + random.normal(0, 1e-3, (20, 6))
+    found, distances, turns = table.nearest(states)
+    dense = np.linspace(0, orbit().period, 40_001)[:-1]
+    scale = np.array([np.pi, np.pi, 10, 10])
+    for state, time, distance in zip(states, found, distances, strict=True):
+        errors = (orbit().state(dense)[:, :4] - state[:4]) / scale
+        best = dense[np.argmin(np.square(errors).sum(1))]
+        assert (time - best + 0.1) % orbit().period == pytest.approx(0.1, abs=1e-4)
+        assert distance < 2e-3
+    assert not turns.any()
+
+
+def test_impossible_settings_and_orbits_are_refused() -> None:
+    for name, value in (("sections", 0), ("pulse_limit", 0.0), ("parameter_error", 2.0), ("effort", 0.0)):
+        with pytest.raises(InputError, match=f"{name} = {value}"):
+            replace(OgySettings(), **{name: value})
+    with pytest.raises(InputError, match="sections = 1001"):
+        ClassicOgySettings(sections=1001)
+    with pytest.raises(InputError, match="less than two ticks"):
+        ogy_controller(orbit(), model_of(), OgySettings(sections=500), seconds=1.0)
+    with pytest.raises(InputError, match="schedule = 'tim'"):
+        TvlqrSettings(schedule="tim")
