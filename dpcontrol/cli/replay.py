@@ -15,7 +15,7 @@ from dpcontrol.foundation.errors import GoalMissed
 @click.option("--model", default="lab", show_default=True, help="Model that predicts: a name or a path.")
 @click.option("--estimator", default="ekf", show_default=True, help="Kind of estimator: ekf, ukf.")
 @click.option("--counts", default=40_000, show_default=True, help="Of an encoder per turn: the noise that is assumed.")
-@click.option("--mean-of", default=10, show_default=True, help="Samples in each mean that the estimator is given.")
+@click.option("--mean-over", default=0.01, show_default=True, help="Of each mean that the estimator is given, s.")
 @click.option("--model-error", default=0.003, show_default=True, help="Share by which the model's accelerations err.")
 @click.option("--ahead", default=100, show_default=True, help="Samples ahead of the estimate for the n-step error.")
 @click.option("--span", default=5.0, show_default=True, help="Longest stretch predicted in one piece, s.")
@@ -28,7 +28,7 @@ def command(
     model: str,
     estimator: str,
     counts: int,
-    mean_of: int,
+    mean_over: float,
     model_error: float,
     ahead: int,
     span: float,
@@ -44,7 +44,7 @@ def command(
     from dpcontrol.lab.replay import ReplaySettings, filter_settings, replay_recording, write_replay
     from dpcontrol.scenes.model import load_model
 
-    settings = ReplaySettings(counts=counts, mean_of=mean_of, ahead=ahead, span=span)
+    settings = ReplaySettings(counts=counts, mean_over=mean_over, ahead=ahead, span=span)
     filters = filter_settings(estimator, model_error=model_error)
     loaded = load_model(model)
     recording = load_recording(log)

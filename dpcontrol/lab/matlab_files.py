@@ -172,11 +172,11 @@ def _member(value: Any, name: str) -> Any:
 
 def _times(info: Any) -> Any:
     """Return the times of a time series' metadata: given one by one, or by start, increment and length."""
-    fields = _properties(info) or {}
-    given = fields.get("Time_", fields.get("Time"))
+    given = _member(info, "Time")
     if given is not None and np.size(given):
         return given
-    parts = [np.asarray(fields.get(key, np.nan)).reshape(-1) for key in ("Start", "Increment", "Length_")]
+    # MATLAB stores them as Start_, Increment_ and Length, the first two empty or nan where times are uneven.
+    parts = [np.asarray(_member(info, name)).reshape(-1) for name in ("Start", "Increment", "Length")]
     if not all(part.size == 1 and part.dtype.kind in "fiu" and np.isfinite(part[0]) for part in parts):
         return None
     start, increment, length = (float(part[0]) for part in parts)

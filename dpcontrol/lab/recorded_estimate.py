@@ -1,6 +1,6 @@
 """An estimator run over a recording's angles: over means of a few samples, corrected for the motion within them.
 
-    z = mean θ - ½ mean(τ²) θ̈(x̂),      R = R_encoder / M        (M samples at times τ about their middle)
+    z = mean θ - ½ mean(τ²) θ̈(x̂),      R = R_encoder / M        (samples at times τ about their middle, over M ms)
 
 One sample of a real encoder is no Gaussian number: it sticks when the arm turns back and jumps by whole counts, so the
 95 % band of a single sample's NIS holds four fifths of them. Means of ten come close to Gaussian, and what a mean
@@ -29,6 +29,8 @@ from dpcontrol.lab.recordings import Recording
 Array = NDArray[np.float64]
 
 _CART_RESOLUTION = 1e-6
+_INDEPENDENT = 1e-3
+"""s: an arm that swings passes several counts in this time, so that roundings this far apart are independent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,17 +48,17 @@ def estimate_recording(
     filters: EstimatorSettings,
     *,
     counts: int,
-    mean_of: int,
+    mean_over: float,
     progress: Progress = no_progress,
 ) -> RecordedEstimate:
     """Run an estimator over each segment of a recording with the cart clamped, beginning anew in each.
 
     Args:
-        recording: angles in segments of at least `mean_of` samples.
+        recording: angles in segments.
         arms: the model.
         filters: kind and process noise of the estimator.
         counts: of an encoder per turn.
-        mean_of: samples in each mean.
+        mean_over: s of each mean; samples less than a millisecond apart share their rounding and count as one.
         progress: told how far it is.
 
     Raises:
@@ -64,10 +66,11 @@ def estimate_recording(
         GoalMissed: the estimator's covariance broke down.
     """
     n, total = recording.arms, len(recording.time)
+    mean_of = max(1, round(mean_over / recording.dt))
     still = NumericEquations(equations_of(arms, Level.DISSIPATIVE), arms.base())
     model = SampledModel(equations_of(arms, Level.CART), arms.base(), period=mean_of * recording.dt)
     noise = encoder_noise(n, counts=counts, cart_resolution=_CART_RESOLUTION)
-    noise[:n, :n] /= mean_of
+    noise[:n, :n] /= max(1.0, mean_of * min(1.0, recording.dt / _INDEPENDENT))
     estimator = make_estimator(filters, model, noise=noise)
     # The cart is not measured: it stands still in the model as it does on the bench.
     present = np.array([True] * n + [False])

@@ -23,7 +23,6 @@ from dpcontrol.foundation.files import Progress, no_progress, part_of
 from dpcontrol.foundation.tables import suggest
 from dpcontrol.lab.initial_states import FittedPath, FreeMotion, fit_initial_states
 from dpcontrol.lab.recorded_estimate import RecordedEstimate, estimate_recording
-from dpcontrol.lab.recording_checks import FEWEST_SAMPLES
 from dpcontrol.lab.recordings import REPLAYED, Recording, described
 from dpcontrol.logs import LogWriter, Mode, control_fields
 
@@ -36,13 +35,13 @@ _STARTS = 2000
 
 @dataclass(frozen=True)
 class ReplaySettings:
-    """counts: of an encoder per turn, the stated noise; mean_of: samples in each mean that the estimator is given;
+    """counts: of an encoder per turn, the stated noise; mean_over s: of each mean that the estimator is given;
     ahead: samples of the longer prediction; span s: the longest stretch that is predicted in one piece, longer segments
     are cut into equal parts.
     """
 
     counts: int = 40_000
-    mean_of: int = 10
+    mean_over: float = 0.01
     ahead: int = 100
     span: float = 5.0
 
@@ -54,8 +53,8 @@ class ReplaySettings:
         """
         if self.counts < 1:
             raise InputError(f"replay: counts = {self.counts}: must be at least 1 for a turn")
-        if not 1 <= self.mean_of <= FEWEST_SAMPLES:
-            raise InputError(f"replay: mean_of = {self.mean_of}: must be 1 to {FEWEST_SAMPLES} samples")
+        if not 0 <= self.mean_over <= 0.02:
+            raise InputError(f"replay: mean_over = {self.mean_over!r}: must be 0, for single samples, to 0.02 s")
         if not 1 <= self.ahead <= 100_000:
             raise InputError(f"replay: ahead = {self.ahead}: must be 1 to 100000 samples")
         if not 0.05 <= self.span <= 1000:
@@ -143,7 +142,7 @@ def replay_recording(
         arms,
         filters,
         counts=settings.counts,
-        mean_of=settings.mean_of,
+        mean_over=settings.mean_over,
         progress=part_of(progress, 0.5, 0.9),
     )
     estimated, nis = found.states, found.nis

@@ -93,6 +93,27 @@ def test_whole_recordings_by_simulink_open_as_structs_and_as_objects(tmp_path: P
         assert np.array_equal(recording.rates, states[:, 2:])  # type: ignore[arg-type]
 
 
+def test_a_data_set_logged_at_even_times_opens_though_it_stores_no_times(tmp_path: Path) -> None:
+    matio = pytest.importorskip("matio", reason="mat-io writes MATLAB's objects for this test")
+    from matio.utils.matclass import MatlabOpaque
+
+    times, states = free_swing(400)
+    upright = states + np.array([np.pi, np.pi, 0, 0])
+    signals = []
+    for column in upright.T:
+        # The fields that MATLAB's class definitions keep; Start, Increment and End are computed from them.
+        even = {"Start_": [[0.0]], "Increment_": [[PERIOD]], "Length": [[float(len(times))]], "Time_": np.zeros((0, 0))}
+        info = MatlabOpaque({name: np.array(value) for name, value in even.items()}, "tsdata.timemetadata")
+        series = MatlabOpaque({"Data_": column[:, None].copy(), "TimeInfo": info}, "timeseries")
+        signals.append(MatlabOpaque({"Values": series}, "Simulink.SimulationData.Signal"))
+    storage = MatlabOpaque({"Elements_": cells(signals)}, "Simulink.SimulationData.Storage.RamDatasetStorage")
+    data = MatlabOpaque({"Name": "logged", "Storage_": storage}, "Simulink.SimulationData.Dataset")
+    matio.save_to_mat(str(tmp_path / "raw.mat"), {"data": data}, version="v7")
+    recording = import_recording(tmp_path / "raw.mat", "multi-arm-raw")
+    assert np.abs(recording.angles - states[:, :2]).max() <= EXACT
+    assert np.abs(recording.time - times).max() <= TIME_STEP
+
+
 def test_cells_in_the_newest_matlab_format_read_as_those_of_the_old(tmp_path: Path) -> None:
     matio = pytest.importorskip("matio", reason="mat-io writes MATLAB's HDF5 files for this test")
     given = rig_variables()
