@@ -1,0 +1,132 @@
+"""Estimators: time by kind and extras, ticks of ten minutes, false alarms of a hundred healthy runs, consistency.
+
+Times are ratios side by side; the table is for reading.
+"""
+
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+sys.path.append(str(Path(__file__).parents[1] / "control"))
+sys.path.append(str(Path(__file__).parents[1]))
+from estimator_runs import COUNT, MODEL, NOISE, SWING, estimated, run
+
+from dpcontrol.control.compiled_ekf import CompiledEkf, EkfProgram
+from dpcontrol.control.consistency import Verdict, Watch, WatchSettings
+from dpcontrol.control.ekf import encoder_noise
+from dpcontrol.control.estimation import make_estimator
+from dpcontrol.control.estimator_settings import EkfSettings, FilterpyEkfSettings, UkfSettings
+from dpcontrol.control.simulated_consistency import simulated_consistency
+
+pytestmark = pytest.mark.benchmark
+
+EXTRAS: list[tuple[str, ...]] = [(), ("zeros",), ("zeros", "disturbance"), ("zeros", "friction", "parameters")]
+FASTER = 2.0
+"""Times that the compiled filter is quicker than filterpy's with the same equations."""
+TOGETHER = 5.0
+"""Times that a tick among 256 runs is quicker than one alone."""
+
+
+def least(function, *, count: int = 400, tries: int = 5) -> float:
+    """Return the least mean time in µs of a call."""
+    best = np.inf
+    for _ in range(tries):
+        began = time.perf_counter()
+        for _ in range(count):
+            function()
+        best = min(best, (time.perf_counter() - began) / count)
+    return best * 1e6
+
+
+def test_time_of_a_tick_by_kind_and_extras(one_core, hold):
+    flown = run(0.1)
+    sys.stdout.write("\nextras                        size  kind          µs     ahead  of 256, each\n")
+    for augment in EXTRAS:
+        spent = {}
+        for settings in (EkfSettings, FilterpyEkfSettings, UkfSettings):
+            estimator = make_estimator(settings(augment=augment), MODEL, noise=NOISE)
+            last = estimated(estimator, flown)[-1]
+            measured = flown.measured(99)
+            spent[estimator.kind] = least(lambda e=estimator, x=last, z=measured: e.step(x, 0.1, z))
+            ahead = least(lambda e=estimator, x=last: e.ahead(x, [0.1]))
+            each = np.nan
+            if isinstance(estimator, CompiledEkf):
+                program = estimator.program
+                inputs, out = program.inputs(NOISE, runs=256), np.empty((program.step.size_out, 256))
+                inputs[program.slices["memory"]] = last.memory[:, None]
+                inputs[program.slices["measured"]] = measured[:, None]
+                each = least(lambda p=program, i=inputs, o=out: p.step(i, o), count=40) / 256
+                watch = Watch(estimator, WatchSettings(), noise=NOISE, period=1e-3)
+                health = watch.begin()
+                watching = least(lambda w=watch, h=health, x=last, z=measured: w.seen(h, x, z))
+                assert spent[estimator.kind] / each > TOGETHER
+            sys.stdout.write(
+                f"{'+'.join(augment):28s}  {len(last.sigmas):4d}  {estimator.kind:12s}  {spent[estimator.kind]:5.1f}  "
+                f"{ahead:5.1f}  {each:5.2f}\n"
+            )
+        sys.stdout.write(f"{'':36s}watch         {watching:5.1f}\n")
+        assert spent["ekf-filterpy"] / spent["ekf"] > FASTER
+        if not augment:
+            hold("estimator: compiled over filterpy", spent["ekf-filterpy"] / spent["ekf"])
+
+
+@pytest.mark.parametrize("start", [(0.0,) * 6, (np.pi, np.pi, 0, 0, 0, 0), SWING])
+@pytest.mark.parametrize("augment", [(), ("zeros",)])
+def test_ten_minutes_leave_the_covariance_positive(start, augment):
+    # An exact motion, almost no noise assumed: the covariance becomes as small as it can.
+    ekf = CompiledEkf(MODEL, EkfSettings(augment=augment, rate_noise=1e-4, parameter_error=1e-4), noise=NOISE)
+    truth = np.array(start, dtype=float)
+    estimate, lowest = ekf.first(truth), 1.0
+    for k in range(600_000):
+        truth = MODEL.step(truth, 0.0) if start == SWING else truth
+        estimate = ekf.step(estimate, 0.0, truth[[0, 1, 4]])
+        if k % 5000 == 0:
+            p, s = ekf.covariance(estimate), estimate.sigmas
+            lowest = min(lowest, float(np.linalg.eigvalsh(p / np.outer(s, s)).min()))
+    sys.stdout.write(f"\nleast eigenvalue of the correlations {lowest:.2e}\n")
+    assert lowest > 1e-12
+
+
+def test_a_hundred_healthy_runs_raise_no_alarm():
+    for augment in ((), ("zeros",)):
+        ekf = CompiledEkf(MODEL, EkfSettings(augment=augment), noise=NOISE)
+        watch, largest = Watch(ekf, WatchSettings(), noise=NOISE, period=1e-3), 0.0
+        for seed in range(100):
+            random = np.random.default_rng(seed)
+            start = (*random.uniform(-3, 3, 2), *random.uniform(-6, 6, 2), 0.0, 0.0)
+            frequency, amplitude = random.uniform(0.5, 10), random.uniform(0, 3)
+            flown = run(10, seed=seed, frequency=frequency, amplitude=amplitude, start=start)
+            health, estimate = watch.begin(), ekf.first(np.array(start))
+            for k, command in enumerate(flown.commands.tolist()):
+                measured = flown.measured(k)
+                estimate = ekf.step(estimate, command, measured) if k else ekf.update(estimate, measured)
+                health = watch.seen(health, estimate, measured)
+                largest = max(largest, health.mean)
+                assert health.verdict is Verdict.CONSISTENT, (seed, k, health.reason)
+        sys.stdout.write(f"\nlargest mean NIS per position {largest:.3f}, bound {watch.bound:.3f}\n")
+
+
+def test_consistency_by_extras_and_by_resolution():
+    commands = 0.5 * np.sin(2.5e-3 * np.arange(6000))
+    first = np.array(SWING)
+    for augment in EXTRAS:
+        program = EkfProgram(MODEL, EkfSettings(augment=augment))
+        found = simulated_consistency(program, NOISE, first=first, commands=commands, runs=200, seed=1)
+        sys.stdout.write(f"\n{'+'.join(augment):28s} NIS {found.nis_inside_95:.4f}  NEES {found.nees_inside_95:.4f}")
+        assert 0.93 <= found.nis_inside_95 <= 0.97
+        assert 0.93 <= found.nees_inside_95 <= 0.97
+    program = EkfProgram(MODEL, EkfSettings())
+    sys.stdout.write("\ncounts   NIS inside  NEES inside  mean NIS  mean NEES\n")
+    for counts in (500, 1000, 4000, 10_000, 40_000, 400_000):
+        share = 40_000 / counts
+        steps = np.array([COUNT * share, COUNT * share, 1e-6])
+        noise = encoder_noise(2, counts=counts, cart_resolution=1e-6)
+        found = simulated_consistency(program, noise, first=first, commands=commands, runs=100, seed=1, steps=steps)
+        sys.stdout.write(
+            f"{counts:7d}  {found.nis_inside_95:10.4f}  {found.nees_inside_95:11.4f}  {found.mean_nis:8.3f}  "
+            f"{found.mean_nees:9.3f}\n"
+        )
+        assert found.mean_nis == pytest.approx(3.0, rel=0.05)
