@@ -43,7 +43,7 @@ def blueprint(motion: Motion, context: ReviewContext, *, from_log: bool) -> rrb.
         checks.append(plot("Energy and saddles (J)", "/plots/energy", legend=corner, shown=ranges.get("energy")))
     planes = [plane_view(motion, context, arm, "/phase_planes") for arm in range(min(motion.arms, 2))]
     texts: list[rrb.View] = [rrb.TextDocumentView(name="Summary", origin="/summary")]
-    if from_log:
+    if motion.events:
         columns = rrb.TextLogColumns(text_log_columns=["loglevel", "body"])
         texts.append(rrb.TextLogView(name="Events", origin="/rosout", columns=columns))
     middle = [*plots]
@@ -105,9 +105,8 @@ def plane_view(
 ) -> rrb.View:
     """Return the view of an arm's phase plane, in its own box or in one that is given."""
     box = box or bounds(motion, context, arm)
-    tubes = "; tubes from an orbit red, to it green" if context.tubes and not name else ""
     return rrb.Spatial2DView(
-        name=name or f"Arm {arm + 1}: rate (rad/s) over angle{tubes}",
+        name=name or f"Arm {arm + 1}: rate over angle",
         origin=f"{home}/arm_{arm + 1}",
         visual_bounds=rrb.VisualBounds2D(x_range=box[:2], y_range=box[2:]),
         background=PAPER,

@@ -34,7 +34,7 @@ def legend(axes: Axes, entries: list[tuple[str, dict]]) -> None:
     axes.legend(
         handles=handles,
         loc="lower right",
-        bbox_to_anchor=(1.005, 0.985),
+        bbox_to_anchor=(1.005, 1.0),
         ncols=len(handles),
         fontsize=SMALL,
         frameon=False,
@@ -42,7 +42,7 @@ def legend(axes: Axes, entries: list[tuple[str, dict]]) -> None:
         columnspacing=1.1,
         handletextpad=0.5,
         borderpad=0,
-        borderaxespad=0.25,
+        borderaxespad=0.1,
     )
 
 

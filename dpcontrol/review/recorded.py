@@ -6,7 +6,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from dpcontrol.review import style
+from dpcontrol.review import series, style
 from dpcontrol.review.context import Stay
 from dpcontrol.review.motion import Motion
 
@@ -16,6 +16,8 @@ TIMELINE = "message_log_time"
 """The timeline of the log's own messages, a duration from the start; derived series go on the same."""
 TRACE_RATE = 50.0
 """Hz at which poses and places are recorded: enough for the eye."""
+BINS = 30_000
+"""A curve of more than three times as many points is recorded by its least and greatest in each of so many."""
 ON_THE_WAY = "on the way"
 
 
@@ -30,9 +32,10 @@ def line(colour: str, name: str, *, width: float = 1.3) -> rr.SeriesLines:
 
 
 def curve(recording: rr.RecordingStream, path: str, *, time: Array, values: Array, look: rr.SeriesLines) -> None:
-    """Record a series (K,) under a path."""
+    """Record a series (K,) under a path; of a long one the telling points, for the log keeps all."""
     recording.log(path, look, static=True)
-    recording.send_columns(path, indexes=times(time), columns=rr.Scalars.columns(scalars=values))
+    rows = series.telling_rows(values, bins=BINS)
+    recording.send_columns(path, indexes=times(time[rows]), columns=rr.Scalars.columns(scalars=values[rows]))
 
 
 def level(recording: rr.RecordingStream, path: str, motion: Motion, *, value: float, colour: str, name: str) -> None:
@@ -48,8 +51,9 @@ def band(
     look = rr.Measurements.from_fields(names=[name], colors=[style.rgb(colour)], widths=[1.0])
     recording.log(path, look, static=True)
     # The viewer's band is one standard deviation of what it is given.
-    columns = rr.Measurements.columns(values=values, variances=reach**2)
-    recording.send_columns(path, indexes=times(time), columns=columns)
+    rows = series.telling_rows(values, bins=BINS)
+    columns = rr.Measurements.columns(values=values[rows], variances=reach[rows] ** 2)
+    recording.send_columns(path, indexes=times(time[rows]), columns=columns)
 
 
 def states(

@@ -78,15 +78,21 @@ def mode_name(number: float) -> str:
 
 def thinned(time: Array, values: Array, *, bins: int = 1500) -> tuple[Array, Array]:
     """Return a curve that looks the same with at most two points, the least and the greatest, in each of `bins`."""
-    size = len(time) // bins
-    if size < 3:
-        return time, values
-    kept = len(time) // size * size
-    known = np.isfinite(values[:kept]).reshape(-1, size)
-    block = np.where(known, values[:kept].reshape(-1, size), 0.0)
-    ends = np.sort(np.stack([block.argmin(axis=1), block.argmax(axis=1)], axis=1), axis=1)
-    chosen = np.unique(np.concatenate([(ends + size * np.arange(len(block))[:, None]).ravel(), [len(time) - 1]]))
+    chosen = telling_rows(values, bins=bins)
     return time[chosen], values[chosen]
+
+
+def telling_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
+    """Return the rows of the least and the greatest of values (N,) in each of `bins`, and the last; all where few."""
+    size = len(values) // bins
+    if size < 3:
+        return np.arange(len(values))
+    kept = len(values) // size * size
+    block = values[:kept].reshape(-1, size)
+    if not np.isfinite(block).all():
+        block = np.where(np.isfinite(block), block, 0.0)
+    ends = np.sort(np.stack([block.argmin(axis=1), block.argmax(axis=1)], axis=1), axis=1)
+    return np.unique(np.concatenate([(ends + size * np.arange(len(block))[:, None]).ravel(), [len(values) - 1]]))
 
 
 def curve(motion: Motion, values: Array) -> tuple[Array, Array]:

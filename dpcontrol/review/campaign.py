@@ -1,0 +1,209 @@
+"""A campaign's table, one row for each run, and what it says: shares of success, failures by symbol and reason.
+
+Shares come with Wilson's 95 % interval (`lab.statistics`). Only `completed` must be there; other columns are used where
+they are known: itinerary, controller, estimator, mismatch, symbols_completed, symbols_total, reason, ending,
+rms_tracking_error (rad), max_cart_position (m). Further columns are left alone.
+"""
+
+import re
+from collections import Counter
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.lab.statistics import Share, wilson
+
+_WHAT = ("itinerary", "controller", "estimator")
+_BINS = 6
+_NUMBER = re.compile(r"[-+]?\d[\d.,]*(?:e[-+]?\d+)?")
+_MOST_LETTERS = 90
+
+
+@dataclass(frozen=True)
+class Group:
+    """Runs that share what `names` says, by column, and how many of them completed."""
+
+    names: dict[str, str]
+    share: Share
+
+    @property
+    def label(self) -> str:
+        """The names as one line."""
+        return " · ".join(self.names.values()) or "all runs"
+
+
+@dataclass(frozen=True)
+class LevelShare:
+    """Runs of a group whose mismatch lies between two bounds."""
+
+    label: str
+    low: float
+    high: float
+    share: Share
+
+
+@dataclass(frozen=True, eq=False)
+class CampaignSummary:
+    """What a campaign's table says.
+
+    Attributes:
+        path: of the table.
+        runs: rows whose outcome is known. unknown: other rows.
+        share: of all runs.
+        groups: by itinerary, controller and estimator as far as these differ.
+        levels: by group and mismatch; empty where it does not vary.
+        failed_symbols: (group, symbol from 1, how many runs failed at it), symbol 0 where that is not known.
+        reasons: how many runs failed for each reason, the most frequent first; numbers in it are left out.
+        spreads: by column, values of runs that completed and of those that did not.
+    """
+
+    path: Path
+    runs: int
+    unknown: int
+    share: Share
+    groups: tuple[Group, ...]
+    levels: tuple[LevelShare, ...]
+    failed_symbols: tuple[tuple[str, int, int], ...]
+    reasons: tuple[tuple[str, int], ...]
+    spreads: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
+
+    @property
+    def status(self) -> str:
+        """The result in one line."""
+        share, rest = self.share, f"; {self.unknown} without a verdict" if self.unknown else ""
+        chance = f"{share.rate:.1%} ({share.low:.1%} to {share.high:.1%} with 95 % confidence)"
+        return f"{share.successes} of {share.runs} runs completed: {chance}{rest}"
+
+
+def campaign_summary(path: Path) -> CampaignSummary:
+    """Return what a campaign's Parquet table says.
+
+    Raises:
+        InputError: there is no such file, it is no Parquet table, holds no runs, or does not say which completed.
+    """
+    columns = _columns(Path(path))
+    if "completed" not in columns:
+        found = ", ".join(sorted(columns)) or "no columns"
+        raise InputError(
+            f"{path} does not say which runs completed: it has {found}; give a table of `dpcontrol campaign`"
+        )
+    outcome = [None if v is None or v != v else bool(v) for v in columns["completed"]]
+    rows = [k for k, done in enumerate(outcome) if done is not None]
+    if not rows:
+        raise InputError(f"{path} holds no runs with a verdict; run the campaign again")
+    table = {name: [values[k] for k in rows] for name, values in columns.items()}
+    done = np.array([bool(outcome[k]) for k in rows])
+    varied = [name for name in _WHAT if name in table and len(set(table[name])) > 1]
+    keys = [tuple(str(table[name][k]) for name in varied) for k in range(len(rows))]
+    groups = tuple(
+        Group(dict(zip(varied, key, strict=True)), _share(done, [k == key for k in keys])) for key in sorted(set(keys))
+    )
+    labels = [" · ".join(key) or "all runs" for key in keys]
+    return CampaignSummary(
+        path=Path(path),
+        runs=len(rows),
+        unknown=len(outcome) - len(rows),
+        share=wilson(int(done.sum()), len(done)),
+        groups=groups,
+        levels=_levels(table, labels, done),
+        failed_symbols=_symbols(table, labels, done),
+        reasons=_reasons(table, done),
+        spreads=_spreads(table, done),
+    )
+
+
+def _columns(path: Path) -> dict[str, list[Any]]:
+    # pyarrow takes a third of a second to import.
+    import pyarrow
+    import pyarrow.parquet
+
+    if not path.is_file():
+        raise InputError(f"there is no campaign {path}")
+    try:
+        return pyarrow.parquet.read_table(path).to_pydict()
+    except (pyarrow.ArrowException, OSError, ValueError) as error:
+        reason = str(error).splitlines()[0]
+        raise InputError(f"{path} is no Parquet table, or is damaged: {reason}; run the campaign again") from error
+
+
+def _share(done: NDArray[np.bool_], chosen: Any) -> Share:
+    picked = done[np.asarray(chosen, dtype=bool)]
+    return wilson(int(picked.sum()), len(picked))
+
+
+def _numbers(table: dict[str, list[Any]], name: str) -> NDArray[np.float64] | None:
+    """Return a column as numbers, nan where there is none, or None where it has no numbers."""
+    try:
+        values = np.array([np.nan if v is None else float(v) for v in table.get(name, [])])
+    except (TypeError, ValueError):
+        return None
+    return values if np.isfinite(values).any() else None
+
+
+def _levels(table: dict[str, list[Any]], labels: list[str], done: NDArray[np.bool_]) -> tuple[LevelShare, ...]:
+    mismatch = _numbers(table, "mismatch")
+    if mismatch is None or len(np.unique(mismatch[np.isfinite(mismatch)])) < 2:
+        return ()
+    known = np.unique(mismatch[np.isfinite(mismatch)])
+    if len(known) <= 2 * _BINS:
+        spans = [(float(v), float(v)) for v in known]
+    else:
+        edges = np.unique(np.quantile(mismatch[np.isfinite(mismatch)], np.linspace(0, 1, _BINS + 1)))
+        spans = [(float(a), float(np.nextafter(b, -np.inf))) for a, b in pairwise(edges)]
+        spans[-1] = (spans[-1][0], float(edges[-1]))
+    found = []
+    for label in sorted(set(labels)):
+        mine = np.array([text == label for text in labels])
+        for low, high in spans:
+            chosen = mine & (mismatch >= low) & (mismatch <= high)
+            if chosen.any():
+                found.append(LevelShare(label, low, high, _share(done, chosen)))
+    return tuple(found)
+
+
+def _symbols(
+    table: dict[str, list[Any]], labels: list[str], done: NDArray[np.bool_]
+) -> tuple[tuple[str, int, int], ...]:
+    reached = _numbers(table, "symbols_completed")
+    total = _numbers(table, "symbols_total")
+    counts: Counter[tuple[str, int]] = Counter()
+    for k in np.flatnonzero(~done):
+        symbol = 0
+        if reached is not None and np.isfinite(reached[k]):
+            symbol = int(reached[k]) + 1
+            # All symbols done, but not held to the end, wraps or limits: it failed after the last.
+            if total is not None and np.isfinite(total[k]):
+                symbol = min(symbol, int(total[k]) + 1)
+        counts[labels[k], symbol] += 1
+    return tuple((label, symbol, count) for (label, symbol), count in sorted(counts.items()))
+
+
+def _reasons(table: dict[str, list[Any]], done: NDArray[np.bool_]) -> tuple[tuple[str, int], ...]:
+    texts = table.get("reason") or table.get("ending") or [""] * len(done)
+    counts = Counter(_plain(str(texts[k] or "not said")) for k in np.flatnonzero(~done))
+    return tuple(counts.most_common())
+
+
+def _plain(reason: str) -> str:
+    """Return a reason without its numbers and with its last part only, which says how it came about."""
+    parts = [part.strip() for part in reason.split(";")]
+    text = parts[-1].split(": ", 1)[-1] if len(parts) > 1 else parts[0]
+    text = _NUMBER.sub("…", text)
+    return text if len(text) <= _MOST_LETTERS else text[: _MOST_LETTERS - 1] + "…"
+
+
+def _spreads(
+    table: dict[str, list[Any]], done: NDArray[np.bool_]
+) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+    found = {}
+    for name in ("max_cart_position", "rms_tracking_error"):
+        values = _numbers(table, name)
+        if values is not None:
+            known = np.isfinite(values)
+            found[name] = (values[known & done], values[known & ~done])
+    return found
