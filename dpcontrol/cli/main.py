@@ -34,6 +34,7 @@ VERBS = {
     "import": "Import a recording of the bench as a log.",
     "identify": "Identify a model from recordings of the bench.",
     "replay": "Predict a recording by a model, and run an estimator over it.",
+    "report": "Write one page of a log or of a campaign.",
     "figures": "Draw the paper's computational figures, with captions.",
 }
 
