@@ -23,6 +23,8 @@ RUN_OPTIONS: dict[str, tuple[type, str]] = {
     "delay": (float, "From reading to acting, in periods; may be a fraction."),
     "lag": (float, "Time constant of the drive's velocity loop, s; the model knows nothing of it."),
     "cart_mass": (float, "Of the cart, kg: the arms then push it about."),
+    "acceleration": (float, "Limit of the drive, m/s²; the scene's own by default."),
+    "acceleration": (float, "Limit of the drive, m/s²; the scene's own by default."),
     "jerk": (float, "Limit of the drive, m/s³."),
     "command_noise": (float, "Standard deviation of noise on the command, m/s²."),
     "response": (float, "Share of a command that the drive gives."),

@@ -112,6 +112,17 @@ class Session(Protocol):
         ...
 
 
+class ManySession(Protocol):
+    """A controller during many runs in lockstep; what it gives for one run is what its `Session` gives, to the bit."""
+
+    def commands(self, tick: int, states: Array, extras: Array) -> tuple[float | Array, Array, Array]:
+        """Return feedforward (a number or (S,)) and feedback (S,) in m/s², and the reference (N,) of this tick.
+
+        states (N, S): those expected at the tick; extras (E, S).
+        """
+        ...
+
+
 class Controller(Protocol):
     """A control law, ready made for one reference and model."""
 

@@ -1,0 +1,173 @@
+"""dpcontrol campaign"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dpcontrol.cli.output import checked_suffix, json_option, print_json, print_table, progress_bar, reports_failure
+from dpcontrol.cli.run_options import RUN_OPTIONS, run_options
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.tables import suggest
+
+if TYPE_CHECKING:
+    from dpcontrol.lab.statistics import Share
+    from dpcontrol.scenes.campaign import Campaign, CaseResult
+    from dpcontrol.scenes.standard import StandardScore
+
+SHOWN = 10
+"""Failures that are listed for people; all of them are in the file."""
+
+
+class _Values(click.ParamType):
+    """NAME=V1,V2,…: a run setting and the values it takes."""
+
+    name = "name=v1,v2,…"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> tuple[str, list[Any]]:
+        name, equals, values = str(value).partition("=")
+        name = name.strip().replace("-", "_")
+        if not equals or not all(v.strip() for v in values.split(",")):
+            self.fail(f"{value!r} is not NAME=VALUE,VALUE,…, as in mismatch=0.05,0.1", param, ctx)
+        if name not in RUN_OPTIONS:
+            self.fail(f"{name!r} is no run setting: {suggest(name, RUN_OPTIONS)}", param, ctx)
+        kind, out = RUN_OPTIONS[name][0], []
+        for text in values.split(","):
+            try:
+                out.append(kind(text.strip()))
+            except ValueError:
+                self.fail(f"{text.strip()!r} is no value for {name}", param, ctx)
+        return name, out
+
+
+@click.command("campaign", epilog="Example:  dpcontrol campaign outer-turn --runs 200 --mismatch 0.05 --lag 0.005")
+@click.argument("itinerary")
+@click.option("--runs", type=click.IntRange(min=1), default=100, show_default=True, help="Seeds for each case.")
+@click.option("--seed-from", type=click.IntRange(min=0), default=0, show_default=True, help="First seed.")
+@click.option("--over", type=_Values(), multiple=True, help="Vary a run setting: one case for each value.")
+@click.option("--standard", is_flag=True, help="The robustness score: nine kinds of trouble, 21 levels each.")
+@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Table to write [logs/NAME.parquet].")
+@click.option(
+    "--path", "how", type=click.Choice(["compiled", "ticks"]), default="compiled", show_default=True,
+    help="Many seeds in lockstep, or the loop itself.",
+)  # fmt: skip
+@click.option("--workers", type=click.IntRange(min=0), default=0, help="Processes [one for each processor].")
+@click.option("--scheduler", default="", metavar="ADDRESS", help="Run on this Dask cluster, as tcp://host:8786.")
+@run_options
+@json_option
+@reports_failure
+def command(
+    *,
+    itinerary: str,
+    runs: int,
+    seed_from: int,
+    over: Sequence[tuple[str, list[Any]]],
+    standard: bool,
+    out: Path | None,
+    how: str,
+    workers: int,
+    scheduler: str,
+    as_json: bool,
+    **overrides: Any,
+) -> None:
+    """Run an itinerary with many seeds and say how often it is completed.
+
+    Every case runs the same seeds. Interrupted, it goes on where it was when started again. A failure's seed, given to
+    `dpcontrol run --seed` with the same settings, replays it. `--standard` takes every controller of
+    `--over controller=…`, or the scene's own.
+    """
+    from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign
+    from dpcontrol.scenes.itinerary import load_itinerary
+    from dpcontrol.scenes.standard import standard_cases, standard_scores
+
+    scene = load_itinerary(itinerary)
+    file = out or Path("logs") / f"{scene.name}.parquet"
+    checked_suffix(file, ".parquet", option="--out")
+    settings = CampaignSettings(runs=runs, first_seed=seed_from, path=how, workers=workers, scheduler=scheduler)
+    varied = dict(over)
+    if len(varied) != len(over):
+        raise InputError("--over: the same setting is given twice; list its values in one, separated by commas")
+    if standard:
+        own = overrides.pop("controller") or scene.loop.controller.kind
+        controllers = varied.pop("controller", [own])
+        if varied:
+            raise InputError(f"--over {next(iter(varied))}: with --standard only controllers can be varied")
+        cases = standard_cases(scene, fixed=overrides, controllers=controllers)
+    else:
+        cases = cases_of(scene, fixed=overrides, over=varied)
+    with progress_bar("campaign") as progress:
+        found = run_campaign(scene, cases, file, settings=settings, progress=progress)
+    scores = standard_scores(found.results) if standard else ()
+    if as_json:
+        print_json(_document(found, scores))
+    else:
+        _print(found, scores)
+
+
+def _share(share: "Share") -> dict[str, Any]:
+    return {
+        "runs": share.runs,
+        "completed": share.successes,
+        "success_rate": share.rate,
+        "wilson_95": [share.low, share.high],
+    }
+
+
+def _failures(result: "CaseResult") -> list[dict[str, Any]]:
+    kept = ("seed", "symbol", "reason", "ending", "replays")
+    return [{key: row[key] for key in kept} for row in result.failures]
+
+
+def _document(found: "Campaign", scores: Sequence["StandardScore"]) -> dict[str, Any]:
+    cases = [
+        {"case": r.case.label, **dict(r.case.values), **_share(r.completed), "failures": _failures(r)}
+        for r in found.results
+    ]
+    # With one case its figures are the campaign's; with several those of all runs together.
+    return {
+        "itinerary": found.itinerary,
+        **_share(found.completed),
+        "failures": [{**f, "case": c["case"]} for c in cases for f in c["failures"]],
+        "cases": cases,
+        "pairs": [
+            {"first": a, "second": b, "only_first": p.only_first, "only_second": p.only_second, "p_value": p.p_value}
+            for a, b, p in found.pairs
+        ],
+        "standard": [
+            {"controller": s.controller, "score": s.total, "kinds": {k: _share(v) for k, v in s.kinds.items()}}
+            for s in scores
+        ],
+        "seconds": found.seconds,
+        "simulated_seconds": found.simulated_seconds,
+        "file": str(found.file),
+    }
+
+
+def _percent(share: "Share") -> tuple[str, str]:
+    return f"{100 * share.rate:.1f} %", f"{100 * share.low:.1f} … {100 * share.high:.1f} %"
+
+
+def _print(found: "Campaign", scores: Sequence["StandardScore"]) -> None:
+    if scores:
+        kinds = list(scores[0].kinds)
+        rows = [[s.controller, f"{s.total:.3f}", *(f"{s.kinds[k].rate:.2f}" for k in kinds)] for s in scores]
+        print_table(f"Robustness of {found.itinerary}", ["controller", "score", *kinds], rows)
+    else:
+        rows = [
+            [r.case.label, f"{r.completed.successes} of {r.completed.runs}", *_percent(r.completed)]
+            for r in found.results
+        ]
+        print_table(f"Campaign of {found.itinerary}", ["case", "completed", "share", "95 % (Wilson)"], rows)
+        for first, second, pair in found.pairs:
+            print(
+                f"  same seeds: only {first!r} completed {pair.only_first}, only {second!r} {pair.only_second} "
+                f"(McNemar p = {pair.p_value:.2g})"
+            )
+        failures = [f for r in found.results for f in _failures(r)]
+        for failure in failures[:SHOWN]:
+            print(f"  seed {failure['seed']}: {failure['reason']}")
+        if len(failures) > SHOWN:
+            print(f"  … and {len(failures) - SHOWN} more in the file")
+    pace = found.simulated_seconds / max(found.seconds, 1e-9)
+    print(f"{found.file}  ({found.simulated_seconds:.0f} s simulated in {found.seconds:.1f} s, {pace:.0f} × real time)")

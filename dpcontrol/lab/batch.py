@@ -1,0 +1,249 @@
+"""Many seeds of one run in lockstep: what campaigns are made of.
+
+Plant, filter and prediction are the same machine code as in the loop, called for one tick of all runs at once; what
+lies between is the same arithmetic in the same order, on arrays (…, S). A run comes out as the loop gives it, to the
+last bit; no events are kept, and what only the loop can do is left to it (`can_batch`).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.control.compiled_ekf import EkfProgram, restarted
+from dpcontrol.control.ekf import nis_band
+from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.interface import Controller, ManySession
+from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.lab.batch_bench import BatchBench
+from dpcontrol.lab.batch_watch import BatchPath, BatchWatch
+from dpcontrol.lab.draw import draw_bench
+from dpcontrol.lab.loop import LoopSettings, sampled_model
+from dpcontrol.lab.result import Ending, LoopResult
+from dpcontrol.references.problem import Limits
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class BatchRun:
+    """One run of K ticks: what it is judged by, and a few of its figures.
+
+    times (K,) s; truth, references (K, 2n+2); applied (K,) m/s²; ending and why. SI units.
+    """
+
+    times: Array
+    truth: Array
+    references: Array
+    applied: Array
+    ending: Ending
+    reason: str
+    nis_inside_95: float
+    rms_feedback: float
+
+    @classmethod
+    def of(cls, result: LoopResult) -> "BatchRun":
+        """Return what the loop gave, in the same form.
+
+        Raises:
+            InputError: the true states of the run are not known.
+        """
+        ticks = result.ticks
+        if ticks.truth is None:
+            raise InputError("the true states are not known, so the run cannot be judged; run it in simulation")
+        return cls(
+            ticks.times, ticks.truth, ticks.references, ticks.control[:, 3], result.ending, result.reason,
+            result.nis_inside_95, result.rms_feedback,
+        )  # fmt: skip
+
+
+def can_batch(settings: LoopSettings, controller: Controller) -> bool:
+    """Tell whether runs with these settings can go in lockstep: the compiled filter, no failing sensor, no fallback."""
+    sensors = settings.sensors
+    faults = sensors.missed_counts or sensors.dropout or sensors.jitter or np.isfinite(sensors.stuck_at)
+    return (
+        isinstance(settings.estimator, EkfSettings)
+        and not faults
+        and not settings.supervisor.resynchronise
+        and hasattr(controller, "begin_many")
+    )
+
+
+def run_batch(
+    parameters: ArmChainParameters,
+    *,
+    settings: LoopSettings,
+    seeds: Sequence[int],
+    controller: Controller,
+    limits: Limits,
+) -> list[BatchRun]:
+    """Run the seeds and return them in their order; `parameters` are the model's, `limits` the cart's in these runs.
+
+    Raises:
+        InputError: the settings ask for what `can_batch` refuses.
+    """
+    if not can_batch(settings, controller):
+        raise InputError("these runs cannot go in lockstep; run them tick by tick, --path ticks")
+    return _Lockstep(parameters, settings, list(seeds), controller, limits).run()
+
+
+class _Lockstep:
+    """The runs of one batch."""
+
+    def __init__(
+        self,
+        parameters: ArmChainParameters,
+        settings: LoopSettings,
+        seeds: list[int],
+        controller: Controller,
+        limits: Limits,
+    ) -> None:
+        self.settings, self.controller, self.limits = settings, controller, limits
+        self.period, self.runs, self.count = 1 / settings.rate, len(seeds), controller.ticks + 1
+        self.arms = arms = parameters.count
+        session: ManySession = controller.begin_many(self.runs)  # type: ignore[attr-defined]
+        self.session = session
+        draws = [
+            draw_bench(
+                parameters, settings.bench, seed=seed, ticks=self.count, period=self.period,
+                mismatch=settings.mismatch, initial_error=settings.initial_error,
+            )
+            for seed in seeds
+        ]  # fmt: skip
+        program = EkfProgram(sampled_model(parameters, settings.rate), settings.estimator)
+        self.program = program
+        self.inputs = program.inputs(settings.sensors.covariance(arms), runs=self.runs)
+        self.outputs = np.empty((program.step.size_out, self.runs))
+        first = controller.first_state
+        self.memory = program.first(np.repeat(first[:, None], self.runs, axis=1))
+        self.ahead_inputs = np.zeros((program.ahead.size_in, self.runs))
+        for name, value in (("parameters", program.model.parameters), ("process", program.process)):
+            self.ahead_inputs[program.ahead.slices[name]] = value[:, None]
+        self.predicted = np.empty((program.ahead.size_out, self.runs))
+        self.path = BatchPath(limits, delay=settings.drive.delay, period=self.period, runs=self.runs)
+        states, extras = self._of(self.memory)
+        self.wanted = np.empty((self.count + self.path.lead, len(first)))
+        queued = []
+        for k in range(self.path.lead):
+            forward, back, self.wanted[k] = session.commands(k, states, extras)
+            queued.append(forward + back)
+        self.path.start(queued, velocity=float(first[-1]))
+        self.bench = BatchBench(draws, settings.bench, limits=limits, start=first, queued=queued)
+        rate_noise = [d.rate_noise for d in draws if d.rate_noise is not None]
+        self.rate_noise = np.stack(rate_noise, axis=2) if rate_noise else None
+        self.watch = BatchWatch(settings, limits, runs=self.runs)
+
+    def _of(self, memory: Array) -> tuple[Array, Array]:
+        """Return states (N, S) and extras (E, S) of estimates."""
+        n = self.program.model.dimension
+        return memory[:n], memory[n : self.program.out["z"].stop]
+
+    def _estimated(self, k: int, acted: Array, positions: Array) -> tuple[Array, Array]:
+        """Return each run's NIS, infinite where the filter failed, and how many positions it holds."""
+        where, out, inputs = self.program.slices, self.program.out, self.inputs
+        inputs[where["memory"]] = self.memory
+        inputs[where["command"]] = acted
+        inputs[where["measured"]] = positions
+        (self.program.step if k else self.program.update)(inputs, self.outputs)
+        nis = self.outputs[out["nis"]][0]
+        sound = (nis >= 0) & (nis < np.inf)
+        if sound.all():
+            self.memory[:] = self.outputs[out["memory"]]
+            return nis, self.outputs[out["used"]][0]
+        # The loop keeps the estimate before it failed.
+        self.memory[:, sound] = self.outputs[out["memory"]][:, sound]
+        return np.where(sound, nis, np.inf), np.where(sound, self.outputs[out["used"]][0], 1.0)
+
+    def _ahead(self, k: int) -> Array:
+        """Return the states (N, S) for which the commands of tick k are computed."""
+        z = self.memory[: self.program.out["z"].stop]
+        rows = slice(0, len(z))
+        for command in self.path.on_their_way():
+            self.ahead_inputs[rows] = z
+            self.ahead_inputs[len(z)] = command
+            z = self.program.ahead(self.ahead_inputs, self.predicted)
+        states = z[: self.program.model.dimension]
+        if self.rate_noise is None:
+            return states
+        noisy = states.copy()
+        noisy[self.arms : 2 * self.arms] += self.rate_noise[k]
+        return noisy
+
+    def run(self) -> list[BatchRun]:
+        """Run to the last tick, or until every run has ended."""
+        n, arms, lead, watch, path, bench = (
+            len(self.wanted[0]),
+            self.arms,
+            self.path.lead,
+            self.watch,
+            self.path,
+            self.bench,
+        )
+        truth = np.empty((self.count, n, self.runs))
+        applied, feedbacks, nis_rows = (np.empty((self.count, self.runs)) for _ in range(3))
+        acted = np.zeros(self.runs)
+        done = self.count
+        with np.errstate(all="ignore"):
+            for k in range(self.count):
+                positions, switch = bench.read(k)
+                nis, used = self._estimated(k, acted, positions)
+                states, extras = self._of(self.memory)
+                ahead = self._ahead(k)
+                forward, back, self.wanted[k + lead] = self.session.commands(k + lead, ahead, extras)
+                error = np.abs(states[:arms] - self.wanted[k, :arms, None]).max(axis=0)
+                stopped, restarts = watch.judge(
+                    k, error=error, nis=nis, used=used, position=states[n - 2], velocity=states[n - 1],
+                    switch=switch, fault=bench.failed,
+                )  # fmt: skip
+                feedback = back
+                if restarts is not None:
+                    for lane in restarts:
+                        memory, _ = restarted(self.program, states[:, lane].copy(), positions[:, lane])
+                        self.memory[:, lane] = memory
+                if stopped is not None:
+                    # What was sent and what the cart does differ by noise; see `ControlLoop`.
+                    trusted = stopped[watch.trusts(stopped)]
+                    path.velocity[trusted] = ahead[n - 1, trusted]
+                command = forward + back
+                if watch.any_braking:
+                    braking = watch.braking
+                    command = np.where(braking, path.braking(), command)
+                    feedback = np.where(braking, command, back)
+                    watch.brake(k, path.velocity)
+                path.send(command)
+                bench.command(k, command)
+                acted = path.acted(self.memory[n - 1])
+                truth[k], applied[k], feedbacks[k], nis_rows[k] = bench.truth, acted, feedback, nis
+                watch.ended(k, bench.faults)
+                if watch.all_ended:
+                    done = k + 1
+                    break
+        return self._results(done, truth, applied, feedbacks, nis_rows)
+
+    def _results(self, done: int, truth: Array, applied: Array, feedbacks: Array, nis: Array) -> list[BatchRun]:
+        times = np.asarray(np.arange(self.count) * self.period, dtype=np.float64)
+        low, high = nis_band(self.arms + 1)
+        out = []
+        for lane in range(self.runs):
+            count = min(self.watch.counts[lane], done)
+            references = self.wanted[:count].copy()
+            since = self.watch.stopped_at[lane]
+            if since < count:
+                references[since:] = references[since]
+            seen = nis[:count, lane]
+            finite = np.isfinite(seen)
+            out.append(
+                BatchRun(
+                    times[:count],
+                    np.ascontiguousarray(truth[:count, :, lane]),
+                    references,
+                    applied[:count, lane].copy(),
+                    self.watch.endings[lane],
+                    self.watch.reasons[lane],
+                    float(((seen >= low) & (seen <= high))[finite].mean()) if finite.any() else float("nan"),
+                    float(np.sqrt((feedbacks[:count, lane] ** 2).mean())),
+                )
+            )
+        return out

@@ -1,0 +1,174 @@
+"""Command paths and supervisors of many runs in lockstep: `CommandPath` and `Supervisor` on arrays (S,)."""
+
+import math
+from collections import deque
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dpcontrol.lab.control_loop import BRAKING, SETTLING
+from dpcontrol.lab.loop import LoopSettings, loop_supervisor
+from dpcontrol.lab.result import Ending
+from dpcontrol.lab.supervisor import Outcome, Supervisor
+from dpcontrol.references.problem import Limits
+
+Array = NDArray[np.float64]
+
+
+class BatchPath:
+    """The commands on their way in S runs; see `CommandPath`."""
+
+    def __init__(self, limits: Limits, *, delay: float, period: float, runs: int) -> None:
+        self._limits, self._period = limits, period
+        self.lead = round(delay)
+        whole = math.floor(delay)
+        self._share = delay - whole
+        self._sent: deque[Array] = deque([np.zeros(runs)] * (whole + 2), maxlen=whole + 2)
+        self.velocity = np.zeros(runs)
+        """The carts' velocities (S,) in m/s once all that was sent has acted."""
+
+    def start(self, commands: Sequence[ArrayLike], *, velocity: float) -> None:
+        """Fill the path with commands that are on their way, oldest first, the carts having `velocity` m/s."""
+        self.velocity = np.full_like(self.velocity, velocity)
+        for command in commands:
+            self.send(np.broadcast_to(command, self.velocity.shape))
+
+    def send(self, commands: Array) -> None:
+        """Take the commands (S,) that have just been computed."""
+        most, fastest = self._limits.acceleration, self._limits.velocity
+        clipped = np.minimum(np.maximum(commands, -most), most)
+        self._sent.append(clipped)
+        self.velocity = np.minimum(np.maximum(self.velocity + clipped * self._period, -fastest), fastest)
+
+    def braking(self) -> Array:
+        """Return the commands (S,) that brake the carts."""
+        most = BRAKING * self._limits.acceleration
+        return np.minimum(np.maximum(-self.velocity / self._period, -most), most)
+
+    def acted(self, velocities: Array) -> Array:
+        """Return what is believed to have acted in the period that ends, (S,)."""
+        sent, fastest = self._sent, self._limits.velocity
+        mean = sent[1] if not self._share else self._share * sent[0] + (1 - self._share) * sent[1]
+        low, high = (-fastest - velocities) / self._period, (fastest - velocities) / self._period
+        return np.minimum(np.maximum(mean, low), high)
+
+    def on_their_way(self) -> list[Array]:
+        """Return what will act in each of the `lead` periods from now on."""
+        sent = self._sent
+        newer = [sent[min(k + 1, len(sent) - 1)] for k in range(1, self.lead + 1)]
+        if not self._share:
+            return newer
+        return [self._share * sent[k] + (1 - self._share) * new for k, new in enumerate(newer, start=1)]
+
+
+class BatchWatch:
+    """The supervisors of S runs. Only where one has something to say is it asked itself, for its words."""
+
+    def __init__(self, settings: LoopSettings, limits: Limits, *, runs: int) -> None:
+        self._settings, self._limits, self._runs = settings, limits, runs
+        self._period = 1 / settings.rate
+        one = loop_supervisor(settings, limits)
+        self._one: Supervisor = one
+        self._error, self._nis = np.zeros(runs), np.zeros(runs)
+        self._restarts = np.zeros(runs, dtype=int)
+        self._alive = np.ones(runs, dtype=bool)
+        self._since = np.full(runs, np.inf)
+        self.braking = np.zeros(runs, dtype=bool)
+        """Which runs (S,) are being brought to rest."""
+        self.any_braking = False
+        self.counts = [2**62] * runs
+        """Ticks of each run that has ended."""
+        self.stopped_at = [2**62] * runs
+        """Tick at which each run was stopped."""
+        self.endings = [Ending.FINISHED] * runs
+        self.reasons = ["came to the reference's end"] * runs
+
+    @property
+    def all_ended(self) -> bool:
+        """Tell whether no run goes on."""
+        return not self._alive.any()
+
+    def judge(
+        self,
+        k: int,
+        *,
+        error: Array,
+        nis: Array,
+        used: Array,
+        position: Array,
+        velocity: Array,
+        switch: NDArray[np.bool_],
+        fault: NDArray[np.bool_] | None,
+    ) -> tuple[NDArray[np.intp] | None, list[int] | None]:
+        """Judge tick k; return which runs are to be stopped now and whose estimators are to be restarted."""
+        one = self._one
+        if fault is not None:
+            self._fail(k, fault)
+        going = self._alive & ~self.braking
+        mean_nis = self._nis + (nis / used - self._nis) * one.estimate_share
+        mean_error = self._error + (error - self._error) * one.tracking_share
+        bad = (
+            ~(mean_nis <= one.settings.lost_estimate) | ~np.isfinite(error) | (mean_error > one.settings.lost_tracking)
+        )
+        ahead = position + velocity * one.reaction
+        rest = np.abs(ahead + np.copysign(velocity * velocity / one.brake, velocity)) + one.settings.margin
+        bad |= (position * velocity >= 0) & (rest >= one.travel)
+        bad |= switch
+        bad &= going
+        before = (self._error, self._nis)
+        self._error, self._nis = mean_error, mean_nis
+        if not bad.any():
+            return None, None
+        stopped, restarted = [], []
+        for lane in np.flatnonzero(bad):
+            supervisor = loop_supervisor(self._settings, self._limits)
+            supervisor.error, supervisor.nis = float(before[0][lane]), float(before[1][lane])
+            supervisor.restarts = int(self._restarts[lane])
+            now = k * self._period
+            outcome, ending, why = supervisor.judge(
+                now, error=float(error[lane]), nis=float(nis[lane]), used=int(used[lane]),
+                position=float(position[lane]), velocity=float(velocity[lane]),
+            )  # fmt: skip
+            self._nis[lane], self._restarts[lane] = supervisor.nis, supervisor.restarts
+            if outcome is Outcome.CONTINUE and switch[lane]:
+                outcome, ending = Outcome.STOP, Ending.CART_STOP
+                why = f"cart at its stop at t = {now:.3f} s: a limit switch answered; allow more travel"
+            if outcome is Outcome.RESTART:
+                restarted.append(int(lane))
+            elif outcome is Outcome.STOP:
+                stopped.append(lane)
+                self.endings[lane], self.reasons[lane], self.stopped_at[lane] = ending, why, k
+        if stopped:
+            self.braking[stopped] = True
+            self._since[stopped] = k * self._period
+            self.any_braking = True
+        return np.array(stopped, dtype=np.intp) if stopped else None, restarted or None
+
+    def trusts(self, lanes: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Tell for which of these runs the estimate can still be trusted."""
+        return np.array([self.endings[lane] is not Ending.ESTIMATE_LOST for lane in lanes])
+
+    def brake(self, k: int, velocity: Array) -> None:
+        """Note which carts still move by the commands sent, `velocity` (S,) m/s, before tick k's."""
+        self._since[self.braking & (velocity != 0)] = k * self._period
+
+    def ended(self, k: int, faults: Mapping[int, str]) -> None:
+        """End the runs whose carts have stood long enough at tick k, and those that hit a stop."""
+        if self.any_braking:
+            over = self._alive & self.braking & (k * self._period > self._since + SETTLING)
+            if over.any():
+                for lane in np.flatnonzero(over):
+                    self.counts[lane] = k + 1
+                self._alive &= ~over
+        for lane, fault in faults.items():
+            if self._alive[lane] and self.endings[lane] is not Ending.CART_STOP:
+                self.endings[lane], self.reasons[lane], self.counts[lane] = Ending.CART_STOP, fault, k + 1
+                self._alive[lane] = False
+
+    def _fail(self, k: int, failed: NDArray[np.bool_]) -> None:
+        for lane in np.flatnonzero(failed & self._alive):
+            self.endings[lane] = Ending.PLANT_FAILED
+            self.reasons[lane] = f"plant failed at t = {k * self._period:.3f} s: its state is no longer finite"
+            self.counts[lane] = k
+            self._alive[lane] = False
