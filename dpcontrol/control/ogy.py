@@ -6,7 +6,7 @@
 Classic OGY aims the pulse so that the unstable direction vanishes at the next section, p_j = -(f·A_j ξ)/(f·B_j), f the
 left eigenvector of the map around the period at section j+1; nothing then holds the cart, and nothing makes up for a
 plant that differs from the model. The other law is linear-quadratic over all sections, cart included, and learns (see
-`section_law`). An encoder's count q grows to q λ in a period: at one section a period no pulse of either law is right.
+`section_law`). An error q grows to q λ in a period: at one section a period no pulse of either law is right.
 Source: Ott, Grebogi & Yorke, Controlling chaos, Physical Review Letters 64 (1990), 1196.
 """
 

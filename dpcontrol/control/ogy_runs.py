@@ -7,7 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.ogy import OgyController
-from dpcontrol.control.phase import PhaseTable
 from dpcontrol.dynamics.compiled import Compiled
 
 Array = NDArray[np.float64]
@@ -72,7 +71,7 @@ class OgyRuns:
         entries = np.rint(np.mod(clock + period / 2, table.period) / table.step).astype(int)
         feedforward = table.inputs[entries]
         self._sent = feedforward + feedback
-        return feedforward, feedback, (_states(table, clock) + self._lift).T
+        return feedforward, feedback, (table.states_at(clock) + self._lift).T
 
     def _cross(self, runs: NDArray[np.intp], section: NDArray[np.intp], late: Array, x: Array) -> None:
         law = self._law
@@ -86,7 +85,7 @@ class OgyRuns:
             )
         self._section[runs], self._elapsed[runs] = section, late
         self._foreseen[runs], self._flying[runs] = x, True
-        pulse = -(law.gains[section] * (x - _states(law.table, law.times[section] + late))).sum(1)
+        pulse = -(law.gains[section] * (x - law.table.states_at(law.times[section] + late))).sum(1)
         if law.learning is not None:
             pulse -= (law.learning.shifts[section] * self._guess[runs]).sum(1)
         self._pulse[runs] = np.clip(pulse, -law.pulse_limit, law.pulse_limit)
@@ -101,10 +100,3 @@ class OgyRuns:
         self._pulse[runs], self._flying[runs] = 0.0, False
         self._lift[runs, : turns.shape[1]] = turns
         self.missed[runs] += 1
-
-
-def _states(table: PhaseTable, times: Array) -> Array:
-    """Return states (S, N) at times (S,)."""
-    where = np.mod(times, table.period) / table.step
-    k = np.minimum(where.astype(int), len(table.states) - 2)
-    return table.states[k] + (where - k)[:, None] * (table.states[k + 1] - table.states[k])

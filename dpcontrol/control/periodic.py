@@ -87,6 +87,10 @@ class OrbitController:
         """Return a fresh session for one run."""
         return OrbitSession(self, 0, 0.0, np.zeros(len(self.first_state)))
 
+    def begin_many(self, count: int) -> "OrbitRuns":
+        """Return what answers `commands` for `count` runs in lockstep."""
+        return OrbitRuns(self, count)
+
     def join(self, tick: int, state: Array) -> "OrbitSession":
         """Return a session that starts at `tick` from `state` (N,), at the nearest phase and on its turns."""
         time, _, turns = self.table.nearest(state)
@@ -145,6 +149,29 @@ class OrbitSession:
         self._tick, self._time = tick, float(time)
         self._lift = np.concatenate([turns, np.zeros(len(state) - len(turns))])
         return f"clock of the orbit moved by {moved:+.4f} s"
+
+
+class OrbitRuns:
+    """`count` sessions of one controller in lockstep, all from its first state."""
+
+    def __init__(self, controller: OrbitController, count: int) -> None:
+        self._law = controller
+        self._tick = 0
+        self._times = np.zeros(count)
+
+    def commands(self, tick: int, states: Array, extras: Array | None = None) -> tuple[Array, Array, Array]:
+        """Return feedforwards (S,), feedbacks (S,) in m/s² and references (N, S) for `states` (N, S) at `tick`."""
+        law, table, x = self._law, self._law.table, states.T
+        self._times += (tick - self._tick) * law.period
+        self._tick = tick
+        count = len(law.gains)
+        if law.by_phase:
+            k = np.rint(self._times / table.step).astype(int) % count
+            late = ((x - table.states_at(self._times)) * law.normals[k]).sum(1)
+            self._times += np.clip(late, -law.period / 2, law.period / 2)
+        k = np.rint(self._times / table.step).astype(int) % count
+        wanted = table.states_at(self._times)
+        return law.feedforward[k], (law.gains[k] * (wanted - x)).sum(1), wanted.T
 
 
 def orbit_controller(

@@ -53,6 +53,12 @@ class PhaseTable:
         before = self.states[k]
         return before + (where - k) * (self.states[k + 1] - before)
 
+    def states_at(self, times: Array) -> Array:
+        """Return the states (S, N) at times (S,) in s, counted modulo the period."""
+        where = np.mod(times, self.period) / self.step
+        k = np.minimum(where.astype(int), len(self.states) - 2)
+        return self.states[k] + (where - k)[:, None] * (self.states[k + 1] - self.states[k])
+
     def input(self, time: float) -> float:
         """Return the input in m/s² of the entry next to a time in s, counted modulo the period."""
         return float(self.inputs[round(time % self.period / self.step)])

@@ -5,6 +5,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 from shadowing_stand_in import LAB, StandIn
 
+from dpcontrol.control.phase_tracking import PhaseSession, phase_law
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.control.tracking import (
     FeedforwardSettings,
@@ -113,3 +114,67 @@ def test_what_cannot_be_tracked_is_refused(turn: tuple[StandIn, Reference], mode
         tracking_controller(turn[1], other, TvlqrSettings())
     with pytest.raises(InputError, match="effort = 0"):
         TvlqrSettings(effort=0)
+
+
+def late_start(reference: Reference, model: SampledModel, schedule: str) -> tuple[list[float], list[float]]:
+    """Feedback and distance from the reference's path of a run that begins 40 ms ahead of the clock."""
+    controller = tracking_controller(reference, model, TvlqrSettings(schedule=schedule))
+    session, state = controller.begin(), reference.state(0.04)
+    path, feedback, away = reference.state(np.arange(0, 1.2, 5e-4)), [], []
+    for k in range(400):
+        action = session.command(k, state, np.zeros(0))
+        feedback.append(abs(action.feedback))
+        away.append(float(np.abs(path[:, :2] - state[:2]).max(1).min()))
+        state = model.step(state, action.feedforward + action.feedback)
+    return feedback, away
+
+
+def test_by_phase_a_run_that_is_early_is_left_its_lead_and_by_time_it_is_pulled_back(
+    turn: tuple[StandIn, Reference], model: SampledModel
+) -> None:
+    by_time, by_phase = (late_start(turn[1], model, schedule) for schedule in ("time", "phase"))
+    # The clock glides by half a tick a tick: it makes up the lead of 20 ticks in 40, pulled back meanwhile.
+    assert max(by_phase[0][60:]) < 0.5 * max(by_time[0][60:])
+    assert max(by_phase[1][60:]) < 0.5 * max(by_time[1][60:])
+
+
+def test_by_phase_the_clock_goes_on_where_the_reference_stands_still(
+    turn: tuple[StandIn, Reference], model: SampledModel
+) -> None:
+    states = np.repeat(turn[1].state(0.0)[None, :], 301, axis=0)
+    law = phase_law(np.zeros(300), np.zeros((300, 6)), states, period=model.period)
+    session = PhaseSession(law)
+    for k in range(250):
+        session.command(k, states[0] + 0.02, np.zeros(0))
+    assert session.place == pytest.approx(249, abs=1)
+
+
+def test_by_phase_the_clock_is_found_anew_and_many_runs_agree_with_one(
+    turn: tuple[StandIn, Reference], model: SampledModel
+) -> None:
+    controller = tracking_controller(turn[1], model, TvlqrSettings(schedule="phase"))
+    session = controller.begin()
+    assert session.resynchronise(10, turn[1].state(0.3)) == "clock of the reference moved by +140 ticks"
+    assert np.abs(session.command(10, turn[1].state(0.3), np.zeros(0)).feedback) < 1e-6
+    assert controller.join(5, turn[1].state(0.3)).command(5, turn[1].state(0.3), np.zeros(0)).feedback < 1e-6
+    random = np.random.default_rng(0)
+    starts = turn[1].state(0.0)[:, None] + random.normal(0, 0.02, (6, 4))
+    many, ones = controller.begin_many(4), [controller.begin() for _ in range(4)]
+    for k in range(50):
+        states = starts + turn[1].state(k * 2e-3)[:, None] - turn[1].state(0.0)[:, None]
+        forward, back, wanted = many.commands(k, states, np.zeros((0, 4)))
+        each = [one.command(k, states[:, s], np.zeros(0)) for s, one in enumerate(ones)]
+        assert back == pytest.approx([action.feedback for action in each], abs=1e-12)
+        assert forward == pytest.approx([action.feedforward for action in each], abs=1e-12)
+        expected = np.array([action.reference for action in each]).T
+        assert wanted == pytest.approx(expected, abs=1e-12)
+
+
+def test_by_time_the_clock_stays_and_a_late_join_begins_at_the_start(
+    turn: tuple[StandIn, Reference], model: SampledModel
+) -> None:
+    controller = tracking_controller(turn[1], model, TvlqrSettings())
+    session = controller.join(100, turn[1].state(0.0))
+    assert session.resynchronise(100, turn[1].state(0.3)) == ""
+    assert session.command(103, turn[1].state(0.0), np.zeros(0)).reference == pytest.approx(turn[1].state(6e-3))
+    assert controller.begin_many(3) is controller

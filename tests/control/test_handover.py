@@ -1,0 +1,151 @@
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from bench_stand_in import PERIOD, Flight, fly, model_of, plant_of
+from shadowing_stand_in import LAB, StandIn
+
+from dpcontrol.control.handover import Fly, Keep, NearestKeeper, Program, ProgramSession, program
+from dpcontrol.control.hold import HoldSettings, hold_controller
+from dpcontrol.control.interface import Action
+from dpcontrol.control.ogy import OgyController, OgySession, OgySettings, ogy_controller
+from dpcontrol.control.periodic import orbit_controller
+from dpcontrol.control.tracking import TrackingController, TvlqrSettings, tracking_controller
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.references.reference import Reference
+from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.lyapunov import lyapunov_orbit
+
+ON_ORBIT = 0.1  # rad: what a completed period asks for.
+JOIN = 0.06  # Scaled: where a flight with a plant 3 % off may be from the orbit that it comes to.
+NONE = np.zeros(0)
+
+
+@cache
+def orbit(energy: float = -0.07) -> SustainedOrbit:
+    return sustained_orbit(lyapunov_orbit(load_model("lab").system, "down-up", energy=energy), LAB)
+
+
+@cache
+def wobble() -> OgyController:
+    return ogy_controller(orbit(), model_of(), OgySettings(), seconds=60.0)
+
+
+def flight(reference: Reference) -> TrackingController:
+    return tracking_controller(reference, model_of(), TvlqrSettings())
+
+
+def reflected(reference: Reference) -> Reference:
+    """The same the other way round: all angles, rates and the cart's motion negated."""
+    return replace(reference, states=-reference.states, inputs=-reference.inputs)
+
+
+@pytest.fixture(scope="module")
+def there_and_back(turn: tuple[StandIn, Reference]) -> Program:
+    """Six wobbles by OGY, the turn, eight wobbles, the turn back, three wobbles."""
+    keep = [Keep(f"wobble {k + 1}", wobble(), wraps=n) for k, n in enumerate((6, 8, 3))]
+    turns = [Fly("turn", flight(turn[1])), Fly("turn back", flight(reflected(turn[1])))]
+    return program([keep[0], turns[0], keep[1], turns[1], keep[2]], period=PERIOD)
+
+
+def spans(actions: list[Action]) -> list[int]:
+    """Ticks at which a segment was handed over to the next."""
+    return [k for k, action in enumerate(actions) if action.event.startswith("hand over to")]
+
+
+@pytest.fixture(scope="module", params=[0.0, 0.03])
+def done(request: pytest.FixtureRequest, there_and_back: Program) -> Flight:
+    """The program done by encoders on the model itself, and on a plant that is 3 % off."""
+    plant = plant_of(1, request.param)
+    return fly(there_and_back.begin(), plant, there_and_back.first_state, there_and_back.ticks * PERIOD)
+
+
+def test_ogy_keeps_the_wobbles_and_tvlqr_flies_the_turns_there_and_back(there_and_back: Program, done: Flight) -> None:
+    assert len(done.states) == there_and_back.ticks
+    assert [event.split(":")[1] for event in done.events] == [" turn", " wobble 2", " turn back", " wobble 3"]
+    begins = spans(done.actions)
+    # The outer arm went round once, and back again.
+    outer = done.states[[0, begins[1] + 1500, -1], 1]
+    assert np.rint((outer - outer[0]) / (2 * np.pi)).tolist() in ([0, 1, 0], [0, -1, 0])
+    for k in (*range(begins[1], begins[2], 50), *range(begins[3], len(done.states), 50)):
+        assert wobble().distance(done.states[k]) < JOIN
+
+
+def test_a_stay_lasts_as_many_periods_as_asked_to_half_a_one(done: Flight) -> None:
+    begins = spans(done.actions)
+    periods = np.array([begins[0], begins[2] - begins[1]]) * PERIOD / orbit().period
+    assert np.abs(periods - [6, 8]).max() <= 0.52
+
+
+def test_a_stay_is_left_where_the_next_flight_begins(done: Flight) -> None:
+    for k in spans(done.actions):
+        # The reference goes on from one controller to the next without a jump.
+        jump = np.abs(done.actions[k].reference - done.actions[k - 1].reference) / [np.pi, np.pi, 10, 10, 0.8, 3]
+        assert jump.max() < JOIN
+
+
+def test_resynchronising_moves_the_clock_under_way(there_and_back: Program) -> None:
+    session = there_and_back.begin()
+    assert session.resynchronise(0, orbit().state(0.3)).startswith("clock of the orbit moved by")
+
+
+def test_feedback_at_every_tick_hands_over_as_well(turn: tuple[StandIn, Reference]) -> None:
+    keeper = orbit_controller(orbit(), model_of(), TvlqrSettings(schedule="phase"), seconds=60.0)
+    made = program(
+        [Keep("before", keeper, wraps=2), Fly("turn", flight(turn[1])), Keep("after", keeper, wraps=3)], period=PERIOD
+    )
+    result = fly(made.begin(), plant_of(1, 0.03), made.first_state, made.ticks * PERIOD)
+    assert [event.split(":")[1] for event in result.events] == [" turn", " after"]
+    assert keeper.distance(result.states[-1]) < JOIN
+
+
+def test_a_hold_lasts_its_seconds() -> None:
+    state = load_model("lab").system.equilibrium("down-up")
+    hold = hold_controller(state, model_of(), HoldSettings(), seconds=60.0)
+    made = program([Keep("still", hold, seconds=0.5), Keep("on", hold, seconds=0.5)], period=PERIOD)
+    assert made.ticks == 1000
+    session = made.begin()
+    assert isinstance(session, ProgramSession)
+    events = [session.command(k, hold.first_state, NONE).event for k in range(made.ticks)]
+    assert [k for k, event in enumerate(events) if event] == [500]
+
+
+def test_what_does_not_meet_is_refused_by_name(turn: tuple[StandIn, Reference]) -> None:
+    away = flight(turn[1])
+    other = ogy_controller(orbit(0.2), model_of(), OgySettings(), seconds=60.0)
+    with pytest.raises(GoalMissed, match=r"turn begins .* away from high: they do not meet"):
+        program([Keep("high", other, wraps=1), Fly("turn", away)], period=PERIOD)
+    with pytest.raises(GoalMissed, match=r"turn ends .* away from high: they do not meet"):
+        program([Fly("turn", away), Keep("high", other, wraps=1)], period=PERIOD)
+    with pytest.raises(InputError, match="wraps = -1"):
+        program([Keep("low", wobble(), wraps=-1)], period=PERIOD)
+    state = load_model("lab").system.equilibrium("up-up")
+    hold = hold_controller(state, model_of(), HoldSettings(), seconds=1.0)
+    with pytest.raises(InputError, match="a hold must last"):
+        program([Keep("still", hold)], period=PERIOD)
+    with pytest.raises(InputError, match="one segment at least"):
+        program([], period=PERIOD)
+
+
+def test_the_nearest_orbit_or_equilibrium_takes_over_and_holds() -> None:
+    system = load_model("lab").system
+    hold = {
+        name: hold_controller(system.equilibrium(name), model_of(), HoldSettings(), seconds=60.0)
+        for name in ("down-down", "up-up")
+    }
+    keeper = NearestKeeper({**hold, "low orbit": wobble()})
+    turns = np.array([2 * np.pi, -2 * np.pi, 0, 0, 0, 0])
+    start = orbit().state(0.2) + turns + np.array([0.02, 0.02, 0, 0, 0, 0])
+    session, text = keeper.session(7, start)
+    assert text.startswith("holds low orbit, ")
+    assert isinstance(session, OgySession)
+    session, _ = keeper.session(0, start)
+    held = fly(session, plant_of(0, 0.03), start, 6.0)
+    assert wobble().distance(held.states[-1]) < ON_ORBIT / np.pi
+    for name, controller in hold.items():
+        _, text = keeper.session(0, controller.first_state + turns + 0.01)
+        assert text.startswith(f"holds {name}, ")
+    with pytest.raises(InputError, match="nothing to fall back to"):
+        NearestKeeper({})
