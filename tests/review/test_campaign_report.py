@@ -1,0 +1,109 @@
+"""A campaign's table as numbers and as one page: shares with intervals, failures by symbol and by reason."""
+
+from pathlib import Path
+from typing import Any
+
+import pyarrow
+import pyarrow.parquet
+import pytest
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.review.campaign import campaign_summary
+from dpcontrol.review.campaign_figure import draw_campaign
+
+WILSON = 5e-4
+"""Published intervals are printed to three digits."""
+
+
+def rows(*, controllers: tuple[str, ...] = ("tvlqr", "feedforward"), each: int = 10) -> list[dict[str, Any]]:
+    """Return runs of two controllers; of the first 8 of 10 complete, of the second none."""
+    found = []
+    for controller in controllers:
+        for seed in range(each):
+            done = controller == "tvlqr" and seed < 8
+            found.append(
+                {
+                    "itinerary": "outer-turn",
+                    "controller": controller,
+                    "seed": seed,
+                    "mismatch": 0.02 * (seed % 2),
+                    "completed": done,
+                    "symbols_completed": 1 if done else seed % 2,
+                    "symbols_total": 1,
+                    "reason": "done" if done else f"symbol 1 was not done; the run ended: lost at t = {seed}.5 s",
+                    "ending": "completed" if done else "lost",
+                    "max_cart_position": 0.05 + 0.01 * seed,
+                    "a_column_of_tomorrow": "x",
+                }
+            )
+    return found
+
+
+def table(path: Path, content: list[dict[str, Any]]) -> Path:
+    """Write rows as a Parquet table."""
+    pyarrow.parquet.write_table(pyarrow.Table.from_pylist(content), path)
+    return path
+
+
+def test_shares_by_group_have_wilsons_interval(tmp_path: Path) -> None:
+    summary = campaign_summary(table(tmp_path / "runs.parquet", rows()))
+    assert [group.label for group in summary.groups] == ["feedforward", "tvlqr"]
+    none, most = (group.share for group in summary.groups)
+    # 0 and 8 of 10: Brown, Cai & DasGupta, Statistical Science 16 (2001), and any table of Wilson's interval.
+    assert (none.low, none.high) == pytest.approx((0.0, 0.2775), abs=WILSON)
+    assert (most.low, most.high) == pytest.approx((0.4902, 0.9433), abs=WILSON)
+    assert summary.status.startswith("8 of 20 runs completed: 40.0%")
+
+
+def test_failures_are_counted_by_symbol_and_by_reason_without_its_numbers(tmp_path: Path) -> None:
+    summary = campaign_summary(table(tmp_path / "runs.parquet", rows()))
+    assert summary.reasons == (("lost at t = … s", 12),)
+    # Symbol 2 of 1: all symbols done, but not held to the end.
+    assert {(label, symbol): count for label, symbol, count in summary.failed_symbols} == {
+        ("feedforward", 1): 5,
+        ("feedforward", 2): 5,
+        ("tvlqr", 1): 1,
+        ("tvlqr", 2): 1,
+    }
+
+
+def test_shares_by_mismatch_add_up_to_the_groups(tmp_path: Path) -> None:
+    summary = campaign_summary(table(tmp_path / "runs.parquet", rows()))
+    for group in summary.groups:
+        levels = [level for level in summary.levels if level.label == group.label]
+        assert [level.low for level in levels] == [0.0, 0.02]
+        assert sum(level.share.runs for level in levels) == group.share.runs
+        assert sum(level.share.successes for level in levels) == group.share.successes
+
+
+def test_many_mismatches_are_gathered_and_none_is_lost(tmp_path: Path) -> None:
+    content = [{"completed": k % 3 > 0, "mismatch": k / 1000} for k in range(200)]
+    summary = campaign_summary(table(tmp_path / "runs.parquet", content))
+    assert len(summary.levels) == 6
+    assert sum(level.share.runs for level in summary.levels) == 200
+
+
+def test_runs_without_a_verdict_are_counted_apart(tmp_path: Path) -> None:
+    summary = campaign_summary(table(tmp_path / "runs.parquet", [*rows(), {"completed": None}]))
+    assert (summary.runs, summary.unknown) == (20, 1)
+    assert "1 without a verdict" in summary.status
+
+
+@pytest.mark.parametrize("content", [rows(), rows(controllers=("tvlqr",), each=8), [{"completed": False}]])
+def test_every_table_is_drawn_and_an_empty_panel_says_why(tmp_path: Path, content: list[dict[str, Any]]) -> None:
+    figure = draw_campaign(campaign_summary(table(tmp_path / "runs.parquet", content)))
+    figure.savefig(tmp_path / "page.png")
+    for axes in figure.axes:
+        assert axes.patches or axes.lines or axes.texts, axes.get_title(loc="left")
+
+
+def test_what_is_no_campaign_is_refused_in_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there is no campaign"):
+        campaign_summary(tmp_path / "none.parquet")
+    (tmp_path / "text.parquet").write_text("no table")
+    with pytest.raises(InputError, match="no Parquet table"):
+        campaign_summary(tmp_path / "text.parquet")
+    with pytest.raises(InputError, match="does not say which runs completed: it has seed"):
+        campaign_summary(table(tmp_path / "bare.parquet", [{"seed": 1}]))
+    with pytest.raises(InputError, match="no runs with a verdict"):
+        campaign_summary(table(tmp_path / "empty.parquet", [{"completed": None}]))

@@ -1,0 +1,75 @@
+"""Logs that hold measured angles only: shown for what they are, with nothing made up and no line across a gap."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from synthetic_run import ARM_LENGTHS, synthetic_run, write_log
+
+from dpcontrol.logs import LogWriter, RunLog, read_log
+from dpcontrol.review import drawing, series
+from dpcontrol.review.motion import motion_of
+from dpcontrol.review.of_log import review_context
+from dpcontrol.review.recording import write_recording
+
+RATE_ERROR = 0.02
+"""rad/s: central differences of 1.6 Hz over 1 ms are off by ω³h²/6 · 0.25 rad, 4e-5; at the ends by ω²h/2, 0.013."""
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> RunLog:
+    """Two segments of one second with a gap of a second between them, angles only."""
+    time = np.concatenate([np.arange(1000), np.arange(2000, 3000)]) / 1000
+    angles = 0.25 * np.sin(2 * np.pi * 1.6 * time[:, None] + [0.0, 1.0])
+    path = tmp_path_factory.mktemp("bench") / "bench.mcap"
+    with LogWriter(path, arm_lengths=ARM_LENGTHS, rate_hz=1000.0, has_cart=False) as log:
+        log.ticks(time, measured=angles)
+    return read_log(path)
+
+
+def test_rates_are_differences_within_each_segment(bench: RunLog) -> None:
+    motion = motion_of(bench)
+    assert (motion.what, motion.differenced) == ("measured", True)
+    expected = 0.25 * 2 * np.pi * 1.6 * np.cos(2 * np.pi * 1.6 * bench.time[:, None] + [0.0, 1.0])
+    assert motion.state[:, 2:] == pytest.approx(expected, abs=RATE_ERROR)
+
+
+def test_what_was_not_logged_is_not_shown(bench: RunLog) -> None:
+    motion = motion_of(bench)
+    for part in (motion.reference, motion.estimate, motion.error, motion.sigma, motion.control, motion.nis):
+        assert part is None
+    titles = [axes.get_title(loc="left") for axes in drawing.draw(bench, review_context(bench)).figure.axes]
+    assert [title for title in titles if title] == [
+        "Angles from hanging (rad)",
+        "Rates (rad/s), by differences",
+        "Arm 1: ω₁ (rad/s) over θ₁",
+        "Arm 2: ω₂ (rad/s) over θ₂",
+    ]
+
+
+def test_no_line_is_drawn_across_a_gap(bench: RunLog) -> None:
+    motion = motion_of(bench)
+    time, values = series.curve(motion, motion.state[:, 0])
+    assert motion.breaks.tolist() == [1000]
+    between = (time > 0.9995) & (time < 1.9995)
+    assert np.isnan(values[between]).all()
+    assert between.sum() == 1
+
+
+def test_nothing_is_judged_where_nothing_was_asked(bench: RunLog) -> None:
+    context = review_context(bench)
+    assert context.good is None
+    assert "no plan" in context.verdict
+
+
+def test_a_recording_from_the_bench_can_be_recorded_for_the_viewer(bench: RunLog, tmp_path: Path) -> None:
+    write_recording(bench, review_context(bench), tmp_path / "bench.rrd")
+    assert (tmp_path / "bench.rrd").stat().st_size > 10_000
+
+
+def test_an_estimate_that_repeats_the_reference_is_no_reference(tmp_path: Path) -> None:
+    made = synthetic_run(seconds=1.0)
+    same = replace(made, reference=made.estimate)
+    assert motion_of(read_log(write_log(tmp_path / "same.mcap", same))).reference is None
+    assert motion_of(read_log(write_log(tmp_path / "run.mcap", made))).reference is not None

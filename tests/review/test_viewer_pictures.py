@@ -1,0 +1,79 @@
+"""Pictures of everything that can be reviewed, by the viewer: each of its views free of its own error reports.
+
+`viewer.picture_of` refuses a picture while any view of the viewer reports an error.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+from synthetic_run import ARM_LENGTHS, context_for, synthetic_run, write_log
+
+from dpcontrol.itineraries.atlas import Atlas
+from dpcontrol.logs import LogWriter, RunLog, read_log
+from dpcontrol.references.reference import Reference
+from dpcontrol.review import viewer
+from dpcontrol.review.atlas_recording import write_atlas_recording
+from dpcontrol.review.comparison import compare
+from dpcontrol.review.comparison_recording import write_comparison_recording
+from dpcontrol.review.context import ReviewContext, Stay
+from dpcontrol.review.motion import motion_of_reference
+from dpcontrol.review.of_log import plan_context, review_context
+from dpcontrol.review.recording import write_motion_recording, write_recording
+from dpcontrol.scenes.atlas import AtlasSettings, make_atlas
+from dpcontrol.scenes.model import load_model
+
+SEEN = 0.02
+"""Least share of pixels that differ from the corner's: the viewer without data shows less."""
+
+pytestmark = pytest.mark.skipif(viewer.missing_renderer() is not None, reason=str(viewer.missing_renderer()))
+
+
+def logged(folder: Path, name: str, *, good: bool) -> tuple[RunLog, ReviewContext]:
+    """Return a run of three seconds that was done, or one that went astray and was cut at a limit."""
+    run = synthetic_run(seconds=3.0)
+    asked = (Stay(0.0, 1.5, "down-up", "down-up"), Stay(1.5, 3.0, "down-up", "down-up"))
+    strayed = (asked[0], Stay(2.0, 3.0, "up-down", "up-down (−1π, 0π)", wanted=False))
+    context = replace(context_for(run), planned=asked, done=asked if good else strayed, duration=3.0, good=good)
+    return read_log(write_log(folder / f"{name}.mcap", run)), context
+
+
+def shown(write: Callable[[Path], None], folder: Path) -> None:
+    """Take a picture and see that there is something in it, and that the viewer had nothing to say against it."""
+    assert viewer.picture_of(write, folder / "picture.png", moment=1.0) is None
+    pixels = imread(folder / "picture.png")[..., :3]
+    assert float((np.abs(pixels - pixels[0, 0]).max(axis=-1) > 0.1).mean()) > SEEN
+
+
+@pytest.mark.parametrize("good", [True, False])
+def test_a_run_is_shown_without_complaint(good: bool, tmp_path: Path) -> None:
+    log, context = logged(tmp_path, "run", good=good)
+    shown(lambda file: write_recording(log, context, file), tmp_path)
+
+
+def test_a_pair_is_shown_without_complaint(tmp_path: Path) -> None:
+    pair = [logged(tmp_path, name, good=name == "good") for name in ("good", "bad")]
+    shown(lambda file: write_comparison_recording(compare(pair), file), tmp_path)
+
+
+def test_a_recording_from_the_bench_is_shown_without_complaint(tmp_path: Path) -> None:
+    time = np.arange(1000) / 1000
+    with LogWriter(tmp_path / "bench.mcap", arm_lengths=ARM_LENGTHS, rate_hz=1000.0, has_cart=False) as log:
+        log.ticks(time, measured=0.25 * np.sin(10 * time[:, None] + [0.0, 1.0]))
+    run = read_log(tmp_path / "bench.mcap")
+    shown(lambda file: write_recording(run, review_context(run), file), tmp_path)
+
+
+def test_a_reference_is_shown_without_complaint(turn: tuple[object, Reference], tmp_path: Path) -> None:
+    reference = turn[1]
+    context = plan_context(reference, system=None)
+    motion = motion_of_reference(reference, tmp_path / "turn.npz", arm_lengths=context.arm_lengths)
+    shown(lambda file: write_motion_recording(motion, context, file), tmp_path)
+
+
+def test_an_atlas_is_shown_without_complaint(tmp_path: Path) -> None:
+    atlas: Atlas = make_atlas(load_model("lab"), -0.07, settings=AtlasSettings(hits=(1, 1))).atlas
+    shown(lambda file: write_atlas_recording(atlas, file), tmp_path)
