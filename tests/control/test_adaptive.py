@@ -1,0 +1,249 @@
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from shadowing_stand_in import LAB, StandIn
+
+from dpcontrol.control.adaptive import (
+    AdaptiveController,
+    AdaptiveSettings,
+    adaptive_controller,
+    extra_jacobians,
+    preview_gains,
+)
+from dpcontrol.control.estimator_settings import Augment, EkfSettings
+from dpcontrol.control.sampled import SampledModel
+from dpcontrol.control.tracking import TvlqrSettings, tracking_controller
+from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.lab.batch import run_batch
+from dpcontrol.lab.drive import DriveSettings
+from dpcontrol.lab.loop import LoopSettings, run_loop
+from dpcontrol.lab.result import Ending, NoSink
+from dpcontrol.references.reference import Reference
+
+SOLVED = 1e-7  # Relative, of Riccati solvers on well-scaled matrices.
+DIFFERENCED = 1e-6  # Relative: central differences with a step of 1e-4.
+FIRST_ORDER = (
+    0.05  # Relative: what second order leaves at parameters wrong by 2e-4 while the orbit's errors grow 50-fold.
+)
+CLOSE = 0.1  # rad: what a completed run asks for over its last period.
+PERIOD = 2e-3
+AUGMENT = ("drive", "friction", "parameters")
+ESTIMATOR = EkfSettings(
+    augment=AUGMENT, parameter_error=1e-3, rate_noise=0.01, model_error=0.15, friction_error=0.5
+)  # fmt: skip
+SETTINGS = AdaptiveSettings()
+
+
+@pytest.fixture(scope="module")
+def model() -> SampledModel:
+    return SampledModel(arm_chain_equations(2, Level.CART), LAB.base(), period=PERIOD)
+
+
+@pytest.fixture(scope="module")
+def law(turn: tuple[StandIn, Reference], model: SampledModel) -> AdaptiveController:
+    return adaptive_controller(turn[1], model, SETTINGS, estimator=ESTIMATOR)
+
+
+def test_gains_minimise_the_cost_with_the_extras_foreseen() -> None:
+    random = np.random.default_rng(5)
+    steps, n, extras, effort = 7, 3, 2, 0.3
+    a = np.eye(n) + 0.2 * random.standard_normal((steps, n, n))
+    b, e = random.standard_normal((steps, n)), random.standard_normal((steps, n, extras))
+    kept, terminal = np.array([1.0, 0.6]), np.diag([3.0, 2.0, 1.0])
+    weights = random.uniform(0.5, 2.0, (steps, n))
+    gains, extra_gains = preview_gains((a, b, e, kept), weights=weights, effort=effort, terminal=terminal)
+    start, extra = np.array([1.0, -0.5, 0.3]), np.array([0.7, -1.1])
+    # The same problem as one least-squares problem in all inputs, with every disturbance to come known.
+    free, forced = [start], [np.zeros((n, steps))]
+    for k in range(steps):
+        free.append(a[k] @ free[-1] + e[k] @ (kept**k * extra))
+        forced.append(a[k] @ forced[-1] + np.outer(b[k], np.eye(steps)[k]))
+    roots = [*(np.diag(np.sqrt(w)) for w in weights), np.sqrt(terminal)]
+    left = np.vstack([r @ f for r, f in zip(roots, forced, strict=True)] + [np.sqrt(effort) * np.eye(steps)])
+    right = np.concatenate([-r @ f for r, f in zip(roots, free, strict=True)] + [np.zeros(steps)])
+    expected = np.linalg.lstsq(left, right, rcond=None)[0]
+    state, inputs = start, []
+    for k in range(steps):
+        w = kept**k * extra
+        inputs.append(float(-gains[k] @ state - extra_gains[k] @ w))
+        state = a[k] @ state + b[k] * inputs[-1] + e[k] @ w
+    assert inputs == pytest.approx(expected, rel=SOLVED, abs=SOLVED)
+
+
+@pytest.mark.parametrize(("name", "base"), [("M11", [0]), ("M22", [2]), ("S1", [3, 5]), ("S2", [4, 6])])
+def test_the_effect_of_a_wrong_parameter_is_that_of_other_arms(name: str, base: list[int], model: SampledModel) -> None:
+    state, command, step = np.array([0.4, 2.9, 3.0, -6.0, 0.02, 0.3]), 1.5, 1e-4
+    process = ESTIMATOR.process(2, PERIOD)
+    effects, kept = extra_jacobians(model, ESTIMATOR.augments, state[None], np.array([command]), process)
+    rate = model.equations.function()
+
+    def after(share: float) -> np.ndarray:
+        parameters = LAB.base()
+        parameters[base] *= 1 + share
+        solved = solve_ivp(
+            lambda _, x: np.array(rate(x, command, parameters))[:, 0], (0, PERIOD), state,
+            method="DOP853", rtol=1e-13, atol=1e-14,
+        )  # fmt: skip
+        return solved.y[:, -1]
+
+    names = ("drive", "friction_1", "friction_2", "M11", "M22", "S1", "S2")
+    expected = (after(step) - after(-step)) / (2 * step)
+    assert effects[0][:, names.index(name)] == pytest.approx(expected, rel=1e-4, abs=DIFFERENCED * abs(expected).max())
+    assert kept[names.index(name)] == 1.0
+    assert kept[0] == pytest.approx(np.exp(-PERIOD / ESTIMATOR.drive_time))
+
+
+def test_on_the_state_it_has_the_gains_of_tvlqr_with_the_same_weights(
+    turn: tuple[StandIn, Reference], model: SampledModel
+) -> None:
+    same = AdaptiveSettings(angle=1000.0, rate=100.0, position=100.0, closing=1.0)
+    adaptive = adaptive_controller(turn[1], model, same, estimator=ESTIMATOR)
+    plain = tracking_controller(turn[1], model, TvlqrSettings())
+    assert adaptive.gains == pytest.approx(plain.gains, rel=SOLVED, abs=SOLVED)
+    assert np.array_equal(adaptive.feedforward, plain.feedforward)
+
+
+def _deviation(law: AdaptiveController, model: SampledModel, shares: np.ndarray) -> np.ndarray:
+    """Fly arms that are wrong by `shares` of M11, M22, S1, S2, which are known from the start; (K+1, N) per unit."""
+    factors = np.ones(9)
+    factors[[0, 2, 3, 4]] += shares
+    factors[[5, 6]] += shares[2:]
+    plant = SampledModel(model.equations, LAB.base() * factors, period=model.period)
+    session, extra = law.begin(), np.concatenate([np.zeros(3), shares])
+    state, out = law.first_state, np.empty((law.ticks + 1, 6))
+    for k in range(law.ticks):
+        out[k] = state - law.reference_states[k]
+        action = session.command(k, state, extra)
+        state = plant.step(state, action.feedforward + action.feedback)
+    out[-1] = state - law.reference_states[-1]
+    return out / np.abs(shares).max()
+
+
+def test_small_errors_of_the_model_do_what_the_first_order_foretells(
+    law: AdaptiveController, model: SampledModel
+) -> None:
+    shares = np.array([1.0, -0.5, 0.7, -1.0]) * 2e-4
+    states, commands = law.reference_states[:-1], law.feedforward
+    a, b = model.linearised(states, commands)
+    e, _ = extra_jacobians(model, ESTIMATOR.augments, states, commands, ESTIMATOR.process(2, PERIOD))
+    extra = np.concatenate([np.zeros(3), shares]) / np.abs(shares).max()
+    error, foretold = np.zeros(6), [np.zeros(6)]
+    for k in range(law.ticks):
+        v = -law.gains[k] @ error - law.extra_gains[k] @ extra
+        error = a[k] @ error + b[k] * v + e[k] @ extra
+        foretold.append(error)
+    happened = _deviation(law, model, shares)
+    # Without errors of the model the sampled one misses the reference a little; the difference of two runs does not.
+    away = (happened - _deviation(law, model, -shares)) / 2
+    assert np.abs(away - foretold).max() < FIRST_ORDER * np.abs(foretold).max()
+    assert np.abs(foretold).max() > 0.1
+
+
+def test_a_known_error_of_the_model_costs_less_when_foreseen(law: AdaptiveController, model: SampledModel) -> None:
+    blind = replace(law, extra_gains=np.zeros_like(law.extra_gains))
+    diagonal, _ = SETTINGS.weights(2, PERIOD)
+    costs = {}
+    for name, controller in (("foreseen", law), ("blind", blind)):
+        away = _deviation(controller, model, np.array([0.05, -0.05, 0.05, -0.05]))
+        costs[name] = float((away**2 @ diagonal).sum())
+    assert costs["foreseen"] < 0.5 * costs["blind"]
+
+
+def test_many_runs_in_lockstep_get_the_commands_of_one_to_the_bit(law: AdaptiveController) -> None:
+    random = np.random.default_rng(2)
+    states = law.reference_states[700][:, None] + 0.01 * random.standard_normal((6, 5))
+    extras = 0.5 * random.standard_normal((7, 5))
+    forward, back, wanted = law.begin_many(5).commands(700, states, extras)
+    for lane in range(5):
+        action = law.begin().command(700, states[:, lane], extras[:, lane])
+        assert (action.feedforward, action.feedback) == (forward, back[lane])
+        assert np.array_equal(action.reference, wanted)
+
+
+def test_an_overall_scale_of_all_parameters_changes_almost_nothing(law: AdaptiveController) -> None:
+    # All parameters but the fixed one 10 % larger, then the fixed one alone smaller: the same arms.
+    extra = np.array([0.0, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1])
+    believed = law.believed(extra)
+    assert believed[3:] == pytest.approx(np.log(1.1), rel=1e-3)
+    assert law.believed(np.array([0, 0, 0, -0.1, 0.25, -0.3, 0.4]))[3:] == pytest.approx(
+        np.log([0.9, 1.25, 0.7, 1.4]), rel=0.02
+    )
+
+
+def test_a_share_beyond_trust_is_bounded_and_named_once(law: AdaptiveController) -> None:
+    session, state = law.begin(), law.reference_states[100]
+    assert session.command(99, state, np.array([0, 0, 0, 0.3, -0.3, 0.1, 0.1])).event == ""
+    far = session.command(100, state, np.array([0, 0, 0, 0.1, 0.1, 1.2, 0.1]))
+    assert "S1 is found to be off by +120%" in far.event
+    bound = session.command(100, state, np.array([0, 0, 0, 0.1, 0.1, 50.0, 0.1]))
+    assert bound.event == ""
+    assert bound.feedback == far.feedback
+    absurd = session.command(100, state, np.array([0, 0, 0, -7.0, -2.0, 1.0, 0.1]))
+    assert np.isfinite(absurd.feedback)
+
+
+@dataclass
+class Events(NoSink):
+    texts: list[str] = field(default_factory=list)
+
+    def event(self, time_s: float, level: str, name: str, text: str) -> None:
+        self.texts.append(text)
+
+
+def _settings(kind: AdaptiveSettings | TvlqrSettings, mismatch: float, *, seed: int = 0) -> LoopSettings:
+    estimator = ESTIMATOR if isinstance(kind, AdaptiveSettings) else EkfSettings()
+    drive = DriveSettings(lag=5e-3, command_noise=0.3)
+    return LoopSettings(
+        seed=seed, rate=1 / PERIOD, initial_error=0.05, mismatch=mismatch, travel=0.8,
+        estimator=estimator, drive=drive,
+    )  # fmt: skip
+
+
+def test_arms_wrong_by_a_fifth_end_on_the_orbit_where_tvlqr_alone_loses_half(
+    turn: tuple[StandIn, Reference], model: SampledModel, law: AdaptiveController
+) -> None:
+    reference, seeds = turn[1], range(16)
+    plain = tracking_controller(reference, model, TvlqrSettings())
+    ended = {}
+    for kind, controller in ((SETTINGS, law), (TvlqrSettings(), plain)):
+        settings = _settings(kind, 0.2)
+        runs = run_batch(
+            LAB, settings=settings, seeds=seeds, controller=controller, limits=settings.limits(reference)
+        )  # fmt: skip
+        near = [
+            run.ending is Ending.FINISHED and float(np.abs((run.truth - run.references)[-500:, :2]).max()) < 2 * CLOSE
+            for run in runs
+        ]
+        ended[kind.kind] = sum(near)
+    assert ended["adaptive"] >= 14
+    assert ended["tvlqr"] <= 11
+
+
+def test_arms_wrong_by_two_fifths_are_named_and_the_run_ends_with_a_reason(
+    turn: tuple[StandIn, Reference], law: AdaptiveController
+) -> None:
+    # These arms: M11 twice, S1 1.8 times the model's, over M12.
+    sink = Events()
+    result = run_loop(turn[1], LAB, settings=_settings(SETTINGS, 0.4, seed=6), controller=law, sink=sink)
+    assert any("model doubted: M" in text or "model doubted: S" in text for text in sink.texts), sink.texts
+    assert result.ending is not Ending.FINISHED
+    assert result.reason
+    assert result.max_cart_position <= 0.8 + 1e-9
+
+
+def test_an_estimator_that_does_not_look_for_the_parameters_is_refused(
+    turn: tuple[StandIn, Reference], model: SampledModel
+) -> None:
+    with pytest.raises(InputError, match='add "parameters"'):
+        adaptive_controller(turn[1], model, SETTINGS, estimator=EkfSettings(augment=(Augment.FRICTION.value,)))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("closing", 0.5), ("trust", 2.0), ("closing_time", -1.0), ("effort", 0.0), ("angle", np.nan)]
+)
+def test_settings_without_a_meaning_are_refused_by_name(name: str, value: float) -> None:
+    with pytest.raises(InputError, match=name):
+        replace(SETTINGS, **{name: value})
