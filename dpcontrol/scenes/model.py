@@ -137,12 +137,8 @@ def _model(table: Table, text: str, path: Path) -> Model:
     columns = {key: arms.numbers(key) for key in ("mass", "centre_of_mass", "length", "inertia")}
     acceleration, viscous = gravity.number("acceleration"), friction.numbers("viscous")
     laws: dict[str, Any] = {law.value: friction.numbers(law.value, ()) for law in Friction}
-    if "smoothing" in friction:
-        if not any(laws.values()):
-            raise InputError(
-                f"{friction.where('smoothing')}: there is neither coulomb nor quadratic friction to smooth; give one "
-                "or leave it out"
-            )
+    smoothed = "smoothing" in friction
+    if smoothed:
         laws["smoothing"] = friction.number("smoothing")
     encoders, uncertain = table.table("encoders"), table.table("uncertainty")
     zeros: tuple[float, ...] = ()
@@ -155,6 +151,11 @@ def _model(table: Table, text: str, path: Path) -> Model:
         uncertainty = Uncertainty(uncertain.texts("names"), uncertain.numbers("covariance"))
     for part in (table, arms, gravity, friction, encoders, uncertain):
         part.finish()
+    if smoothed and not any(laws[law.value] for law in Friction):
+        raise InputError(
+            f"{friction.where('smoothing')}: there is neither coulomb nor quadratic friction to smooth; give one or leave "
+            "it out"
+        )
     try:
         parameters = ArmChainParameters(**columns, gravity=acceleration, viscous=viscous, **laws)
     except InputError as error:

@@ -14,7 +14,9 @@ def model_text(found: Identification, *, title: str, logs: Sequence[str], starti
     """Return the TOML text of what was identified from `logs`, started at the model of that name."""
     arms, count = found.arms, len(ratio_names(found.arms))
     left = np.array([s.rms for s in found.segments if not s.used])
-    of = f"Identified from {', '.join(logs)}"
+    # A comment ends with its line, whatever a file is called.
+    of = _plain(f"Identified from {', '.join(logs)}")
+    starting_model = _plain(starting_model)
     known = np.isfinite(np.diag(found.covariance)[:count])
     # A file of numbers has no infinity: what the data do not see is not varied.
     covariance = np.where(np.outer(known, known), found.covariance[:count, :count], 0.0)
@@ -74,8 +76,11 @@ def write_model(found: Identification, path: Path, *, title: str, logs: Sequence
 
 
 def _quoted(text: str) -> str:
-    plain = "".join(c if c.isprintable() else " " for c in text)
-    return '"' + plain.replace("\\", "\\\\").replace('"', '\\"') + '"'
+    return '"' + _plain(text).replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _plain(text: str) -> str:
+    return "".join(c if c.isprintable() else " " for c in text)
 
 
 def _numbers(values: Sequence[float] | np.ndarray) -> str:

@@ -1,0 +1,77 @@
+"""`dpcontrol identify`: one document with the agreed keys, a model that loads, pictures, and clear refusals."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+
+from dpcontrol.lab.recordings import write_recording
+from dpcontrol.lab.simulated_recording import simulated_recording
+from dpcontrol.scenes.model import load_model
+
+KEYS = {"parameters", "undetermined", "friction_terms", "candidates", "segments", "file"}
+PNG = b"\x89PNG\r\n"
+
+
+@pytest.fixture(autouse=True)
+def in_a_folder_of_its_own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let default names point into the test's folder."""
+    monkeypatch.chdir(tmp_path)
+
+
+def a_log(path: str, swings: int = 3, arms: str = "lab") -> str:
+    """A log of simulated swings."""
+    model = load_model(arms).arms
+    starts = [np.array([1.0, 0.3, 0.1][: model.count]) * (-0.8) ** k for k in range(swings)]
+    write_recording(simulated_recording(model, starts, seconds=1.0, period=2e-3), Path(path))
+    return path
+
+
+def test_a_model_with_uncertainty_and_a_picture_are_written() -> None:
+    ended = dpcontrol("identify", a_log("logs/swing.mcap"), "--no-zeros", "--picture", "found.png", "--json")
+    assert ended.code == 0, ended.stderr
+    document = ended.document
+    assert set(document) >= KEYS
+    assert document["file"] == str(Path("models/swing.toml"))
+    assert document["friction_terms"] == ["viscous"]
+    assert set(document["parameters"]["M11/M12"]) == {"value", "standard_error"}
+    assert document["candidates"][0]["terms"] == ["viscous"]
+    assert sum(c["chosen"] for c in document["candidates"]) == 1
+    assert [(s["index"], s["used"]) for s in document["segments"]] == [(0, True), (1, True), (2, False)]
+    assert load_model("swing").uncertainty is not None
+    assert Path("found.png").read_bytes().startswith(PNG)
+    # The model that was found runs every other verb that takes one.
+    assert dpcontrol("model", "swing", "--json").document["parameters"]["m1"]["value"] > 0
+
+
+def test_designs_are_compared_without_a_log() -> None:
+    ended = dpcontrol("identify", "--design", "--picture", "design.png", "--json")
+    assert ended.code == 0, ended.stderr
+    assert {e["kind"] for e in ended.document["experiments"]} == {"swing", "cart"}
+    assert ended.document["best"]
+    assert Path("design.png").read_bytes().startswith(PNG)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "give at least one log"),
+        (["nowhere.mcap"], "nowhere.mcap"),
+        (["swing.mcap", "--model", "triple"], "2 arms, the model has 3"),
+        (["swing.mcap", "--model", "three-body"], "no arms"),
+        (["short.mcap"], "2 segments"),
+        (["swing.mcap", "--out", "model.txt"], ".toml"),
+        (["swing.mcap", "--picture", "model.jpg"], ".png"),
+        (["swing.mcap", "--design"], "needs no logs"),
+    ],
+)
+def test_mistakes_are_one_sentence_and_nothing_is_written(arguments: list[str], said: str) -> None:
+    a_log("swing.mcap")
+    a_log("short.mcap", swings=2)
+    before = sorted(Path().rglob("*"))
+    ended = dpcontrol("identify", *arguments)
+    assert ended.code == 2
+    assert said in ended.stderr
+    assert "Traceback" not in ended.stderr
+    assert sorted(Path().rglob("*")) == before
