@@ -3,11 +3,17 @@
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import Ended, dpcontrol
 
+from dpcontrol.logs import read_log
+from dpcontrol.review.of_log import review_context
+
 PNG, RECORDING = b"\x89PNG\r\n\x1a\n", b"RRF2"
 """First bytes of a picture (PNG specification) and of a Rerun recording."""
+CUT_SPACING = 0.25
+"""rad: half of what lies between neighbours of the 96 trajectories that sample a cut three radians long, with room."""
 VIEWER_STARTS = 20.0
 """Seconds to wait for the stand-in viewer; it takes milliseconds unless the machine is very busy."""
 
@@ -71,3 +77,73 @@ def test_review_without_files_opens_the_viewer_on_a_recording(
     while not opened.is_file() and time.monotonic() < waited:
         time.sleep(0.05)
     assert opened.read_bytes().startswith(RECORDING)
+
+
+def test_two_logs_are_reviewed_side_by_side_and_it_says_how_they_are_aligned(
+    demo: tuple[Path, Ended], tmp_path: Path
+) -> None:
+    log = demo[0] / "logs/outer-turn-0.mcap"
+    ended = dpcontrol("review", log, log, "--save", tmp_path / "two.rrd", "--picture", tmp_path / "two.png", "--json")
+    assert ended.code == 0
+    assert ended.document["logs"] == [str(log), str(log)]
+    assert ended.document["aligned"].startswith("aligned at symbol 1")
+    assert (tmp_path / "two.rrd").read_bytes().startswith(RECORDING)
+    assert (tmp_path / "two.png").read_bytes().startswith(PNG)
+    assert dpcontrol("review", log, log, "--align", "2", "--save", tmp_path / "none.rrd").code == 2
+    assert not (tmp_path / "none.rrd").exists()
+
+
+def test_a_reference_is_reviewed_too_but_not_beside_a_log(demo: tuple[Path, Ended], tmp_path: Path) -> None:
+    log, reference = demo[0] / "logs/outer-turn-0.mcap", tmp_path / "turn.npz"
+    reference.write_bytes(read_log(log).attachments["reference.npz"])
+    ended = dpcontrol("review", reference, "--save", tmp_path / "turn.rrd", "--picture", tmp_path / "turn.png")
+    assert ended.code == 0
+    assert (tmp_path / "turn.rrd").read_bytes().startswith(RECORDING)
+    assert (tmp_path / "turn.png").read_bytes().startswith(PNG)
+    beside = dpcontrol("review", log, reference, "--save", tmp_path / "none.rrd")
+    assert beside.code == 2
+    assert "turn.npz is no log" in beside.stderr
+
+
+@pytest.mark.parametrize(("suffix", "first"), [("png", PNG), ("pdf", b"%PDF")])
+def test_report_writes_one_page_of_a_log_and_gives_its_score(
+    demo: tuple[Path, Ended], tmp_path: Path, suffix: str, first: bytes
+) -> None:
+    page = tmp_path / f"page.{suffix}"
+    ended = dpcontrol("report", demo[0] / "logs/outer-turn-0.mcap", "--picture", page, "--json")
+    assert ended.code == 0
+    assert ended.document["completed"] is True
+    assert ended.document["picture"] == str(page)
+    assert page.read_bytes().startswith(first)
+
+
+def test_report_refuses_a_page_of_another_kind(demo: tuple[Path, Ended], tmp_path: Path) -> None:
+    ended = dpcontrol("report", demo[0] / "logs/outer-turn-0.mcap", "--picture", tmp_path / "page.svg")
+    assert ended.code == 2
+    assert ".png or a .pdf" in ended.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_tubes_shown_meet_where_the_plan_crosses_the_section(demo: tuple[Path, Ended]) -> None:
+    log = read_log(demo[0] / "logs/outer-turn-0.mcap")
+    context = review_context(log)
+    assert sorted(tube.stable for tube in context.tubes) == [False, True]
+    # The outer arm's section is θ₂ = 2πk; the plan turns it from π to 3π.
+    crossing = log.reference[np.argmin(np.abs(log.reference[:, 1] - 2 * np.pi)), :4]
+    for tube in context.tubes:
+        known = tube.cut[np.isfinite(tube.cut).all(axis=1)]
+        assert known[:, 1] == pytest.approx(2 * np.pi)
+        assert tube.strands[:, 0, 1] == pytest.approx(3 * np.pi if tube.stable else np.pi, abs=0.5)
+        away = np.abs(known - crossing) / [1.0, 1.0, 10.0, 10.0]
+        assert away.max(axis=1).min() < CUT_SPACING
+
+
+def test_what_was_done_is_told_beside_what_was_asked(demo: tuple[Path, Ended]) -> None:
+    log = read_log(demo[0] / "logs/outer-turn-0.mcap")
+    context = review_context(log)
+    assert [stay.text for stay in context.planned] == [stay.text for stay in context.done] == ["down-up", "down-up"]
+    assert all(stay.wanted for stay in context.done)
+    truth = log.truth
+    assert truth is not None
+    passed = float(log.time[np.flatnonzero(truth[:, 1] > 2 * np.pi)[0]])
+    assert context.crossings[0] == pytest.approx(passed, abs=2 / log.rate_hz)
