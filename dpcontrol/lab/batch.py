@@ -194,18 +194,14 @@ class _Lockstep:
                 forward, back, self.wanted[k + lead] = self.session.commands(k + lead, ahead, extras)
                 error = np.abs(states[:arms] - self.wanted[k, :arms, None]).max(axis=0)
                 stopped, restarts = watch.judge(
-                    k, error=error, nis=nis, used=used, position=states[n - 2], velocity=states[n - 1],
-                    switch=switch, fault=bench.failed,
+                    k, error=error, nis=nis, used=used, position=ahead[n - 2], velocity=ahead[n - 1],
+                    sent=path.velocity, switch=switch, fault=bench.failed,
                 )  # fmt: skip
                 feedback = back
                 if restarts is not None:
                     for lane in restarts:
                         memory, _ = restarted(self.program, states[:, lane].copy(), positions[:, lane])
                         self.memory[:, lane] = memory
-                if stopped is not None:
-                    # What was sent and what the cart does differ by noise; see `ControlLoop`.
-                    trusted = stopped[watch.trusts(stopped)]
-                    path.velocity[trusted] = ahead[n - 1, trusted]
                 command = forward + back
                 if watch.any_braking:
                     braking = watch.braking
@@ -214,6 +210,8 @@ class _Lockstep:
                     watch.brake(k, path.velocity)
                 path.send(command)
                 bench.command(k, command)
+                if stopped is not None:
+                    bench.stop(stopped)
                 acted = path.acted(self.memory[n - 1])
                 truth[k], applied[k], feedbacks[k], nis_rows[k] = bench.truth, acted, feedback, nis
                 watch.ended(k, bench.faults)

@@ -57,6 +57,7 @@ class BatchBench:
         if self._lag:
             self._state[2 * n + 2] = self._demands[0]
         self._longest = min(longest_step(d.plant) for d in draws)
+        self._braking: NDArray[np.bool_] | None = None
         self.faults: dict[int, str] = {}
         """What runs have come to grief by, by their number."""
 
@@ -98,6 +99,12 @@ class BatchBench:
         noise = 0.0 if self._command_noise is None else self._command_noise[k]
         self._demands.append(self._demanded(accelerations, noise, self._demands[-1]))
 
+    def stop(self, lanes: NDArray[np.intp]) -> None:
+        """Brake the carts of these runs to a standstill from now on, without the commands' delay."""
+        if self._braking is None:
+            self._braking = np.zeros(self._runs, dtype=bool)
+        self._braking[lanes] = True
+
     def _demanded(self, command: Array, noise: Array | float, last: Array) -> Array:
         drive = self._drive
         wanted = drive.response * command + noise
@@ -112,7 +119,10 @@ class BatchBench:
         low, high = (-drive.velocity - velocity) / duration, (drive.velocity - velocity) / duration
         wanted = np.minimum(np.maximum(demand, low), high)
         most = drive.acceleration
-        return np.where(np.abs(wanted) <= most, wanted, np.copysign(most, wanted))
+        acting = np.where(np.abs(wanted) <= most, wanted, np.copysign(most, wanted))
+        if self._braking is None:
+            return acting
+        return np.where(self._braking, np.minimum(np.maximum(-velocity / duration, -most), most), acting)
 
     def _pass(self, k: int) -> None:
         """Let period k pass."""

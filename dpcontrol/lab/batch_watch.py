@@ -98,6 +98,7 @@ class BatchWatch:
         used: Array,
         position: Array,
         velocity: Array,
+        sent: Array,
         switch: NDArray[np.bool_],
         fault: NDArray[np.bool_] | None,
     ) -> tuple[NDArray[np.intp] | None, list[int] | None]:
@@ -111,9 +112,7 @@ class BatchWatch:
         bad = (
             ~(mean_nis <= one.settings.lost_estimate) | ~np.isfinite(error) | (mean_error > one.settings.lost_tracking)
         )
-        ahead = position + velocity * one.reaction
-        rest = np.abs(ahead + np.copysign(velocity * velocity / one.brake, velocity)) + one.settings.margin
-        bad |= (position * velocity >= 0) & (rest >= one.travel)
+        bad |= np.maximum(self._rest(position, velocity), self._rest(position, sent)) >= one.travel
         bad |= switch
         bad &= going
         before = (self._error, self._nis)
@@ -128,7 +127,7 @@ class BatchWatch:
             now = k * self._period
             outcome, ending, why = supervisor.judge(
                 now, error=float(error[lane]), nis=float(nis[lane]), used=int(used[lane]),
-                position=float(position[lane]), velocity=float(velocity[lane]),
+                position=float(position[lane]), velocity=float(velocity[lane]), sent=float(sent[lane]),
             )  # fmt: skip
             self._nis[lane], self._restarts[lane] = supervisor.nis, supervisor.restarts
             if outcome is Outcome.CONTINUE and switch[lane]:
@@ -145,9 +144,11 @@ class BatchWatch:
             self.any_braking = True
         return np.array(stopped, dtype=np.intp) if stopped else None, restarted or None
 
-    def trusts(self, lanes: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Tell for which of these runs the estimate can still be trusted."""
-        return np.array([self.endings[lane] is not Ending.ESTIMATE_LOST for lane in lanes])
+    def _rest(self, position: Array, velocity: Array) -> Array:
+        """Return where the carts come to rest, as `Supervisor.stopping_point` does."""
+        one = self._one
+        side = np.copysign(1.0, velocity)
+        return side * (position + velocity * one.reaction) + velocity * velocity / one.brake + one.settings.margin
 
     def brake(self, k: int, velocity: Array) -> None:
         """Note which carts still move by the commands sent, `velocity` (S,) m/s, before tick k's."""

@@ -27,9 +27,9 @@ _FLUSH_EVERY = 20
 _PROGRESS_EVERY = 500
 _HEAD = 7
 """Fields of /control before the standard deviations."""
-_BRAKING = 0.9
+BRAKING = 0.9
 """Share of the greatest acceleration with which the cart is braked: more than the supervisor counts on."""
-_SETTLING = 0.05
+SETTLING = 0.05
 """Seconds for which the loop goes on after the cart was commanded to rest: delays and lags have passed by then."""
 
 
@@ -133,6 +133,9 @@ class ControlLoop:
             path.send(command)
             thinking[k] = clock() - before
             rig.command(command)
+            if self._braking_since is not None:
+                # The drive knows best what it is doing; what is sent meanwhile is what the loop believes that it does.
+                rig.stop()
             x = estimate.state
             acted = path.acted(float(x[n - 1]))
             mode = action.mode
@@ -148,7 +151,7 @@ class ControlLoop:
             if saturated and not was_saturated:
                 self._event(now, "warn", "saturated", f"command {command:.3g} m/s², applied {acted:.3g} m/s²")
             was_saturated = saturated
-            if self._braking_since is not None and now > self._braking_since + _SETTLING:
+            if self._braking_since is not None and now > self._braking_since + SETTLING:
                 break
             if done - self._flushed >= _FLUSH_EVERY:
                 self._flush(done)
@@ -158,7 +161,7 @@ class ControlLoop:
         rig.stop()
         self._flush(done)
         fine = self.ending is Ending.FINISHED
-        self._event((done - 1) * period, "info" if fine else "error", self.ending.value, self.reason)
+        self._event(max(done - 1, 0) * period, "info" if fine else "error", self.ending.value, self.reason)
         self.progress("run", 1.0)
         return LoopRecord(rows.head(done), self.ending, self.reason, thinking[:done], late, elapsed)
 
@@ -167,22 +170,20 @@ class ControlLoop:
         if self._braking_since is not None:
             return self._brake(now, self._rows.references[k - 1]), estimate
         x, n, lead = estimate.state, self._n, self.path.lead
+        ahead = self.estimator.ahead(estimate, self.path.on_their_way())
+        action = self.session.command(k + lead, ahead, estimate.extra)
+        self._coming.append(action)
+        wanted = self._coming.popleft().reference
         if lead:
-            ahead = self.estimator.ahead(estimate, self.path.on_their_way())
-            self._coming.append(action := self.session.command(k + lead, ahead, estimate.extra))
-            wanted = self._coming.popleft().reference
             action = Action(action.feedforward, action.feedback, wanted, action.mode, action.event)
-        else:
-            ahead = x
-            action = self.session.command(k, x, estimate.extra)
-            wanted = action.reference
         if action.event:
             self._event(now, "info", "controller", action.event)
         pairs = zip(x[: self._arms].tolist(), wanted[: self._arms].tolist(), strict=True)
         error = max([abs(a - b) for a, b in pairs])
         outcome, ending, why = self.supervisor.judge(
-            now, error=error, nis=nis, used=estimate.used, position=float(x[n - 2]), velocity=float(x[n - 1])
-        )
+            now, error=error, nis=nis, used=estimate.used, position=float(ahead[n - 2]),
+            velocity=float(ahead[n - 1]), sent=self.path.velocity,
+        )  # fmt: skip
         if outcome is Outcome.CONTINUE and reading.switch:
             outcome, ending = Outcome.STOP, Ending.CART_STOP
             why = f"cart at its stop at t = {now:.3f} s: a limit switch answered; allow more travel"
@@ -203,16 +204,13 @@ class ControlLoop:
             self.ending, self.reason = Ending.FELL_BACK, f"{why}; {held}"
             return action, estimate
         self.ending, self.reason = ending, why
-        if ending is not Ending.ESTIMATE_LOST:
-            # What was sent and what the cart does differ by noise; the estimate knows better where it can be trusted.
-            self.path.velocity = float(ahead[n - 1])
         self._braking_since = now
         return self._brake(now, wanted), estimate
 
     def _brake(self, now: float, wanted: Array) -> Action:
         if self.path.velocity:
             self._braking_since = now
-        return Action(0.0, self.path.braking(_BRAKING), wanted, Mode.ABORTED)
+        return Action(0.0, self.path.braking(BRAKING), wanted, Mode.ABORTED)
 
     def _event(self, time_s: float, level: str, name: str, text: str) -> None:
         # Events stand among the ticks they belong to.

@@ -88,30 +88,34 @@ class Supervisor:
     _moved: float = -math.inf
 
     def __post_init__(self) -> None:
-        self._tracking_share = min(self.period / TRACKING_MEMORY, 1.0)
-        self._estimate_share = min(self.period / ESTIMATE_MEMORY, 1.0)
-        self._brake = 2 * self.settings.braking * self.acceleration
+        self.tracking_share = min(self.period / TRACKING_MEMORY, 1.0)
+        self.estimate_share = min(self.period / ESTIMATE_MEMORY, 1.0)
+        self.brake = 2 * self.settings.braking * self.acceleration
 
     def stopping_point(self, position: float, velocity: float) -> float:
-        """Return where the cart comes to rest, as a distance from the centre in m, if it brakes now."""
-        ahead = position + velocity * self.reaction
-        return abs(ahead + math.copysign(velocity * velocity / self._brake, velocity)) + self.settings.margin
+        """Return where the cart comes to rest if it brakes now: m from the centre, in the direction of its motion.
+
+        Negative on the side that it comes from; the margin is added.
+        """
+        side = math.copysign(1.0, velocity)
+        return side * (position + velocity * self.reaction) + velocity * velocity / self.brake + self.settings.margin
 
     def judge(
-        self, now: float, *, error: float, nis: float, used: int, position: float, velocity: float
+        self, now: float, *, error: float, nis: float, used: int, position: float, velocity: float, sent: float = 0.0
     ) -> tuple[Outcome, Ending, str]:
         """Return what to do, the run's ending if it is to stop, and why.
 
         error rad: largest distance of an angle from the reference; nis over `used` positions, of this tick; position m
-        and velocity m/s of the cart as estimated, outward motion alone being dangerous.
+        and velocity m/s of the cart as expected when all that was sent has acted; sent m/s: the velocity that it was
+        sent to, which a drive that lags or answers late has yet to reach.
         """
         s = self.settings
         if used:
             self.silent = 0.0
-            self.nis += (nis / used - self.nis) * self._estimate_share
+            self.nis += (nis / used - self.nis) * self.estimate_share
         else:
             self.silent += self.period
-        self.error += (error - self.error) * self._tracking_share
+        self.error += (error - self.error) * self.tracking_share
         # Written so that what is no number stops the run.
         if not self.nis <= s.lost_estimate or not math.isfinite(error):
             return self._estimate(now)
@@ -124,7 +128,10 @@ class Supervisor:
                     "check the encoders' cables"
                 ),
             )
-        if position * velocity >= 0 and self.stopping_point(position, velocity) >= self.travel:
+        farthest = self.stopping_point(position, velocity)
+        if sent:
+            farthest = max(farthest, self.stopping_point(position, sent))
+        if farthest >= self.travel:
             return (
                 Outcome.STOP,
                 Ending.CART_STOP,
