@@ -37,6 +37,7 @@ VERBS = {
     "replay": "Predict a recording by a model, and run an estimator over it.",
     "report": "Write one page of a log or of a campaign.",
     "figures": "Draw the paper's computational figures, with captions.",
+    "bench": "Chart speed against accuracy, and where methods stop working.",
 }
 
 

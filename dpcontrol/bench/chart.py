@@ -1,0 +1,232 @@
+"""A work-precision chart: methods as points of time and error, their front, and where the product's default stands.
+
+A point is on the *front* when no other point of its panel is at most as slow and at most as wrong, and better in one.
+A default t, e is off the front by
+
+    off = min(t / min{t' : e' ≤ e},  e / min{e' : t' ≤ t}) - 1
+
+so `off` ≤ 0.2 reads: nothing as precise is over 20 % faster, or nothing as fast is over 20 % more precise.
+
+Source: Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I (1993), section II.10.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING, Any, Protocol
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+ALLOWED = 0.2
+"""How far off the front a default may stand, with a reason."""
+READING_LINES = 3
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table for people: title, heads of the columns, rows of text; notes follow it, a line each."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...] = ()
+
+
+class Drawable(Protocol):
+    """What `dpcontrol bench` draws, saves and prints: a chart here, a map of failure elsewhere."""
+
+    @property
+    def name(self) -> str:
+        """The name on the command line and of the files."""
+        ...
+
+    @property
+    def reading(self) -> tuple[str, str, str]:
+        """Three lines on how to read it."""
+        ...
+
+    @property
+    def chosen(self) -> str:
+        """What was chosen after it."""
+        ...
+
+    @property
+    def complaints(self) -> tuple[str, ...]:
+        """What is not as it should be, a sentence each."""
+        ...
+
+    def document(self) -> dict[str, Any]:
+        """Return everything in JSON's terms."""
+        ...
+
+    def figure(self) -> "Figure":
+        """Return the picture."""
+        ...
+
+    def tables(self) -> tuple[TextTable, ...]:
+        """Return what is shown to people in the terminal."""
+        ...
+
+
+@dataclass(frozen=True)
+class Point:
+    """One method at one setting: what a unit of work costs (s, or the panel's x) and how wrong it is (the panel's y).
+
+    default: what the product takes; outside: another package's; stored: measured elsewhere, so it is drawn but takes no
+    part in the front; others: further measures by name, for the JSON; note: a few words for people.
+    """
+
+    method: str
+    setting: str
+    seconds: float
+    error: float
+    default: bool = False
+    outside: bool = False
+    stored: bool = False
+    note: str = ""
+    others: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        numbers = {"seconds": self.seconds, "error": self.error, **self.others}
+        wrong = [name for name, value in numbers.items() if not math.isfinite(value)]
+        if wrong or self.seconds <= 0 or self.error < 0:
+            raise ValueError(f"{self.name}: {numbers} must be finite and positive; make it a Missing with its reason")
+
+    @property
+    def name(self) -> str:
+        """Method and setting."""
+        return f"{self.method}, {self.setting}" if self.setting else self.method
+
+    def beats(self, other: "Point") -> bool:
+        """Say whether this one is nowhere worse than the other and somewhere better."""
+        no_worse = self.seconds <= other.seconds and self.error <= other.error
+        return no_worse and (self.seconds < other.seconds or self.error < other.error)
+
+
+@dataclass(frozen=True)
+class Missing:
+    """A method at a setting that has no point, and why: it failed, or its package is not installed."""
+
+    method: str
+    setting: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One diagram: points that did the same work, and why a default off the front is kept.
+
+    start_up: seconds that each method needs once (compiling, building) before its times count.
+    """
+
+    title: str
+    x_label: str
+    y_label: str
+    points: tuple[Point, ...]
+    start_up: Mapping[str, float] = field(default_factory=dict)
+    missing: tuple[Missing, ...] = ()
+    why: str = ""
+    log_y: bool = True
+
+    @property
+    def front(self) -> tuple[Point, ...]:
+        """The points that no other beats, fastest first."""
+        running = [p for p in self.points if not p.stored]
+        best = [p for p in running if not any(other.beats(p) for other in running)]
+        return tuple(sorted(best, key=lambda p: (p.seconds, p.error)))
+
+    @property
+    def defaults(self) -> tuple[Point, ...]:
+        """The points of the product's own choices."""
+        return tuple(p for p in self.points if p.default)
+
+    def off_front(self, point: Point) -> float:
+        """Return how far a point stands off the front, as a share; 0 on it."""
+        running = [p for p in self.points if not p.stored]
+        fastest = min(p.seconds for p in running if p.error <= point.error)
+        truest = min(p.error for p in running if p.seconds <= point.seconds)
+        wrong = point.error / truest if truest > 0 else (1.0 if point.error == 0 else math.inf)
+        return min(point.seconds / fastest, wrong) - 1
+
+    def standing(self, point: Point) -> str:
+        """Return in words where a point stands."""
+        if point in self.front:
+            return "on the front"
+        return f"{self.off_front(point):.0%} off the front"
+
+    def complaints(self) -> tuple[str, ...]:
+        """Return a sentence for each default that is too far off the front, or off it without a reason."""
+        found = []
+        for p in self.defaults:
+            off = self.off_front(p)
+            if off > ALLOWED:
+                found.append(f"{self.title}: the default {p.name} is {off:.0%} off the front; choose another")
+            elif p not in self.front and not self.why:
+                found.append(f"{self.title}: the default {p.name} is {off:.0%} off the front and no reason is given")
+        return tuple(found)
+
+    def document(self) -> dict[str, Any]:
+        """Return the panel in JSON's terms, with its front and where each default stands."""
+        standing = [
+            {"name": p.name, "off_front": self.off_front(p), "standing": self.standing(p)} for p in self.defaults
+        ]
+        return {**asdict(self), "front": [p.name for p in self.front], "defaults": standing}
+
+    def table(self) -> TextTable:
+        """Return the front as a table, the defaults that are off it after it."""
+        shown = [*self.front, *(p for p in self.defaults if p not in self.front)]
+        rows = tuple(
+            (p.method, p.setting, f"{p.seconds:.3g}", f"{p.error:.2g}", self.standing(p) if p.default else "", p.note)
+            for p in shown
+        )
+        notes = tuple(f"without {m.method} {m.setting}: {m.reason}" for m in self.missing)
+        why = (f"the default is kept: {self.why}",) if self.why else ()
+        return TextTable(self.title, ("front", "setting", self.x_label, self.y_label, "default", ""), rows, notes + why)
+
+
+@dataclass(frozen=True)
+class Chart:
+    """One chart: its panels, three lines on how to read it, and what was chosen after it.
+
+    Raises:
+        ValueError: the reading is not of three lines, or no panel holds a default.
+    """
+
+    name: str
+    title: str
+    panels: tuple[Panel, ...]
+    reading: tuple[str, str, str]
+    chosen: str
+
+    def __post_init__(self) -> None:
+        if len(self.reading) != READING_LINES:
+            raise ValueError(f"{self.name}: {len(self.reading)} lines on how to read it; write {READING_LINES}")
+        if not any(panel.defaults for panel in self.panels):
+            raise ValueError(f"{self.name}: no point is the product's default")
+
+    @property
+    def complaints(self) -> tuple[str, ...]:
+        """What is wrong with the defaults, a sentence each; empty where all stand where they may."""
+        return tuple(text for panel in self.panels for text in panel.complaints())
+
+    def document(self) -> dict[str, Any]:
+        """Return the chart in JSON's terms."""
+        return {
+            "name": self.name,
+            "title": self.title,
+            "reading": list(self.reading),
+            "chosen": self.chosen,
+            "complaints": list(self.complaints),
+            "panels": [panel.document() for panel in self.panels],
+        }
+
+    def figure(self) -> "Figure":
+        """Return the chart's page."""
+        from dpcontrol.bench.drawing import draw
+
+        return draw(self)
+
+    def tables(self) -> tuple[TextTable, ...]:
+        """Return each panel's front."""
+        return tuple(panel.table() for panel in self.panels)

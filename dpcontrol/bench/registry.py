@@ -1,0 +1,38 @@
+"""Charts by name; a chart's module is imported when the chart is drawn."""
+
+import importlib
+from collections.abc import Callable
+
+from dpcontrol.bench.chart import Drawable
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import Progress
+
+Drawer = Callable[[bool, Progress], Drawable]
+"""(quick, progress) -> chart: `quick` takes less of the same work, so that the order on the front stays."""
+
+
+def _of(module: str) -> Drawer:
+    def chart(quick: bool, progress: Progress) -> Drawable:
+        return importlib.import_module(f"dpcontrol.bench.{module}").chart(quick, progress)
+
+    return chart
+
+
+CHARTS: dict[str, Drawer] = {
+    "propagation": _of("propagation"),
+    "connections": _of("connections"),
+    "transcription": _of("transcription"),
+}
+"""Each module has one function `chart(quick, progress)`."""
+
+
+def check_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the charts to draw, each once: those named, or all.
+
+    Raises:
+        InputError: an unknown name.
+    """
+    for name in names:
+        if name not in CHARTS:
+            raise InputError(f"there is no chart {name!r}; choose from {', '.join(CHARTS)}")
+    return tuple(dict.fromkeys(names)) or tuple(CHARTS)

@@ -1,0 +1,139 @@
+"""Charts' data: the front by its definition, defaults judged, files whole; the verb's manners."""
+
+import json
+import math
+import time
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+
+from dpcontrol.bench import registry
+from dpcontrol.bench.chart import ALLOWED, Chart, Panel, Point
+from dpcontrol.bench.measure import timed
+from dpcontrol.bench.run import draw_charts
+
+READING = ("first", "second", "third")
+
+
+def panel(*points, **more):
+    return Panel("panel", "time, s", "error", tuple(points), **more)
+
+
+def points_of(pairs, default=()):
+    return [Point("m", str(k), t, e, default=k in default) for k, (t, e) in enumerate(pairs)]
+
+
+def test_the_front_holds_each_point_that_no_other_beats():
+    rng = np.random.default_rng(4)
+    # Small whole numbers make ties, which is where a front's definition matters.
+    pairs = [(int(t), int(e)) for t, e in rng.integers(1, 12, (60, 2))]
+    expected = {
+        k for k, (t, e) in enumerate(pairs) if not any(a <= t and b <= e and (a, b) != (t, e) for a, b in pairs)
+    }
+    front = panel(*points_of(pairs)).front
+    assert {int(p.setting) for p in front} == expected
+    assert [p.seconds for p in front] == sorted(p.seconds for p in front)
+
+
+def test_a_default_on_the_front_raises_no_complaint_and_needs_no_reason():
+    on = panel(*points_of([(1, 1e-3), (2, 1e-6), (3, 1e-6)], default={1}))
+    assert on.complaints() == ()
+    assert on.off_front(on.defaults[0]) == 0.0
+
+
+@pytest.mark.parametrize("slower", [ALLOWED * 0.9, ALLOWED * 1.1])
+def test_a_default_may_be_a_fifth_slower_with_a_reason_and_no_more(slower):
+    points = points_of([(1.0, 1e-6), (1.0 + slower, 1.1e-6)], default={1})
+    unexplained, explained = panel(*points), panel(*points, why="it needs no compiler")
+    assert unexplained.off_front(points[1]) == pytest.approx(min(slower, 0.1))
+    # Slower is judged by time or by error, whichever is nearer: here the error is within a tenth.
+    assert len(unexplained.complaints()) == 1
+    assert explained.complaints() == ()
+    far = points_of([(1.0, 1e-6), (1.0 + slower, 1e-3)], default={1})
+    assert bool(panel(*far, why="a reason").complaints()) == (slower > ALLOWED)
+
+
+def test_a_stored_point_is_drawn_but_takes_no_part_in_the_front():
+    ours, theirs = Point("ours", "", 2.0, 1e-3, default=True), Point("theirs", "", 1.0, 1e-9, stored=True)
+    both = panel(ours, theirs)
+    assert both.front == (ours,)
+    assert both.complaints() == ()
+
+
+@pytest.mark.parametrize(("seconds", "error"), [(math.nan, 1.0), (1.0, math.inf), (0.0, 1.0), (1.0, -1.0)])
+def test_a_point_that_is_no_measurement_is_refused(seconds, error):
+    with pytest.raises(ValueError, match="m, setting"):
+        Point("m", "setting", seconds, error)
+
+
+def test_a_chart_without_a_default_is_refused():
+    with pytest.raises(ValueError, match="default"):
+        Chart("c", "t", (panel(*points_of([(1, 1)])),), READING, "nothing")
+
+
+def test_start_up_is_told_apart_from_repeated_time():
+    clock = [0.0]
+    calls = []
+
+    def work():
+        calls.append(1)
+        # The first call compiles for 5 s; each takes 1 s, one in between 9 s.
+        clock[0] += {1: 6.0, 3: 9.0}.get(len(calls), 1.0)
+        return len(calls)
+
+    found = timed(work, 5, clock=lambda: clock[0])
+    assert (found.seconds, found.start_up, found.result) == (1.0, 5.0, 1)
+
+
+def test_work_shorter_than_the_clocks_grain_is_repeated_within_a_measurement():
+    calls = []
+    found = timed(lambda: calls.append(1), 3, grain=1e-3)
+    assert len(calls) > 300
+    assert 0 < found.seconds < 1e-4
+
+
+@pytest.fixture
+def one_chart(monkeypatch):
+    """A registry of one chart that takes no time."""
+
+    def chart(quick, progress):
+        points = points_of([(1e-3, 0.0), (1e-4 if quick else 1e-5, 1e-6)], default={1})
+        return Chart("tiny", "Tiny", (panel(*points),), READING, "the quicker one")
+
+    monkeypatch.setattr(registry, "CHARTS", {"tiny": chart})
+    monkeypatch.setattr("dpcontrol.bench.run.CHARTS", {"tiny": chart})
+
+
+def test_a_chart_becomes_a_picture_and_its_data(one_chart, tmp_path):
+    (drawn,) = draw_charts([], tmp_path, quick=True)
+    assert drawn.picture.read_bytes().startswith(b"\x89PNG")
+    data = json.loads(drawn.data.read_text())
+    assert [p["seconds"] for p in data["panels"][0]["points"]] == [1e-3, 1e-4]
+    assert data["panels"][0]["front"] == ["m, 1", "m, 0"]
+    assert data["quick"] is True
+    assert data["machine"]["cores"] >= 1
+    assert data["versions"]["heyoka"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["tiny.json", "tiny.png"]
+
+
+def test_the_verb_prints_fronts_for_people_and_one_document_for_programs(one_chart, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    shown = dpcontrol("bench", "--out", "here")
+    assert shown.code == 0
+    assert "every default stands where it may" in shown.stdout
+    document = dpcontrol("bench", "tiny", "--json").document
+    assert document["charts"][0]["panels"][0]["defaults"][0]["standing"] == "on the front"
+
+
+def test_an_unknown_chart_is_refused_with_the_known_ones(tmp_path):
+    ended = dpcontrol("bench", "propagatoin", "--out", str(tmp_path / "none"))
+    assert ended.code == 2
+    assert "propagatoin" in ended.message
+    assert "propagation" in ended.message.replace("propagatoin", "")
+    assert not (tmp_path / "none").exists()
+
+
+def test_the_clock_of_other_programs_does_not_count():
+    found = timed(lambda: time.sleep(0.02), 1)
+    assert found.seconds < 0.01
