@@ -66,7 +66,7 @@ def _colours(summary: CampaignSummary, labels: Sequence[str]) -> list[str]:
 
 
 def _levels(axes: Axes, summary: CampaignSummary) -> None:
-    quiet(axes, "Runs completed over mismatch of the plant's parameters")
+    quiet(axes, "Runs completed over the plant's mismatch")
     axes.set_ylim(-0.03, 1.03)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     labels = list(dict.fromkeys(level.label for level in summary.levels))

@@ -87,7 +87,7 @@ def _panels(figure: Figure, comparison: Comparison, *, top: float, tall: float, 
     arms = comparison.runs[0].motion.arms
     curves: list[tuple[str, Values, Values | None, float | None]] = []
     for arm in range(min(arms, 2)):
-        name = f"Arm {arm + 1}'s angle θ{number(arm)} (rad), reference of the first broad"
+        name = f"Arm {arm + 1}'s angle θ{number(arm)} (rad), broad: the first's reference"
         curves.append((name, _column(arm, 1 / np.pi), _reference(arm, 1 / np.pi), None))
     limits = comparison.runs[0].context.limits
     if all(run.motion.has_cart for run in comparison.runs):
@@ -118,8 +118,8 @@ def _panels(figure: Figure, comparison: Comparison, *, top: float, tall: float, 
             axes.set_xlabel("time on the common clock (s)", fontsize=8.5, color=NOTE, labelpad=1)
     half = (top - 0.35) / min(arms, 2)
     for arm in range(min(arms, 2)):
-        bottom = top - (arm + 1) * half + 0.38
-        axes = figure.add_axes((0.70, bottom / tall, 0.28, (half - 0.38) / tall))
+        bottom = top - (arm + 1) * half + 0.5
+        axes = figure.add_axes((0.70, bottom / tall, 0.28, (half - 0.5) / tall))
         _plane(axes, comparison, arm)
 
 
