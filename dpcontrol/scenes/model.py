@@ -153,8 +153,8 @@ def _model(table: Table, text: str, path: Path) -> Model:
         part.finish()
     if smoothed and not any(laws[law.value] for law in Friction):
         raise InputError(
-            f"{friction.where('smoothing')}: there is neither coulomb nor quadratic friction to smooth; give one or leave "
-            "it out"
+            f"{friction.where('smoothing')}: there is neither coulomb nor quadratic friction to smooth; give one or "
+            "leave it out"
         )
     try:
         parameters = ArmChainParameters(**columns, gravity=acceleration, viscous=viscous, **laws)
