@@ -17,6 +17,7 @@ from dpcontrol.control.interface import Action, Session
 from dpcontrol.control.ogy import OgyController, OgySession
 from dpcontrol.control.periodic import OrbitController, OrbitSession
 from dpcontrol.control.phase import whole_turns
+from dpcontrol.control.phase_tracking import PhaseController
 from dpcontrol.control.tracking import TrackingController
 from dpcontrol.foundation.errors import GoalMissed, InputError
 
@@ -63,7 +64,7 @@ class Fly:
     """A flight along a reference from start to end."""
 
     name: str
-    controller: TrackingController
+    controller: TrackingController | PhaseController
 
 
 Segment = Keep | Fly

@@ -123,8 +123,8 @@ class OgyController:
         """Return a fresh session for one run."""
         return OgySession(self)
 
-    def begin_many(self, count: int) -> "OgyRuns":
-        """Return what answers `commands` for `count` runs in lockstep."""
+    def begin_runs(self, count: int) -> "OgyRuns":
+        """Return what answers `commands` for `count` runs, each with a clock and so with a reference of its own."""
         # It needs this module.
         from dpcontrol.control.ogy_runs import OgyRuns
 

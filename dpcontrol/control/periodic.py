@@ -87,8 +87,8 @@ class OrbitController:
         """Return a fresh session for one run."""
         return OrbitSession(self, 0, 0.0, np.zeros(len(self.first_state)))
 
-    def begin_many(self, count: int) -> "OrbitRuns":
-        """Return what answers `commands` for `count` runs in lockstep."""
+    def begin_runs(self, count: int) -> "OrbitRuns":
+        """Return what answers `commands` for `count` runs, each with a clock and so with a reference of its own."""
         return OrbitRuns(self, count)
 
     def join(self, tick: int, state: Array) -> "OrbitSession":

@@ -24,34 +24,60 @@ MOST = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class PhaseLaw:
+class PhaseController:
     """Feedforward (K,), gains (K, N), reference states (K+1, N) at ticks; normals n (K+1, N)."""
 
+    kind: str
+    reference_states: Array
     feedforward: Array
     gains: Array
-    states: Array
     normals: Array
+    status: str
+
+    @property
+    def first_state(self) -> Array:
+        """Return the state (N,) from which it starts."""
+        return self.reference_states[0]
+
+    @property
+    def ticks(self) -> int:
+        """Return for how many periods it has something to do, if the clock went with time."""
+        return len(self.feedforward)
+
+    def begin(self) -> "PhaseSession":
+        """Return a session for one run."""
+        return PhaseSession(self)
+
+    def begin_runs(self, count: int) -> "PhaseRuns":
+        """Return what answers `commands` for `count` runs, each with a clock and so with a reference of its own."""
+        return PhaseRuns(self, count)
+
+    def join(self, tick: int, state: Array) -> "PhaseSession":
+        """Return a session that starts at `tick` where the reference is nearest to `state` (N,), on the same turns."""
+        return PhaseSession(self, tick=tick, place=self.nearest(state))
 
     def at(self, places: Array) -> Array:
         """Return reference states (…, N) at places (…) in ticks."""
-        k = np.clip(places.astype(int), 0, len(self.states) - 2)
+        states = self.reference_states
+        k = np.clip(places.astype(int), 0, len(states) - 2)
         share = np.clip(places - k, 0.0, 1.0)[..., None]
-        return self.states[k] + share * (self.states[k + 1] - self.states[k])
+        return states[k] + share * (states[k + 1] - states[k])
 
     def nearest(self, state: Array) -> int:
         """Return the tick at which the pendulum's reference is nearest to `state` (N,)."""
         scale = _scale(len(state))
-        away = (self.states[:, : len(scale)] - state[: len(scale)]) / scale
+        away = (self.reference_states[:, : len(scale)] - state[: len(scale)]) / scale
         return int(np.argmin(np.square(away).sum(1)))
 
 
-def phase_law(feedforward: Array, gains: Array, states: Array, *, period: float) -> PhaseLaw:
-    """Return the law for feedforward (K,), gains (K, N) and reference states (K+1, N), `period` s apart."""
+def phase_controller(kind: str, *, states: Array, feedforward: Array, gains: Array, period: float) -> PhaseController:
+    """Return the controller for feedforward (K,), gains (K, N) and reference states (K+1, N), `period` s apart."""
     scale = _scale(states.shape[1])
     rates = np.gradient(states[:, : len(scale)], axis=0) / scale
     normals = np.zeros_like(states)
     normals[:, : len(scale)] = rates / scale / (np.square(rates).sum(1) + (STANDSTILL * period) ** 2)[:, None]
-    return PhaseLaw(feedforward, gains, states, normals)
+    text = f"gains for {len(gains)} ticks, by phase"
+    return PhaseController(kind, states, feedforward, gains, normals, text)
 
 
 def _scale(dimension: int) -> Array:
@@ -62,7 +88,7 @@ def _scale(dimension: int) -> Array:
 class PhaseRuns:
     """The clocks of `count` runs of one law, from the reference's tick `place` at the loop's `tick`."""
 
-    def __init__(self, law: PhaseLaw, count: int, *, tick: int = 0, place: float = 0.0) -> None:
+    def __init__(self, law: PhaseController, count: int, *, tick: int = 0, place: float = 0.0) -> None:
         self._law = law
         self._tick = tick
         self._places = np.full(count, float(place))
@@ -83,7 +109,7 @@ class PhaseRuns:
 class PhaseSession:
     """One run of a law: from the reference's tick `place` at the loop's `tick`."""
 
-    def __init__(self, law: PhaseLaw, *, tick: int = 0, place: float = 0.0) -> None:
+    def __init__(self, law: PhaseController, *, tick: int = 0, place: float = 0.0) -> None:
         self._law = law
         self._tick, self._place = tick, place
 
@@ -106,7 +132,7 @@ class PhaseSession:
         return Action(float(law.feedforward[j]), feedback, wanted, Mode.TRACKING)
 
     def _at(self, place: float) -> Array:
-        states = self._law.states
+        states = self._law.reference_states
         k = min(max(int(place), 0), len(states) - 2)
         share = min(max(place - k, 0.0), 1.0)
         return states[k] + share * (states[k + 1] - states[k])

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.interface import Action, Mode
-from dpcontrol.control.phase_tracking import PhaseLaw, PhaseRuns, PhaseSession, phase_law
+from dpcontrol.control.phase_tracking import PhaseController, phase_controller
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.tables import suggest
@@ -106,17 +106,13 @@ ControllerSettings = FeedforwardSettings | TvlqrSettings
 
 @dataclass(frozen=True, eq=False)
 class TrackingController:
-    """Feedforward (K,), gains (K, N) and reference states (K+1, N) at the ticks; gains of zero: no feedback.
-
-    by_phase: None if the clock is the loop's; else the law by which it follows the nearest phase.
-    """
+    """Feedforward (K,), gains (K, N) and reference states (K+1, N) at the ticks; gains of zero: no feedback."""
 
     kind: str
     reference_states: Array
     feedforward: Array
     gains: Array
     status: str
-    by_phase: PhaseLaw | None = None
 
     def command(self, tick: int, state: Array) -> tuple[float, float]:
         """Return feedforward and feedback in m/s² for the period from `tick`, at estimated `state` (N,).
@@ -147,22 +143,17 @@ class TrackingController:
         products = self.gains[k][:, None] * (self.reference_states[k][:, None] - states)
         return float(self.feedforward[k]), np.add.reduce(products, axis=0), wanted
 
-    def begin(self) -> "TrackingSession | PhaseSession":
+    def begin(self) -> "TrackingSession":
         """Return a session for one run."""
-        return TrackingSession(self) if self.by_phase is None else PhaseSession(self.by_phase)
+        return TrackingSession(self)
 
-    def begin_many(self, count: int) -> "TrackingController | PhaseRuns":
+    def begin_many(self, count: int) -> "TrackingController":
         """Return what answers `commands` for `count` runs in lockstep."""
-        return self if self.by_phase is None else PhaseRuns(self.by_phase, count)
+        return self
 
-    def join(self, tick: int, state: Array) -> "TrackingSession | PhaseSession":
-        """Return a session whose start is at `tick`; by phase, where the reference is nearest to `state` (N,).
-
-        The angles' whole turns must be the reference's.
-        """
-        if self.by_phase is None:
-            return TrackingSession(self, tick)
-        return PhaseSession(self.by_phase, tick=tick, place=self.by_phase.nearest(state))
+    def join(self, tick: int, state: Array) -> "TrackingSession":
+        """Return a session whose start is at `tick`."""
+        return TrackingSession(self, tick)
 
 
 class TrackingSession:
@@ -229,7 +220,9 @@ def riccati_gains(
     return gains, cost
 
 
-def tracking_controller(reference: Reference, model: SampledModel, settings: ControllerSettings) -> TrackingController:
+def tracking_controller(
+    reference: Reference, model: SampledModel, settings: ControllerSettings
+) -> TrackingController | PhaseController:
     """Return the controller for `reference` at the model's period.
 
     The terminal cost is that of the model frozen at the reference's end. The recursion forgets it within a few
@@ -260,10 +253,9 @@ def tracking_controller(reference: Reference, model: SampledModel, settings: Con
     gains, _ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
     if not np.isfinite(gains).all():
         raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
-    by_phase = None
     if settings.schedule == "phase":
-        by_phase = phase_law(feedforward, gains, states, period=model.period)
-    return TrackingController(settings.kind, states, feedforward, gains, f"gains for {count} ticks", by_phase)
+        return phase_controller(settings.kind, states=states, feedforward=feedforward, gains=gains, period=model.period)
+    return TrackingController(settings.kind, states, feedforward, gains, f"gains for {count} ticks")
 
 
 def tick_count(reference: Reference, period: float) -> int:

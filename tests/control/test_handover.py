@@ -34,7 +34,9 @@ def wobble() -> OgyController:
 
 
 def flight(reference: Reference) -> TrackingController:
-    return tracking_controller(reference, model_of(), TvlqrSettings())
+    made = tracking_controller(reference, model_of(), TvlqrSettings())
+    assert isinstance(made, TrackingController)
+    return made
 
 
 def reflected(reference: Reference) -> Reference:

@@ -5,10 +5,11 @@ import pytest
 from scipy.linalg import solve_discrete_are
 from shadowing_stand_in import LAB, StandIn
 
-from dpcontrol.control.phase_tracking import PhaseSession, phase_law
+from dpcontrol.control.phase_tracking import PhaseController, PhaseSession, phase_controller
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.control.tracking import (
     FeedforwardSettings,
+    TrackingController,
     TvlqrSettings,
     riccati_gains,
     terminal_cost,
@@ -78,6 +79,7 @@ def test_feedback_is_zero_on_the_reference_and_pulls_back_beside_it(
     turn: tuple[StandIn, Reference], model: SampledModel
 ) -> None:
     controller = tracking_controller(turn[1], model, TvlqrSettings())
+    assert isinstance(controller, TrackingController)
     k = 700
     wanted = controller.reference_states[k]
     assert wanted == pytest.approx(turn[1].state(k * 2e-3), abs=1e-12)
@@ -93,12 +95,14 @@ def test_feedback_is_zero_on_the_reference_and_pulls_back_beside_it(
 
 def test_feedforward_ignores_the_state(turn: tuple[StandIn, Reference], model: SampledModel) -> None:
     controller = tracking_controller(turn[1], model, FeedforwardSettings())
+    assert isinstance(controller, TrackingController)
     assert controller.kind == "feedforward"
     assert controller.command(5, np.full(6, 9.0)) == controller.command(5, np.zeros(6))
 
 
 def test_after_the_last_tick_the_last_command_holds(turn: tuple[StandIn, Reference], model: SampledModel) -> None:
     controller = tracking_controller(turn[1], model, TvlqrSettings())
+    assert isinstance(controller, TrackingController)
     last = len(controller.feedforward) - 1
     assert controller.command(last + 50, np.zeros(6)) == controller.command(last, np.zeros(6))
 
@@ -142,7 +146,9 @@ def test_by_phase_the_clock_goes_on_where_the_reference_stands_still(
     turn: tuple[StandIn, Reference], model: SampledModel
 ) -> None:
     states = np.repeat(turn[1].state(0.0)[None, :], 301, axis=0)
-    law = phase_law(np.zeros(300), np.zeros((300, 6)), states, period=model.period)
+    law = phase_controller(
+        "tvlqr", states=states, feedforward=np.zeros(300), gains=np.zeros((300, 6)), period=model.period
+    )
     session = PhaseSession(law)
     for k in range(250):
         session.command(k, states[0] + 0.02, np.zeros(0))
@@ -153,13 +159,14 @@ def test_by_phase_the_clock_is_found_anew_and_many_runs_agree_with_one(
     turn: tuple[StandIn, Reference], model: SampledModel
 ) -> None:
     controller = tracking_controller(turn[1], model, TvlqrSettings(schedule="phase"))
+    assert isinstance(controller, PhaseController)
     session = controller.begin()
     assert session.resynchronise(10, turn[1].state(0.3)) == "clock of the reference moved by +140 ticks"
     assert np.abs(session.command(10, turn[1].state(0.3), np.zeros(0)).feedback) < 1e-6
     assert controller.join(5, turn[1].state(0.3)).command(5, turn[1].state(0.3), np.zeros(0)).feedback < 1e-6
     random = np.random.default_rng(0)
     starts = turn[1].state(0.0)[:, None] + random.normal(0, 0.02, (6, 4))
-    many, ones = controller.begin_many(4), [controller.begin() for _ in range(4)]
+    many, ones = controller.begin_runs(4), [controller.begin() for _ in range(4)]
     for k in range(50):
         states = starts + turn[1].state(k * 2e-3)[:, None] - turn[1].state(0.0)[:, None]
         forward, back, wanted = many.commands(k, states, np.zeros((0, 4)))
@@ -174,6 +181,7 @@ def test_by_time_the_clock_stays_and_a_late_join_begins_at_the_start(
     turn: tuple[StandIn, Reference], model: SampledModel
 ) -> None:
     controller = tracking_controller(turn[1], model, TvlqrSettings())
+    assert isinstance(controller, TrackingController)
     session = controller.join(100, turn[1].state(0.0))
     assert session.resynchronise(100, turn[1].state(0.3)) == ""
     assert session.command(103, turn[1].state(0.0), np.zeros(0)).reference == pytest.approx(turn[1].state(6e-3))
