@@ -89,10 +89,10 @@ class Identification:
     """What was identified.
 
     arms: the nearest to the starting model's with the identified ratios. names, values, errors (f,): of the ratios,
-    then of the encoders' zeros where free (rad, each recording's own); covariance (f, f), without variance where a value
-    lies on its bound. zeros (recordings, n) rad,
-    shown less true. undetermined: sentences. candidates, chosen: index of one. started_at: rms (L,) rad of the
-    starting model on the segments left out. angles, errors of prediction: of each segment (K, n) rad.
+    then of the encoders' zeros where free (rad, each recording's own); covariance (f, f), none where a value lies on
+    its bound. zeros (recordings, n) rad: shown less true. undetermined: sentences. candidates, chosen: index of one.
+    started_at: rms (L,) rad of the starting model on the segments left out. swings, residuals (K, n) rad: of each
+    segment.
     """
 
     start: ArmChainParameters
