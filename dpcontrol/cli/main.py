@@ -28,6 +28,7 @@ VERBS = {
     "reference": "Show a reference that a plan made: limits, effort, mesh, error, picture.",
     "run": "Run an itinerary in closed loop and write its log.",
     "campaign": "Run an itinerary with many seeds; say how often it is completed.",
+    "rig": "Start an example bench that runs can be made on over UDP, in real time.",
     "score": "Say whether logged runs did what was asked.",
     "info": "Show what is in a log: topics, rates, metadata, attachments.",
     "recover": "Rebuild a log that is cut or damaged, and say what is lost.",

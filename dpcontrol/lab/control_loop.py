@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 
 _FLUSH_EVERY = 20
 _PROGRESS_EVERY = 500
+_TELL_EVERY = 1.0
+"""Seconds between events that deadlines were missed."""
 _HEAD = 7
 """Fields of /control before the standard deviations."""
 BRAKING = 0.9
@@ -109,7 +111,7 @@ class ControlLoop:
         self._event(0.0, "info", "start", f"{self.controller.kind}, {self.estimator.kind}, {ticks}")
         thinking = np.zeros(self.count)
         most, fastest = path.limits.acceleration, path.limits.velocity
-        acted, was_saturated, late, done = 0.0, False, 0, 0
+        acted, was_saturated, late, done, quiet_until = 0.0, False, 0, 0, 0.0
         clock = time.perf_counter
         began = clock()
         for k in range(self.count):
@@ -143,7 +145,12 @@ class ControlLoop:
             if saturated and mode is not Mode.ABORTED:
                 mode = Mode.SATURATED
             rows.take(k, reading, estimate, action, (acted, saturated, mode), rig.truth)
-            late += reading.late > 0
+            if reading.late > 0:
+                late += 1
+                if now >= quiet_until:
+                    quiet_until = now + _TELL_EVERY
+                    text = f"a tick's command comes {1e3 * reading.late:.3g} ms too late; {late} such ticks so far"
+                    self._event(now, "warn", "deadline missed", text)
             done = k + 1
             if rig.fault and self.ending is not Ending.CART_STOP:
                 self.ending, self.reason = Ending.CART_STOP, rig.fault

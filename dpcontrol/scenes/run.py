@@ -33,8 +33,22 @@ def run_plan(plan: Plan, out: Path, *, progress: Progress = no_progress) -> Scor
     itinerary, reference = plan.itinerary, plan.reference
     if not reference.converged:
         raise GoalMissed(f"{itinerary.name} has no reference to follow: {reference.status}")
-    limits = itinerary.loop.limits(reference)
-    with LogWriter(
+    with log_writer(plan, out) as writer:
+        sink = LogSink(writer)
+        result = run_loop(reference, itinerary.model.arms, settings=itinerary.loop, sink=sink, progress=progress)
+        writer.result(real_time_factor=repr(result.real_time_factor), ending=result.ending.value)
+    return score(read_log(out))
+
+
+def log_writer(plan: Plan, out: Path) -> LogWriter:
+    """Return the writer of the log of a run, with all that is known before it.
+
+    Raises:
+        InputError: the log cannot be written.
+    """
+    itinerary = plan.itinerary
+    limits = itinerary.loop.limits(plan.reference)
+    return LogWriter(
         out,
         arm_lengths=itinerary.model.arms.length,
         rate_hz=itinerary.loop.rate,
@@ -45,11 +59,7 @@ def run_plan(plan: Plan, out: Path, *, progress: Progress = no_progress) -> Scor
             "model.toml": itinerary.model.text.encode(),
             REFERENCE_ATTACHMENT: plan.file.read_bytes(),
         },
-    ) as writer:
-        sink = LogSink(writer)
-        result = run_loop(reference, itinerary.model.arms, settings=itinerary.loop, sink=sink, progress=progress)
-        writer.result(real_time_factor=repr(result.real_time_factor), ending=result.ending.value)
-    return score(read_log(out))
+    )
 
 
 def _metadata(itinerary: Itinerary) -> Mapping[str, str]:

@@ -1,0 +1,197 @@
+"""What a bench and its loop say to each other over UDP, version 1.
+
+Little-endian, one packet a datagram. Every packet begins with a head of eight bytes:
+
+    magic 4 bytes "dpcb", version u8, kind u8, count u16
+
+    kind         from    count                    then
+    HELLO    1   loop    commands that follow     f64 each: m/s², on their way when the run begins, oldest first
+    WELCOME  2   bench   arms                     f64 period s, u32 ticks that the bench can run for
+    START    7   loop    0                        nothing: the loop is ready for the first reading
+    READING  3   bench   arms                     u32 tick, u32 tick of the newest command heard (no tick: 2³²-1),
+                                                  u32 periods that had to do with an old command, f64 s from that
+                                                  reading to its command, i8 switch, u8 condition, u16 bytes of a
+                                                  sentence, f64 positions (arms, then the cart), the sentence
+    COMMAND  4   loop    0                        u32 tick of the reading that it answers, f64 acceleration m/s²
+    STOP     5   loop    0                        nothing: brake to a standstill
+    BYE      6   both    bytes of a sentence      the sentence: the run is over
+
+A lost packet is not sent again, and a packet counts once: READING and COMMAND carry the tick that they belong to.
+"""
+
+import struct
+from collections.abc import Sequence
+from enum import IntEnum
+from functools import cache
+from typing import NamedTuple
+
+MAGIC, VERSION = b"dpcb", 1
+LARGEST = 4096
+"""Bytes of a datagram at most."""
+NO_TICK = 2**32 - 1
+
+_HEAD = struct.Struct("<4sBBH")
+_WELCOME = struct.Struct("<dI")
+_READING = struct.Struct("<IIIdbBH")
+_COMMAND = struct.Struct("<Id")
+_COMMAND_WHOLE = struct.Struct("<4sBBHId")
+
+
+@cache
+def _whole_reading(arms: int) -> struct.Struct:
+    return struct.Struct(f"<4sBBHIIIdbBH{arms + 1}d")
+
+
+class Kind(IntEnum):
+    """What a packet is."""
+
+    HELLO = 1
+    WELCOME = 2
+    READING = 3
+    COMMAND = 4
+    STOP = 5
+    BYE = 6
+    START = 7
+
+
+class Condition(IntEnum):
+    """How the bench is."""
+
+    WELL = 0
+    FAULT = 1
+    """It has come to grief, as the sentence says."""
+    SILENCE = 2
+    """It heard nothing from the loop for too long and has stopped the cart."""
+
+
+class Hello(NamedTuple):
+    """A loop wants a run: the commands on their way when it begins, m/s², oldest first."""
+
+    queued: tuple[float, ...]
+
+
+class Welcome(NamedTuple):
+    """The bench is ready: arms, period s, ticks that it can run for."""
+
+    arms: int
+    period: float
+    ticks: int
+
+
+class ReadingPacket(NamedTuple):
+    """What the sensors said at `tick`: positions, absolute angles in rad, then the cart's in m.
+
+    heard: tick of the newest command that has come, -1 for none; held: periods so far in which no new one came; trip s:
+    from the reading `heard` to its command; switch -1, 0, +1; condition of the bench, and a sentence on it.
+    """
+
+    tick: int
+    positions: tuple[float, ...]
+    heard: int
+    held: int
+    trip: float
+    switch: int
+    condition: Condition
+    text: str
+
+
+class CommandPacket(NamedTuple):
+    """The cart's wanted acceleration, m/s², in answer to the reading of `tick`."""
+
+    tick: int
+    acceleration: float
+
+
+def hello(queued: Sequence[float]) -> bytes:
+    """Return the packet that begins a run, with the commands on their way (m/s²), oldest first."""
+    return _HEAD.pack(MAGIC, VERSION, Kind.HELLO, len(queued)) + struct.pack(f"<{len(queued)}d", *queued)
+
+
+def welcome(content: Welcome) -> bytes:
+    """Return the bench's answer to HELLO."""
+    head = _HEAD.pack(MAGIC, VERSION, Kind.WELCOME, content.arms)
+    return head + _WELCOME.pack(content.period, content.ticks)
+
+
+def start() -> bytes:
+    """Return the packet that lets the first tick come."""
+    return _HEAD.pack(MAGIC, VERSION, Kind.START, 0)
+
+
+def reading(content: ReadingPacket) -> bytes:
+    """Return the packet of one tick."""
+    text = content.text.encode()[:2048]
+    n = len(content.positions) - 1
+    heard = NO_TICK if content.heard < 0 else content.heard
+    return (
+        _whole_reading(n).pack(
+            MAGIC, VERSION, Kind.READING, n, content.tick, heard, content.held, content.trip, content.switch,
+            content.condition, len(text), *content.positions,
+        )
+        + text
+    )  # fmt: skip
+
+
+def command(tick: int, acceleration: float) -> bytes:
+    """Return the packet that answers the reading of `tick`, acceleration in m/s²."""
+    return _COMMAND_WHOLE.pack(MAGIC, VERSION, Kind.COMMAND, 0, tick, acceleration)
+
+
+def stop() -> bytes:
+    """Return the packet that stops the cart."""
+    return _HEAD.pack(MAGIC, VERSION, Kind.STOP, 0)
+
+
+def bye(text: str) -> bytes:
+    """Return the packet that ends a run, and why."""
+    said = text.encode()[:2048]
+    return _HEAD.pack(MAGIC, VERSION, Kind.BYE, len(said)) + said
+
+
+Packet = Hello | Welcome | ReadingPacket | CommandPacket | str | None
+"""Of BYE the sentence, of STOP and START None."""
+
+
+def unpacked(data: bytes) -> tuple[Kind, Packet]:
+    """Return a packet's kind and content.
+
+    Raises:
+        ValueError: it is none of version 1, or damaged; says how.
+    """
+    if len(data) < _HEAD.size:
+        raise ValueError(f"a packet of {len(data)} bytes has no head")
+    magic, version, number, count = _HEAD.unpack_from(data)
+    if magic != MAGIC:
+        raise ValueError(f"a packet that begins with {magic!r} is not from a bench")
+    if version != VERSION:
+        raise ValueError(f"the packet's version is {version}, this program speaks {VERSION}")
+    try:
+        kind = Kind(number)
+        content = _content(kind, data, count)
+    except (struct.error, UnicodeDecodeError) as error:
+        raise ValueError(f"a packet of kind {number} is damaged: {error}") from error
+    return kind, content
+
+
+def _content(kind: Kind, data: bytes, count: int) -> Packet:
+    at = _HEAD.size
+    if kind is Kind.READING:
+        tick, heard, held, trip, switch, condition, size = _READING.unpack_from(data, at)
+        at += _READING.size
+        positions = struct.unpack_from(f"<{count + 1}d", data, at)
+        text = _text(data, at + 8 * (count + 1), size) if size else ""
+        heard = -1 if heard == NO_TICK else heard
+        return ReadingPacket(tick, positions, heard, held, trip, switch, Condition(condition), text)
+    if kind is Kind.COMMAND:
+        return CommandPacket(*_COMMAND.unpack_from(data, at))
+    if kind is Kind.HELLO:
+        return Hello(struct.unpack_from(f"<{count}d", data, at))
+    if kind is Kind.WELCOME:
+        return Welcome(count, *_WELCOME.unpack_from(data, at))
+    return _text(data, at, count) if kind is Kind.BYE else None
+
+
+def _text(data: bytes, at: int, size: int) -> str:
+    if len(data) < at + size:
+        raise struct.error(f"{size} bytes of text were announced, {len(data) - at} came")
+    return data[at : at + size].decode()

@@ -1,0 +1,129 @@
+"""Run an itinerary on a bench in real time, over UDP: the same loop, the same log, and how the deadlines were kept.
+
+The bench may be any that speaks `dpcontrol.lab.udp_packets`; the example is the simulated one, by its own clock.
+"""
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.lab.control_loop import ControlLoop
+from dpcontrol.lab.deadlines import Deadlines, real_time_priority, without_collecting
+from dpcontrol.lab.log_sink import LogSink
+from dpcontrol.lab.loop import control_loop, loop_controller, loop_result
+from dpcontrol.lab.result import LoopResult
+from dpcontrol.lab.udp_bench import BenchRecipe, BenchServerSettings
+from dpcontrol.lab.udp_process import BenchProcess
+from dpcontrol.lab.udp_rig import UdpRig, parse_address
+from dpcontrol.logs import read_log
+from dpcontrol.references.reference import Reference
+from dpcontrol.review.score import Score, score
+from dpcontrol.scenes.plan import Plan
+from dpcontrol.scenes.run import log_writer
+
+OWN_BENCH = "udp"
+"""In place of an address: the example bench is started for the run, in a process of its own."""
+_SPARE = 1.0
+"""Seconds for which the example bench can go on after the reference's end."""
+
+
+@dataclass(frozen=True)
+class RigRun:
+    """A run on a bench: score (completion is not known without the true state), the loop's result, deadlines.
+
+    bench: what the example bench said, if it was started for the run.
+    """
+
+    score: Score
+    result: LoopResult
+    deadlines: Deadlines
+    bench: tuple[str, ...]
+
+
+def bench_recipe(plan: Plan) -> BenchRecipe:
+    """Return the simulated bench that a planned itinerary is run on.
+
+    Raises:
+        GoalMissed: the plan did not converge.
+    """
+    itinerary, reference = plan.itinerary, _converged(plan)
+    loop = itinerary.loop
+    return BenchRecipe(
+        itinerary.model.arms, loop.bench, loop.limits(reference), reference.state(0.0),
+        ticks=round((reference.duration + _SPARE) * loop.rate) + 1, period=1 / loop.rate, seed=loop.seed,
+        mismatch=loop.mismatch, initial_error=loop.initial_error,
+    )  # fmt: skip
+
+
+def run_on_rig(
+    plan: Plan, out: Path, address: str, *, real_time: bool = False, progress: Progress = no_progress
+) -> RigRun:
+    """Run the closed loop of a planned itinerary on the bench at `address`, write its log to `out`, and score it.
+
+    address: udp://HOST:PORT, or `udp` for an example bench of its own. real_time: ask the system for priority.
+
+    Raises:
+        InputError: the address is none, no bench answers, it does not fit the itinerary, or the log cannot be written.
+        GoalMissed: the plan did not converge, no controller can be made for it, or the bench failed at once.
+    """
+    itinerary, reference = plan.itinerary, _converged(plan)
+    arms, settings = itinerary.model.arms, itinerary.loop
+    where = None if address == OWN_BENCH else parse_address(address)
+    limits, controller = settings.limits(reference), loop_controller(reference, arms, settings)
+    process: BenchProcess | None = None
+    with log_writer(plan, out) as writer:
+        loop = control_loop(arms, settings, controller, limits=limits, sink=LogSink(writer), progress=progress)
+        _rehearse(loop)
+        with ExitStack() as stack:
+            if where is None:
+                process = stack.enter_context(
+                    BenchProcess(bench_recipe(plan), BenchServerSettings(real_time=real_time))
+                )
+                where = process.address
+            rig = stack.enter_context(UdpRig(where, queued=loop.queued))
+            _fits(rig, loop, arms=arms.count, rate=settings.rate)
+            stack.enter_context(without_collecting())
+            if real_time:
+                stack.enter_context(real_time_priority())
+            record = loop.run(rig)
+        if not len(record.ticks.times):
+            raise GoalMissed(record.reason)
+        result, deadlines = loop_result(record), rig.deadlines
+        writer.result(
+            real_time_factor=repr(result.real_time_factor), ending=result.ending.value, rig=rig.address,
+            **deadlines.record(),
+        )  # fmt: skip
+    return RigRun(score(read_log(out)), result, deadlines, tuple(process.said if process else ()))
+
+
+def _converged(plan: Plan) -> Reference:
+    if not plan.reference.converged:
+        raise GoalMissed(f"{plan.itinerary.name} has no reference to follow: {plan.reference.status}")
+    return plan.reference
+
+
+def _fits(rig: UdpRig, loop: ControlLoop, *, arms: int, rate: float) -> None:
+    welcome = rig.welcome
+    if welcome.arms != arms:
+        raise InputError(f"rig {rig.address} has {welcome.arms} arms, the itinerary's model {arms}")
+    if abs(welcome.period * rate - 1) > 1e-6:
+        raise InputError(
+            f"rig {rig.address} ticks at {1 / welcome.period:g} Hz, the loop at {rate:g} Hz; "
+            f"run with --rate {1 / welcome.period:g}"
+        )
+    if welcome.ticks < loop.count:
+        raise InputError(f"rig {rig.address} can run for {welcome.ticks} ticks, the itinerary takes {loop.count}")
+
+
+def _rehearse(loop: ControlLoop) -> None:
+    """Have everything compiled and in memory before the first deadline."""
+    state, estimator = loop.controller.first_state, loop.estimator
+    n = (len(state) - 2) // 2
+    measured = state[[*range(n), 2 * n]]
+    estimate = estimator.update(estimator.first(state), measured)
+    session = loop.controller.begin()
+    for tick in range(50):
+        estimate = estimator.step(estimate, 0.0, measured)
+        session.command(tick, estimator.ahead(estimate, [0.0]), estimate.extra)
