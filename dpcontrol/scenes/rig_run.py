@@ -13,6 +13,7 @@ from dpcontrol.lab.control_loop import ControlLoop
 from dpcontrol.lab.deadlines import Deadlines, real_time_priority, without_collecting
 from dpcontrol.lab.log_sink import LogSink
 from dpcontrol.lab.loop import control_loop, loop_controller, loop_result
+from dpcontrol.lab.rehearsal import rehearse
 from dpcontrol.lab.result import LoopResult
 from dpcontrol.lab.udp_bench import BenchRecipe, BenchServerSettings
 from dpcontrol.lab.udp_process import BenchProcess
@@ -75,7 +76,7 @@ def run_on_rig(
     process: BenchProcess | None = None
     with log_writer(plan, out) as writer:
         loop = control_loop(arms, settings, controller, limits=limits, sink=LogSink(writer), progress=progress)
-        _rehearse(loop)
+        rehearse(loop)
         with ExitStack() as stack:
             if where is None:
                 process = stack.enter_context(
@@ -115,15 +116,3 @@ def _fits(rig: UdpRig, loop: ControlLoop, *, arms: int, rate: float) -> None:
         )
     if welcome.ticks < loop.count:
         raise InputError(f"rig {rig.address} can run for {welcome.ticks} ticks, the itinerary takes {loop.count}")
-
-
-def _rehearse(loop: ControlLoop) -> None:
-    """Have everything compiled and in memory before the first deadline."""
-    state, estimator = loop.controller.first_state, loop.estimator
-    n = (len(state) - 2) // 2
-    measured = state[[*range(n), 2 * n]]
-    estimate = estimator.update(estimator.first(state), measured)
-    session = loop.controller.begin()
-    for tick in range(50):
-        estimate = estimator.step(estimate, 0.0, measured)
-        session.command(tick, estimator.ahead(estimate, [0.0]), estimate.extra)

@@ -2,6 +2,8 @@
 the delay, and a period's mean is the sum of what overlaps it.
 """
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -74,7 +76,7 @@ def test_braking_brings_what_was_sent_to_rest_and_not_beyond() -> None:
     for _ in range(20):
         path.send(path.braking(0.5))
         speeds.append(path.velocity)
-    assert all(later <= earlier for earlier, later in zip(speeds, speeds[1:], strict=False))
+    assert all(later <= earlier for earlier, later in pairwise(speeds))
     assert speeds[11] > 0
     assert speeds[12:] == pytest.approx([0.0] * 8, abs=EXACT)
 
