@@ -7,6 +7,7 @@ last bit; no events are kept, and what only the loop can do is left to it (`can_
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +32,7 @@ Array = NDArray[np.float64]
 class BatchRun:
     """One run of K ticks: what it is judged by, and a few of its figures.
 
-    times (K,) s; truth, references (K, 2n+2); applied (K,) m/s²; ending and why. SI units.
+    times (K,) s; truth (K, 2n+2); references (K, n): angles; applied (K,) m/s²; ending and why. SI units.
     """
 
     times: Array
@@ -53,8 +54,9 @@ class BatchRun:
         ticks = result.ticks
         if ticks.truth is None:
             raise InputError("the true states are not known, so the run cannot be judged; run it in simulation")
+        angles = ticks.references[:, : ticks.measured.shape[1] - 1]
         return cls(
-            ticks.times, ticks.truth, ticks.references, ticks.control[:, 3], result.ending, result.reason,
+            ticks.times, ticks.truth, angles, ticks.control[:, 3], result.ending, result.reason,
             result.nis_inside_95, result.rms_feedback,
         )  # fmt: skip
 
@@ -67,8 +69,13 @@ def can_batch(settings: LoopSettings, controller: Controller) -> bool:
         isinstance(settings.estimator, EkfSettings)
         and not faults
         and not settings.supervisor.resynchronise
-        and hasattr(controller, "begin_many")
+        and _many(controller) is not None
     )
+
+
+def _many(controller: Controller) -> Any:
+    """Return what begins a session for many runs: of one clock, or each of its own; None where there is none."""
+    return getattr(controller, "begin_many", None) or getattr(controller, "begin_runs", None)
 
 
 def run_batch(
@@ -103,7 +110,7 @@ class _Lockstep:
         self.settings, self.controller, self.limits = settings, controller, limits
         self.period, self.runs, self.count = 1 / settings.rate, len(seeds), controller.ticks + 1
         self.arms = arms = parameters.count
-        session: ManySession = controller.begin_many(self.runs)  # type: ignore[attr-defined]
+        session: ManySession = _many(controller)(self.runs)
         self.session = session
         draws = [
             draw_bench(
@@ -124,16 +131,24 @@ class _Lockstep:
         self.predicted = np.empty((program.ahead.size_out, self.runs))
         self.path = BatchPath(limits, delay=settings.drive.delay, period=self.period, runs=self.runs)
         states, extras = self._of(self.memory)
-        self.wanted = np.empty((self.count + self.path.lead, len(first)))
+        # Angles alone, for that is what a run is judged by; of all runs at once where they have one clock.
+        self.wanted = np.empty((self.count + self.path.lead, arms, 1))
         queued = []
         for k in range(self.path.lead):
-            forward, back, self.wanted[k] = session.commands(k, states, extras)
+            forward, back, reference = session.commands(k, states, extras)
+            self._want(k, reference)
             queued.append(forward + back)
         self.path.start(queued, velocity=float(first[-1]))
         self.bench = BatchBench(draws, settings.bench, limits=limits, start=first, queued=queued)
         rate_noise = [d.rate_noise for d in draws if d.rate_noise is not None]
         self.rate_noise = np.stack(rate_noise, axis=2) if rate_noise else None
         self.watch = BatchWatch(settings, limits, runs=self.runs)
+
+    def _want(self, k: int, reference: Array) -> None:
+        """Keep the reference (N,) or (N, S) of tick k."""
+        if reference.ndim == 2 and self.wanted.shape[2] != self.runs:
+            self.wanted = np.repeat(self.wanted, self.runs, axis=2)
+        self.wanted[k] = reference[: self.arms].reshape(self.arms, -1)
 
     def _of(self, memory: Array) -> tuple[Array, Array]:
         """Return states (N, S) and extras (E, S) of estimates."""
@@ -174,14 +189,15 @@ class _Lockstep:
     def run(self) -> list[BatchRun]:
         """Run to the last tick, or until every run has ended."""
         n, arms, lead, watch, path, bench = (
-            len(self.wanted[0]),
+            self.program.model.dimension,
             self.arms,
             self.path.lead,
             self.watch,
             self.path,
             self.bench,
         )
-        truth = np.empty((self.count, n, self.runs))
+        # A run's states stand together, for they are looked at run by run.
+        truth = np.empty((self.runs, self.count, n))
         applied, feedbacks, nis_rows = (np.empty((self.count, self.runs)) for _ in range(3))
         acted = np.zeros(self.runs)
         done = self.count
@@ -191,8 +207,9 @@ class _Lockstep:
                 nis, used = self._estimated(k, acted, positions)
                 states, extras = self._of(self.memory)
                 ahead = self._ahead(k)
-                forward, back, self.wanted[k + lead] = self.session.commands(k + lead, ahead, extras)
-                error = np.abs(states[:arms] - self.wanted[k, :arms, None]).max(axis=0)
+                forward, back, reference = self.session.commands(k + lead, ahead, extras)
+                self._want(k + lead, reference)
+                error = np.abs(states[:arms] - self.wanted[k]).max(axis=0)
                 stopped, restarts = watch.judge(
                     k, error=error, nis=nis, used=used, position=ahead[n - 2], velocity=ahead[n - 1],
                     sent=path.velocity, switch=switch, fault=bench.failed,
@@ -213,7 +230,8 @@ class _Lockstep:
                 if stopped is not None:
                     bench.stop(stopped)
                 acted = path.acted(self.memory[n - 1])
-                truth[k], applied[k], feedbacks[k], nis_rows[k] = bench.truth, acted, feedback, nis
+                truth[:, k] = bench.truth.T
+                applied[k], feedbacks[k], nis_rows[k] = acted, feedback, nis
                 watch.ended(k, bench.faults)
                 if watch.all_ended:
                     done = k + 1
@@ -226,7 +244,7 @@ class _Lockstep:
         out = []
         for lane in range(self.runs):
             count = min(self.watch.counts[lane], done)
-            references = self.wanted[:count].copy()
+            references = self.wanted[:count, :, lane % self.wanted.shape[2]].copy()
             since = self.watch.stopped_at[lane]
             if since < count:
                 references[since:] = references[since]
@@ -235,7 +253,7 @@ class _Lockstep:
             out.append(
                 BatchRun(
                     times[:count],
-                    np.ascontiguousarray(truth[:count, :, lane]),
+                    truth[lane, :count],
                     references,
                     applied[:count, lane].copy(),
                     self.watch.endings[lane],

@@ -14,7 +14,7 @@ from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings
 from dpcontrol.control.interface import Controller, Estimator
 from dpcontrol.control.sampled import SampledModel
-from dpcontrol.control.tracking import ControllerSettings, TvlqrSettings, tracking_controller
+from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
@@ -22,9 +22,11 @@ from dpcontrol.foundation.files import Progress, no_progress
 from dpcontrol.lab.bench import BenchSettings
 from dpcontrol.lab.command_path import CommandPath
 from dpcontrol.lab.control_loop import ControlLoop, Fallback, LoopRecord
+from dpcontrol.lab.controllers import ControllerSettings, make_controller
 from dpcontrol.lab.disturbances import DisturbanceSettings
 from dpcontrol.lab.draw import draw_bench
 from dpcontrol.lab.drive import DriveSettings
+from dpcontrol.lab.noisy_rates import NoisyRates
 from dpcontrol.lab.result import LoopResult, LoopSink, NoSink
 from dpcontrol.lab.sensors import SensorSettings
 from dpcontrol.lab.simulated import SimulatedRig
@@ -92,7 +94,8 @@ def loop_controller(reference: Reference, parameters: ArmChainParameters, settin
         InputError: the reference did not converge, or is not one of these arms.
         GoalMissed: no controller can be made for it.
     """
-    return tracking_controller(reference, sampled_model(parameters, settings.rate), settings.controller)
+    model = sampled_model(parameters, settings.rate)
+    return make_controller(reference, parameters, model, settings=settings.controller, estimator=settings.estimator)
 
 
 def loop_estimator(parameters: ArmChainParameters, settings: LoopSettings) -> Estimator:
@@ -115,14 +118,19 @@ def control_loop(
     *,
     limits: Limits,
     believed_delay: float | None = None,
+    rate_noise: Array | None = None,
     sink: LoopSink | None = None,
     fallback: Fallback | None = None,
     progress: Progress = no_progress,
 ) -> ControlLoop:
-    """Return a loop for any rig, simulated or real; believed_delay in periods, the drive's own by default."""
+    """Return a loop for any rig, simulated or real; believed_delay in periods, the drive's own by default.
+
+    rate_noise (K, n) rad/s: what is added to the rates that the controller is given at each tick.
+    """
+    estimator = loop_estimator(parameters, settings)
     delay = settings.drive.delay if believed_delay is None else believed_delay
     return ControlLoop(
-        loop_estimator(parameters, settings),
+        estimator if rate_noise is None else NoisyRates(estimator, rate_noise),
         controller,
         path=CommandPath(limits, delay=delay, period=1 / settings.rate),
         supervisor=loop_supervisor(settings, limits, can_hold=fallback is not None),
@@ -162,8 +170,9 @@ def run_loop(
         mismatch=settings.mismatch, initial_error=settings.initial_error, plant=plant,
     )  # fmt: skip
     loop = control_loop(
-        parameters, settings, controller, limits=limits, sink=sink, fallback=fallback, progress=progress
-    )
+        parameters, settings, controller, limits=limits, rate_noise=draw.rate_noise, sink=sink, fallback=fallback,
+        progress=progress,
+    )  # fmt: skip
     rig = SimulatedRig(draw, settings.bench, limits=limits, start=first, queued=loop.queued)
     return loop_result(loop.run(rig), plant=draw.plant.arms)
 

@@ -249,6 +249,11 @@ def sustained_orbit(
     return _described(lyapunov, curve, equations, arms.base(), reference)
 
 
+def sustained_from(lyapunov: LyapunovOrbit, arms: ArmChainParameters, reference: Reference) -> SustainedOrbit:
+    """Return the sustained orbit that a reference of one period is, found before by `sustained_orbit`."""
+    return _described(lyapunov, OrbitCurve(lyapunov), equations_of(arms, Level.CART), arms.base(), reference)
+
+
 def _frictionless(lyapunov: LyapunovOrbit, n: int) -> Array:
     base = np.array(lyapunov.system.parameters, dtype=float)
     base[len(base) - n :] = 0.0

@@ -11,10 +11,10 @@ from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.scenes.lookup import find
 from dpcontrol.scenes.model import Model, load_model
-from dpcontrol.scenes.parts import HoldPart, Part, WalkPart, read_parts
+from dpcontrol.scenes.parts import HoldPart, OrbitPart, Part, WalkPart, read_parts
 from dpcontrol.scenes.run_settings import overridden, read_run_settings
 
-ENDS = ("orbit", "rest")
+ENDS = ("orbit", "rest", "hold")
 """Where an itinerary may start and finish."""
 
 
@@ -22,7 +22,8 @@ ENDS = ("orbit", "rest")
 class Itinerary:
     """One scene: its parts and the settings of every stage. `loop` carries seed 0 until a run gives another.
 
-    start, finish: "orbit" (on the first, last part's orbit) or "rest" (hanging still).
+    start, finish: "orbit" (on the first, last part's orbit), "rest" (hanging still) or "hold" (at the equilibrium that
+    is its only part).
     """
 
     name: str
@@ -36,6 +37,14 @@ class Itinerary:
     reference: ReferenceSettings
     loop: LoopSettings
     text: str
+
+    @property
+    def stay(self) -> HoldPart | OrbitPart | None:
+        """The equilibrium or orbit that it stays at, if it goes nowhere."""
+        only = self.parts[0]
+        if isinstance(only, OrbitPart) or (isinstance(only, HoldPart) and self.start == "hold"):
+            return only
+        return None
 
     @property
     def walks(self) -> tuple[WalkPart, ...]:
@@ -76,7 +85,14 @@ def load_itinerary(name: str, *, model: Model | None = None) -> Itinerary:
     _ = model.arms  # an itinerary needs arms on a cart
     parts = read_parts(table, model)
     start = table.text("start", "orbit", allowed=ENDS)
-    finish = table.text("finish", "orbit", allowed=ENDS)
+    finish = table.text("finish", start if start == "hold" else "orbit", allowed=ENDS)
+    if "hold" in (start, finish) and not (start == finish and len(parts) == 1 and isinstance(parts[0], HoldPart)):
+        raise InputError(
+            f'{table.where("start")} = "hold": for an itinerary whose only part is a hold; others start at "orbit" or '
+            '"rest"'
+        )
+    if isinstance(parts[0], OrbitPart) and (start, finish) != ("orbit", "orbit"):
+        raise InputError(f'{table.where("orbit")}: an orbit is kept from "orbit" to "orbit"; remove start and finish')
     for key, which, part in (("start", start, parts[0]), ("finish", finish, parts[-1])):
         if which == "orbit" and isinstance(part, HoldPart):
             raise InputError(

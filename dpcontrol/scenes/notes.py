@@ -1,5 +1,6 @@
 """What a plan says beyond the trajectory: notes (JSON) and arrays that score and review need, kept with the reference.
 
+stay      kind "orbit" or "hold", for an itinerary that goes nowhere; what it takes to make its controller
 stops     where the pendulum wobbles or rests: saddle, angles (lifted), orbit (index into orbits)
 symbols   what leads from stop to stop: a connection, or a transfer (name null, no section)
 wraps     one for each interior stop; null where they are not counted: beside a transfer
@@ -83,8 +84,6 @@ class _Story:
 
 def plan_notes(itinerary: Itinerary, pieces: Sequence[Piece], begins: Array) -> tuple[dict[str, Any], dict[str, Array]]:
     """Return the notes of solved pieces that begin at `begins` (P + 1,) s, and the arrays that go with them."""
-    system = itinerary.model.system
-    n = system.dimension // 2
     orbits, story = _Orbits(itinerary), _Story()
     transfers: list[list[float]] = []
     way: dict[str, Any] | None = None
@@ -100,13 +99,11 @@ def plan_notes(itinerary: Itinerary, pieces: Sequence[Piece], begins: Array) -> 
         if goal.shadowing is not None:
             _follow(story, orbits, piece, float(begin))
     walks = [piece.goal.shadowing for piece in pieces if piece.goal is not None and piece.goal.shadowing is not None]
+    energy = walks[0].connections[0].source.energy if walks else None
     notes = {
-        "itinerary": itinerary.name,
-        "title": itinerary.title,
-        "model": itinerary.model.name,
-        "energy": walks[0].connections[0].source.energy if walks else None,
-        "walk": [s["name"] or s["text"] for s in story.symbols],
-        "wraps": story.wraps,
+        **notes_of(
+            itinerary, stops=story.stops, symbols=story.symbols, wraps=story.wraps, orbits=orbits.entries, energy=energy
+        ),
         "lead_in": walks[0].lead_in if walks else None,
         "lead_out": walks[-1].lead_out if walks else None,
         "shadowing": {
@@ -115,16 +112,42 @@ def plan_notes(itinerary: Itinerary, pieces: Sequence[Piece], begins: Array) -> 
             "status": "; ".join(orbit.status for orbit in walks) or "no walk to shadow",
             "wraps_realised": [count for orbit in walks for count in orbit.wraps_realised],
         },
-        "stops": story.stops,
-        "symbols": story.symbols,
         "transfers": transfers,
-        "orbits": orbits.entries,
+    }
+    return notes, {f"orbit_{k}": samples for k, samples in enumerate(orbits.samples)}
+
+
+def notes_of(
+    itinerary: Itinerary,
+    *,
+    stops: list[dict[str, Any]],
+    symbols: list[dict[str, Any]],
+    wraps: list[int | None],
+    orbits: list[dict[str, Any]],
+    energy: float | None,
+) -> dict[str, Any]:
+    """Return what every plan's notes hold; energy: of the first orbit, J."""
+    system = itinerary.model.system
+    n = system.dimension // 2
+    return {
+        "itinerary": itinerary.name,
+        "title": itinerary.title,
+        "model": itinerary.model.name,
+        "energy": energy,
+        "walk": [s["name"] or s["text"] for s in symbols],
+        "wraps": wraps,
+        "lead_in": None,
+        "lead_out": None,
+        "shadowing": {"residual": None, "duration": 0.0, "status": "no walk to shadow", "wraps_realised": []},
+        "stops": stops,
+        "symbols": symbols,
+        "transfers": [],
+        "orbits": orbits,
         "saddles": {
             name: {"angles": e.state[:n].tolist(), "energy": e.energy} for name, e in equilibria(system).items()
         },
+        "made_from": _made_from(itinerary),
     }
-    notes["made_from"] = _made_from(itinerary)
-    return notes, {f"orbit_{k}": samples for k, samples in enumerate(orbits.samples)}
 
 
 def _made_from(itinerary: Itinerary) -> dict[str, Any]:

@@ -4,6 +4,7 @@ Either the file's top level gives one part's keys, or [[parts]] lists several:
 
     energy, walk, wraps, repeat, lead_in, lead_out      a walk
     hold = "up-up", seconds = 2.0                       a stay at an equilibrium
+    orbit = "down-up", energy = -0.07, seconds = 60     a stay on a periodic orbit; the only part of its itinerary
 """
 
 from dataclasses import dataclass
@@ -36,7 +37,17 @@ class HoldPart:
     seconds: float
 
 
-Part = WalkPart | HoldPart
+@dataclass(frozen=True)
+class OrbitPart:
+    """A stay on the sustained orbit about a saddle, energy in J, for about `seconds` s: whole periods."""
+
+    orbit: str
+    energy: float
+    seconds: float
+    family: int
+
+
+Part = WalkPart | HoldPart | OrbitPart
 
 
 def read_parts(table: Table, model: Model) -> tuple[Part, ...]:
@@ -48,12 +59,14 @@ def read_parts(table: Table, model: Model) -> tuple[Part, ...]:
     listed = table.tables("parts")
     if not listed:
         return (_part(table, model),)
-    for key in ("walk", "energy", "wraps", "hold"):
+    for key in ("walk", "energy", "wraps", "hold", "orbit"):
         if key in table:
             raise InputError(f"{table.where(key)}: the file lists [[parts]]; the key belongs into one of them")
     parts = []
     for one in listed:
         parts.append(_part(one, model))
+        if isinstance(parts[-1], OrbitPart):
+            raise InputError(f"{one.where('orbit')}: an orbit is kept in an itinerary of its own, without [[parts]]")
         one.finish()
     return tuple(parts)
 
@@ -61,11 +74,37 @@ def read_parts(table: Table, model: Model) -> tuple[Part, ...]:
 def _part(table: Table, model: Model) -> Part:
     if "hold" in table:
         return _hold(table, model)
+    if "orbit" in table:
+        return _orbit(table, model)
     energy = table.number("energy")
     saddles = saddles_with_tubes(model.system)
     walk, wraps, repeat = _walk(table, saddles)
     _check_energy(table, walk, saddles, model, energy)
     return WalkPart(energy, walk, wraps, repeat, table.integer("lead_in", 2), table.integer("lead_out", 2))
+
+
+def _orbit(table: Table, model: Model) -> OrbitPart:
+    for key in ("walk", "hold"):
+        if key in table:
+            raise InputError(
+                f"{table.where('orbit')}: an itinerary that keeps an orbit has no {key}; remove one of them"
+            )
+    saddles = saddles_with_tubes(model.system)
+    name = table.text("orbit", allowed=saddles)
+    energy, point = table.number("energy"), equilibria(model.system)[name]
+    if energy <= point.energy:
+        raise InputError(
+            f"{table.where('energy')} = {energy!r} J: {name} has Lyapunov orbits only above its own "
+            f"{point.energy!r} J; choose a higher energy"
+        )
+    return OrbitPart(name, energy, _seconds(table, 10.0), table.integer("family", 0))
+
+
+def _seconds(table: Table, default: float) -> float:
+    seconds = table.number("seconds", default)
+    if not 0.5 <= seconds <= 3600:
+        raise InputError(f"{table.where('seconds')} = {seconds!r}: must be 0.5 to 3600 s")
+    return seconds
 
 
 def _hold(table: Table, model: Model) -> HoldPart:
@@ -75,10 +114,7 @@ def _hold(table: Table, model: Model) -> HoldPart:
     name = table.text("hold")
     if name not in points:
         raise InputError(f"{table.where('hold')} = {name!r}: {suggest(name, points)}")
-    seconds = table.number("seconds", 2.0)
-    if not 0.5 <= seconds <= 3600:
-        raise InputError(f"{table.where('seconds')} = {seconds!r}: must be 0.5 to 3600 s")
-    return HoldPart(name, seconds)
+    return HoldPart(name, _seconds(table, 2.0))
 
 
 def _walk(table: Table, saddles: list[str]) -> tuple[tuple[str, ...], tuple[int, ...], int]:

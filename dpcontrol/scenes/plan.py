@@ -25,6 +25,7 @@ from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.scenes.notes import plan_notes
 from dpcontrol.scenes.parts import HoldPart, WalkPart
 from dpcontrol.scenes.pieces import REST, REST_AFTER, REST_BEFORE, Goal, solve_pieces, stay_goal, walk_goal
+from dpcontrol.scenes.stays import plan_stay
 
 FORMAT = 2
 """Raised whenever the notes change their meaning."""
@@ -83,10 +84,13 @@ def make_plan(itinerary: Itinerary, *, progress: Progress = no_progress, fresh: 
             kept = load_reference(file)
             if kept.notes.get("plan") == plan_key(itinerary):
                 return Plan(itinerary, kept, file, cached=True)
-    goals = _goals(itinerary, part_of(progress, 0.0, 0.4))
-    pieces = solve_pieces(itinerary, goals, progress=part_of(progress, 0.4, 1.0))
-    reference, begins = joined([piece.reference for piece in pieces])
-    notes, arrays = plan_notes(itinerary, pieces, begins)
+    if itinerary.stay is not None:
+        reference, notes, arrays = plan_stay(itinerary, itinerary.stay, progress=progress)
+    else:
+        goals = _goals(itinerary, part_of(progress, 0.0, 0.4))
+        pieces = solve_pieces(itinerary, goals, progress=part_of(progress, 0.4, 1.0))
+        reference, begins = joined([piece.reference for piece in pieces])
+        notes, arrays = plan_notes(itinerary, pieces, begins)
     notes["plan"] = plan_key(itinerary)
     reference = replace(reference, notes={**reference.notes, **notes}, extra={**reference.extra, **arrays})
     if reference.converged:
@@ -106,7 +110,7 @@ def _goals(itinerary: Itinerary, progress: Progress) -> list[Goal]:
             # Towards another walk the orbits meet as they are; towards rest or a hold there is a transfer.
             apart = (e == "rest" if b is None else isinstance(b, HoldPart) for e, b in zip(ends, beside, strict=True))
             goals.append(walk_goal(orbit, part.walk, round_off=(next(apart), next(apart))))
-        else:
+        elif isinstance(part, HoldPart):
             goals.append(stay_goal(itinerary, part.hold, part.seconds))
     if itinerary.finish == "rest":
         goals.append(stay_goal(itinerary, REST, REST_AFTER))

@@ -8,17 +8,24 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any
 
+from dpcontrol.control.adaptive import AdaptiveSettings
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterpyEkfSettings, UkfSettings
-from dpcontrol.control.tracking import ControllerSettings, FeedforwardSettings, TvlqrSettings
+from dpcontrol.control.hold import HoldSettings
+from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
+from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.tables import Table, suggest
+from dpcontrol.lab.controllers import ControllerSettings
 from dpcontrol.lab.disturbances import DisturbanceSettings, Push
 from dpcontrol.lab.drive import DriveSettings
 from dpcontrol.lab.loop import LoopSettings
 from dpcontrol.lab.sensors import SensorSettings
 from dpcontrol.lab.supervisor import SupervisorSettings
 
-CONTROLLERS: Mapping[str, type[ControllerSettings]] = {"tvlqr": TvlqrSettings, "feedforward": FeedforwardSettings}
+CONTROLLERS: Mapping[str, type[ControllerSettings]] = {
+    "tvlqr": TvlqrSettings, "adaptive": AdaptiveSettings, "ogy": OgySettings, "ogy-classic": ClassicOgySettings,
+    "lqr": HoldSettings, "feedforward": FeedforwardSettings,
+}  # fmt: skip
 """Kinds of controller and what holds the settings of each."""
 ESTIMATORS: Mapping[str, type[EstimatorSettings]] = {
     "ekf": EkfSettings, "ekf-filterpy": FilterpyEkfSettings, "ukf": UkfSettings
