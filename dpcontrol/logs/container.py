@@ -33,6 +33,8 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
+COMPRESSION = 1
+"""zstd's level: higher ones take far longer and save little, for noise does not compress."""
 MAGIC = b"\x89MCAP0\r\n"
 _INDEX_ENTRY = np.dtype([("time", "<u8"), ("offset", "<u8")])
 
@@ -55,14 +57,14 @@ def _bytes_of(record: McapRecord) -> bytes:
 class McapFile:
     """Writes one MCAP file to an unbuffered binary stream: header, metadata and attachments, chunks, summary.
 
-    Both checksums, of each chunk and of the whole data section, are always written.
+    Both checksums, of each chunk and of the whole data section, are always written. level: zstd's, of compression.
     """
 
-    def __init__(self, stream: RawIOBase, *, library: str):
+    def __init__(self, stream: RawIOBase, *, library: str, level: int = COMPRESSION):
         self._stream = stream
         self._position = 0
         self._crc = 0
-        self._compressor = zstandard.ZstdCompressor(level=1)
+        self._compressor = zstandard.ZstdCompressor(level=level)
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
         self._metadata: list[MetadataIndex] = []

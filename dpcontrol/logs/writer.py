@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import cdr, layout, urdf
 from dpcontrol.logs.blocks import REFERENCE_PREFIX, ChunkEncoder, Note, TickRows
-from dpcontrol.logs.container import McapFile
+from dpcontrol.logs.container import COMPRESSION, McapFile
 from dpcontrol.logs.partial import moved_away, open_partial, sync_folder
 from dpcontrol.logs.sealed import sealed
 
@@ -48,6 +48,7 @@ class LogWriter:
         limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s².
         metadata: text by name: version, commit, seed, hashes, whatever tells this run from others.
         attachments: content by file name: scene, model, reference.
+        chunk_seconds, compression: length of a chunk in s, on whose default `recover` counts, and zstd's level.
 
     Raises:
         InputError: the file cannot be written.
@@ -63,6 +64,8 @@ class LogWriter:
         limits: tuple[float, float, float] | None = None,
         metadata: Mapping[str, str] | None = None,
         attachments: Mapping[str, bytes] | None = None,
+        chunk_seconds: float = CHUNK_SECONDS,
+        compression: int = COMPRESSION,
     ):
         self.path = Path(path)
         self.partial = self.path.with_name(self.path.name + ".partial")
@@ -72,11 +75,12 @@ class LogWriter:
         self._metadata = sealed(layout.RUN_RECORD, dict(metadata or {}))
         self._attachments = dict(attachments or {})
         self._rate = float(rate_hz)
+        self._compression = compression
         if not self._lengths or not self._rate > 0:
             raise ValueError(f"a log needs arms and a positive rate; got {len(self._lengths)} arms at {rate_hz} Hz")
         tick = layout.TickLayout(len(self._lengths), has_cart, frozenset(layout.PARTS))
         self._joints, self._size, self._width = len(tick.names), 2 * len(tick.names), len(tick.fields)
-        self._rows = max(1, round(CHUNK_SECONDS * self._rate))
+        self._rows = max(1, round(chunk_seconds * self._rate))
         self._time = np.zeros(self._rows)
         self._measured = np.zeros((self._rows, self._joints))
         self._parts = {part: np.zeros((self._rows, width)) for part, width in tick.widths.items()}
@@ -150,7 +154,7 @@ class LogWriter:
         return InputError(f"cannot write {self.path}: {error.strerror or error}; choose another file or folder")
 
     def _start(self, stream: FileIO) -> None:
-        self._file = McapFile(stream, library=f"dpcontrol {version('dpcontrol')}")
+        self._file = McapFile(stream, library=f"dpcontrol {version('dpcontrol')}", level=self._compression)
         self._file.add_metadata(layout.RUN_RECORD, self._metadata)
         for name, data in self._attachments.items():
             self._file.add_attachment(name, data)

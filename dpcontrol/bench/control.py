@@ -1,0 +1,218 @@
+"""Chart 5: controllers, what they do to the error and how often they fail, against the time of a tick and the effort.
+
+Three tasks on the same bench: follow one turn of the outer arm, keep the orbit about Down-Up alive, hold both arms up.
+The adaptive law needs a filter that estimates the model's errors, so a tick's time is that of filter and law together.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from dpcontrol.bench.chart import Chart, Missing, Panel, Point
+from dpcontrol.bench.control_trials import LARGE, SMALL, Outcome, Task, held, outcome, tick_of
+from dpcontrol.bench.estimator_trials import noise_of
+from dpcontrol.bench.measure import timed
+from dpcontrol.control.adaptive import AdaptiveSettings, adaptive_controller
+from dpcontrol.control.compiled_ekf import CompiledEkf
+from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.hold import HoldSettings, hold_controller
+from dpcontrol.control.interface import Controller
+from dpcontrol.control.ogy import ClassicOgySettings, OgySettings, ogy_controller
+from dpcontrol.control.periodic import orbit_controller
+from dpcontrol.control.sampled import SampledModel
+from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings, tracking_controller
+from dpcontrol.foundation.files import Progress
+from dpcontrol.lab.batch import BatchRun
+from dpcontrol.lab.loop import LoopSettings, sampled_model
+from dpcontrol.references.joining import still
+from dpcontrol.references.method import method_named
+from dpcontrol.references.problem import Limits
+from dpcontrol.references.reference import Reference
+from dpcontrol.references.sustained import sustained_orbit
+from dpcontrol.review.score import Flown, verdict_on
+from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.model import load_model
+from dpcontrol.scenes.plan import make_plan
+from dpcontrol.tubes.lyapunov import lyapunov_orbit
+
+RATE = 1000.0
+REPEATS = 9
+TICKS = "s per tick, filter and law"
+SECTIONS = (1, 2, 3, 4, 8, 16, 32)
+QUICK_SECTIONS = (4, 16)
+WEIGHTS = (0.1, 1.0, 10.0, 100.0)
+"""Times the default weight of the effort."""
+AUGMENTED = EkfSettings(augment=("friction", "parameters"))
+_PLAIN = EkfSettings()
+Made = Mapping[tuple[str, str], tuple[Callable[[SampledModel], Controller], EkfSettings]]
+"""Controllers by method and setting, each with the filter that it is run with."""
+
+
+def chart(quick: bool, progress: Progress) -> Chart:
+    """Return the chart; quick: fewer seeds, sections and weights, and shorter holds."""
+    seeds = 4 if quick else 20
+    progress("control, one turn", 0.0)
+    tracking = _tracking(seeds)
+    progress("control, an orbit", 0.3)
+    orbit = _orbit(QUICK_SECTIONS if quick else SECTIONS, seeds if quick else 10, 4.0 if quick else 10.0)
+    progress("control, both arms up", 0.9)
+    hold = _hold(WEIGHTS[::2] if quick else WEIGHTS, seeds)
+    return Chart(
+        name="control",
+        title=f"Control: {SMALL:.0%} of mismatch for the error, {LARGE:.0%} for what fails",
+        panels=(*tracking, *orbit, hold),
+        reading=(
+            "Upper diagrams of a task: rms error of the angles against a tick's time; beside them the share of runs "
+            f"at {LARGE:.0%} mismatch that do not come through.",
+            "OGY by its sections in a period: an error grows by λ^(1/k) from one to the next, so that few sections "
+            "cannot hold the orbit; those stand in the list of what is missing.",
+            "Both arms up: effort against error, by the weight of the effort. The data hold effort and success of "
+            "every point.",
+        ),
+        chosen=(
+            "TVLQR by time for references: the fastest that comes through, with the least effort. The adaptive law "
+            "where the model is in doubt: a third more time, three times the feedback, fewer failures. OGY at k = 16."
+        ),
+    )  # fmt: skip
+
+
+def _measured(
+    task: Task, made: Made, *, seeds: int
+) -> tuple[list[tuple[str, str, float, Outcome]], list[Missing], dict[str, float]]:
+    """Return (method, setting, seconds, outcome) of those that come through, the rest with reasons, and start-ups."""
+    rows, missing, start_up = [], [], {}
+    for (method, setting), (make, estimator) in made.items():
+        settings = LoopSettings(seed=0, rate=RATE, estimator=estimator)
+        model = sampled_model(task.arms, RATE)
+        built = timed(lambda make=make, model=model: make(model), 1)
+        controller = built.result
+        found = outcome(task, controller, settings, seeds=seeds)
+        ekf = CompiledEkf(model, estimator, noise=noise_of(task.arms, settings.sensors.counts))
+        last = ekf.first(controller.first_state)
+        step = tick_of(controller, extras=len(ekf.extra_names))
+        positions = controller.first_state[model.position_indices]
+        filtering = timed(lambda e=ekf, x=last, z=positions: e.step(x, 0.1, z), REPEATS)
+        spent = filtering.seconds + timed(step, REPEATS).seconds
+        start_up[", ".join(filter(None, (method, setting)))] = built.seconds
+        if np.isfinite(found.error):
+            rows.append((method, setting, spent, found))
+        else:
+            missing.append(Missing(method, setting, f"none of {seeds} runs came through at {SMALL:.0%} mismatch"))
+    return rows, missing, start_up
+
+
+def _pair(task: Task, made: Made, *, seeds: int, default: tuple[str, str], why: str) -> tuple[Panel, Panel]:
+    """Return the task's two panels: error, and share that fails at the large mismatch, against a tick's time."""
+    rows, missing, start_up = _measured(task, made, seeds=seeds)
+
+    def points(of: Callable[[Outcome], float]) -> tuple[Point, ...]:
+        return tuple(
+            Point(
+                method, setting, seconds, of(found), default=(method, setting) == default,
+                note=f"{found.success:.0%} come through, feedback {found.effort:.3f} m/s² rms",
+                others={"success": found.success, "success_small": found.success_small, "effort": found.effort},
+            )
+            for method, setting, seconds, found in rows
+        )  # fmt: skip
+
+    return (
+        Panel(f"{task.title}: error", TICKS, "rms error of the angles, rad", points(lambda o: o.error), start_up,
+              tuple(missing), why),
+        Panel(f"{task.title}: failures", TICKS, f"share that fails at {LARGE:.0%} mismatch",
+              points(lambda o: 1 - o.success), start_up, tuple(missing), why, log_y=False),
+    )  # fmt: skip
+
+
+def _tracking(seeds: int) -> tuple[Panel, Panel]:
+    scene = load_itinerary("outer-turn")
+    reference, arms = make_plan(scene).reference, scene.model.arms
+    task = Task("One turn", reference, arms, _completed(reference))
+    made: Made = {
+        ("feedforward", ""): (lambda m: tracking_controller(reference, m, FeedforwardSettings()), _PLAIN),
+        ("TVLQR", "time"): (lambda m: tracking_controller(reference, m, TvlqrSettings()), _PLAIN),
+        ("TVLQR", "phase"): (lambda m: tracking_controller(reference, m, TvlqrSettings(schedule="phase")), _PLAIN),
+        ("adaptive", ""): (
+            lambda m: adaptive_controller(reference, m, AdaptiveSettings(), estimator=AUGMENTED), AUGMENTED,
+        ),
+    }  # fmt: skip
+    why = "by time the clock needs no state, so a tick is quicker and a run repeats to the bit in lockstep"
+    return _pair(task, made, seeds=seeds, default=("TVLQR", "time"), why=why)
+
+
+def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Panel, Panel, Panel]:
+    model = load_model("lab")
+    orbit = sustained_orbit(lyapunov_orbit(model.system, "down-up", energy=-0.07), model.arms)
+    angles = orbit.state(np.linspace(0, orbit.period, 1000))[:, : model.arms.count]
+    task = Task("An orbit", orbit.reference, model.arms, held(angles, period=orbit.period))
+
+    def pulses(k: int, kind: type) -> Callable[[SampledModel], Controller]:
+        return lambda m: ogy_controller(orbit, m, kind(sections=k), seconds=seconds)
+
+    made: Made = {
+        ("TVLQR", schedule): (
+            lambda m, s=schedule: orbit_controller(orbit, m, TvlqrSettings(schedule=s), seconds=seconds), _PLAIN,
+        )
+        for schedule in ("time", "phase")
+    }  # fmt: skip
+    made |= {("OGY", f"k = {k}"): (pulses(k, OgySettings), _PLAIN) for k in sections}
+    made |= {("OGY, classic", f"k = {k}"): (pulses(k, ClassicOgySettings), _PLAIN) for k in sections[-2:]}
+    error, failures = _pair(
+        task, made, seeds=seeds, default=("TVLQR", "time"),
+        why="a periodic gain at every tick is the plain continuation of what follows references",
+    )  # fmt: skip
+    kept = OgySettings()
+    spending = Panel(
+        "An orbit by pulses: effort",
+        "rms of the feedback, m/s²",
+        "rms error of the angles, rad",
+        tuple(
+            replace(p, seconds=max(p.others["effort"], 1e-9), default=p.name == f"OGY, k = {kept.sections}")
+            for p in error.points
+            if p.method.startswith("OGY")
+        ),
+        why="more sections see an error earlier, and then push less",
+    )
+    return error, failures, spending
+
+
+def _hold(weights: tuple[float, ...], seeds: int) -> Panel:
+    scene = load_model("lab")
+    start = np.array([np.pi, np.pi, 0.0, 0.0])
+    method, whole = method_named("radau-5"), np.concatenate([start, [0.0, 0.0]])
+    place = still(whole, 1.0, method=method, limits=Limits(), interval=0.1)
+    task = Task("Both arms up", place, scene.arms, held(start[None, :2], period=1.0))
+    plain = HoldSettings()
+    made: Made = {
+        ("LQR", f"effort × {w:g}"): (
+            lambda m, w=w: hold_controller(start, m, replace(plain, effort=w * plain.effort), seconds=4.0), _PLAIN,
+        )
+        for w in sorted({*weights, 1.0})
+    }  # fmt: skip
+    rows, missing, start_up = _measured(task, made, seeds=seeds)
+    points = tuple(
+        Point(
+            method, setting, found.effort, found.error, default=setting == "effort × 1",
+            note=f"{found.success:.0%} come through at {LARGE:.0%} mismatch",
+            others={"success": found.success, "seconds_per_tick": seconds},
+        )
+        for method, setting, seconds, found in rows
+    )  # fmt: skip
+    return Panel(
+        "Both arms up: LQR", "rms of the feedback, m/s²", "rms error of the angles, rad", points, start_up,
+        tuple(missing), "the same weights as TVLQR's, so that a hold goes over into a motion without a jump",
+    )  # fmt: skip
+
+
+def _completed(reference: Reference) -> Callable[[BatchRun], bool]:
+    limits = reference.limits
+
+    def judge(run: BatchRun) -> bool:
+        flown = Flown(
+            time=run.times, states=run.truth, reference_angles=run.references[:, :2], applied=run.applied,
+            rate_hz=RATE, limits=(limits.position, limits.velocity, limits.acceleration),
+            ended="" if run.ending == "finished" else run.reason,
+        )  # fmt: skip
+        return not verdict_on(flown, reference).problem
+
+    return judge
