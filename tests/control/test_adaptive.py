@@ -214,7 +214,8 @@ def test_arms_wrong_by_a_fifth_end_on_the_orbit_where_tvlqr_alone_loses_half(
             LAB, settings=settings, seeds=seeds, controller=controller, limits=settings.limits(reference)
         )  # fmt: skip
         near = [
-            run.ending is Ending.FINISHED and float(np.abs((run.truth - run.references)[-500:, :2]).max()) < 2 * CLOSE
+            run.ending is Ending.FINISHED
+            and float(np.abs((run.truth[:, :2] - run.references)[-500:]).max()) < 2 * CLOSE
             for run in runs
         ]
         ended[kind.kind] = sum(near)
