@@ -91,8 +91,8 @@ def chart(quick: bool, progress: Progress) -> Chart:
             "Right: our own writer by length of chunk and zstd's level: longer chunks pack better and lose more.",
         ),
         chosen=(
-            "Chunks of 20 ms at zstd's level 1, written as arrays: making the messages included, no slower than mcap's own "
-            "writer with ready-made ones, and never more lost than a chunk. Higher levels cost twice the time for 2 %."
+            "Chunks of 20 ms at zstd's level 1, written as arrays: making the messages included, no slower than mcap's "
+            "own writer with ready-made ones, and never more lost than a chunk. Higher levels: twice the time for 2 %."
         ),
     )  # fmt: skip
 
