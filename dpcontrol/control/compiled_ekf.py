@@ -6,15 +6,17 @@ Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking a
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.ekf_equations import FilterEquations, packed, unpacked
-from dpcontrol.control.estimator_settings import FilterSettings
+from dpcontrol.control.estimator_settings import Augment, FilterSettings
 from dpcontrol.control.interface import Estimate
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.dynamics.compiled import Compiled
+from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.errors import InputError
 
 Array = NDArray[np.float64]
@@ -39,6 +41,16 @@ def checked_noise(noise: Array, arms: int) -> Array:
     return r
 
 
+@lru_cache(maxsize=32)
+def _compiled(
+    equations: Equations, period: float, augments: tuple[Augment, ...]
+) -> tuple[FilterEquations, Compiled, Compiled, Compiled]:
+    """Return the filter's equations and its step, update and prediction: made once for all runs of a process."""
+    made = FilterEquations(equations, period, augments)
+    step, update = Compiled(made.function(predicts=True)), Compiled(made.function(predicts=False))
+    return made, step, update, Compiled(made.prediction(with_jacobian=False))
+
+
 class EkfProgram:
     """The filter of one model, its inputs and outputs laid out for one run or for many.
 
@@ -50,11 +62,8 @@ class EkfProgram:
     def __init__(self, model: SampledModel, settings: FilterSettings) -> None:
         self.model = model
         self.settings = settings
-        self.equations = FilterEquations(model.equations, model.period, settings.augments)
-        self.step = Compiled(self.equations.function(predicts=True))
-        self.update = Compiled(self.equations.function(predicts=False))
-        self.ahead = Compiled(self.equations.prediction(with_jacobian=False))
-        """From z, command, parameters and process to the next z (N+E,), without a measurement."""
+        self.equations, self.step, self.update, self.ahead = _compiled(model.equations, model.period, settings.augments)
+        """ahead: from z, command, parameters and process to the next z (N+E,), without a measurement."""
         size, m = self.equations.dimension, model.arms + 1
         lengths = {"z": size, "covariance": size * (size + 1) // 2, "sigmas": size, "innovation": m}
         lengths |= {"nis": 1, "used": 1, "sound": 1}

@@ -17,7 +17,7 @@ from dpcontrol.dynamics.lagrangian import Mechanics
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Equations:
     """One level's equations as casadi SX: state (N,), inputs (m,), parameters (p,), rate = f (N,)."""
 

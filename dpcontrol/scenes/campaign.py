@@ -26,15 +26,15 @@ PATHS = ("compiled", "ticks")
 MOST_RUNS = 1_000_000
 MOST_PAIRED = 6
 """Cases up to which each two are compared."""
-MOST_PAIRED = 6
-"""Cases up to which each two are compared."""
+MOST_TICKS = 5_000_000
+"""Of all runs of a job together: what is kept of them takes 72 bytes a tick."""
 
 
 @dataclass(frozen=True)
 class CampaignSettings:
     """runs for each case, from seed `first_seed` on; path: "compiled" runs many seeds in lockstep, "ticks" the loop
     itself; workers: processes, 0 for one on each processor; scheduler: address of a Dask cluster, or empty; batch:
-    seeds in a job.
+    seeds in a job, fewer where runs are long.
     """
 
     runs: int
@@ -42,7 +42,7 @@ class CampaignSettings:
     path: str = "compiled"
     workers: int = 0
     scheduler: str = ""
-    batch: int = 64
+    batch: int = 128
 
     def __post_init__(self) -> None:
         """Refuse an impossible campaign.
@@ -146,11 +146,16 @@ def _jobs(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> list
     seeds = range(settings.first_seed, settings.first_seed + settings.runs)
     # A batch never depends on how many runs were asked for, so that more runs of the same campaign reuse the first.
     name, arms = plan.itinerary.name, plan.itinerary.model.arms
-    return [
-        Job(name, archive, arms, case, tuple(seeds[k : k + settings.batch]), settings.path)
-        for case in cases
-        for k in range(0, settings.runs, settings.batch)
-    ]
+    jobs = []
+    for case in cases:
+        ticks = max(round(plan.reference.duration * case.loop.rate), 1)
+        size = max(min(settings.batch, MOST_TICKS // ticks), 1)
+        uncertainty = plan.itinerary.model.known_to if case.loop.model_uncertainty else None
+        jobs += [
+            Job(name, archive, arms, case, tuple(seeds[k : k + size]), settings.path, uncertainty)
+            for k in range(0, settings.runs, size)
+        ]
+    return jobs
 
 
 def _numbers(case: Case) -> dict[str, float]:
