@@ -74,7 +74,7 @@ class FilterSettings:
     first_angle: float = 0.05
     first_rate: float = 0.1
     first_cart: float = 1e-3
-    augment: tuple[str, ...] = ()
+    augment: tuple[str, ...] = ("zeros",)
     zero_error: float = 0.02
     disturbance: float = 1.0
     disturbance_time: float = 0.1
@@ -144,6 +144,20 @@ class FilterSettings:
 @dataclass(frozen=True)
 class EkfSettings(FilterSettings):
     """The extended Kalman filter as one compiled function."""
+
+
+@dataclass(frozen=True)
+class AdaptiveEkfSettings(EkfSettings):
+    """The same filter with the defaults for an adaptive controller: it asks what is wrong with the model.
+
+    What the parameters explain need not be covered by noise, so little is assumed.
+    """
+
+    parameter_error: float = 1e-3
+    rate_noise: float = 0.01
+    augment: tuple[str, ...] = ("drive", "friction", "parameters")
+    friction_error: float = 0.5
+    model_error: float = 0.15
 
 
 @dataclass(frozen=True)

@@ -85,10 +85,19 @@ SCHEDULES = ("time", "phase")
 
 @dataclass(frozen=True)
 class TvlqrSettings(QuadraticWeights):
-    """Linear-quadratic feedback. schedule: whether reference and gains are taken by time or at the nearest phase."""
+    """Linear-quadratic feedback. schedule: whether reference and gains are taken by time or at the nearest phase.
 
+    closing: how many times the angles weigh in the last closing_time s of a reference, when they shall be the model's
+    own orbit whatever the arms would rather do.
+    """
+
+    angle: float = 10_000.0
+    rate: float = 1000.0
+    position: float = 150.0
     kind: str = "tvlqr"
     schedule: str = "time"
+    closing: float = 50.0
+    closing_time: float = 1.6
 
     def __post_init__(self) -> None:
         """Refuse weights without a solution, and a schedule that there is not.
@@ -99,6 +108,10 @@ class TvlqrSettings(QuadraticWeights):
         super().__post_init__()
         if self.schedule not in SCHEDULES:
             raise InputError(f"controller: schedule = {self.schedule!r}: {suggest(self.schedule, SCHEDULES)}")
+        for name, low, high in (("closing", 1.0, 1e6), ("closing_time", 0.0, 1e4)):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InputError(f"controller: {name} = {value!r}: must be {low:g} to {high:g}")
 
 
 ControllerSettings = FeedforwardSettings | TvlqrSettings
@@ -204,10 +217,13 @@ def terminal_cost(state_jacobian: Array, input_jacobian: Array, *, weights: Arra
 def riccati_gains(
     state_jacobians: Array, input_jacobians: Array, *, weights: Array, effort: float, terminal: Array
 ) -> tuple[Array, Array]:
-    """Return gains (K, N) of the backward recursion over A (K, N, N), B (K, N) from P (N, N) = `terminal`, and P_0."""
+    """Return gains (K, N) of the backward recursion over A (K, N, N), B (K, N) from P (N, N) = `terminal`, and P_0.
+
+    weights: Q's diagonal, (N,) or one for each tick (K, N).
+    """
     gains = np.empty_like(input_jacobians)
     cost = terminal
-    diagonal = np.diag(weights)
+    diagonals = np.broadcast_to(weights, gains.shape)
     for k in range(len(gains) - 1, -1, -1):
         a, b = state_jacobians[k], input_jacobians[k]
         weighted = b @ cost
@@ -215,7 +231,7 @@ def riccati_gains(
         gains[k] = gain
         closed = a - np.outer(b, gain)
         # The symmetric form keeps P positive (Joseph): thousands of steps would lose it otherwise.
-        cost = diagonal + effort * np.outer(gain, gain) + closed.T @ cost @ closed
+        cost = np.diag(diagonals[k]) + effort * np.outer(gain, gain) + closed.T @ cost @ closed
         cost = (cost + cost.T) / 2
     return gains, cost
 
@@ -247,9 +263,11 @@ def tracking_controller(
     if isinstance(settings, FeedforwardSettings):
         gains = np.zeros((count, model.dimension))
         return TrackingController(settings.kind, states, feedforward, gains, f"feedforward over {count} ticks")
-    weights, effort = settings.weights(model.arms, model.period)
+    diagonal, effort = settings.weights(model.arms, model.period)
     a, b = model.linearised(states[:-1], feedforward)
-    terminal = terminal_cost(a[-1], b[-1], weights=weights, effort=effort)
+    terminal = terminal_cost(a[-1], b[-1], weights=diagonal, effort=effort)
+    weights = np.tile(diagonal, (count, 1))
+    weights[max(count - round(settings.closing_time / model.period), 0) :, : model.arms] *= settings.closing
     gains, _ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
     if not np.isfinite(gains).all():
         raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")

@@ -32,15 +32,15 @@ class SupervisorSettings:
 
     lost_tracking rad: mean distance of an angle from the reference from which no feedback returns (half a turn is π,
     and a completed period asks for 0.1); resynchronise rad: distance from which the clock is moved to the nearest
-    phase, 0 for never. lost_estimate: mean NIS per degree of freedom; a filter with a model wrong by a fifth shows
-    thirty. restarts: how often the estimator is restarted before it counts as lost. missing s: longest time without
+    phase, 0 for never. lost_estimate: mean NIS per degree of freedom; encoders that agree to a count make it
+    thousands where the model is wrong by a tenth, and nothing is lost; 1e5 is some 0.04 rad. restarts: how often the estimator is restarted before it counts as lost. missing s: longest time without
     a measurement. braking: share of the greatest acceleration that is counted on to stop the cart (it brakes harder),
     and margin m: what must be left of the track then.
     """
 
     lost_tracking: float = 1.5
     resynchronise: float = 0.0
-    lost_estimate: float = 3000.0
+    lost_estimate: float = 100_000.0
     restarts: int = 2
     missing: float = 0.1
     braking: float = 0.5

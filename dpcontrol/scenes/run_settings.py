@@ -9,7 +9,14 @@ from dataclasses import fields, replace
 from typing import Any
 
 from dpcontrol.control.adaptive import AdaptiveSettings
-from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterpyEkfSettings, UkfSettings
+from dpcontrol.control.estimator_settings import (
+    AdaptiveEkfSettings,
+    Augment,
+    EkfSettings,
+    EstimatorSettings,
+    FilterpyEkfSettings,
+    UkfSettings,
+)
 from dpcontrol.control.hold import HoldSettings
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
 from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings
@@ -32,7 +39,7 @@ ESTIMATORS: Mapping[str, type[EstimatorSettings]] = {
 }  # fmt: skip
 """Kinds of estimator and what holds the settings of each."""
 _PARTS: Mapping[str, type] = {"sensors": SensorSettings, "drive": DriveSettings, "disturbances": DisturbanceSettings}
-_OWN = ("rate", "initial_error", "mismatch", "travel", "seed")
+_OWN = ("rate", "initial_error", "mismatch", "model_uncertainty", "travel", "seed")
 _LISTS = ("explicit",)
 
 
@@ -60,9 +67,11 @@ def read_run_settings(run: Table, *, controller: Table, estimator: Table, superv
         given = {"explicit": tuple(blows)} if part == "disturbances" else {}
         parts[part] = Table(own, file=run.file, name=run.name).settings(kind, also=known, **given)
     rest = Table({k: v for k, v in values.items() if k not in names}, file=run.file, name=run.name)
+    law = _kind(controller, CONTROLLERS, "tvlqr")
+    filters = {**ESTIMATORS, "ekf": AdaptiveEkfSettings} if isinstance(law, AdaptiveSettings) else ESTIMATORS
     return rest.settings(
-        LoopSettings, also=known, seed=0, controller=_kind(controller, CONTROLLERS, "tvlqr"),
-        estimator=_kind(estimator, ESTIMATORS, "ekf"), supervisor=supervisor.settings(SupervisorSettings), **parts,
+        LoopSettings, also=known, seed=0, controller=law, estimator=_kind(estimator, filters, "ekf"),
+        supervisor=supervisor.settings(SupervisorSettings), **parts,
     )  # fmt: skip
 
 
@@ -94,5 +103,12 @@ def overridden(loop: LoopSettings, overrides: Mapping[str, Any]) -> LoopSettings
             changes.setdefault(names[name], {})[name] = value
         else:
             raise InputError(f"{name} = {value!r}: no such run setting; {suggest(name, setting_names())}")
+    law, filters = own.get("controller", loop.controller), own.get("estimator", loop.estimator)
+    knows = Augment.PARAMETERS in filters.augments
+    if isinstance(law, AdaptiveSettings) and isinstance(filters, EkfSettings) and not knows:
+        # What the controller is to count on must be asked for.
+        own["estimator"] = AdaptiveEkfSettings()
+    elif not isinstance(law, AdaptiveSettings) and isinstance(filters, AdaptiveEkfSettings):
+        own["estimator"] = EkfSettings()
     own |= {part: replace(getattr(loop, part), **values) for part, values in changes.items()}
     return replace(loop, **own)
