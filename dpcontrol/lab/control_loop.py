@@ -19,6 +19,7 @@ from dpcontrol.foundation.files import Progress, no_progress
 from dpcontrol.lab.command_path import CommandPath
 from dpcontrol.lab.result import Ending, LoopSink, Ticks
 from dpcontrol.lab.rig import Reading, Rig
+from dpcontrol.lab.stuck import StuckWatch
 from dpcontrol.lab.supervisor import Outcome, Supervisor
 
 Array = NDArray[np.float64]
@@ -87,6 +88,7 @@ class ControlLoop:
         self._rows = Ticks.empty(self.count, self._arms, has_truth=False, period=path.period)
         self._flushed = 0
         self._braking_since: float | None = None
+        self._sensors = StuckWatch(self._arms, period=path.period, reaction=supervisor.reaction)
         self._first = estimator.first(controller.first_state)
         # The commands that act before the first tick's own can, computed for the start.
         self._coming = deque(self.session.command(k, self._first.state, self._first.extra) for k in range(path.lead))
@@ -191,6 +193,12 @@ class ControlLoop:
             now, error=error, nis=nis, used=estimate.used, position=float(ahead[n - 2]),
             velocity=float(ahead[n - 1]), sent=self.path.velocity,
         )  # fmt: skip
+        if reading.present is None:
+            stuck = self._sensors.seen(reading.positions.tolist(), wanted.tolist(), self.path.velocity)
+            if stuck and outcome is not Outcome.STOP:
+                # A restart does not help against that.
+                outcome, ending = Outcome.STOP, Ending.ESTIMATE_LOST
+                why = f"estimate lost at t = {now:.3f} s: {stuck}; check its cable and its head"
         if outcome is Outcome.CONTINUE and reading.switch:
             outcome, ending = Outcome.STOP, Ending.CART_STOP
             why = f"cart at its stop at t = {now:.3f} s: a limit switch answered; allow more travel"

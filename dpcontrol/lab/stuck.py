@@ -1,0 +1,75 @@
+"""Which sensor is stuck: it repeats one reading while the arm must have moved on, or the cart was sent elsewhere.
+
+For joint i, whose reading has been the same since tick s, and the cart, whose has since s':
+
+    max |ref_i(k) - ref_i(s)| ≥ max(0.02 rad, 4 counts),        |Σ w Δt| ≥ max(2 mm, 4 counts)
+
+w: the velocity that the cart was sent to. A count is the smallest step that was seen. An arm that turns back, or is
+held at rest, stays within a count as well, but so does its reference. Without this a filter follows a stuck encoder for
+a tenth of a second, and a stuck scale of the cart for ever, the cart being unobservable from the arms.
+"""
+
+import math
+from collections.abc import Sequence
+
+_STILL = 0.015
+"""Seconds of one reading of a joint at least."""
+_TURNING = 10.0
+"""rad/s² and m/s²: what turns back as slowly stays within a count q for 2 √(2 q / this), 11 ms with 40,000 counts."""
+_CART_STILL = 0.05
+"""Seconds of one reading of the cart: it begins to move only once the first commands have come to act."""
+_JOINT_MOVED, _CART_MOVED = 0.02, 2e-3
+"""rad and m."""
+_COUNTS = 4.0
+_UNSEEN = 0.2
+"""rad: taken for a count while a sensor has not moved at all."""
+_SAME = 1e-9
+"""rad and m: readings this near to each other are the same count."""
+
+
+class StuckWatch:
+    """Watches the sensors of one run of `arms` arms, `period` s from tick to tick; reaction s: until a command acts."""
+
+    def __init__(self, arms: int, *, period: float, reaction: float = 0.0) -> None:
+        self._arms, self._period = arms, period
+        self._still = [_STILL / period] * arms + [(_CART_STILL + reaction) / period]
+        self._least = [_JOINT_MOVED] * arms + [_CART_MOVED]
+        self._last = [math.nan] * (arms + 1)
+        self._steps = [math.inf] * (arms + 1)
+        self._same = [0] * (arms + 1)
+        self._begin = [0.0] * (arms + 1)
+        self._moved = [0.0] * (arms + 1)
+        self._sent = 0.0
+
+    def seen(self, positions: Sequence[float], wanted: Sequence[float], sent: float) -> str:
+        """Return which sensor is stuck, or "".
+
+        positions (n+1,): absolute angles and the cart's position, all new; wanted: the reference's angles first; sent
+        m/s: the velocity that the cart was sent to.
+        """
+        n, inner, inner_wanted = self._arms, 0.0, 0.0
+        self._sent += sent * self._period
+        for i in range(n + 1):
+            if i < n:
+                value, should = positions[i] - inner, wanted[i] - inner_wanted
+                inner, inner_wanted = positions[i], wanted[i]
+            else:
+                value, should = positions[n], self._sent
+            step = abs(value - self._last[i])
+            if not step < _SAME:
+                self._last[i], self._same[i], self._begin[i], self._moved[i] = value, 0, should, 0.0
+                if step < self._steps[i]:
+                    self._steps[i] = step
+                continue
+            self._same[i] += 1
+            moved = self._moved[i] = max(self._moved[i], abs(should - self._begin[i]))
+            if self._same[i] >= self._still[i] and moved >= self._least[i]:
+                count = self._steps[i] if self._steps[i] < math.inf else _UNSEEN / _COUNTS
+                turning = 2 * math.sqrt(2 * count / _TURNING) / self._period
+                if moved >= _COUNTS * count and self._same[i] >= turning:
+                    return self._told(i)
+        return ""
+
+    def _told(self, i: int) -> str:
+        name = "the cart's scale" if i == self._arms else f"the encoder of joint {i + 1}"
+        return f"{name} is stuck: it has given the same reading for {self._same[i] * self._period:.3g} s"
