@@ -104,7 +104,7 @@ def run_batch(
         return []
     # Full vectors of the processor only: those left over would be rounded differently, and a run with its company.
     lanes = [*seeds, *[seeds[-1]] * (-len(seeds) % VECTOR)]
-    return _Lockstep(parameters, settings, lanes, controller, limits).run()[: len(seeds)]
+    return _Lockstep(parameters, settings, lanes, controller, limits, uncertainty).run()[: len(seeds)]
 
 
 class _Lockstep:

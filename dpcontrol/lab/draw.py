@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.drive_level import PlantParameters
 from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.dynamics.uncertain_arms import Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.lab.bench import BenchSettings
 
@@ -21,7 +22,7 @@ Array = NDArray[np.float64]
 
 # Their order is that of the seed's streams: append only, or old seeds give other runs.
 _STREAMS = ("plant", "initial_error", "zero_errors", "command_noise", "ages", "dropped", "missed", "noise",
-            "rate_noise", "pushes", "knocks")  # fmt: skip
+            "rate_noise", "pushes", "knocks", "model")  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,16 +66,20 @@ def draw_bench(
     ticks: int,
     period: float,
     mismatch: float = 0.0,
+    model_uncertainty: float = 0.0,
+    uncertainty: Uncertainty | None = None,
     initial_error: float = 0.0,
     plant: ArmChainParameters | None = None,
 ) -> BenchDraw:
     """Draw a run of `ticks` ticks, `period` s each, of the bench with these arms as the model.
 
-    mismatch: share by which the plant's parameters differ; initial_error rad: uniform ± on each angle of the first
-    state. plant: the arms to simulate in place of drawn ones.
+    mismatch: share by which the plant's parameters differ; model_uncertainty: factor on the standard errors of the
+    model's `uncertainty`, by which they differ besides, zero for none. initial_error rad: uniform ± on each angle of
+    the first state. plant: the arms to simulate in place of drawn ones.
 
     Raises:
-        InputError: settings that do not fit these arms or this period.
+        InputError: settings that do not fit these arms or this period; an uncertainty is asked for and not known.
+        GoalMissed: no arms near the model's have the ratios drawn.
     """
     n, sensors, drive, blows = arms.count, settings.sensors, settings.drive, settings.disturbances
     if sensors.jitter > period:
@@ -90,7 +95,15 @@ def draw_bench(
 
     command_noise = normal("command_noise", np.array([drive.command_noise]))
     lost = sensors.missed_counts * period
-    true_arms = plant or arms.mismatched(mismatch, random["plant"])
+    if model_uncertainty and uncertainty is None:
+        raise InputError(
+            f"run: model_uncertainty = {model_uncertainty!r}: the model has no [uncertainty] to draw from; identify it "
+            "from recordings, or use a mismatch"
+        )
+    likely = arms
+    if model_uncertainty and uncertainty is not None and plant is None:
+        likely = uncertainty.drawn(arms, random["model"], scale=model_uncertainty)
+    true_arms = plant or likely.mismatched(mismatch, random["plant"])
     return BenchDraw(
         seed=seed,
         ticks=ticks,

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.ekf import nis_band
+from dpcontrol.control.consistency import chi_square_band
 from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings
 from dpcontrol.control.interface import Controller, Estimator
@@ -17,6 +17,7 @@ from dpcontrol.control.sampled import SampledModel
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
 from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.dynamics.uncertain_arms import Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Progress, no_progress
 from dpcontrol.lab.bench import BenchSettings
@@ -40,7 +41,8 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class LoopSettings:
     """A run: rate Hz; initial_error rad, uniform ± on each angle of the true first state; mismatch of the plant's
-    parameters (share); seed of all that is random. travel m: the cart's greatest distance from the centre, zero for
+    parameters (share); model_uncertainty: factor on the standard errors that the model's file gives, by which the plant
+    is drawn besides; seed of all that is random. travel m: the cart's greatest distance from the centre, zero for
     the reference's own limit.
     """
 
@@ -48,6 +50,7 @@ class LoopSettings:
     rate: float = 1000.0
     initial_error: float = 0.0
     mismatch: float = 0.0
+    model_uncertainty: float = 0.0
     travel: float = 0.0
     controller: ControllerSettings = field(default_factory=TvlqrSettings)
     estimator: EstimatorSettings = field(default_factory=EkfSettings)
@@ -66,7 +69,8 @@ class LoopSettings:
             raise InputError(f"run: rate = {self.rate!r}: must be 1 to 10000 Hz")
         if self.seed < 0:
             raise InputError(f"run: seed = {self.seed!r}: must be zero or positive")
-        for name, most in (("initial_error", np.pi), ("mismatch", 0.9), ("travel", 1000.0)):
+        most_of = {"initial_error": np.pi, "mismatch": 0.9, "model_uncertainty": 100.0, "travel": 1000.0}
+        for name, most in most_of.items():
             value = getattr(self, name)
             if not 0 <= value <= most:
                 raise InputError(f"run: {name} = {value!r}: must be 0 to {most:.4g}")
@@ -147,6 +151,7 @@ def run_loop(
     settings: LoopSettings,
     controller: Controller | None = None,
     plant: ArmChainParameters | None = None,
+    uncertainty: Uncertainty | None = None,
     sink: LoopSink | None = None,
     fallback: Fallback | None = None,
     progress: Progress = no_progress,
@@ -154,11 +159,13 @@ def run_loop(
     """Track `reference` on a simulated bench, with `parameters` as the model of controller and estimator.
 
     controller: one made before, by `loop_controller` with the same settings, to spare making it for each of many
-    seeds. plant: the arms to simulate; without it the model's, mismatched by the settings.
+    seeds. plant: the arms to simulate; without it the model's, drawn from its `uncertainty` and mismatched by the
+    settings.
 
     Raises:
-        InputError: the reference did not converge, or is not one of these arms.
-        GoalMissed: no controller can be made for it.
+        InputError: the reference did not converge, or is not one of these arms; an uncertainty is asked for and not
+            known.
+        GoalMissed: no controller can be made for it, or no plant drawn.
     """
     if controller is None:
         controller = loop_controller(reference, parameters, settings)
@@ -167,7 +174,8 @@ def run_loop(
         raise InputError(f"the controller is for states of {len(first)} entries, these arms have {parameters.count}")
     draw = draw_bench(
         parameters, settings.bench, seed=settings.seed, ticks=controller.ticks + 1, period=period,
-        mismatch=settings.mismatch, initial_error=settings.initial_error, plant=plant,
+        mismatch=settings.mismatch, model_uncertainty=settings.model_uncertainty, uncertainty=uncertainty,
+        initial_error=settings.initial_error, plant=plant,
     )  # fmt: skip
     loop = control_loop(
         parameters, settings, controller, limits=limits, rate_noise=draw.rate_noise, sink=sink, fallback=fallback,
@@ -183,7 +191,7 @@ def loop_result(record: LoopRecord, *, plant: ArmChainParameters | None = None) 
     states = ticks.estimates if ticks.truth is None else ticks.truth
     away = states[:, :n] - ticks.references[:, :n]
     nis = ticks.control[:, 5]
-    low, high = nis_band(n + 1)
+    low, high = chi_square_band(n + 1)
     known = np.isfinite(nis)
     inside = (nis >= low) & (nis <= high)
     period = float(ticks.times[1]) if len(ticks.times) > 1 else 0.0

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.dynamics.uncertain_arms import Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.lab import udp_packets as packets
 from dpcontrol.lab.bench import BenchSettings
@@ -76,13 +77,16 @@ class BenchRecipe:
     period: float
     seed: int
     mismatch: float = 0.0
+    model_uncertainty: float = 0.0
+    uncertainty: Uncertainty | None = None
     initial_error: float = 0.0
 
     def rig(self, queued: Sequence[float]) -> SimulatedRig:
         """Return a bench at its start, with the commands (m/s²) on their way, oldest first."""
         draw = draw_bench(
             self.parameters, self.settings, seed=self.seed, ticks=self.ticks, period=self.period,
-            mismatch=self.mismatch, initial_error=self.initial_error,
+            mismatch=self.mismatch, model_uncertainty=self.model_uncertainty, uncertainty=self.uncertainty,
+            initial_error=self.initial_error,
         )  # fmt: skip
         return SimulatedRig(draw, self.settings, limits=self.limits, start=self.start, queued=queued)
 

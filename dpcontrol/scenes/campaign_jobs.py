@@ -14,6 +14,7 @@ import numpy as np
 
 from dpcontrol.control.interface import Controller
 from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.dynamics.uncertain_arms import Uncertainty
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.lab.batch import BatchRun, can_batch, run_batch
 from dpcontrol.lab.loop import LoopSettings, loop_controller, run_loop
@@ -65,7 +66,9 @@ class Case:
 
 @dataclass(frozen=True)
 class Job:
-    """Seeds of one case. reference: the plan's archive; path: "compiled" (many seeds in lockstep) or "ticks"."""
+    """Seeds of one case. reference: the plan's archive; path: "compiled" (many seeds in lockstep) or "ticks";
+    uncertainty: of the arms, for cases that draw their plants from it.
+    """
 
     itinerary: str
     reference: bytes = field(repr=False)
@@ -73,11 +76,12 @@ class Job:
     case: Case
     seeds: tuple[int, ...]
     path: str
+    uncertainty: Uncertainty | None = None
 
     @property
     def key(self) -> str:
         """What the rows depend on, as 16 hexadecimal digits."""
-        settings = repr((self.itinerary, asdict(self.arms), self.case, self.seeds, self.path))
+        settings = repr((self.itinerary, asdict(self.arms), self.case, self.seeds, self.path, self.uncertainty))
         return content_hash(self.reference, settings)
 
 
@@ -104,7 +108,9 @@ def run_job(job: Job) -> list[Row]:
     if job.path == "ticks" or not can_batch(loop, controller):
         return [_row(job, reference, seed, _one(job, reference, controller, seed), path="ticks") for seed in job.seeds]
     limits = loop.limits(reference)
-    runs = run_batch(job.arms, settings=loop, seeds=job.seeds, controller=controller, limits=limits)
+    runs = run_batch(
+        job.arms, settings=loop, seeds=job.seeds, controller=controller, limits=limits, uncertainty=job.uncertainty
+    )
     rows = [_row(job, reference, seed, run, path="compiled") for seed, run in zip(job.seeds, runs, strict=True)]
     for row in [row for row in rows if not row["completed"]][:REPLAYED]:
         # What is listed as a failure should be one when its seed is run alone; round-off decides a few.
@@ -115,7 +121,9 @@ def run_job(job: Job) -> list[Row]:
 
 def _one(job: Job, reference: Reference, controller: Controller, seed: int) -> BatchRun:
     settings = replace(job.case.loop, seed=seed)
-    return BatchRun.of(run_loop(reference, job.arms, settings=settings, controller=controller))
+    return BatchRun.of(
+        run_loop(reference, job.arms, settings=settings, controller=controller, uncertainty=job.uncertainty)
+    )
 
 
 def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str) -> Row:

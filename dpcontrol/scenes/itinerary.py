@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from dpcontrol.dynamics.uncertain_arms import Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.tables import Table, read_toml
 from dpcontrol.lab.loop import LoopSettings
@@ -60,6 +61,15 @@ class Itinerary:
     def wraps(self) -> tuple[int, ...]:
         """The wraps of all walks, in order; stops where two parts meet have none."""
         return tuple(count for part in self.walks for count in part.wraps)
+
+    @property
+    def uncertainty(self) -> Uncertainty | None:
+        """How well the model is known, where runs draw their plant from that.
+
+        Raises:
+            InputError: they do, and the model's file does not say.
+        """
+        return self.model.known_to if self.loop.model_uncertainty else None
 
     def with_run(self, **overrides: Any) -> "Itinerary":
         """Return the scene with run settings replaced by name, such as mismatch or controller; None keeps.

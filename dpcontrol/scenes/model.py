@@ -9,50 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dpcontrol.dynamics.base_ratios import base_ratios, nearest_arms, ratio_names
 from dpcontrol.dynamics.parameters import ArmChainParameters, Friction
 from dpcontrol.dynamics.system import System, pendulum_system
 from dpcontrol.dynamics.three_body import ThreeBodyParameters, three_body_system
+from dpcontrol.dynamics.uncertain_arms import Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.tables import Table, read_toml
 from dpcontrol.scenes.lookup import find
 
 SYSTEMS = ("arm-chain", "three-body")
-
-
-@dataclass(frozen=True)
-class Uncertainty:
-    """How well arms are known: covariance (f, f) of the f ratios of `dpcontrol.dynamics.base_ratios`, row by row."""
-
-    names: tuple[str, ...]
-    covariance: tuple[float, ...]
-
-    @property
-    def matrix(self) -> NDArray[np.float64]:
-        """The covariance (f, f)."""
-        return np.reshape(self.covariance, (len(self.names), len(self.names)))
-
-    def check(self, arms: ArmChainParameters) -> None:
-        """Refuse what is not the covariance of these arms' ratios.
-
-        Raises:
-            InputError: names the key and what is allowed.
-        """
-        wanted = ratio_names(arms)
-        if self.names != wanted:
-            raise InputError(f"names = {list(self.names)}: must be {list(wanted)} for these arms")
-        if len(self.covariance) != len(wanted) ** 2:
-            raise InputError(
-                f"covariance has {len(self.covariance)} numbers: must have {len(wanted) ** 2}, one row for each name"
-            )
-        scale = np.sqrt(np.maximum(np.diag(self.matrix), 1e-300))
-        scaled = self.matrix / np.outer(scale, scale)
-        if not np.allclose(scaled, scaled.T, atol=1e-9) or np.linalg.eigvalsh(scaled)[0] < -1e-6:
-            raise InputError(
-                "covariance is none: it must be symmetric, and no direction may have a variance below zero"
-            )
 
 
 @dataclass(frozen=True)
@@ -97,23 +63,27 @@ class Model:
             raise InputError(f"{self.path}: {self.title} has no arms and no cart; choose a model of arms, such as lab")
         return self.parameters
 
-    def drawn(self, random: np.random.Generator) -> ArmChainParameters:
-        """Return arms as likely as the identification says: ratios drawn from its normal distribution.
-
-        Friction drawn below zero becomes zero.
+    @property
+    def known_to(self) -> Uncertainty:
+        """How well the arms are known.
 
         Raises:
-            InputError: the file has no [uncertainty].
-            GoalMissed: no arms near these have the ratios drawn, as where an uncertainty is as large as its value.
+            InputError: the file does not say.
         """
         if self.uncertainty is None:
             raise InputError(
                 f"{self.path} has no [uncertainty] to draw from; identify the model from recordings, or use a mismatch"
             )
-        ratios = base_ratios(self.arms)
-        sizes, axes = np.linalg.eigh(self.uncertainty.matrix)
-        drawn = ratios + axes @ (np.sqrt(np.maximum(sizes, 0.0)) * random.standard_normal(len(ratios)))
-        return nearest_arms(drawn, self.arms)
+        return self.uncertainty
+
+    def drawn(self, random: np.random.Generator, *, scale: float = 1.0) -> ArmChainParameters:
+        """Return arms as likely as the identification says, its standard errors taken `scale` times as large.
+
+        Raises:
+            InputError: the file has no [uncertainty].
+            GoalMissed: no arms near these have the ratios drawn, as where an uncertainty is as large as its value.
+        """
+        return self.known_to.drawn(self.arms, random, scale=scale)
 
 
 def load_model(name: str) -> Model:

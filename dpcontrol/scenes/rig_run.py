@@ -47,6 +47,7 @@ def bench_recipe(plan: Plan) -> BenchRecipe:
     """Return the simulated bench that a planned itinerary is run on.
 
     Raises:
+        InputError: the plant is to be drawn from an uncertainty that the model's file does not give.
         GoalMissed: the plan did not converge.
     """
     itinerary, reference = plan.itinerary, _converged(plan)
@@ -54,7 +55,8 @@ def bench_recipe(plan: Plan) -> BenchRecipe:
     return BenchRecipe(
         itinerary.model.arms, loop.bench, loop.limits(reference), reference.state(0.0),
         ticks=round((reference.duration + _SPARE) * loop.rate) + 1, period=1 / loop.rate, seed=loop.seed,
-        mismatch=loop.mismatch, initial_error=loop.initial_error,
+        mismatch=loop.mismatch, model_uncertainty=loop.model_uncertainty, uncertainty=itinerary.uncertainty,
+        initial_error=loop.initial_error,
     )  # fmt: skip
 
 

@@ -27,15 +27,20 @@ def run_plan(plan: Plan, out: Path, *, progress: Progress = no_progress) -> Scor
     """Run the closed loop of a planned itinerary, write its log to `out`, and score it.
 
     Raises:
-        InputError: the log cannot be written.
-        GoalMissed: the plan did not converge, or no controller can be made for it.
+        InputError: the log cannot be written; the plant is to be drawn from an uncertainty that the model's file does
+            not give.
+        GoalMissed: the plan did not converge, or no controller can be made for it, or no plant drawn.
     """
     itinerary, reference = plan.itinerary, plan.reference
     if not reference.converged:
         raise GoalMissed(f"{itinerary.name} has no reference to follow: {reference.status}")
+    uncertainty = itinerary.uncertainty
     with log_writer(plan, out) as writer:
         sink = LogSink(writer)
-        result = run_loop(reference, itinerary.model.arms, settings=itinerary.loop, sink=sink, progress=progress)
+        result = run_loop(
+            reference, itinerary.model.arms, settings=itinerary.loop, uncertainty=uncertainty, sink=sink,
+            progress=progress,
+        )  # fmt: skip
         writer.result(real_time_factor=repr(result.real_time_factor), ending=result.ending.value)
     return score(read_log(out))
 
