@@ -32,10 +32,11 @@ class SupervisorSettings:
 
     lost_tracking rad: mean distance of an angle from the reference from which no feedback returns (half a turn is π,
     and a completed period asks for 0.1); resynchronise rad: distance from which the clock is moved to the nearest
-    phase, 0 for never. lost_estimate: mean NIS per degree of freedom; encoders that agree to a count make it
-    thousands where the model is wrong by a tenth, and nothing is lost; 1e5 is some 0.04 rad. restarts: how often the estimator is restarted before it counts as lost. missing s: longest time without
-    a measurement. braking: share of the greatest acceleration that is counted on to stop the cart (it brakes harder),
-    and margin m: what must be left of the track then.
+    phase, 0 for never. lost_estimate: mean NIS per degree of freedom; encoders that agree to a count make it thousands
+    where the model is wrong by a tenth, and nothing is lost; 1e5 is some 0.04 rad. restarts: how often the estimator is
+    restarted before it counts as lost. missing s: longest time without a measurement. braking: share of the greatest
+    acceleration that is counted on to stop the cart (it brakes harder), and margin m: what must be left of the track
+    then.
     """
 
     lost_tracking: float = 1.5
