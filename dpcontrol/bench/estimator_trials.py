@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from dpcontrol.bench.derivative_filter import DerivativeFilter
 from dpcontrol.control.consistency import nees, share_inside
-from dpcontrol.control.ekf import encoder_noise
 from dpcontrol.control.interface import Estimate, Estimator
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.dynamics.arm_chain import Level, equations_of
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
+from dpcontrol.lab.sensors import SensorSettings
 
 Array = NDArray[np.float64]
 
@@ -139,4 +139,4 @@ def one_step(estimator: Estimator, flown: Swing, *, counts: int) -> Callable[[],
 
 def noise_of(arms: ArmChainParameters, counts: int) -> Array:
     """Return what the estimators assume of encoders of `counts` per turn, (n+1, n+1)."""
-    return encoder_noise(arms.count, counts=counts, cart_resolution=CART_RESOLUTION)
+    return SensorSettings(counts=counts, cart_resolution=CART_RESOLUTION).covariance(arms.count)

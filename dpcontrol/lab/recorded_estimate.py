@@ -14,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.ekf import encoder_noise
 from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EstimatorSettings
 from dpcontrol.control.sampled import SampledModel
@@ -25,10 +24,10 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import Progress, no_progress
 from dpcontrol.lab.initial_states import first_guess
 from dpcontrol.lab.recordings import Recording
+from dpcontrol.lab.sensors import SensorSettings
 
 Array = NDArray[np.float64]
 
-_CART_RESOLUTION = 1e-6
 _INDEPENDENT = 1e-3
 """s: an arm that swings passes several counts in this time, so that roundings this far apart are independent."""
 
@@ -69,7 +68,7 @@ def estimate_recording(
     mean_of = max(1, round(mean_over / recording.dt))
     still = NumericEquations(equations_of(arms, Level.DISSIPATIVE), arms.base())
     model = SampledModel(equations_of(arms, Level.CART), arms.base(), period=mean_of * recording.dt)
-    noise = encoder_noise(n, counts=counts, cart_resolution=_CART_RESOLUTION)
+    noise = SensorSettings(counts=counts).covariance(n)
     noise[:n, :n] /= max(1.0, mean_of * min(1.0, recording.dt / _INDEPENDENT))
     estimator = make_estimator(filters, model, noise=noise)
     # The cart is not measured: it stands still in the model as it does on the bench.

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.ekf import nis_band
+from dpcontrol.control.consistency import chi_square_band
 from dpcontrol.control.estimation import ESTIMATORS
 from dpcontrol.control.estimator_settings import EstimatorSettings
 from dpcontrol.dynamics.parameters import ArmChainParameters
@@ -150,7 +150,7 @@ def replay_recording(
     if not settled.any():
         settled[:] = True
     told = nis[settled & np.isfinite(nis)]
-    low, high = nis_band(n)
+    low, high = chi_square_band(n)
     progress("predicting", 0.9)
     rates_rms = None
     if recording.rates is not None:
@@ -166,7 +166,7 @@ def replay_recording(
         ahead={k: _ahead(motion, recording, found, settled, k) for k in sorted({1, settings.ahead})},
         rates_rms=rates_rms,
         nis_inside_95=float(np.mean((told >= low) & (told <= high))) if len(told) else float("nan"),
-        nis_below_95=float(np.mean(told <= nis_band(n, share=0.9)[1])) if len(told) else float("nan"),
+        nis_below_95=float(np.mean(told <= chi_square_band(n, share=0.9)[1])) if len(told) else float("nan"),
     )
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.ekf import nis_band
+from dpcontrol.control.consistency import chi_square_band
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog
 from dpcontrol.references.archive import load_reference
@@ -170,7 +170,7 @@ def score(log: RunLog) -> Score:
     notes: dict[str, Any] = dict(plan.notes)
     problem, wraps = verdict.problem, verdict.wraps
     known = log.truth is not None
-    low, high = nis_band(log.measured.shape[1])
+    low, high = chi_square_band(log.measured.shape[1])
     nis = log.control["nis"][np.isfinite(log.control["nis"])]
     away = flown.angles - flown.reference_angles
     factor = log.metadata.get("real_time_factor")

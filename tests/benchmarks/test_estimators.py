@@ -16,10 +16,10 @@ from estimator_runs import COUNT, MODEL, NOISE, SWING, estimated, run
 
 from dpcontrol.control.compiled_ekf import CompiledEkf, EkfProgram
 from dpcontrol.control.consistency import Verdict, Watch, WatchSettings
-from dpcontrol.control.ekf import encoder_noise
 from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, FilterpyEkfSettings, UkfSettings
 from dpcontrol.control.simulated_consistency import simulated_consistency
+from dpcontrol.lab.sensors import SensorSettings
 
 pytestmark = pytest.mark.benchmark
 
@@ -118,12 +118,12 @@ def test_consistency_by_extras_and_by_resolution():
         sys.stdout.write(f"\n{'+'.join(augment):28s} NIS {found.nis_inside_95:.4f}  NEES {found.nees_inside_95:.4f}")
         assert 0.93 <= found.nis_inside_95 <= 0.97
         assert 0.93 <= found.nees_inside_95 <= 0.97
-    program = EkfProgram(MODEL, EkfSettings())
+    program = EkfProgram(MODEL, EkfSettings(augment=()))
     sys.stdout.write("\ncounts   NIS inside  NEES inside  mean NIS  mean NEES\n")
     for counts in (500, 1000, 4000, 10_000, 40_000, 400_000):
         share = 40_000 / counts
         steps = np.array([COUNT * share, COUNT * share, 1e-6])
-        noise = encoder_noise(2, counts=counts, cart_resolution=1e-6)
+        noise = SensorSettings(counts=counts).covariance(2)
         found = simulated_consistency(program, noise, first=first, commands=commands, runs=100, seed=1, steps=steps)
         sys.stdout.write(
             f"{counts:7d}  {found.nis_inside_95:10.4f}  {found.nees_inside_95:11.4f}  {found.mean_nis:8.3f}  "

@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 from shadowing_stand_in import LAB
 
 from dpcontrol.control.compiled_ekf import CompiledEkf
-from dpcontrol.control.ekf import encoder_noise
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import Action, Session
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.lab.sensors import SensorSettings
 
 Array = NDArray[np.float64]
 PERIOD = 1e-3
@@ -57,8 +57,7 @@ def fly(
 ) -> Flight:
     """One run by encoders and filter, one tick of delay; it stops where an arm or the cart is far off."""
     model = model_of()
-    noise = encoder_noise(2, counts=40_000, cart_resolution=1e-6)
-    ekf = CompiledEkf(model, EkfSettings(), noise=noise)
+    ekf = CompiledEkf(model, EkfSettings(augment=()), noise=SensorSettings().covariance(2))
     state = np.array(start)
     estimate = ekf.first(start if believed is None else believed)
     none = np.zeros(0)

@@ -5,11 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 from shadowing_stand_in import LAB
 
-from dpcontrol.control.ekf import encoder_noise
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.lab.sensors import SensorSettings
 
-NOISE = encoder_noise(2, counts=40_000, cart_resolution=1e-6)
+NOISE = SensorSettings().covariance(2)
 EQUATIONS = arm_chain_equations(2, Level.CART)
 MODEL = SampledModel(EQUATIONS, LAB.base(), period=1e-3)
 SWING = (0.4, 2.8, 2.0, -3.0, 0.0, 0.0)

@@ -23,7 +23,7 @@ def test_encoder_zeros_are_found_while_swinging(zeros: tuple[float, float]) -> N
     assert ekf.extra_names == ("zero_1", "zero_2")
     assert last.extra == pytest.approx(zeros, abs=ZERO)
     assert last.state[:2] == pytest.approx(flown.states[-1][:2], abs=ZERO)
-    blind = estimated(CompiledEkf(MODEL, EkfSettings(), noise=NOISE), flown)[-1]
+    blind = estimated(CompiledEkf(MODEL, EkfSettings(augment=()), noise=NOISE), flown)[-1]
     assert np.abs(blind.state[:2] - flown.states[-1][:2]).max() > 10 * ZERO
 
 
@@ -62,7 +62,7 @@ def test_what_rest_does_not_show_stays_as_unknown_as_it_was() -> None:
 
 def test_a_lumped_disturbance_is_followed() -> None:
     flown = run(3, torque=2.0)
-    plain = estimated(CompiledEkf(MODEL, EkfSettings(parameter_error=1e-3), noise=NOISE), flown)
+    plain = estimated(CompiledEkf(MODEL, EkfSettings(augment=(), parameter_error=1e-3), noise=NOISE), flown)
     # It is drawn towards zero the more, the sooner it is expected to fade.
     settings = EkfSettings(augment=("disturbance",), disturbance_time=1.0, parameter_error=1e-3)
     ekf = CompiledEkf(MODEL, settings, noise=NOISE)
@@ -76,7 +76,7 @@ def test_a_lumped_disturbance_is_followed() -> None:
 
 def test_what_the_drive_gives_beyond_the_command_is_followed() -> None:
     flown = run(3, lag=0.005, frequency=40.0, amplitude=10.0)
-    plain = estimated(CompiledEkf(MODEL, EkfSettings(), noise=NOISE), flown)
+    plain = estimated(CompiledEkf(MODEL, EkfSettings(augment=()), noise=NOISE), flown)
     told = estimated(CompiledEkf(MODEL, EkfSettings(augment=("drive",), drive_error=2.0), noise=NOISE), flown)
     errors = [np.array([e.state[5] for e in es[200:]]) - flown.states[200:, 5] for es in (plain, told)]
     assert np.std(errors[1]) < 0.3 * np.std(errors[0])

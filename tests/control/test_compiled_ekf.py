@@ -3,30 +3,32 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 from shadowing_stand_in import LAB
+from textbook_filter import TextbookFilter
 
 from dpcontrol.control.compiled_ekf import CompiledEkf, checked_noise
-from dpcontrol.control.ekf import Ekf, encoder_noise
 from dpcontrol.control.ekf_equations import packed, unpacked
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import Estimate
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.lab.sensors import SensorSettings
 
 ROUNDING = 1e-9  # Of two filters over thousands of ticks, relative to standard deviations; NIS loses most.
 DIGITS = 1e-13  # Relative, of a few ticks against 50 decimal digits.
 PACKS = 1e-9  # Sines of vectors round differently, and zeros that are hardly known yet enlarge that.
 
-NOISE = encoder_noise(2, counts=40_000, cart_resolution=1e-6)
+NOISE = SensorSettings().covariance(2)
 ROOT = np.linalg.cholesky(NOISE)
 STATE = np.array([0.4, 2.8, 6.0, -9.0, 0.1, -0.3])
 POSITIONS = np.eye(6)[[0, 1, 4]]
 MODEL = SampledModel(arm_chain_equations(2, Level.CART), LAB.base(), period=1e-3)
+PLAIN = EkfSettings(augment=())
 
 
 @pytest.fixture(scope="module")
 def plain() -> CompiledEkf:
-    return CompiledEkf(MODEL, EkfSettings(), noise=NOISE)
+    return CompiledEkf(MODEL, PLAIN, noise=NOISE)
 
 
 @pytest.fixture(scope="module")
@@ -44,14 +46,14 @@ def swing(ticks: int, *, seed: int = 3, root: np.ndarray = ROOT) -> tuple[list[f
     return commands, states, states @ POSITIONS.T + random.standard_normal((ticks, 3)) @ root.T
 
 
-def test_a_swing_gives_the_numbers_of_filterpys_filter(plain: CompiledEkf) -> None:
-    other = Ekf(MODEL, EkfSettings(), noise=NOISE)
-    estimate, expected = plain.first(STATE), other.first(STATE)
-    assert estimate.sigmas == pytest.approx(expected.standard_deviations)
+def test_a_swing_gives_the_numbers_of_the_textbooks_filter(plain: CompiledEkf) -> None:
+    estimate, expected = plain.first(STATE), TextbookFilter(MODEL, PLAIN, noise=NOISE, state=STATE)
+    assert estimate.sigmas == pytest.approx(expected.sigmas)
     for command, _, measured in zip(*swing(3000), strict=True):
         estimate = plain.step(estimate, command, measured)
-        expected = other.update(other.predict(expected, command), measured)
-        sigmas = expected.standard_deviations
+        expected.predict(command)
+        expected.update(measured)
+        sigmas = expected.sigmas
         assert (np.abs(estimate.state - expected.state) <= ROUNDING * sigmas + 1e-15).all()
         assert estimate.sigmas == pytest.approx(sigmas, rel=ROUNDING)
         assert estimate.nis == pytest.approx(expected.nis, rel=1e-6, abs=1e-6)
@@ -124,8 +126,9 @@ def test_a_tick_without_any_measurement_is_the_prediction(plain: CompiledEkf) ->
     assert blind.state == pytest.approx(MODEL.step(STATE, 2.0), abs=1e-15)
     assert blind.used == 0
     assert blind.nis == 0
-    other = Ekf(MODEL, EkfSettings(), noise=NOISE)
-    assert blind.sigmas == pytest.approx(other.predict(other.first(STATE), 2.0).standard_deviations, rel=DIGITS)
+    expected = TextbookFilter(MODEL, PLAIN, noise=NOISE, state=STATE)
+    expected.predict(2.0)
+    assert blind.sigmas == pytest.approx(expected.sigmas, rel=DIGITS)
 
 
 def test_many_runs_at_once_are_each_alone(zeros: CompiledEkf) -> None:
@@ -211,7 +214,7 @@ def test_the_covariance_stays_positive_hanging_standing_and_swinging(
 def test_josephs_form_holds_where_the_plain_form_breaks() -> None:
     # A prior seventeen orders above the noise: (I - K H) P alone leaves only rounding, of either sign.
     share = 1e-10
-    settings = EkfSettings(rate_noise=3e-7, cart_noise=1e-8, parameter_error=1e-7)
+    settings = EkfSettings(augment=(), rate_noise=3e-7, cart_noise=1e-8, parameter_error=1e-7)
     ekf = CompiledEkf(MODEL, settings, noise=NOISE * share)
     estimate, h = ekf.first(STATE), POSITIONS
     p = ekf.covariance(estimate)
@@ -269,12 +272,14 @@ def test_shapes_and_noise_that_do_not_fit_are_refused(plain: CompiledEkf, zeros:
         checked_noise(np.eye(2), 2)
     for wrong in (np.zeros((3, 3)), np.full((3, 3), np.nan), np.eye(3) + np.eye(3, k=1)):
         with pytest.raises(InputError, match="positive definite"):
-            CompiledEkf(MODEL, EkfSettings(), noise=wrong)
+            CompiledEkf(MODEL, PLAIN, noise=wrong)
 
 
 def test_settings_name_what_is_wrong_with_them() -> None:
     with pytest.raises(InputError, match=r"zero_error = -1.0"):
         EkfSettings(zero_error=-1.0)
+    with pytest.raises(InputError, match=r"rate_noise = 0.0"):
+        EkfSettings(rate_noise=0.0)
     with pytest.raises(InputError, match="did you mean 'zeros'"):
         EkfSettings(augment=("zero",))
     with pytest.raises(InputError, match="name each once"):

@@ -14,10 +14,10 @@ from dpcontrol.control.consistency import (
     nees,
     share_inside,
 )
-from dpcontrol.control.ekf import encoder_noise
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.simulated_consistency import simulated_consistency
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.lab.sensors import SensorSettings
 
 SHARE = 0.02  # About 95 %; the bar for a nominal plant with the noise that is modelled.
 FAULT = 500  # Tick at which sensors fail.
@@ -73,7 +73,7 @@ def test_nis_and_nees_of_a_nominal_plant_lie_in_their_bands(augment: tuple[str, 
 
 
 def test_wrong_noise_and_missing_process_noise_are_seen() -> None:
-    program = EkfProgram(MODEL, EkfSettings())
+    program = EkfProgram(MODEL, EkfSettings(augment=()))
     commands = np.zeros(1000)
     # Half the counts that are assumed: more error than assumed.
     coarse = np.array([4 * COUNT, 4 * COUNT, 1e-6])
@@ -92,8 +92,8 @@ def test_rounding_to_counts_keeps_the_mean_and_puts_too_many_inside() -> None:
     # A rounding error is uniform: of the assumed variance, but without the Gaussian's tails.
     counts = 2000
     steps = np.array([2 * np.pi / counts] * 2 + [1e-6])
-    noise = encoder_noise(2, counts=counts, cart_resolution=1e-6)
-    program = EkfProgram(MODEL, EkfSettings())
+    noise = SensorSettings(counts=counts).covariance(2)
+    program = EkfProgram(MODEL, EkfSettings(augment=()))
     commands = 0.5 * np.sin(2.5e-3 * np.arange(1000))
     found = simulated_consistency(
         program, noise, first=np.array(SWING), commands=commands, runs=40, seed=2, steps=steps
@@ -107,7 +107,7 @@ def test_a_healthy_run_raises_no_alarm(seed: int) -> None:
     random = np.random.default_rng(seed)
     start = (*random.uniform(-3, 3, 2), *random.uniform(-6, 6, 2), 0.0, 0.0)
     flown = run(2, seed=seed, frequency=random.uniform(0.5, 10), amplitude=random.uniform(0, 3), start=start)
-    ekf = CompiledEkf(MODEL, EkfSettings(), noise=NOISE)
+    ekf = CompiledEkf(MODEL, EkfSettings(augment=()), noise=NOISE)
     watch = Watch(ekf, WatchSettings(), noise=NOISE, period=1e-3)
     health, estimate = watch.begin(), ekf.first(np.array(start))
     for k, command in enumerate(flown.commands.tolist()):
@@ -154,7 +154,7 @@ def test_a_wrong_model_is_doubted_and_no_sensor_is_blamed(wrong: int) -> None:
 
 def test_an_estimate_that_is_lost_is_told_and_a_restart_heals_it() -> None:
     flown = run(1.0)
-    ekf = CompiledEkf(MODEL, EkfSettings(), noise=NOISE)
+    ekf = CompiledEkf(MODEL, EkfSettings(augment=()), noise=NOISE)
     watch = Watch(ekf, WatchSettings(), noise=NOISE, period=1e-3)
     # A filter that is sure of rates that are wrong by 30 rad/s.
     wrong = np.array(SWING) + np.array([0.5, 0.5, 30, -30, 0, 0])
@@ -193,7 +193,7 @@ def test_a_dropout_for_a_few_ticks_is_no_alarm() -> None:
 
 
 def test_the_bound_on_the_mean_is_the_quantile_of_equal_weights() -> None:
-    ekf = CompiledEkf(MODEL, EkfSettings(), noise=NOISE)
+    ekf = CompiledEkf(MODEL, EkfSettings(augment=()), noise=NOISE)
     watch = Watch(ekf, WatchSettings(window=0.2), noise=NOISE, period=1e-3)
     freedom = 3 * 399
     assert chi2.sf(watch.bound * freedom, freedom) == pytest.approx(1e-9, rel=1e-3)

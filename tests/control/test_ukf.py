@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 from estimator_runs import MODEL, NOISE, SWING, estimated, run
 
-from dpcontrol.control.ekf import Ekf
 from dpcontrol.control.estimation import ESTIMATORS, make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, FilterpyEkfSettings, UkfSettings
 from dpcontrol.control.interface import Estimate, Estimator
@@ -33,7 +32,7 @@ def test_filterpys_arithmetic_gives_the_compiled_filters_numbers(augment: tuple[
 
 def test_the_unscented_filter_agrees_with_the_extended_one_in_a_swing() -> None:
     flown = run(1.0)
-    ukf, ekf = (make_estimator(s(), MODEL, noise=NOISE) for s in (UkfSettings, EkfSettings))
+    ukf, ekf = (make_estimator(s(augment=()), MODEL, noise=NOISE) for s in (UkfSettings, EkfSettings))
     for k, (one, other) in enumerate(zip(estimated(ukf, flown), estimated(ekf, flown), strict=True)):
         assert apart(one, other) < NEAR
         if k > 10:
@@ -46,7 +45,7 @@ def test_the_unscented_filter_sees_what_a_jacobian_at_the_mean_does_not() -> Non
     random = np.random.default_rng(2)
     sigmas = []
     for kind in (EkfSettings, UkfSettings):
-        estimator = make_estimator(kind(first_angle=0.5), MODEL, noise=NOISE)
+        estimator = make_estimator(kind(augment=(), first_angle=0.5), MODEL, noise=NOISE)
         estimate = estimator.first(standing)
         if kind is EkfSettings:
             cloud = standing[:, None] + estimate.sigmas[:, None] * random.standard_normal((6, 2000))
@@ -71,7 +70,7 @@ def test_every_kind_is_an_estimator_that_finds_zeros(kind) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_missing_position_is_left_out_by_every_kind(kind) -> None:
-    estimator, expected = (make_estimator(k(), MODEL, noise=NOISE) for k in (kind, EkfSettings))
+    estimator, expected = (make_estimator(k(augment=()), MODEL, noise=NOISE) for k in (kind, EkfSettings))
     one, other = estimator.first(np.array(SWING)), expected.first(np.array(SWING))
     measured, present = np.array([0.41, np.nan, 1e-4]), np.array([True, False, True])
     one, other = estimator.update(one, measured, present), expected.update(other, measured, present)
@@ -85,7 +84,7 @@ def test_a_missing_position_is_left_out_by_every_kind(kind) -> None:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_turns_restarts_and_mistakes_are_treated_alike(kind) -> None:
-    estimator = make_estimator(kind(), MODEL, noise=NOISE)
+    estimator = make_estimator(kind(augment=()), MODEL, noise=NOISE)
     first, measured = estimator.first(np.array(SWING)), np.array([0.41, 2.79, 0.0])
     wound = estimator.update(first, measured + 2 * np.pi * np.array([2, -1, 0]))
     assert wound.state == pytest.approx(estimator.update(first, measured).state, abs=1e-11)
@@ -97,13 +96,3 @@ def test_turns_restarts_and_mistakes_are_treated_alike(kind) -> None:
         estimator.first(np.zeros(3))
     with pytest.raises(ArithmeticError, match="no longer"):
         estimator.step(first, np.nan, measured)
-
-
-def test_the_old_filter_and_the_new_one_by_filterpy_are_the_same() -> None:
-    flown = run(0.2)
-    old, new = Ekf(MODEL, EkfSettings(), noise=NOISE), make_estimator(FilterpyEkfSettings(), MODEL, noise=NOISE)
-    expected = old.update(old.first(np.array(SWING)), flown.measured(0))
-    found = estimated(new, flown)
-    for k in range(1, 200):
-        expected = old.update(old.predict(expected, float(flown.commands[k])), flown.measured(k))
-        assert found[k].state == pytest.approx(expected.state, abs=1e-12)

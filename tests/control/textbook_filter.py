@@ -1,0 +1,47 @@
+"""The extended Kalman filter as the textbook writes it, in plain matrices: what the compiled one is compared with.
+
+Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 5.2 and 10.3.
+"""
+
+import numpy as np
+
+from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.sampled import SampledModel
+
+
+class TextbookFilter:
+    """Keeps state (6,), covariance (6, 6), innovation (3,) and nis of the last step; noise (3, 3)."""
+
+    def __init__(self, model: SampledModel, settings: EkfSettings, *, noise: np.ndarray, state: np.ndarray) -> None:
+        self.model, self.settings, self.noise = model, settings, noise
+        self.observation = np.eye(6)[[0, 1, 4]]
+        s = settings
+        self.state = np.array(state, dtype=float)
+        self.covariance = np.diag(np.square([s.first_angle] * 2 + [s.first_rate] * 2 + [s.first_cart] * 2))
+        self.innovation, self.nis = np.zeros(3), float("nan")
+
+    @property
+    def sigmas(self) -> np.ndarray:
+        return np.sqrt(np.diag(self.covariance))
+
+    def predict(self, command: float) -> None:
+        """One period on: white accelerations of the settings' density, the cart's and each arm's."""
+        t, s = self.model.period, self.settings
+        following, a = (np.array(v) for v in self.model.step_with_jacobian(self.state, command))
+        change = (following - self.state)[2:4] / t
+        densities = s.rate_noise**2 + 2 * s.correlation_time * (s.parameter_error * change) ** 2
+        q = np.zeros((6, 6))
+        for p, v, d in zip((0, 1, 4), (2, 3, 5), (*densities, s.cart_noise**2), strict=True):
+            q[p, p], q[p, v], q[v, p], q[v, v] = d * t**3 / 3, d * t**2 / 2, d * t**2 / 2, d * t
+        self.state, self.covariance = following, a @ self.covariance @ a.T + q
+
+    def update(self, measured: np.ndarray) -> None:
+        """Take the positions in, by Joseph's form of the covariance; angles in a swing need no wrapping."""
+        h, p = self.observation, self.covariance
+        s = h @ p @ h.T + self.noise
+        gain = np.linalg.solve(s, h @ p).T
+        self.innovation = measured - h @ self.state
+        self.nis = float(self.innovation @ np.linalg.solve(s, self.innovation))
+        self.state = self.state + gain @ self.innovation
+        left = np.eye(6) - gain @ h
+        self.covariance = left @ p @ left.T + gain @ self.noise @ gain.T
