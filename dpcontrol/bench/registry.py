@@ -22,6 +22,10 @@ CHARTS: dict[str, Drawer] = {
     "propagation": _of("propagation"),
     "connections": _of("connections"),
     "transcription": _of("transcription"),
+    "estimation": _of("estimation"),
+    "control": _of("control"),
+    "logging": _of("logging"),
+    "levels": _of("levels"),
 }
 """Each module has one function `chart(quick, progress)`."""
 

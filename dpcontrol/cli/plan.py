@@ -25,6 +25,7 @@ def command(*, itinerary: str, fresh: bool, out: Path | None, as_json: bool) -> 
     """
     from dpcontrol.foundation.files import whole_file
     from dpcontrol.scenes.itinerary import load_itinerary
+    from dpcontrol.scenes.levels import plan_remarks
     from dpcontrol.scenes.plan import make_plan
 
     if out is not None:
@@ -37,6 +38,8 @@ def command(*, itinerary: str, fresh: bool, out: Path | None, as_json: bool) -> 
         with whole_file(out, suffix=".npz") as temporary:
             shutil.copyfile(file, temporary)
         file = out
+    for remark in plan_remarks(scene):
+        click.echo(remark, err=True)
     if as_json:
         print_json(
             {

@@ -59,6 +59,7 @@ def command(
     if itinerary is None:
         raise click.UsageError("give an ITINERARY, or a log to repeat with --from")
     from dpcontrol.scenes.itinerary import load_itinerary
+    from dpcontrol.scenes.levels import run_remarks
     from dpcontrol.scenes.plan import make_plan
     from dpcontrol.scenes.run import default_log, run_plan
 
@@ -71,6 +72,8 @@ def command(
     if verdict is None:
         _on_rig(plan, out or default_log(scene), address or "", real_time=real_time, as_json=as_json)
         return
+    for remark in run_remarks(scene):
+        click.echo(remark, err=True)
     if as_json:
         print_json(score_document(verdict))
     else:

@@ -1,0 +1,146 @@
+"""Does a scene model more, or less, than it needs? The evidence that `dpcontrol bench levels` gathers.
+
+A reference's level is *enough* where, on a plant that is the model, it is flown as completely as one of the full level
+and with at most a fifth more effort. A plant's level is enough where the scene's own runs, with its mismatch, are
+completed as often as on the fullest plant, and with the same tracking error to a fifth: that is what a run is asked.
+Evidence is of a motion, not of a name: parts, ends, energy and arms.
+"""
+
+import json
+import tomllib
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from functools import cache
+from importlib.resources import files
+
+from dpcontrol.dynamics.drive_level import PlantLevel
+from dpcontrol.foundation.files import content_hash
+from dpcontrol.scenes.itinerary import Itinerary
+
+ALLOWED = 0.2
+"""Share by which effort or error may change where a level is left out."""
+REFERENCE_LEVELS = ("conservative", "cart")
+PLANT_LEVELS = tuple(level.value for level in PlantLevel)
+_FILE = "level_evidence.toml"
+
+
+@dataclass(frozen=True)
+class LevelRuns:
+    """Runs of a scene at one level: how many completed; effort of the cart, m/s² rms; error of the angles, rad rms."""
+
+    runs: int
+    completed: int
+    effort: float
+    error: float
+
+    def agrees(self, other: "LevelRuns") -> bool:
+        """Tell whether as many runs complete, and with the same tracking error to a fifth."""
+        same = abs(self.error - other.error) <= ALLOWED * max(self.error, other.error)
+        return same and (self.completed, self.runs) == (other.completed, other.runs)
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """A scene's runs by level: its reference's levels on a plant that is the model, its plant's with its own mismatch.
+
+    motion: what the scene does, as `motion_key` gives it.
+    """
+
+    scene: str
+    motion: str
+    references: Mapping[str, LevelRuns]
+    plants: Mapping[str, LevelRuns]
+
+    @property
+    def reference_level(self) -> str:
+        """The least level of the reference that serves: as many runs completed, at most a fifth more effort."""
+        full = self.references["cart"]
+        for level in REFERENCE_LEVELS[:-1]:
+            runs = self.references.get(level)
+            if runs is not None and runs.completed == full.completed and runs.effort <= (1 + ALLOWED) * full.effort:
+                return level
+        return "cart"
+
+    @property
+    def plant_level(self) -> str:
+        """The least level of the plant whose runs agree with those of the fullest."""
+        full = self.plants[PLANT_LEVELS[-1]]
+        return next(level for level in PLANT_LEVELS if self.plants[level].agrees(full))
+
+
+def motion_key(itinerary: Itinerary) -> str:
+    """Return what a scene does and with which arms, as 16 hexadecimal digits: evidence holds for that alone."""
+    parts = [asdict(part) for part in itinerary.parts]
+    arms = asdict(itinerary.model.arms)
+    return content_hash(json.dumps([parts, itinerary.start, itinerary.finish, arms], sort_keys=True))
+
+
+@cache
+def known_evidence() -> Mapping[str, Evidence]:
+    """Return the package's evidence by the key of the motion."""
+    table = tomllib.loads(files("dpcontrol.scenes").joinpath(_FILE).read_text(encoding="utf-8"))
+    found = [_evidence(name, entry) for name, entry in table.items()]
+    return {evidence.motion: evidence for evidence in found}
+
+
+def _evidence(name: str, entry: Mapping[str, dict[str, dict[str, float]]]) -> Evidence:
+    def runs(key: str) -> dict[str, LevelRuns]:
+        return {
+            level: LevelRuns(int(v["runs"]), int(v["completed"]), float(v["effort"]), float(v["error"]))
+            for level, v in entry[key].items()
+        }
+
+    return Evidence(name, str(entry["motion"]), runs("reference"), runs("plant"))
+
+
+def evidence_text(evidence: list[Evidence], *, heading: str) -> str:
+    """Return the table as TOML, as the package keeps it."""
+    lines = [*(f"# {line}" for line in heading.splitlines())]
+    for found in evidence:
+        lines += ["", f"[{found.scene}]", f'motion = "{found.motion}"']
+        for key, levels in (("reference", found.references), ("plant", found.plants)):
+            lines += [
+                f"{key}.{level} = {{ runs = {r.runs}, completed = {r.completed}, effort = {r.effort:.4g}, "
+                f"error = {r.error:.4g} }}"
+                for level, r in levels.items()
+            ]
+    return "\n".join(lines) + "\n"
+
+
+def plan_remarks(itinerary: Itinerary) -> tuple[str, ...]:
+    """Return a sentence if the reference's level is more, or less, than the evidence supports; else nothing."""
+    evidence = known_evidence().get(motion_key(itinerary))
+    if evidence is None:
+        return ()
+    level, enough = itinerary.reference.level, evidence.reference_level
+    return _remark(
+        "[reference] level", level, enough, REFERENCE_LEVELS, evidence.references, evidence.references["cart"]
+    )
+
+
+def run_remarks(itinerary: Itinerary) -> tuple[str, ...]:
+    """Return a sentence if the plant's level is more, or less, than the evidence supports; else nothing."""
+    evidence = known_evidence().get(motion_key(itinerary))
+    if evidence is None:
+        return ()
+    level = itinerary.loop.bench.plant(itinerary.model.arms).level.value
+    full = evidence.plants[PLANT_LEVELS[-1]]
+    return _remark("[run] plant", level, evidence.plant_level, PLANT_LEVELS, evidence.plants, full)
+
+
+def _remark(
+    what: str, level: str, enough: str, order: tuple[str, ...], runs: Mapping[str, LevelRuns], full: LevelRuns
+) -> tuple[str, ...]:
+    if level == enough:
+        return ()
+    more = order.index(level) > order.index(enough)
+    # Of more than is needed the level that would do is the evidence; of less, the level that is taken.
+    told = enough if more else level
+    if told not in runs:
+        return (f'{what} = "{level}" is less than this scene needs: it cannot be made without "{enough}"',)
+    found = runs[told]
+    return (
+        f'{what} = "{level}" is {"more" if more else "less"} than the evidence supports, "{enough}": with "{told}" '
+        f"{found.completed} of {found.runs} runs were completed at {found.effort:.3g} m/s² and {found.error:.2g} rad "
+        f"rms, with everything {full.completed} of {full.runs} at {full.effort:.3g} m/s² and {full.error:.2g} rad",
+    )
