@@ -263,6 +263,8 @@ def test_in_two_hundred_runs_of_all_that_can_go_wrong_the_cart_stays_inside_its_
 def test_sensors_that_work_are_never_called_stuck(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:
+    slow = replace(REAL, seed=2, mismatch=0.2, initial_error=0.05, travel=0.8, sensors=SensorSettings(counts=256))
+    assert "stuck" not in ended(turn, controller, slow).record.reason
     for seed, counts in enumerate((0, 40_000, 4096, 512, 128)):
         settings = replace(
             REAL, seed=seed, mismatch=0.1, sensors=SensorSettings(counts=counts, noise=0.0 if counts else 1e-4)
@@ -273,4 +275,4 @@ def test_sensors_that_work_are_never_called_stuck(
 def test_a_sensor_at_rest_with_its_reference_is_not_stuck() -> None:
     watch = StuckWatch(2, period=1e-3)
     for k in range(5000):
-        assert watch.seen([0.0, math.pi, 0.0], [0.0, math.pi], 1e-4 * (-1) ** (k // 5)) == ""
+        assert watch.seen([0.0, math.pi, 0.0], [0.0, math.pi], 1e-4 * (-1) ** (k // 5), 1e6) == ""
