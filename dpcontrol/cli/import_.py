@@ -10,7 +10,7 @@ from dpcontrol.cli.output import json_option, print_json, progress_bar, reports_
 
 @click.command("import", epilog="Example:  dpcontrol import swing.csv --mapping my-rig.toml --repair nan,gaps")
 @click.argument("file", type=click.Path(path_type=Path))
-@click.option("--mapping", help="What the columns mean: a name or a TOML file [multi-arm for .mat, else table].")
+@click.option("--mapping", help="What the columns mean: a name or a TOML file [.mat: by what it holds; else table].")
 @click.option("--repair", default="", help="What may be mended, with commas: nan,time,gaps,wrap,spikes,sampling.")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Log to write [logs/NAME.mcap].")
 @json_option

@@ -25,6 +25,11 @@ Array = NDArray[np.float64]
 
 MATLAB, TABLES = (".mat",), (".csv", ".tsv", ".txt", ".parquet")
 _MOST_ARMS = 6
+_KNOWN = (
+    "multi-arm", "multi-arm-triple", "multi-arm-double", "multi-arm-single-cart", "multi-arm-single",
+    "multi-arm-raw-triple", "multi-arm-raw", "multi-arm-raw-single",
+)  # fmt: skip
+"""Mappings of MATLAB files to be told by what they hold: what asks for more comes before what asks for less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +55,8 @@ def import_recording(
 
     Args:
         path: a MATLAB (.mat), CSV (.csv, .tsv, .txt) or Parquet (.parquet) file.
-        mapping: name or path of a mapping; by default `multi-arm` for MATLAB files and `table` for others.
+        mapping: name or path of a mapping; by default the one of the MultiArm-Pendulum data set's kinds whose columns
+            a MATLAB file holds, and `table` for others.
         repairs: names of repairs that may be made.
         progress: told how far it is.
 
@@ -65,11 +71,31 @@ def import_recording(
         raise InputError(f"{path}: a recording is a file of kind {known}; this ends in {kind or 'nothing'}")
     if path.is_dir():
         raise InputError(f"cannot read {path}: it is a folder; give a file")
-    chosen = load_mapping(mapping or ("multi-arm" if kind in MATLAB else "table"))
+    given = load_mapping(mapping) if mapping else None
     progress("reading", 0.0)
-    stretches, period = _matlab(path, chosen) if kind in MATLAB else _table(path, chosen)
+    if kind in MATLAB:
+        variables = read_matlab(path)
+        chosen = given or _fitting(variables, path)
+        stretches, period = _matlab(path, chosen, variables)
+    else:
+        chosen = given or load_mapping("table")
+        stretches, period = _table(path, chosen)
     progress("checking", 0.5)
     return _recording(path, chosen, stretches, period=period, repairs=allowed)
+
+
+def _fitting(variables: dict[str, Any], path: Path) -> Mapping:
+    """Return the first known mapping whose columns are all there; where none is, the first."""
+    for name in _KNOWN:
+        mapping = load_mapping(name)
+        wanted = (*mapping.state_cells[:1], *mapping.angle_columns, *mapping.rate_columns, mapping.cart_column)
+        try:
+            for column_name in filter(None, wanted):
+                find(variables, column_name, file=path)
+        except InputError:
+            continue
+        return mapping
+    return load_mapping(_KNOWN[0])
 
 
 def _table(path: Path, mapping: Mapping) -> tuple[list[_Stretch], float]:
@@ -107,8 +133,7 @@ def _stretch(where: str, mapping: Mapping, columns: dict[str, Array]) -> _Stretc
     )
 
 
-def _matlab(path: Path, mapping: Mapping) -> tuple[list[_Stretch], float]:
-    variables = read_matlab(path)
+def _matlab(path: Path, mapping: Mapping, variables: dict[str, Any]) -> tuple[list[_Stretch], float]:
     period = mapping.period
     if mapping.period_variable:
         given = numbers(find(variables, mapping.period_variable, file=path), mapping.period_variable, file=path)

@@ -20,7 +20,6 @@ from dpcontrol.foundation.tables import Table, read_toml, suggest
 Array = NDArray[np.float64]
 
 SHIPPED = Path(__file__).parent / "mappings"
-DEFAULT = "multi-arm"
 
 ANGLE_UNITS = {"rad": 1.0, "deg": np.pi / 180, "turns": 2 * np.pi, "counts": 0.0}
 RATE_UNITS = {"rad/s": 1.0, "deg/s": np.pi / 180, "turns/s": 2 * np.pi, "rpm": np.pi / 30, "counts/s": 0.0}
@@ -128,8 +127,9 @@ def _mapping(table: Table, name: str) -> Mapping:
         raise InputError(f"{cells.where('time')} = {list(time_cells)}: give one name for each of `states`, or none")
     if rate_columns and len(rate_columns) != len(columns):
         raise InputError(f"{rates.where('columns')}: {len(rate_columns)} rates for {len(columns)} angles; give as many")
-    for column in columns + rate_columns:
-        if (columns + rate_columns).count(column) > 1:
+    every = [*columns, *rate_columns, *(name for name in (time_column, cart_column, command_column) if name)]
+    for column in every:
+        if every.count(column) > 1:
             raise InputError(f"{angles.where('columns')}: {column!r} is named twice; a column has one meaning")
     if not (time_column or time_cells or period or variable):
         raise InputError(f"{table.file}: neither [time] column nor [sampling] period is given; give one of them")
