@@ -77,7 +77,7 @@ def chart(quick: bool, progress: Progress) -> Chart:
     )  # fmt: skip
 
 
-def _measured(
+def measured(
     task: Task, made: Made, *, seeds: int
 ) -> tuple[list[tuple[str, str, float, Outcome]], list[Missing], dict[str, float]]:
     """Return (method, setting, seconds, outcome) of those that come through, the rest with reasons, and start-ups."""
@@ -104,7 +104,7 @@ def _measured(
 
 def _pair(task: Task, made: Made, *, seeds: int, default: tuple[str, str], why: str) -> tuple[Panel, Panel]:
     """Return the task's two panels: error, and share that fails at the large mismatch, against a tick's time."""
-    rows, missing, start_up = _measured(task, made, seeds=seeds)
+    rows, missing, start_up = measured(task, made, seeds=seeds)
 
     def points(of: Callable[[Outcome], float]) -> tuple[Point, ...]:
         return tuple(
@@ -189,7 +189,7 @@ def _hold(weights: tuple[float, ...], seeds: int) -> Panel:
         )
         for w in sorted({*weights, 1.0})
     }  # fmt: skip
-    rows, missing, start_up = _measured(task, made, seeds=seeds)
+    rows, missing, start_up = measured(task, made, seeds=seeds)
     points = tuple(
         Point(
             method, setting, found.effort, found.error, default=setting == "effort × 1",

@@ -68,7 +68,7 @@ def _error(run: BatchRun, n: int) -> float:
 
 def _runs(task: Task, controller: Controller, settings: LoopSettings, seeds: int) -> Sequence[BatchRun]:
     settings = replace(settings, initial_error=INITIAL_ERROR)
-    if can_batch(settings, controller) and _one_reference(controller):
+    if can_batch(settings, controller):
         return run_batch(
             task.arms, settings=settings, seeds=range(seeds), controller=controller,
             limits=settings.limits(task.reference),
@@ -77,14 +77,6 @@ def _runs(task: Task, controller: Controller, settings: LoopSettings, seeds: int
         BatchRun.of(run_loop(task.reference, task.arms, settings=replace(settings, seed=k), controller=controller))
         for k in range(seeds)
     ]
-
-
-def _one_reference(controller: Controller) -> bool:
-    """Tell whether all runs of a controller follow the same reference at the same tick, as lockstep needs."""
-    some = controller.begin_many(2)  # type: ignore[attr-defined]
-    states = np.repeat(controller.first_state[:, None], 2, axis=1)
-    wanted = some.commands(0, states, np.zeros((getattr(controller, "extra_gains", np.zeros((0, 0))).shape[1], 2)))[2]
-    return np.ndim(wanted) == 1
 
 
 def held(orbit_angles: Array, *, period: float, near: float = 0.1) -> Judge:

@@ -18,8 +18,8 @@ from dpcontrol.control.interface import Estimate, Estimator
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.dynamics.arm_chain import Level, equations_of
 from dpcontrol.dynamics.parameters import ArmChainParameters
-from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
 from dpcontrol.lab.sensors import SensorSettings
+from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
 
 Array = NDArray[np.float64]
 

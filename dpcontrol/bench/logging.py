@@ -121,15 +121,15 @@ def trial(kind: Format, folder: Path, run: Recording, *, kills: int, seed: int =
 
     spent = timed(whole, REPEATS)
     size = path.stat().st_size / count
-    losses = _losses(kind, path, run, kills=kills, seed=seed)
-    return Tried(kind, spent.seconds / len(run.messages.messages), size, float(np.mean(losses)), max(losses))
+    lost = losses(kind, path, run, kills=kills, seed=seed)
+    return Tried(kind, spent.seconds / len(run.messages.messages), size, float(np.mean(lost)), max(lost))
 
 
-def _losses(kind: Format, path: Path, run: Recording, *, kills: int, seed: int) -> list[float]:
+def losses(kind: Format, path: Path, run: Recording, *, kills: int, seed: int) -> list[float]:
     """Return the seconds lost at kills at random ticks; a tick that was under way counts."""
     count = len(run.ticks.times)
     moments = np.sort(np.random.default_rng(seed).integers(count // 10, count, kills))
-    losses, done = [], 0
+    lost, done = [], 0
     kind.begin(path, run)
     for k, moment in enumerate(moments.tolist()):
         # What is handed over in blocks waits until a block is full.
@@ -139,11 +139,11 @@ def _losses(kind: Format, path: Path, run: Recording, *, kills: int, seed: int) 
         done = until
         copy = path.with_name(f"killed-{k}")
         shutil.copyfile(kind.growing(path), copy)
-        losses.append((moment + 1 - kind.left(copy)) / run.rate_hz)
+        lost.append((moment + 1 - kind.left(copy)) / run.rate_hz)
     for first in range(done, count, kind.block):
         kind.add(first, min(first + kind.block, count))
     kind.end()
-    return losses
+    return lost
 
 
 def _points(

@@ -5,7 +5,7 @@ Messages come ready-made, so that what is timed is the writer alone.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from io import RawIOBase
+from io import BufferedWriter, RawIOBase
 from pathlib import Path
 
 from mcap.exceptions import McapError
@@ -45,11 +45,15 @@ def messages_of(path: Path) -> Messages:
 
 
 class MessageWriter:
-    """The package's writer on an unbuffered stream, with chunks of `chunk_bytes`; "zstd" or "none"."""
+    """The package's writer on an unbuffered stream, with chunks of `chunk_bytes`; "zstd" or "none".
+
+    It buffers what it writes to a bare stream, so that it is given a buffer that can be emptied.
+    """
 
     def __init__(self, stream: RawIOBase, known: Messages, *, chunk_bytes: int, compression: str = "zstd") -> None:
         kind = {"zstd": CompressionType.ZSTD, "none": CompressionType.NONE}[compression]
-        self._writer = Writer(stream, chunk_size=chunk_bytes, compression=kind, enable_data_crcs=True)  # type: ignore[arg-type]
+        self._buffer = BufferedWriter(stream)
+        self._writer = Writer(self._buffer, chunk_size=chunk_bytes, compression=kind, enable_data_crcs=True)
         self._writer.start(profile="ros2")
         schemas = {s.id: self._writer.register_schema(s.name, s.encoding, s.data) for s in known.schemas}
         self._channels = {
@@ -58,13 +62,15 @@ class MessageWriter:
         }
 
     def add(self, messages: Sequence[Message]) -> None:
-        """Write messages, one after the other."""
+        """Write messages, one after the other, and hand whole chunks to the system."""
         for m in messages:
             self._writer.add_message(self._channels[m.channel_id], m.log_time, m.data, m.publish_time, m.sequence)
+        self._buffer.flush()
 
     def finish(self) -> None:
         """Write the end of the file."""
         self._writer.finish()
+        self._buffer.flush()
 
 
 def ticks_left(path: Path) -> int:

@@ -1,0 +1,187 @@
+"""What the charts of estimation, control and logging measure: trials by their properties, failures named."""
+
+import math
+import shutil
+import signal
+import subprocess
+import sys
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from log_recording import RATE, hand_over, recording
+
+from dpcontrol.bench.control import measured
+from dpcontrol.bench.control_trials import Task, held
+from dpcontrol.bench.derivative_filter import DerivativeFilter
+from dpcontrol.bench.estimator_trials import derivative_trial, estimator_trial, noise_of, swing
+from dpcontrol.bench.log_formats import Arrays, Blocks, ByMessage, Lines, RowGroups
+from dpcontrol.bench.logging import losses
+from dpcontrol.control.estimation import make_estimator
+from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.ogy import OgySettings, ogy_controller
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.lab.batch import BatchRun
+from dpcontrol.lab.loop import sampled_model
+from dpcontrol.lab.result import Ending
+from dpcontrol.logs.by_message import messages_of, ticks_left
+from dpcontrol.references.sustained import sustained_orbit
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.lyapunov import lyapunov_orbit
+
+EXACT = 1e-9  # Of slopes of straight lines: rounding of differences of numbers near one.
+FIRST_ORDER = 0.03  # Of a sampled low pass against the continuous one, at a hundredth of the sampling rate.
+WELL_BELOW = 0.2  # Of a share that should be 0.95: a filter that believes far too much.
+TICKS = 600
+ARMS = load_model("lab").arms
+
+
+def filtered(law: DerivativeFilter, positions: np.ndarray) -> np.ndarray:
+    rates, out = np.zeros(1), []
+    for last, now in pairwise(positions):
+        rates = law.step(rates, np.array([last]), np.array([now]))
+        out.append(rates[0])
+    return np.array(out)
+
+
+@pytest.mark.parametrize("cutoff", [20.0, math.inf])
+def test_a_derivative_filter_gives_a_straight_line_its_slope(cutoff):
+    rates = filtered(DerivativeFilter(1e-3, cutoff), 3.0 * np.arange(1000) * 1e-3)
+    assert rates[-1] == pytest.approx(3.0, rel=EXACT)
+
+
+def test_a_derivative_filter_halves_the_power_of_a_sine_at_its_cutoff():
+    cutoff, t = 10.0, np.arange(4000) * 1e-3
+    rates = filtered(DerivativeFilter(1e-3, cutoff), np.sin(2 * np.pi * cutoff * t))[1000:]
+    amplitude = 2 * np.pi * cutoff
+    assert np.sqrt(2) * rates.std() == pytest.approx(amplitude / np.sqrt(2), rel=FIRST_ORDER)
+
+
+def test_a_derivative_filter_without_a_positive_cutoff_is_refused_by_name():
+    with pytest.raises(InputError, match=r"cutoff = 0.*positive"):
+        DerivativeFilter(1e-3, 0.0)
+
+
+def ekf_trial(swings, counts, augment=()):
+    estimator = make_estimator(EkfSettings(augment=augment), sampled_model(ARMS, 1000.0), noise=noise_of(ARMS, counts))
+    return estimator_trial(estimator, swings, counts=counts)
+
+
+def test_readings_are_whole_counts_of_relative_angles():
+    flown = swing(ARMS, seconds=0.2, seed=0, mismatch=0.02, zero_error=3e-3)
+    read, count = flown.measured(4000), 2 * np.pi / 4000
+    relative = np.column_stack([read[:, 0], read[:, 1] - read[:, 0]]) / count
+    assert np.abs(relative - np.rint(relative)).max() < 1e-6
+    assert np.abs(relative * count - flown.joints[:, :2]).max() <= count / 2 * (1 + 1e-9)
+
+
+def test_differences_need_fine_counts_and_the_filter_does_not():
+    swings = [swing(ARMS, seconds=1.0, seed=0, mismatch=0.02, zero_error=0.0)]
+    coarse, fine = (derivative_trial(DerivativeFilter(1e-3), swings, counts=c) for c in (4000, 400_000))
+    filters = [ekf_trial(swings, counts) for counts in (4000, 400_000)]
+    # Without a low pass a hundred times the step is near a hundred times the noise; half a tick's delay stays.
+    assert coarse.error > 10 * fine.error
+    assert filters[0].error < 10 * filters[1].error
+    assert filters[0].error < coarse.error / 10
+    assert math.isnan(coarse.nees_inside_95)
+
+
+def test_wrong_zeros_are_shown_by_nees_and_mended_by_estimating_them():
+    right = [swing(ARMS, seconds=1.5, seed=1, mismatch=0.0, zero_error=0.0)]
+    wrong = [swing(ARMS, seconds=1.5, seed=1, mismatch=0.0, zero_error=0.02)]
+    assert ekf_trial(right, 40_000).nees_inside_95 > 0.5
+    blind, told = ekf_trial(wrong, 40_000), ekf_trial(wrong, 40_000, ("zeros",))
+    assert blind.nees_inside_95 < WELL_BELOW
+    assert told.nees_inside_95 > 0.5
+    assert told.error < blind.error / 2
+
+
+def run_of(angles: np.ndarray, ending: Ending = Ending.FINISHED) -> BatchRun:
+    states = np.column_stack([angles, np.zeros((len(angles), 4))])
+    times = np.arange(len(angles)) * 1e-3
+    return BatchRun(times, states, states, np.zeros(len(angles)), ending, "", 0.95, 0.1)
+
+
+def test_a_run_is_held_if_its_last_period_is_near_the_orbit_up_to_phase_and_turns():
+    phase = np.linspace(0, 2 * np.pi, 1000, endpoint=False)
+    orbit = np.column_stack([np.sin(phase), np.pi + 0.3 * np.cos(phase)])
+    judge = held(orbit, period=1.0)
+    twice = np.vstack([orbit, np.roll(orbit, 300, axis=0)])
+    assert judge(run_of(twice))
+    for shift, expected in ((4 * np.pi, True), (0.09, True), (0.9, False)):
+        assert judge(run_of(twice + np.array([0.0, shift]))) is expected
+    assert not judge(run_of(twice, Ending.TRACKING_LOST))
+    early_only = np.vstack([orbit + 1.0, orbit])
+    assert judge(run_of(early_only))
+
+
+def test_pulses_at_few_sections_are_missing_with_their_reason_and_at_many_a_point():
+    # An error grows by √534 = 23 from one of two sections to the next, by 1.5 from one of sixteen.
+    orbit = sustained_orbit(lyapunov_orbit(load_model("lab").system, "down-up", energy=-0.07), ARMS)
+    angles = orbit.state(np.linspace(0, orbit.period, 500))[:, :2]
+    task = Task("An orbit", orbit.reference, ARMS, held(angles, period=orbit.period))
+    made = {
+        ("OGY", str(k)): (
+            lambda model, k=k: ogy_controller(orbit, model, OgySettings(sections=k), seconds=2.5),
+            EkfSettings(),
+        )
+        for k in (2, 16)
+    }
+    rows, missing, _ = measured(task, made, seeds=2)
+    assert [(m.method, m.setting) for m in missing] == [("OGY", "2")]
+    assert "none of 2 runs came through" in missing[0].reason
+    ((method, setting, seconds, found),) = rows
+    assert (method, setting) == ("OGY", "16")
+    assert seconds > 0
+    assert 0 < found.error < 0.1
+    assert found.success_small == 1
+
+
+def test_a_copy_of_the_growing_file_holds_what_a_kill_leaves(tmp_path: Path):
+    tick = 333
+    script = Path(__file__).with_name("killed_format.py")
+    done = subprocess.run([sys.executable, script, tmp_path, str(tick)], capture_output=True, text=True)
+    assert done.returncode == -signal.SIGKILL, done.stderr
+    run = recording(tmp_path, 400)
+    for k, kind in enumerate([Blocks(), ByMessage(16 * 1024), Lines("CSV", flush=False), Lines("JSON", flush=True)]):
+        path = tmp_path / f"copied-{k}"
+        hand_over(kind, path, run, tick)
+        copy = tmp_path / f"copy-{k}"
+        shutil.copyfile(kind.growing(path), copy)
+        killed = tmp_path / f"killed-{k}"
+        growing = next(p for p in (killed.with_name(killed.name + ".partial"), killed) if p.exists())
+        assert kind.left(growing) == kind.left(copy), kind.method
+        kind.end()
+
+
+def test_each_format_loses_what_it_keeps_to_itself(tmp_path: Path):
+    run = recording(tmp_path, TICKS)
+
+    def loss(kind):
+        return losses(kind, tmp_path / "run", run, kills=4, seed=5)
+
+    ours = loss(Blocks())
+    # Up to a chunk, and the tick under way.
+    assert 1 / RATE <= max(ours) <= 0.021
+    assert loss(Lines("CSV", flush=True)) == pytest.approx([1 / RATE] * 4)
+    kills = np.sort(np.random.default_rng(5).integers(TICKS // 10, TICKS, 4))
+    for whole in (Arrays(compressed=False), RowGroups(100), ByMessage(1024 * 1024)):
+        assert loss(whole) == pytest.approx((kills + 1) / RATE), whole.method
+    assert max(loss(ByMessage(16 * 1024))) < 0.1
+    assert max(loss(Blocks(0.2))) > max(ours)
+
+
+def test_the_packages_own_writer_writes_the_same_messages(tmp_path: Path):
+    run = recording(tmp_path, 100)
+    kind, path = ByMessage(16 * 1024), tmp_path / "again.mcap"
+    hand_over(kind, path, run, 100)
+    kind.end()
+    again = messages_of(path)
+    assert [(m.log_time, m.sequence, m.data) for m in again.messages] == [
+        (m.log_time, m.sequence, m.data) for m in run.messages.messages
+    ]
+    assert ticks_left(path) == 100
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    assert 0 < ticks_left(cut) < 100
