@@ -139,8 +139,11 @@ def _remark(
     if told not in runs:
         return (f'{what} = "{level}" is less than this scene needs: it cannot be made without "{enough}"',)
     found = runs[told]
-    return (
-        f'{what} = "{level}" is {"more" if more else "less"} than the evidence supports, "{enough}": with "{told}" '
-        f"{found.completed} of {found.runs} runs were completed at {found.effort:.3g} m/s² and {found.error:.2g} rad "
-        f"rms, with everything {full.completed} of {full.runs} at {full.effort:.3g} m/s² and {full.error:.2g} rad",
-    )
+    verdict = f'less than the evidence asks for, "{enough}"'
+    if more:
+        verdict = f'more than the evidence supports: "{enough}" is enough'
+    return (f'{what} = "{level}" is {verdict}; with "{told}" {_told(found)}, with everything {_told(full)}',)
+
+
+def _told(runs: LevelRuns) -> str:
+    return f"{runs.completed} of {runs.runs} runs completed at {runs.effort:.3g} m/s² and {runs.error:.2g} rad rms"
