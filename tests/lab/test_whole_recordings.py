@@ -26,6 +26,10 @@ PERIOD = 1e-4  # s, of the data set's recordings of one and three arms
 AMPLITUDE, FREQUENCY = 0.05, 0.47  # m, Hz: the data set's cart went to and fro every 2.1 s
 
 
+def _times(count: int, period: float) -> Array:
+    return np.asarray(np.arange(count) * period, dtype=np.float64)
+
+
 def _variables(angles: Array, rates: Array, times: Array) -> dict[str, Any]:
     """Return the data set's variables for several arms: one for each angle and rate, from upright."""
     named: dict[str, Any] = {"Time": times[:, None], "dt": times[1] - times[0]}
@@ -73,11 +77,11 @@ def _one_arm(times: Array, *, driven: bool) -> tuple[Array, Array]:
 
 @pytest.mark.parametrize("driven", [False, True])
 def test_one_arm_logged_as_structures_opens_and_its_cart_where_it_moved(tmp_path: Path, driven: bool) -> None:
-    times = np.arange(20_000) * PERIOD
+    times = _times(20_000, PERIOD)
     angle, cart = _one_arm(times, driven=driven)
     variables = {"Theta1": _logged(angle + np.pi, times)}
     if driven:
-        variables |= {"Distance": _logged(cart, times), "Velocity": _logged(np.gradient(cart, PERIOD), times)}
+        variables |= {"Distance": _logged(cart, times), "Velocity": _logged(np.asarray(np.gradient(cart, PERIOD), dtype=np.float64), times)}
     savemat(tmp_path / "single.mat", variables)
     recording = import_recording(tmp_path / "single.mat")
     assert recording.arms == 1
@@ -109,7 +113,7 @@ command = "wanted"
 
 
 def _driven_table(folder: Path) -> tuple[Path, Path, Array]:
-    times = np.arange(800) * 1e-3
+    times = _times(800, 1e-3)
     way = AMPLITUDE * np.sin(2 * np.pi * times)
     columns = {"t": 1e3 * times, "inner": 0.3 * np.cos(8 * times), "outer": 0.2 * np.cos(8 * times + 0.3)}
     columns |= {"way": 1e3 * way, "wanted": -((2 * np.pi) ** 2) * way}
@@ -155,7 +159,7 @@ def test_mistakes_about_the_cart_are_named(tmp_path: Path, old: str, new: str, s
 
 
 def test_a_recording_of_another_number_of_arms_than_the_models_is_refused(tmp_path: Path) -> None:
-    times = np.arange(2000) * 1e-3
+    times = _times(2000, 1e-3)
     angle, _ = _one_arm(times, driven=False)
     savemat(tmp_path / "single.mat", {"Theta1": _logged(angle + np.pi, times)})
     recording = import_recording(tmp_path / "single.mat")
