@@ -8,7 +8,6 @@ Source: Anderson & Moore, Optimal Control: Linear Quadratic Methods, sections 2.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,24 +21,6 @@ from dpcontrol.references.problem import ANGLE_SCALE, CART_VELOCITY_SCALE, RATE_
 from dpcontrol.references.reference import Reference
 
 Array = NDArray[np.float64]
-
-
-class Controller(Protocol):
-    """What the loop asks for a command."""
-
-    @property
-    def kind(self) -> str:
-        """Return the name of its kind."""
-        ...
-
-    @property
-    def reference_states(self) -> Array:
-        """Return where the plant should be at each tick, (K+1, N)."""
-        ...
-
-    def command(self, tick: int, state: Array) -> tuple[float, float]:
-        """Return feedforward and feedback in m/s² for the period from `tick`, at estimated `state` (N,)."""
-        ...
 
 
 @dataclass(frozen=True)

@@ -13,6 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, get_args, get_origin, get_type_hints
 
 import dpcontrol
+from dpcontrol.control.estimation import ESTIMATORS
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Progress, no_progress
 from dpcontrol.lab.loop import LoopSettings
@@ -23,7 +24,7 @@ from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
 from dpcontrol.scenes.model import load_model
 from dpcontrol.scenes.plan import Plan
 from dpcontrol.scenes.run import run_plan
-from dpcontrol.scenes.run_settings import CONTROLLERS, ESTIMATORS
+from dpcontrol.scenes.run_settings import CONTROLLERS
 
 _SCENE, _MODEL = "scene.toml", "model.toml"
 _KINDS: Mapping[str, Mapping[str, type]] = {"controller": CONTROLLERS, "estimator": ESTIMATORS}

@@ -9,13 +9,11 @@ from dataclasses import fields, replace
 from typing import Any
 
 from dpcontrol.control.adaptive import AdaptiveSettings
+from dpcontrol.control.estimation import ESTIMATORS
 from dpcontrol.control.estimator_settings import (
     AdaptiveEkfSettings,
     Augment,
     EkfSettings,
-    EstimatorSettings,
-    FilterpyEkfSettings,
-    UkfSettings,
 )
 from dpcontrol.control.hold import HoldSettings
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
@@ -34,10 +32,6 @@ CONTROLLERS: Mapping[str, type[ControllerSettings]] = {
     "lqr": HoldSettings, "feedforward": FeedforwardSettings,
 }  # fmt: skip
 """Kinds of controller and what holds the settings of each."""
-ESTIMATORS: Mapping[str, type[EstimatorSettings]] = {
-    "ekf": EkfSettings, "ekf-filterpy": FilterpyEkfSettings, "ukf": UkfSettings
-}  # fmt: skip
-"""Kinds of estimator and what holds the settings of each."""
 _PARTS: Mapping[str, type] = {"sensors": SensorSettings, "drive": DriveSettings, "disturbances": DisturbanceSettings}
 _OWN = ("rate", "initial_error", "mismatch", "model_uncertainty", "travel", "seed")
 _LISTS = ("explicit",)

@@ -99,9 +99,9 @@ def test_the_effect_of_a_wrong_parameter_is_that_of_other_arms(name: str, base: 
 def test_on_the_state_it_has_the_gains_of_tvlqr_with_the_same_weights(
     turn: tuple[StandIn, Reference], model: SampledModel
 ) -> None:
-    same = AdaptiveSettings(angle=1000.0, rate=100.0, position=100.0, closing=1.0)
-    adaptive = adaptive_controller(turn[1], model, same, estimator=ESTIMATOR)
-    plain = tracking_controller(turn[1], model, TvlqrSettings())
+    weights = {"angle": 1000.0, "rate": 100.0, "position": 100.0, "closing": 20.0, "closing_time": 1.1}
+    adaptive = adaptive_controller(turn[1], model, AdaptiveSettings(**weights), estimator=ESTIMATOR)
+    plain = tracking_controller(turn[1], model, TvlqrSettings(**weights))
     assert adaptive.gains == pytest.approx(plain.gains, rel=SOLVED, abs=SOLVED)
     assert np.array_equal(adaptive.feedforward, plain.feedforward)
 

@@ -210,7 +210,9 @@ def test_feedback_at_every_tick_holds_by_time_and_by_phase() -> None:
     moved = tvlqr("time").begin()
     text = moved.resynchronise(0, orbit().state(0.05))
     assert text == "clock of the orbit moved by +0.0500 s"
-    assert abs(moved.command(0, orbit().state(0.05), NONE).feedback) < 5e-3
+    # What is left lies between two samples of the orbit.
+    astray = tvlqr("time").begin().command(0, orbit().state(0.05), NONE).feedback
+    assert abs(moved.command(0, orbit().state(0.05), NONE).feedback) < 1e-2 * abs(astray)
 
 
 def test_many_runs_do_what_each_does_alone() -> None:
