@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from dpcontrol.scenes.campaign import Campaign, CaseResult
     from dpcontrol.scenes.standard import StandardScore
 
+REPLAYED = 4
+"""Failures of each job that are confirmed by the loop, tick by tick."""
 SHOWN = 10
 """Failures that are listed for people; all of them are in the file."""
 
@@ -43,7 +45,7 @@ class _Values(click.ParamType):
 
 @click.command("campaign", epilog="Example:  dpcontrol campaign outer-turn --runs 200 --mismatch 0.05 --lag 0.005")
 @click.argument("itinerary")
-@click.option("--runs", type=click.IntRange(min=1), default=100, show_default=True, help="Seeds for each case.")
+@click.option("--runs", type=click.IntRange(min=1), help="Seeds for each case [100; with --standard 8].")
 @click.option("--seed-from", type=click.IntRange(min=0), default=0, show_default=True, help="First seed.")
 @click.option("--over", type=_Values(), multiple=True, help="Vary a run setting: one case for each value.")
 @click.option("--standard", is_flag=True, help="The robustness score: nine kinds of trouble, 21 levels each.")
@@ -60,7 +62,7 @@ class _Values(click.ParamType):
 def command(
     *,
     itinerary: str,
-    runs: int,
+    runs: int | None,
     seed_from: int,
     over: Sequence[tuple[str, list[Any]]],
     standard: bool,
@@ -84,7 +86,11 @@ def command(
     scene = load_itinerary(itinerary)
     file = out or Path("logs") / f"{scene.name}.parquet"
     checked_suffix(file, ".parquet", option="--out")
-    settings = CampaignSettings(runs=runs, first_seed=seed_from, path=how, workers=workers, scheduler=scheduler)
+    # A score needs no list of failures, and so none that are confirmed.
+    settings = CampaignSettings(
+        runs=runs or (8 if standard else 100), first_seed=seed_from, path=how, workers=workers, scheduler=scheduler,
+        replayed=0 if standard else REPLAYED,
+    )  # fmt: skip
     varied = dict(over)
     if len(varied) != len(over):
         raise InputError("--over: the same setting is given twice; list its values in one, separated by commas")

@@ -34,7 +34,8 @@ MOST_TICKS = 5_000_000
 class CampaignSettings:
     """runs for each case, from seed `first_seed` on; path: "compiled" runs many seeds in lockstep, "ticks" the loop
     itself; workers: processes, 0 for one on each processor; scheduler: address of a Dask cluster, or empty; batch:
-    seeds in a job, fewer where runs are long.
+    seeds in a job, fewer where runs are long; replayed: how many of a job's failures in lockstep the loop itself runs
+    again, to confirm them.
     """
 
     runs: int
@@ -43,6 +44,7 @@ class CampaignSettings:
     workers: int = 0
     scheduler: str = ""
     batch: int = 128
+    replayed: int = 4
 
     def __post_init__(self) -> None:
         """Refuse an impossible campaign.
@@ -51,6 +53,7 @@ class CampaignSettings:
             InputError: names the setting, its value and what is allowed.
         """
         bounds = {"runs": (1, MOST_RUNS), "first_seed": (0, 2**31), "workers": (0, 1024), "batch": (1, 4096)}
+        bounds["replayed"] = (0, 4096)
         for name, (low, high) in bounds.items():
             value = getattr(self, name)
             if not low <= value <= high:
@@ -152,7 +155,7 @@ def _jobs(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> list
         size = max(min(settings.batch, MOST_TICKS // ticks), 1)
         uncertainty = plan.itinerary.model.known_to if case.loop.model_uncertainty else None
         jobs += [
-            Job(name, archive, arms, case, tuple(seeds[k : k + size]), settings.path, uncertainty)
+            Job(name, archive, arms, case, tuple(seeds[k : k + size]), settings.path, uncertainty, settings.replayed)
             for k in range(0, settings.runs, size)
         ]
     return jobs

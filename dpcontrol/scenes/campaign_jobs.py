@@ -6,6 +6,7 @@ job gives the same rows wherever and however often it runs.
 
 import io
 import math
+import threading
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from typing import Any
@@ -51,8 +52,8 @@ COLUMNS: dict[str, str] = {
 varied, as name=value; replays: whether the loop itself, tick by tick, fails too, asked of the first failures of a job
 only; null where it was not asked. SI units."""
 
-REPLAYED = 4
-"""Failures of a job that are run again tick by tick: each takes the loop as long as a dozen in lockstep."""
+_ONE_AT_A_TIME = threading.Lock()
+"""Compiled code is not to be shared between threads, and a Dask worker may have several."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,8 @@ class Case:
 @dataclass(frozen=True)
 class Job:
     """Seeds of one case. reference: the plan's archive; path: "compiled" (many seeds in lockstep) or "ticks";
-    uncertainty: of the arms, for cases that draw their plants from it.
+    uncertainty: of the arms, for cases that draw their plants from it; replayed: how many failures in lockstep are run
+    again tick by tick.
     """
 
     itinerary: str
@@ -77,11 +79,14 @@ class Job:
     seeds: tuple[int, ...]
     path: str
     uncertainty: Uncertainty | None = None
+    replayed: int = 4
 
     @property
     def key(self) -> str:
         """What the rows depend on, as 16 hexadecimal digits."""
-        settings = repr((self.itinerary, asdict(self.arms), self.case, self.seeds, self.path, self.uncertainty))
+        settings = repr(
+            (self.itinerary, asdict(self.arms), self.case, self.seeds, self.path, self.uncertainty, self.replayed)
+        )
         return content_hash(self.reference, settings)
 
 
@@ -102,9 +107,16 @@ def run_job(job: Job) -> list[Row]:
         InputError: the settings do not fit the plan.
         GoalMissed: no controller can be made for it.
     """
+    with _ONE_AT_A_TIME:
+        return _rows(job)
+
+
+def _rows(job: Job) -> list[Row]:
     reference = _reference(job.reference)
     loop = job.case.loop
-    controller = _controller(job.reference, job.arms, replace(loop, seed=0))
+    # By what a controller depends on: cases that differ in the bench share one.
+    decisive = LoopSettings(seed=0, rate=loop.rate, controller=loop.controller, estimator=loop.estimator)
+    controller = _controller(job.reference, job.arms, decisive)
     if job.path == "ticks" or not can_batch(loop, controller):
         return [_row(job, reference, seed, _one(job, reference, controller, seed), path="ticks") for seed in job.seeds]
     limits = loop.limits(reference)
@@ -112,7 +124,7 @@ def run_job(job: Job) -> list[Row]:
         job.arms, settings=loop, seeds=job.seeds, controller=controller, limits=limits, uncertainty=job.uncertainty
     )
     rows = [_row(job, reference, seed, run, path="compiled") for seed, run in zip(job.seeds, runs, strict=True)]
-    for row in [row for row in rows if not row["completed"]][:REPLAYED]:
+    for row in [row for row in rows if not row["completed"]][: job.replayed]:
         # What is listed as a failure should be one when its seed is run alone; round-off decides a few.
         again = _row(job, reference, row["seed"], _one(job, reference, controller, row["seed"]), path="ticks")
         row["replays"] = not again["completed"]

@@ -1,16 +1,31 @@
 """The robustness score: how much of each kind of trouble a controller stands, level by level.
 
-Each kind is raised in 21 equal levels from none to its worst. The score of a kind is the share of its runs that
-complete the whole itinerary, and the score of the controller the mean over the kinds. The first six kinds and their 21
-levels follow the leaderboard of the dfki double pendulum; model error, noise and pushes are as wide as there, delay
-and response are scaled to this loop. The last three are of encoders and of the cart's drive.
+Each kind has 21 levels, on top of what the scene itself asks of its bench. The score of a kind is the share of its runs
+that complete the whole itinerary, symbol by symbol, by the true state; that of the controller the mean over the kinds.
 
-Source: Wiebe et al., Open-source dual-purpose acrobot and pendubot platform (IEEE RAM, 2024), section on benchmarking.
+The first six kinds are those of the leaderboard of the dfki double pendulum, which swings up under a torque of at most
+6 N m; the last three are of encoders and of the cart's drive. What is as there, and what is not:
+
+    velocity noise   the same: Gaussian, 0 to 0.5 rad/s, on the rates that the controller is given
+    response         the same: 0.1 to 2 times what was commanded
+    delay            the same lengths, 0 to 40 ms; here the loop is told of it and predicts, as a rig's delay is known
+    model error      there one parameter at a time, ±25 %; here all at once, ±25 % at worst and friction five times that
+    command noise    there up to 1.1 of 6 N m; here the same share of 30 m/s²
+    pushes           there three a joint, of 0.06 to 1.3 N m s over a tenth of a second on arms several times as heavy,
+                     at one level; here three in all, instantaneous, up to 0.004 N m s, 1.4 rad/s of the outer arm alone
+
+There a level of noise counts if more than half of its runs succeed; here every run counts. So scores of the two may be
+read side by side, kind by kind, and not subtracted.
+
+Source: Wiebe et al., Open-source dual-purpose acrobot and pendubot platform (IEEE RAM, 2024), section on benchmarking;
+ranges as in the leaderboard's scripts, robustness version 2, of github.com/dfki-ric-underactuated-lab/double_pendulum.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from dpcontrol.lab.statistics import Share, wilson
 from dpcontrol.scenes.campaign import CaseResult, cases_of
@@ -22,33 +37,43 @@ LEVELS = 21
 
 @dataclass(frozen=True)
 class Trouble:
-    """One kind: the run setting it raises, from `least` to `worst`, and others that go with it."""
+    """One kind: the run setting it raises, its values level by level, and other settings that go with it.
+
+    in_periods: the values are in s, the setting in periods.
+    """
 
     name: str
     setting: str
-    least: float
-    worst: float
+    values: tuple[float, ...]
     besides: tuple[tuple[str, float], ...] = ()
-    integer: bool = False
+    in_periods: bool = False
 
-    def level(self, k: int) -> dict[str, float]:
-        """Return the settings at level k of 0 … 20."""
-        value = self.least + (self.worst - self.least) * k / (LEVELS - 1)
-        return {self.setting: round(value) if self.integer else value, **dict(self.besides)}
+    def level(self, k: int, *, rate: float) -> dict[str, float]:
+        """Return the settings at level k of 0 … 20 of a loop at `rate` Hz."""
+        value = self.values[k] * rate if self.in_periods else self.values[k]
+        return {self.setting: value, **dict(self.besides)}
+
+
+def _evenly(first: float, last: float) -> tuple[float, ...]:
+    return tuple(np.linspace(first, last, LEVELS).tolist())
+
+
+def _by_ratio(first: float, last: float) -> tuple[float, ...]:
+    return tuple(np.geomspace(first, last, LEVELS).tolist())
 
 
 STANDARD = (
-    Trouble("model error", "mismatch", 0.0, 0.25),
-    Trouble("velocity noise", "rate_noise", 0.0, 0.5),
-    Trouble("command noise", "command_noise", 0.0, 5.0),
-    Trouble("response", "response", 1.0, 0.5),
-    Trouble("delay", "delay", 1.0, 41.0),
-    Trouble("pushes", "push_impulse", 0.0, 0.004, (("pushes", 3.0),)),
-    Trouble("quantisation", "counts", 40_000, 64, integer=True),
-    Trouble("acceleration limit", "acceleration", 30.0, 1.0),
-    Trouble("encoder zeros", "zero_error", 0.0, 0.05),
+    Trouble("model error", "mismatch", _evenly(0.0, 0.25)),
+    Trouble("velocity noise", "rate_noise", _evenly(0.0, 0.5)),
+    Trouble("command noise", "command_noise", _evenly(0.0, 5.5)),
+    Trouble("response", "response", _evenly(0.1, 2.0)),
+    Trouble("delay", "delay", _evenly(0.0, 0.04), in_periods=True),
+    Trouble("pushes", "push_impulse", _evenly(0.0, 0.004), (("pushes", 3),)),
+    Trouble("quantisation", "counts", tuple(round(v) for v in _by_ratio(40_000, 64))),
+    Trouble("acceleration limit", "acceleration", _by_ratio(30.0, 0.3)),
+    Trouble("encoder zeros", "zero_error", _evenly(0.0, 0.05)),
 )
-"""Nine kinds; SI units, delay in periods, encoders in counts per turn."""
+"""Nine kinds; SI units, encoders in counts per turn."""
 
 
 def standard_cases(itinerary: Itinerary, *, fixed: Mapping[str, Any], controllers: Sequence[str]) -> tuple[Case, ...]:
@@ -61,7 +86,7 @@ def standard_cases(itinerary: Itinerary, *, fixed: Mapping[str, Any], controller
     for controller in controllers:
         for kind in STANDARD:
             for k in range(LEVELS):
-                values = {**fixed, "controller": controller, **kind.level(k)}
+                values = {**fixed, "controller": controller, **kind.level(k, rate=itinerary.loop.rate)}
                 (case,) = cases_of(itinerary, fixed=values, over={})
                 label = f"{controller}, {kind.name} {k} of {LEVELS - 1}"
                 named = (("controller", controller), ("kind", kind.name), ("level", float(k)))

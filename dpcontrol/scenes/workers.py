@@ -13,6 +13,8 @@ from concurrent.futures.process import BrokenProcessPool
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.scenes.campaign_jobs import Job, Row, run_job
 
+ANSWERS_WITHIN = "10s"
+"""How long a cluster may take to answer."""
 ATTEMPTS = 4
 """How often a job is begun before its workers' deaths count as its own fault."""
 
@@ -76,7 +78,7 @@ def run_on_cluster(jobs: Sequence[Job], address: str) -> Iterator[tuple[Job, lis
             f"--scheduler {address}: the package distributed is not installed; pip install 'dpcontrol[cluster]'"
         ) from error
     try:
-        client = Client(address, timeout="10s")
+        client = Client(address, timeout=ANSWERS_WITHIN)
     except (OSError, TimeoutError, ValueError) as error:
         raise InputError(
             f"--scheduler {address}: no Dask scheduler answers there; start one with `dask scheduler`"

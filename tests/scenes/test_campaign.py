@@ -1,0 +1,269 @@
+"""Campaigns: what is counted and kept, and that the table is the same whoever ran it and whatever died meanwhile."""
+
+import math
+import multiprocessing
+import os
+import signal
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from dpcontrol.control.tracking import TvlqrSettings
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.lab.statistics import paired, wilson
+from dpcontrol.scenes import campaign_jobs, workers
+from dpcontrol.scenes.campaign import Campaign, CampaignSettings, cases_of, run_campaign
+from dpcontrol.scenes.campaign_store import read_rows
+from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
+from dpcontrol.scenes.plan import make_plan
+from dpcontrol.scenes.standard import LEVELS, STANDARD, standard_cases, standard_scores
+
+DIGITS = 1e-12
+"""Of an interval: two ways to add up the same terms."""
+HARD = {"mismatch": 0.15, "initial_error": 0.1}
+"""Bench on which some runs fail and some do not."""
+
+
+@pytest.fixture(scope="module")
+def turn() -> Itinerary:
+    """The outer turn, planned."""
+    scene = load_itinerary("outer-turn")
+    make_plan(scene)
+    return scene
+
+
+def campaign(scene: Itinerary, file: Path, *, over: dict[str, Any] | None = None, **settings: Any) -> Campaign:
+    cases = cases_of(scene, fixed=HARD, over=over or {})
+    chosen = CampaignSettings(**{"runs": 12, "workers": 1, "batch": 4, **settings})
+    return run_campaign(scene, cases, file, settings=chosen)
+
+
+@pytest.fixture(scope="module")
+def undisturbed(turn: Itinerary, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
+    """The rows of 24 runs in six jobs, by one process that nothing happened to."""
+    file = tmp_path_factory.mktemp("campaign") / "whole.parquet"
+    campaign(turn, file, runs=24)
+    return read_rows(file)[0]
+
+
+@pytest.mark.parametrize(("successes", "runs"), [(0, 10), (7, 10), (10, 10), (990, 1000)])
+def test_shares_have_wilsons_interval_by_its_formula(successes: int, runs: int) -> None:
+    z, share = norm.ppf(0.975), successes / runs
+    middle = (share + z**2 / (2 * runs)) / (1 + z**2 / runs)
+    half = z / (1 + z**2 / runs) * math.sqrt(share * (1 - share) / runs + z**2 / (4 * runs**2))
+    found = wilson(successes, runs)
+    assert (found.low, found.high) == pytest.approx((max(middle - half, 0), min(middle + half, 1)), abs=DIGITS)
+    assert found.rate == share
+
+
+def test_pairs_are_counted_by_seed_and_judged_by_mcnemars_sum() -> None:
+    first, second = [1, 1, 1, 1, 0, 0, 1], [0, 0, 0, 1, 1, 0, 0]
+    found = paired(first, second)
+    assert (found.only_first, found.only_second, found.pairs) == (4, 1, 7)
+    # Five differing pairs, one of them the other way: 2 (C(5,0) + C(5,1)) / 2⁵.
+    assert found.p_value == pytest.approx(2 * (1 + 5) / 32)
+    assert paired([1, 0], [1, 0]).p_value == 1.0
+    with pytest.raises(ValueError, match="cannot be paired"):
+        paired([1], [1, 0])
+
+
+def test_cases_run_the_same_seeds_and_are_compared_in_pairs(turn: Itinerary, tmp_path: Path) -> None:
+    file = tmp_path / "pairs.parquet"
+    found = campaign(turn, file, over={"controller": ["tvlqr", "feedforward"]}, runs=8, batch=8, first_seed=5)
+    rows, metadata = read_rows(file)
+    assert not file.with_name(file.name + ".parts").exists()
+    seeds = [[row["seed"] for row in rows if row["controller"] == name] for name in ("tvlqr", "feedforward")]
+    assert seeds == [list(range(5, 13))] * 2
+    tracked, replayed = (r.completed for r in found.results)
+    assert tracked.successes > 0 == replayed.successes
+    ((_, _, pair),) = found.pairs
+    assert (pair.only_first, pair.only_second) == (tracked.successes, 0)
+    assert found.completed.runs == 16
+    assert metadata["settings"]["first_seed"] == 5
+    for row in found.results[1].failures:
+        # Some turn by the reference's input alone, but none stays on the last orbit.
+        assert (row["symbol"], row["symbols_completed"]) in {("down-up +", 0), ("", 1)}
+        assert row["reason"]
+    asked = [row["replays"] for row in found.results[1].failures]
+    assert asked == [True] * 4 + [None] * 4
+
+
+def test_lockstep_and_loop_come_to_the_same_outcome(turn: Itinerary, tmp_path: Path) -> None:
+    compiled, ticks = tmp_path / "compiled.parquet", tmp_path / "ticks.parquet"
+    campaign(turn, compiled, runs=8, batch=8)
+    campaign(turn, ticks, runs=8, batch=8, path="ticks")
+    outcomes = [
+        [(r["completed"], r["ending"], r["symbols_completed"]) for r in read_rows(f)[0]] for f in (compiled, ticks)
+    ]
+    assert outcomes[0] == outcomes[1]
+    assert {row["path"] for row in read_rows(ticks)[0]} == {"ticks"}
+
+
+def test_an_interrupted_campaign_goes_on_where_it_was(
+    turn: Itinerary, undisturbed: list[dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "stopped.parquet"
+    cases = cases_of(turn, fixed=HARD, over={})
+    settings = CampaignSettings(runs=24, workers=1, batch=4)
+
+    def stop(what: str, done: float) -> None:
+        if what.startswith("2 of"):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_campaign(turn, cases, file, settings=settings, progress=stop)
+    parts = file.with_name(file.name + ".parts")
+    assert len(list(parts.glob("*.parquet"))) == 2
+    assert not file.exists()
+    # One of the kept is damaged meanwhile: it is run again, and the other is not.
+    next(parts.glob("*.parquet")).write_bytes(b"PAR1")
+    begun = []
+    run_job = workers.run_job
+    monkeypatch.setattr(workers, "run_job", lambda job: begun.append(job.key) or run_job(job))
+    run_campaign(turn, cases, file, settings=settings)
+    assert len(begun) == 5
+    assert read_rows(file)[0] == undisturbed
+    assert not parts.exists()
+
+
+def test_a_killed_process_changes_nothing_in_the_table(
+    turn: Itinerary, undisturbed: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    file, killed = tmp_path / "killed.parquet", []
+
+    def kill(what: str, done: float) -> None:
+        if not killed and " of " in what:
+            process = multiprocessing.active_children()[0]
+            killed.append(process.pid)
+            os.kill(process.pid, signal.SIGKILL)
+
+    cases = cases_of(turn, fixed=HARD, over={})
+    run_campaign(turn, cases, file, settings=CampaignSettings(runs=24, workers=2, batch=4), progress=kill)
+    assert killed
+    assert read_rows(file)[0] == undisturbed
+
+
+def test_processes_that_always_die_are_given_up_with_a_reason(
+    turn: Itinerary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Dying:
+        """A pool whose processes die at once."""
+
+        def __init__(self, *_: Any, **__: Any) -> None: ...
+
+        def submit(self, *_: Any) -> Any:
+            raise workers.BrokenProcessPool
+
+        def shutdown(self, **_: Any) -> None: ...
+
+    monkeypatch.setattr(workers, "ProcessPoolExecutor", Dying)
+    with pytest.raises(GoalMissed, match="workers died 4 times, with 3 jobs undone"):
+        campaign(turn, tmp_path / "never.parquet", workers=2)
+    assert not (tmp_path / "never.parquet").exists()
+
+
+def killed_cluster(scene: Itinerary, file: Path, *, runs: int, batch: int) -> list[dict[str, Any]]:
+    """Return the rows of a campaign on two Dask workers, one of which is killed after the first job."""
+    distributed = pytest.importorskip("distributed", reason="the package distributed is not installed")
+    killed = []
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=2, host="127.0.0.1", dashboard_address=None, silence_logs=50
+    ) as cluster, distributed.Client(cluster) as client:  # fmt: skip
+
+        def kill(what: str, done: float) -> None:
+            if not killed and " of " in what:
+                pids = client.run(os.getpid)
+                killed.append(next(iter(pids.values())))
+                os.kill(killed[0], signal.SIGKILL)
+
+        settings = CampaignSettings(runs=runs, batch=batch, scheduler=cluster.scheduler_address)
+        run_campaign(scene, cases_of(scene, fixed=HARD, over={}), file, settings=settings, progress=kill)
+    assert killed
+    return read_rows(file)[0]
+
+
+def test_a_killed_dask_worker_changes_nothing_in_the_table(
+    turn: Itinerary, undisturbed: list[dict[str, Any]], tmp_path: Path
+) -> None:
+    assert killed_cluster(turn, tmp_path / "cluster.parquet", runs=24, batch=4) == undisturbed
+
+
+def test_threads_of_one_worker_do_not_disturb_each_other(turn: Itinerary, undisturbed: list[dict[str, Any]]) -> None:
+    archive = make_plan(turn).file.read_bytes()
+    (case,) = cases_of(turn, fixed=HARD, over={})
+    jobs = [
+        campaign_jobs.Job(turn.name, archive, turn.model.arms, case, tuple(range(k, k + 4)), "compiled")
+        for k in (0, 4, 8)
+    ]
+    with ThreadPoolExecutor(3) as pool:
+        rows = [row for found in pool.map(campaign_jobs.run_job, jobs) for row in found]
+    assert rows == undisturbed[:12]
+
+
+def test_nobody_answers_at_the_schedulers_address(
+    turn: Itinerary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("distributed", reason="the package distributed is not installed")
+    monkeypatch.setattr(workers, "ANSWERS_WITHIN", "1s")
+    with pytest.raises(InputError, match="no Dask scheduler answers"):
+        campaign(turn, tmp_path / "nobody.parquet", scheduler="tcp://127.0.0.1:1")
+
+
+@pytest.mark.parametrize(
+    ("values", "naming"),
+    [
+        ({"runs": 0}, "runs = 0"),
+        ({"runs": 5, "batch": 0}, "batch"),
+        ({"runs": 5, "path": "fast"}, "path = 'fast'"),
+        ({"runs": 5, "first_seed": -1}, "first_seed"),
+    ],
+)
+def test_impossible_campaigns_are_refused(values: dict[str, Any], naming: str) -> None:
+    with pytest.raises(InputError, match=naming):
+        CampaignSettings(**values)
+
+
+def test_files_that_are_no_campaigns_say_so(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="does not exist"):
+        read_rows(tmp_path / "none.parquet")
+    (tmp_path / "bad.parquet").write_bytes(b"PAR1 and no more")
+    with pytest.raises(InputError, match="cannot be read as Parquet"):
+        read_rows(tmp_path / "bad.parquet")
+
+
+def test_the_standard_has_nine_kinds_of_twenty_one_levels_each(turn: Itinerary) -> None:
+    cases = standard_cases(turn, fixed={}, controllers=["tvlqr", "feedforward"])
+    assert len(cases) == 2 * 9 * LEVELS == len({case.label for case in cases})
+    by_kind = {
+        kind.name: [c.loop for c in cases[: 9 * LEVELS] if dict(c.values)["kind"] == kind.name] for kind in STANDARD
+    }
+    assert [loop.mismatch for loop in by_kind["model error"]] == pytest.approx(np.linspace(0, 0.25, 21))
+    assert [loop.drive.delay for loop in by_kind["delay"]] == pytest.approx(np.linspace(0, 40, 21))
+    assert [loop.drive.response for loop in by_kind["response"]] == pytest.approx(np.linspace(0.1, 2, 21))
+    assert by_kind["quantisation"][-1].sensors.counts == 64
+    assert {loop.disturbances.pushes for loop in by_kind["pushes"]} == {3}
+    assert isinstance(cases[0].loop.controller, TvlqrSettings)
+
+
+def test_a_score_is_the_mean_share_over_the_kinds(turn: Itinerary, tmp_path: Path) -> None:
+    every = standard_cases(turn, fixed={}, controllers=["tvlqr"])
+    chosen = [case for case in every if dict(case.values)["level"] in (0.0, 20.0)]
+    found = run_campaign(
+        turn, chosen[-2:] + chosen[:2], tmp_path / "score.parquet",
+        settings=CampaignSettings(runs=2, workers=1, replayed=0),
+    )  # fmt: skip
+    (score,) = standard_scores(found.results)
+    assert set(score.kinds) == {"encoder zeros", "model error"}
+    assert all(share.runs == 4 for share in score.kinds.values())
+    assert score.total == pytest.approx(sum(s.successes / 4 for s in score.kinds.values()) / 2)
+
+
+@pytest.mark.benchmark
+def test_a_thousand_runs_with_a_killed_dask_worker_give_the_same_table(turn: Itinerary, tmp_path: Path) -> None:
+    whole = tmp_path / "whole.parquet"
+    campaign(turn, whole, runs=1000, batch=64, workers=2)
+    assert killed_cluster(turn, tmp_path / "cluster.parquet", runs=1000, batch=64) == read_rows(whole)[0]
