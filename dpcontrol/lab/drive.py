@@ -44,10 +44,12 @@ class DriveSettings:
         Raises:
             InputError: names the setting, its value and what is allowed.
         """
-        for name, most in (("delay", 1000.0), ("command_noise", 1e6), ("response", 10.0), ("switch_margin", 1e3)):
+        bounds = {"delay": (1000.0, " periods"), "command_noise": (1e6, " m/s²"), "response": (10.0, ""),
+                  "switch_margin": (1e3, " m")}  # fmt: skip
+        for name, (most, unit) in bounds.items():
             value = getattr(self, name)
             if not 0 <= value <= most:
-                raise InputError(f"drive: {name} = {value!r}: must be 0 to {most:g}")
+                raise InputError(f"drive: {name} = {value!r}: must be 0 to {most:g}{unit}")
         for name in ("velocity", "acceleration", "jerk", "track"):
             if not getattr(self, name) > 0:
                 raise InputError(

@@ -245,12 +245,13 @@ def test_a_wrong_value_in_a_model_is_named(
         ("controller.kind", "'tvlqrr'", "did you mean 'tvlqr'?"),
         ("estimator.kind", "'efk'", "did you mean 'ekf'?"),
         ("rate", "1e6", "rate = 1000000.0: must be 1 to 10000 Hz"),
-        ("delay", "5000", "delay = 5000: must be 0 to 1000 periods"),
-        ("delay", "true", "delay = True: must be a whole number"),
+        ("delay", "5000", "delay = 5000.0: must be 0 to 1000 periods"),
+        ("delay", "true", "delay = True: must be a number"),
         ("mismatch", "1.0", "mismatch = 1.0: must be 0 to 0.9"),
         ("initial_error", "nan", "initial_error = nan"),
-        ("counts", "0", "counts = 0: must be at least 1"),
-        ("cart_resolution", "0", "cart_resolution = 0.0: must be 1e-12 to 1 metres"),
+        ("counts", "-1", "counts = -1: must be a whole number of at least 0"),
+        ("counts", "0.5", "counts = 0.5: must be a whole number"),
+        ("cart_resolution", "-1", "cart_resolution = -1.0: must be 1e-12 to 1 metres, or 0 for no rounding"),
     ],
 )
 def test_a_wrong_value_in_an_itinerary_is_named(
@@ -329,8 +330,7 @@ FOREIGN: dict[str, tuple[Callable[[], bytes], str]] = {
     "empty": (lambda: b"", "is empty"),
     "random bytes": (lambda: np.random.default_rng(5).bytes(4096), "is not an MCAP file"),
     "only the first bytes": (lambda: foreign_log()[:8], "is cut off"),
-    "another program's": (foreign_log, "it lacks the topics /joint_states"),
-    "without its reference": (lambda: log_carrying({}), "carries no reference.npz"),
+    "another program's": (foreign_log, "it lacks the metadata record dpcontrol.layout; give a log of `dpcontrol run`"),
     "damaged reference": (
         lambda: log_carrying({"reference.npz": b"PK\x03\x04" + bytes(100)}),
         "reference.npz is damaged",
@@ -350,6 +350,16 @@ def test_a_file_that_is_no_log_of_a_run_is_refused(kind: str, tmp_path: Path, mo
         refused(*arguments, naming="bad.mcap")
         refused(*arguments, naming=naming)
     assert files(tmp_path) == {"bad.mcap"}
+
+
+def test_a_log_without_its_reference_can_be_looked_at_but_not_scored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("bare.mcap").write_bytes(log_carrying({}))
+    refused("score", "bare.mcap", naming="bare.mcap carries no reference.npz")
+    assert dpcontrol("review", "bare.mcap", "--save", "bare.rrd").code == 0
+    assert files(tmp_path) == {"bare.mcap", "bare.rrd"}
 
 
 def test_json_tells_a_mistake_too(tmp_path: Path) -> None:
