@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.base_ratios import base_ratios, nearest_arms, ratio_names
 from dpcontrol.dynamics.parameters import ArmChainParameters
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import GoalMissed, InputError
+
+_TRIES = 20
 
 
 @dataclass(frozen=True)
@@ -52,11 +54,20 @@ class Uncertainty:
     def drawn(self, arms: ArmChainParameters, random: np.random.Generator, *, scale: float = 1.0) -> ArmChainParameters:
         """Return arms as likely as the covariance says of these; friction drawn below zero becomes zero.
 
-        scale: factor on the standard errors.
+        Ratios that no arms have, as of an inertia below zero, are drawn again. scale: factor on the standard errors.
 
         Raises:
-            GoalMissed: no arms near these have the ratios drawn, as where an uncertainty is as large as its value.
+            GoalMissed: no ratios drawn are those of arms, as where an uncertainty is as large as its value.
         """
+        ratios = base_ratios(arms)
         sizes, axes = np.linalg.eigh(self.matrix)
-        away = axes @ (np.sqrt(np.maximum(sizes, 0.0)) * random.standard_normal(len(sizes)))
-        return nearest_arms(base_ratios(arms) + scale * away, arms)
+        for _ in range(_TRIES):
+            away = axes @ (np.sqrt(np.maximum(sizes, 0.0)) * random.standard_normal(len(sizes)))
+            try:
+                return nearest_arms(ratios + scale * away, arms)
+            except GoalMissed:
+                continue
+        raise GoalMissed(
+            f"of {_TRIES} draws from the model's uncertainty, its standard errors times {scale:g}, none are arms that "
+            "can be; take a smaller factor"
+        )
