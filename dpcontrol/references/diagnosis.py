@@ -16,7 +16,8 @@ from dpcontrol.references.problem import (
     ReferenceSettings,
     state_scale,
 )
-from dpcontrol.references.transcription import Solved, Trajectory, solve
+from dpcontrol.references.trajectory import Solved, Trajectory
+from dpcontrol.references.transcription import solve
 
 Array = NDArray[np.float64]
 

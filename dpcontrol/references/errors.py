@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
 from dpcontrol.references.method import Method, differentiation_matrix, interpolation_matrix
 from dpcontrol.references.problem import Limits, ReferenceProblem, state_scale
-from dpcontrol.references.transcription import Trajectory
+from dpcontrol.references.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 

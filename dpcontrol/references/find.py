@@ -35,7 +35,8 @@ from dpcontrol.references.homotopy import Raised, raise_friction
 from dpcontrol.references.method import Method, interpolation_matrix, method_named
 from dpcontrol.references.problem import LIMIT_UNITS, Limits, ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.transcription import Solved, Trajectory, first_trajectory, solve
+from dpcontrol.references.trajectory import Solved, Trajectory, first_trajectory
+from dpcontrol.references.transcription import solve
 
 Array = NDArray[np.float64]
 

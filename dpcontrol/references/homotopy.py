@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from dpcontrol.references.errors import away_from_guess
 from dpcontrol.references.method import Method
 from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings
-from dpcontrol.references.transcription import Solved, Trajectory, solve
+from dpcontrol.references.trajectory import Solved, Trajectory
+from dpcontrol.references.transcription import solve
 
 Array = NDArray[np.float64]
 

@@ -28,7 +28,7 @@ from dpcontrol.references.problem import (
     state_scale,
 )
 from dpcontrol.references.solvers import solver_options
-from dpcontrol.references.transcription import Solved, Trajectory, first_trajectory
+from dpcontrol.references.trajectory import Solved, Trajectory, first_trajectory
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from dpcontrol.references.find import first_mesh, split_mesh
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.transcription import first_trajectory
+from dpcontrol.references.trajectory import first_trajectory
 
 AIMED = 0.8
 

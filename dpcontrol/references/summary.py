@@ -19,7 +19,7 @@ from dpcontrol.references.errors import DENSE, error_between_nodes, largest_valu
 from dpcontrol.references.method import differentiation_matrix, interpolation_matrix
 from dpcontrol.references.problem import LIMIT_UNITS, ReferenceProblem
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.transcription import Trajectory
+from dpcontrol.references.trajectory import Trajectory
 
 Array = NDArray[np.float64]
 

@@ -29,7 +29,8 @@ from dpcontrol.references.problem import (
     ReferenceSettings,
 )
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.transcription import Trajectory, first_trajectory, solve
+from dpcontrol.references.trajectory import Trajectory, first_trajectory
+from dpcontrol.references.transcription import solve
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,8 @@ from dpcontrol.references.errors import error_between_nodes
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import ReferenceSettings
-from dpcontrol.references.transcription import first_trajectory, solve
+from dpcontrol.references.trajectory import first_trajectory
+from dpcontrol.references.transcription import solve
 from dpcontrol.scenes.model import load_model
 
 pytestmark = pytest.mark.benchmark

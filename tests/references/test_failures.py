@@ -18,7 +18,8 @@ from dpcontrol.references.homotopy import friction_parameters, raise_friction
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Ends, Guess, Limits, ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.transcription import Trajectory, first_trajectory, solve
+from dpcontrol.references.trajectory import Trajectory, first_trajectory
+from dpcontrol.references.transcription import solve
 
 EQUATIONS = arm_chain_equations(2, Level.CART)
 QUICK = ReferenceSettings(method="radau-7", interval=0.05, iterations=60)

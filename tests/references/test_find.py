@@ -13,7 +13,8 @@ from dpcontrol.references.find import find_reference, on_mesh, split_mesh
 from dpcontrol.references.method import radau
 from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.transcription import first_trajectory, solve
+from dpcontrol.references.trajectory import first_trajectory
+from dpcontrol.references.transcription import solve
 
 TOLERANCE = 1e-6  # The error between nodes that a reference promises, scaled.
 LIMIT = 1e-9  # How far a limit may be passed anywhere.

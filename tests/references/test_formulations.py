@@ -14,7 +14,8 @@ from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Ends, Limits, ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.transcription import first_trajectory, solve
+from dpcontrol.references.trajectory import first_trajectory
+from dpcontrol.references.transcription import solve
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,8 @@ from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import Method, interpolation_matrix, method_named
 from dpcontrol.references.multiple_shooting import solve_by_shooting
 from dpcontrol.references.problem import Ends, Limits, ReferenceProblem, ReferenceSettings, state_scale
-from dpcontrol.references.transcription import Solved, first_trajectory, solve
+from dpcontrol.references.trajectory import Solved, first_trajectory
+from dpcontrol.references.transcription import solve
 
 Array = NDArray[np.float64]
 
