@@ -16,8 +16,6 @@ The state on an interval is the polynomial through its K+1 values, the input the
 """
 
 import json
-import zipfile
-import zlib
 from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Any
@@ -25,6 +23,7 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.foundation.archives import archive
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.references.method import method_named
@@ -125,26 +124,6 @@ def load_reference(path: Path | IO[bytes]) -> Reference:
     Raises:
         InputError: there is no such file, or it is damaged or not a reference; says which.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        header = json.loads(str(arrays.pop("header")))
+    making = {"make": "plan the itinerary first", "again": "plan again"}
+    with archive(path, what="a reference", **making) as (header, arrays):
         return _checked(header, arrays)
-    except FileNotFoundError as error:
-        raise InputError(f"there is no reference {path}; plan the itinerary first") from error
-    except (
-        OSError,
-        ValueError,
-        TypeError,
-        KeyError,
-        AttributeError,
-        EOFError,
-        IndexError,
-        InputError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
-        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
-        # What is no archive at all numpy takes for pickled data, and advises to trust it.
-        reason = "it is no .npz file" if "pickle" in reason else reason
-        raise InputError(f"{path} is not a reference of dpcontrol, or is damaged: {reason}; plan again") from error

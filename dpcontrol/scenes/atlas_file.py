@@ -30,8 +30,6 @@ States are angles, then rates (rad, rad/s), or positions and velocities.
 
 import json
 import math
-import zipfile
-import zlib
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -40,7 +38,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Section
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.archives import archive
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.itineraries.atlas import (
     Atlas,
@@ -134,25 +132,9 @@ def load_atlas(path: Path) -> Atlas:
     Raises:
         InputError: there is no such file, or it is damaged or not an atlas; says which.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays: Arrays = {name: file[name] for name in file.files}
-        return _atlas(json.loads(str(arrays["header"])), arrays)
-    except FileNotFoundError as error:
-        raise InputError(f"there is no atlas {path}; make one with `dpcontrol atlas MODEL --energy H`") from error
-    except (
-        OSError,
-        ValueError,
-        TypeError,
-        KeyError,
-        AttributeError,
-        EOFError,
-        IndexError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
-        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
-        raise InputError(f"{path} is not an atlas of dpcontrol, or is damaged: {reason}; make it again") from error
+    making = {"make": "make one with `dpcontrol atlas MODEL --energy H`", "again": "make it again"}
+    with archive(path, what="an atlas", **making) as (header, arrays):
+        return _atlas(header, arrays)
 
 
 def is_atlas(path: Path) -> bool:
