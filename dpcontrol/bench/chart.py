@@ -98,11 +98,6 @@ class Point:
         """Method and setting."""
         return f"{self.method}, {self.setting}" if self.setting else self.method
 
-    def beats(self, other: "Point") -> bool:
-        """Say whether this one is nowhere worse than the other and somewhere better."""
-        no_worse = self.seconds <= other.seconds and self.error <= other.error
-        return no_worse and (self.seconds < other.seconds or self.error < other.error)
-
 
 @dataclass(frozen=True)
 class Missing:
@@ -117,7 +112,8 @@ class Missing:
 class Panel:
     """One diagram: points that did the same work, and why a default off the front is kept.
 
-    start_up: seconds that each method needs once (compiling, building) before its times count.
+    start_up: seconds that each method needs once (compiling, building) before its times count; floor: smaller errors
+    are rounding and count as equal.
     """
 
     title: str
@@ -128,12 +124,21 @@ class Panel:
     missing: tuple[Missing, ...] = ()
     why: str = ""
     log_y: bool = True
+    floor: float = 0.0
+
+    def _error(self, point: Point) -> float:
+        return max(point.error, self.floor)
+
+    def _beats(self, one: Point, other: Point) -> bool:
+        """Say whether one point is nowhere worse than the other and somewhere better."""
+        faster, truer = one.seconds - other.seconds, self._error(one) - self._error(other)
+        return faster <= 0 and truer <= 0 and (faster < 0 or truer < 0)
 
     @property
     def front(self) -> tuple[Point, ...]:
         """The points that no other beats, fastest first."""
         running = [p for p in self.points if not p.stored]
-        best = [p for p in running if not any(other.beats(p) for other in running)]
+        best = [p for p in running if not any(self._beats(other, p) for other in running)]
         return tuple(sorted(best, key=lambda p: (p.seconds, p.error)))
 
     @property
@@ -144,9 +149,10 @@ class Panel:
     def off_front(self, point: Point) -> float:
         """Return how far a point stands off the front, as a share; 0 on it."""
         running = [p for p in self.points if not p.stored]
-        fastest = min(p.seconds for p in running if p.error <= point.error)
-        truest = min(p.error for p in running if p.seconds <= point.seconds)
-        wrong = point.error / truest if truest > 0 else (1.0 if point.error == 0 else math.inf)
+        error = self._error(point)
+        fastest = min(p.seconds for p in running if self._error(p) <= error)
+        truest = min(self._error(p) for p in running if p.seconds <= point.seconds)
+        wrong = error / truest if truest > 0 else (1.0 if error == 0 else math.inf)
         return min(point.seconds / fastest, wrong) - 1
 
     def standing(self, point: Point) -> str:

@@ -16,7 +16,7 @@ WIDTH, HEIGHT = 6.4, 5.6
 
 def draw(chart: Chart) -> Figure:
     """Return the chart's page; panels side by side, methods in one colour and mark throughout."""
-    columns = min(len(chart.panels), 3)
+    columns = 2 if len(chart.panels) == 4 else min(len(chart.panels), 3)
     rows = -(-len(chart.panels) // columns)
     figure = Figure(figsize=(WIDTH * columns, HEIGHT * rows + 0.9), layout="constrained", dpi=110)
     figure.suptitle(chart.title, fontsize=13, color=INK)

@@ -32,10 +32,12 @@ def timed(
     repeats: int = 5,
     *,
     grain: float = GRAIN,
+    most: float = 2.0,
     clock: Callable[[], float] = time.process_time,
 ) -> Timed[T]:
     """Call `function` once, then in `repeats` measurements of at least `grain` s each.
 
+    most: s after which no further measurement is begun; slow work has little noise.
     clock: seconds; `time.perf_counter` for work that waits (files, other processes).
     """
     began = clock()
@@ -47,7 +49,8 @@ def timed(
     calls = max(1, round(grain / spent)) if spent > 0 else 1000
     # A call as long as all the repeats need not be made once more.
     measured = [spent] if calls == 1 else []
-    while len(measured) < repeats:
+    ends = began + most
+    while len(measured) < repeats and not (measured and clock() > ends):
         began = clock()
         for _ in range(calls):
             function()

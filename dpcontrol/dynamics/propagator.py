@@ -24,12 +24,14 @@ Array = NDArray[np.float64]
 class Propagator:
     """Propagates one set of equations at machine precision.
 
-    Not to be shared between threads: the compiled integrators are reused from call to call.
+    tolerance: of a Taylor step, relative; zero for rounding itself, which `crossings` always take. Not to be shared
+    between threads: the compiled integrators are reused from call to call.
     """
 
-    def __init__(self, equations: Equations, parameters: ArrayLike) -> None:
+    def __init__(self, equations: Equations, parameters: ArrayLike, *, tolerance: float = 0.0) -> None:
         self.equations = equations
         self.parameters = np.asarray(parameters, dtype=float)
+        self.tolerance = tolerance
 
     @cached_property
     def taylor_system(self) -> list[tuple[Any, Any]]:
@@ -44,7 +46,8 @@ class Propagator:
 
     def _compile(self, system: Any, **options: Any) -> Any:
         # compact_mode compiles ten times faster and runs at most two times slower.
-        return hy.taylor_adaptive(system, [0.0] * self.equations.dimension, compact_mode=True, time=0.0, **options)
+        start = [0.0] * self.equations.dimension
+        return hy.taylor_adaptive(system, start, tol=self.tolerance, compact_mode=True, time=0.0, **options)
 
     @cached_property
     def _plain(self) -> Any:

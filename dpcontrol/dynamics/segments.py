@@ -35,7 +35,8 @@ class SegmentPropagator:
 
     def _compile(self, system: Any) -> Any:
         n = self.propagator.equations.dimension
-        integrator = hy.taylor_adaptive_batch(system, np.zeros((n, LANES)), compact_mode=True)
+        tolerance = self.propagator.tolerance
+        integrator = hy.taylor_adaptive_batch(system, np.zeros((n, LANES)), tol=tolerance, compact_mode=True)
         # Parameters that the equations never use are not part of the compiled code.
         integrator.pars[:] = self.propagator.parameters[: len(integrator.pars), None]
         return integrator

@@ -1,0 +1,198 @@
+"""Chart of orbits and connections: seed distance, phases and tolerance against time and error.
+
+Truth is the same orbit and the same connections in 113-bit arithmetic. A search's error is its worst connection's: the
+largest scaled component between its state on the section and the true one; a search that loses one has no point.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.bench.chart import Chart, Missing, Panel, Point
+from dpcontrol.bench.measure import timed
+from dpcontrol.dynamics.extended import ExtendedPropagator, extended
+from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.foundation.files import Progress
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.connections import ConnectionSearch, find_connections
+from dpcontrol.tubes.cut import CutSettings, tube_cut
+from dpcontrol.tubes.extended import refine_connection
+from dpcontrol.tubes.extended_orbit import RefinementSettings, refine_orbit
+from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
+from dpcontrol.tubes.lyapunov import ContinuationSettings, LyapunovOrbit, lyapunov_orbit
+from dpcontrol.tubes.vertex import local_manifold
+
+Array = NDArray[np.float64]
+
+ENERGY = -0.07
+THREE_BODY_ENERGY = -1.5175
+ROUNDING = 1e-14
+SLOWER, WIDER = 51.0, 1e6
+"""hiten 0.5.4 on L1 to L2, end to end: times this project's seconds as stored, gap wider by this at least."""
+
+
+def chart(quick: bool, progress: Progress) -> Chart:
+    """Return the chart of orbits and connections."""
+    system = load_model("lab").system
+    progress("connections: orbits", 0.0)
+    orbits = orbit_panel(quick=quick)
+    progress("connections: truth in 113 bits", 0.2)
+    orbit = lyapunov_orbit(system, "down-up", energy=ENERGY)
+    truths = true_states(orbit, count=1 if quick else 3)
+    progress("connections: searches", 0.4)
+    searches = search_panel(orbit, truths, quick=quick)
+    progress("connections: three bodies", 0.9)
+    return Chart(
+        name="connections",
+        title="Orbits and connections: time against error",
+        panels=(orbits, searches, outside_panel(quick=quick)),
+        reading=(
+            "A mark is one setting of a search: left is faster, low is nearer to the same in 113-bit arithmetic.",
+            "'two flights' stops where the tubes meet; all others refine by multiple shooting from farther out.",
+            "A search that loses a connection has no mark; the JSON lists it. Hollow marks are another package's.",
+        ),
+        chosen=(
+            "Seeds 1e-4 from the orbit, 100 phases and chords of 0.05, then multiple shooting from 3e-7: that "
+            "takes the error to rounding for any seed distance, so that is chosen for finding all connections."
+        ),
+    )
+
+
+def orbit_panel(*, quick: bool) -> Panel:
+    """Return the diagram of Lyapunov orbits: continuation step and tolerance against error."""
+    system = load_model("lab").system
+    exact = ExtendedPropagator(system.equations, system.parameters)
+    height = extended(np.array(ENERGY))[()]
+    found = lyapunov_orbit(system, "down-up", energy=ENERGY)
+    truth = refine_orbit(found, exact, height, RefinementSettings()).state.astype(float)
+    points, start_up = [], {}
+    base = ContinuationSettings()
+    steps = (0.05, 0.1, 0.2, 0.4)
+    settings = [("step of the continuation", f"{s:g}", replace(base, step=s)) for s in steps]
+    settings += [("tolerance", f"{t:.0e}", replace(base, tolerance=t)) for t in (1e-4, 1e-7, 1e-10)]
+    missing = []
+    for method, label, chosen in settings:
+        run = timed(
+            lambda chosen=chosen: lyapunov_orbit(system, "down-up", energy=ENERGY, settings=chosen), _repeats(quick)
+        )
+        if not run.result.converged:
+            missing.append(Missing(method, label, run.result.status))
+            continue
+        error = float(np.abs((run.result.state - truth) / system.scale).max())
+        points.append(Point(method, label, run.seconds, error, default=chosen == base))
+        start_up[method] = max(start_up.get(method, 0.0), run.start_up)
+    why = "a longer step is not safe near the ends of a family; one orbit takes milliseconds either way"
+    return Panel(
+        "Lyapunov orbit about down-up", "time, s", "error of the orbit, scaled", tuple(points), start_up,
+        tuple(missing), why=why, floor=ROUNDING,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A connection's state (N,) on the section in double and as 113-bit arithmetic gives it."""
+
+    state: Array
+    exact: Array
+
+
+def true_states(orbit: LyapunovOrbit, *, count: int) -> tuple[Truth, ...]:
+    """Return `count` connections of the orbit to itself, no two of them mirror images.
+
+    Raises:
+        GoalMissed: one could not be refined.
+    """
+    truths = []
+    for connection in find_connections(orbit, orbit).connections[:count]:
+        refined = refine_connection(connection)
+        if not refined.converged:
+            raise GoalMissed(f"{connection.name}: {refined.status}")
+        truths.append(Truth(connection.state, refined.state.astype(float)))
+    return tuple(truths)
+
+
+def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]) -> float:
+    """Return the largest scaled error of the states that belong to `truths`; infinite if one is not among them."""
+    system = orbit.system
+    errors = [float(np.min(system.scaled_distance(np.array(states), t.exact))) for t in truths] if len(states) else []
+    return max(errors) if errors and max(errors) < 0.01 else float("inf")
+
+
+def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], *, quick: bool) -> Panel:
+    """Return the diagram of searches: distance of the seeds, first phases, chord, tolerance."""
+    base = ConnectionSettings()
+    expected = len(find_connections(orbit, orbit).connections)
+    cases = [("seed distance", f"{d:.0e}", replace(base, distance=d)) for d in (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-6)]
+    cases += [("first phases", f"{n}", replace(base, cut=CutSettings(first_phases=n))) for n in (12, 25, 50, 200)]
+    cases += [("chord", f"{c:g}", replace(base, cut=CutSettings(chord=c))) for c in (0.2, 0.1, 0.025)]
+    cases += [("shooting from", f"{f:.0e}", replace(base, farthest=f)) for f in (1e-4, 1e-5, 1e-6)]
+    points: list[Point] = []
+    missing: list[Missing] = []
+    start_up: dict[str, float] = {}
+    for method, label, settings in cases[::2] if quick else cases:
+
+        def search(settings: ConnectionSettings = settings) -> ConnectionSearch:
+            return find_connections(orbit, orbit, settings=settings)
+
+        run = timed(search, _repeats(quick), most=0.5 if quick else 2.0)
+        error = worst(orbit, [c.state for c in run.result.connections], truths)
+        if len(run.result.connections) < expected or not np.isfinite(error):
+            missing.append(Missing(method, label, f"{len(run.result.connections)} of {expected} found"))
+            continue
+        points.append(Point(method, label, run.seconds, error))
+        start_up[method] = max(start_up.get(method, 0.0), run.start_up)
+    run = timed(lambda: find_connections(orbit, orbit), _repeats(quick), most=0.5 if quick else 2.0)
+    points.append(
+        Point("chosen", "1e-4, 100, 0.05, 3e-7", run.seconds,
+              worst(orbit, [c.state for c in run.result.connections], truths), default=True)
+    )  # fmt: skip
+    for distance in (1e-3, 1e-4, 1e-6):
+        flights = timed(
+            lambda distance=distance: _two_flights(orbit, distance), _repeats(quick), most=0.5 if quick else 2.0
+        )
+        error = worst(orbit, flights.result, truths)
+        if np.isfinite(error):
+            points.append(Point("two flights", f"{distance:.0e}", flights.seconds, error))
+        else:
+            missing.append(Missing("two flights", f"{distance:.0e}", "a connection is not among those met"))
+    return Panel(
+        f"{expected} connections of down-up with itself", "time, s", "error of the worst, scaled", tuple(points),
+        start_up, tuple(missing),
+        why="fewer phases or longer chords save part of the time here and lose connections at other energies",
+        floor=ROUNDING,
+    )  # fmt: skip
+
+
+def _two_flights(orbit: LyapunovOrbit, distance: float) -> list[Array]:
+    """Return the states in which cuts flown from seeds at `distance` meet, without refinement."""
+    system, settings = orbit.system, ConnectionSettings(distance=distance, accept=1e-3)
+    section = system.section_between(orbit.saddle, orbit.saddle)
+    manifold = local_manifold(orbit, distance)
+    cut = tube_cut(manifold, section, hit=1, settings=settings.cut)
+    crossings, _ = intersect_cuts(system, section, (manifold, manifold), (cut, cut), settings)
+    return [crossing.states[0] for crossing in crossings]
+
+
+def outside_panel(*, quick: bool) -> Panel:
+    """Return the diagram of the three-body problem's L1-L2 connection, with hiten's point as it was stored."""
+    system = load_model("three-body").system
+
+    def ours() -> ConnectionSearch:
+        first, second = (lyapunov_orbit(system, name, energy=THREE_BODY_ENERGY) for name in ("L1", "L2"))
+        return find_connections(first, second, hits=(2, 2))
+
+    run = timed(ours, _repeats(quick), most=0.5 if quick else 4.0)
+    gap = max(c.residual for c in run.result.connections)
+    note = "ratios stored by tests/benchmarks/test_against_hiten.py: of a fresh process; gap at least"
+    points = (
+        Point("dpcontrol", f"{len(run.result.connections)} connections", run.seconds, gap, default=True),
+        Point("hiten 0.5.4 (stored)", "", run.seconds * SLOWER, gap * WIDER, outside=True, stored=True, note=note),
+    )
+    title = "L1 to L2 of three bodies, with the orbits"
+    return Panel(title, "time, s", "gap where the pieces meet", points, {"dpcontrol": run.start_up})
+
+
+def _repeats(quick: bool) -> int:
+    return 3 if quick else 7

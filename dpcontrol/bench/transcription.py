@@ -1,0 +1,192 @@
+"""Chart of transcription: method, order, interval and solver against error between nodes, cost and time.
+
+One crossing between two orbits is transcribed and solved, from the same first guess, once by each. The error is the one
+between nodes; the cost is told by its distance from the finest transcription's. Time holds the building of the program.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.bench.chart import Chart, Missing, Panel, Point
+from dpcontrol.bench.measure import timed
+from dpcontrol.bench.outside import by_rockit, has_rockit
+from dpcontrol.dynamics.arm_chain import Level, equations_of
+from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.foundation.files import Progress
+from dpcontrol.itineraries.wraps import WalkSolver
+from dpcontrol.references.errors import error_between_nodes, interval_propagator
+from dpcontrol.references.find import find_reference
+from dpcontrol.references.method import method_named
+from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings, state_scale
+from dpcontrol.references.trajectory import Solved, first_trajectory
+from dpcontrol.references.transcription import solve
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.connections import find_connections, orbits_between
+
+Array = NDArray[np.float64]
+
+ENERGY = 0.2
+FINEST = ("radau-10", 0.03)
+QUICK = (
+    ("hermite-simpson", 0.01), ("radau-5", 0.02), ("radau-5", 0.03), ("gauss-5", 0.02), ("radau-7", 0.03),
+    ("radau-7", 0.05), ("radau-9", 0.09),
+)  # fmt: skip
+WHOLE = (
+    ("hermite-simpson", 0.005), ("radau-3", 0.01), ("radau-4", 0.015), ("lobatto-5", 0.02), ("gauss-6", 0.05),
+    ("radau-6", 0.03), ("gauss-7", 0.05), ("lobatto-7", 0.05), ("radau-8", 0.07), ("radau-9", 0.05),
+    ("radau-10", 0.12),
+)  # fmt: skip
+STRETCH = 0.5
+"""s: of the crossing's start, given to the other package too."""
+
+
+def chart(quick: bool, progress: Progress) -> Chart:
+    """Return the chart of transcription."""
+    progress("transcription: the orbit to follow", 0.0)
+    problem = crossing_problem()
+    return Chart(
+        name="transcription",
+        title="Transcription: time against error between nodes, and against cost",
+        panels=(
+            *method_panels(problem, progress, quick=quick),
+            refined_panel(problem, quick=quick),
+            outside_panel(problem, quick=quick),
+        ),
+        reading=(
+            "A mark is a method with its points on intervals of one length, built and solved once from one guess.",
+            "Error between nodes: a propagator restarts at each interval and tells how far the polynomial is from it.",
+            "Last diagram: the first half second, given to rockit too, which holds its input over an interval.",
+        ),
+        chosen=(
+            "Radau with 7 points, begun on 50 ms and split where the error asks for it, IPOPT: orders beyond gain "
+            "little, Hermite-Simpson needs many times the intervals, fatrop many times the time."
+        ),
+    )
+
+
+def crossing_problem() -> ReferenceProblem:
+    """Return the problem of crossing from down-up to up-down with the lab's friction, 5.5 s.
+
+    Raises:
+        GoalMissed: the connection or its orbit was not found.
+    """
+    model = load_model("lab")
+    found = find_connections(*orbits_between(model.system, "down-up", "up-down", ENERGY)).connections
+    if not found:
+        raise GoalMissed("no connection from down-up to up-down was found")
+    orbit = WalkSolver(found).solve(found[:1], [])
+    if not orbit.converged:
+        raise GoalMissed(orbit.status)
+    return ReferenceProblem(equations_of(model.arms, Level.CART), model.arms.base(), orbit.sample, orbit.duration)
+
+
+def transcribed(problem: ReferenceProblem, name: str, interval: float, solver: str = "ipopt") -> Solved:
+    """Return the program's solution on even intervals of about `interval` s, from the problem's guess."""
+    method = method_named(name)
+    mesh = np.linspace(0.0, problem.duration, int(np.ceil(problem.duration / interval)) + 1)
+    settings = ReferenceSettings(method=name, solver=solver, interval=interval)
+    first = first_trajectory(problem, method, mesh)
+    return solve(problem, method, settings=settings, first=first, limits=problem.limits)
+
+
+def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> tuple[Panel, Panel]:
+    """Return the diagrams of error between nodes and of cost, from the same solutions."""
+    finest = transcribed(problem, *FINEST).cost
+    cases = [(name, interval, "ipopt") for name, interval in (QUICK if quick else QUICK + WHOLE)]
+    cases += [(name, interval, "fatrop") for name, interval in (("radau-5", 0.02), ("radau-7", 0.05))]
+    errors: list[Point] = []
+    costs: list[Point] = []
+    missing: list[Missing] = []
+    for k, (name, interval, solver) in enumerate(cases):
+        progress(f"transcription: {name}, {solver}", 0.1 + 0.8 * k / len(cases))
+        label = f"{1e3 * interval:g} ms{'' if solver == 'ipopt' else ', ' + solver}"
+        most = 0.1 if quick else 4.0
+        run = timed(lambda case=(name, interval, solver): transcribed(problem, *case), 3, most=most)
+        solved = run.result
+        if not solved.succeeded:
+            missing.append(Missing(name, label, solved.outcome))
+            continue
+        method = method_named(name)
+        error = error_between_nodes(
+            problem, solved.trajectory, method=method, propagator=interval_propagator(problem, method)
+        )
+        seconds = run.seconds / problem.duration
+        others = {"cost": solved.cost, "iterations": float(solved.iterations)}
+        errors.append(Point(name, label, seconds, float(error.max()), others=others))
+        costs.append(replace(errors[-1], error=abs(solved.cost / finest - 1)))
+    label = "time, s per second of motion"
+    return (
+        Panel("one even mesh: error", label, "error between nodes, scaled", tuple(errors), {}, tuple(missing)),
+        Panel("one even mesh: cost", label, f"cost, off {FINEST[0]} at {1e3 * FINEST[1]:g} ms, share", tuple(costs), {},
+              tuple(missing)),
+    )  # fmt: skip
+
+
+def refined_panel(problem: ReferenceProblem, *, quick: bool) -> Panel:
+    """Return the diagram of whole searches, the mesh refined until the error between nodes is small enough."""
+    chosen = ReferenceSettings()
+    starts = (("radau-5", 0.02), ("radau-7", 0.05), ("radau-9", 0.09))
+    if not quick:
+        starts += (
+            ("hermite-simpson", 0.01),
+            ("radau-5", 0.05),
+            ("radau-7", 0.03),
+            ("gauss-6", 0.05),
+            ("radau-8", 0.07),
+        )
+    cases = [ReferenceSettings(method=name, interval=interval) for name, interval in starts]
+    cases += [replace(chosen, tolerance=t) for t in ((1e-4,) if quick else (1e-3, 1e-4))]
+    if not quick:
+        cases.append(replace(chosen, solver="fatrop"))
+    points, missing = [], []
+    for settings in cases:
+        label = f"{1e3 * settings.interval:g} ms{'' if settings.solver == 'ipopt' else ', ' + settings.solver}"
+        label += "" if settings.tolerance == chosen.tolerance else f", to {settings.tolerance:.0e}"
+        run = timed(lambda s=settings: find_reference(problem, s), 3, most=0.1 if quick else 4.0)
+        if not run.result.converged:
+            missing.append(Missing(settings.method, label, run.result.status))
+            continue
+        points.append(
+            Point(settings.method, label, run.seconds / problem.duration, run.result.max_error_between_nodes,
+                  default=settings == chosen)
+        )  # fmt: skip
+    return Panel(
+        f"mesh refined to {chosen.tolerance:.0e}", "time, s per second of motion", "error between nodes, scaled",
+        tuple(points), {}, tuple(missing),
+        why="what the error falls to below the tolerance is chance; the tolerance is what is asked for",
+        floor=chosen.tolerance,
+    )  # fmt: skip
+
+
+def outside_panel(problem: ReferenceProblem, *, quick: bool) -> Panel:
+    """Return the diagram of the crossing's start without weight on the guess, solved by rockit too if installed."""
+    short = replace(problem, duration=STRETCH)
+    settings = ReferenceSettings(pendulum_weight=0.0)
+    finest = find_reference(short, replace(settings, method="radau-9", tolerance=1e-10))
+    if not finest.converged:
+        raise GoalMissed(finest.status)
+    scale = state_scale(problem.equations.dimension, problem.limits)
+
+    def away(times: Array, states: Array) -> float:
+        return float(np.abs((states - finest.state(times)) / scale).max())
+
+    points, missing = [], []
+    dense = np.linspace(0.0, STRETCH, 101)
+    for interval in (0.1, 0.05) if quick else (0.125, 0.1, 0.05, 0.025):
+        mine = replace(settings, interval=interval)
+        run = timed(lambda mine=mine: find_reference(short, mine), 3, most=0.2 if quick else 2.0)
+        error = away(dense, run.result.state(dense))
+        chosen = interval == ReferenceSettings().interval
+        points.append(Point(settings.method, f"{1e3 * interval:g} ms", run.seconds, error, default=chosen))
+    if has_rockit():
+        for intervals in (25,) if quick else (25, 50, 100, 200):
+            theirs = timed(lambda n=intervals: by_rockit(short, settings, n), 3, most=0.2 if quick else 2.0)
+            points.append(Point("rockit", f"{intervals} intervals", theirs.seconds, away(*theirs.result), outside=True))
+    else:
+        missing.append(Missing("rockit", "", "not installed: pip install rockit-meco"))
+    return Panel(
+        f"the first {STRETCH:g} s, free of the guess", "time, s", "error of the states, scaled", tuple(points), {},
+        tuple(missing), why="interval and tolerance are chosen for whole itineraries, where the error matters",
+    )  # fmt: skip
