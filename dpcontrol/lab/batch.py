@@ -156,6 +156,8 @@ class _Lockstep:
         rate_noise = [d.rate_noise for d in draws if d.rate_noise is not None]
         self.rate_noise = np.stack(rate_noise, axis=2) if rate_noise else None
         self.watch = BatchWatch(settings, limits, runs=self.runs)
+        self.way: list[Array] = []
+        self.sound = np.ones(self.runs, dtype=bool)
 
     def _want(self, k: int, reference: Array) -> None:
         """Keep the reference (N,) or (N, S) of tick k."""
@@ -174,9 +176,11 @@ class _Lockstep:
         inputs[where["memory"]] = self.memory
         inputs[where["command"]] = acted
         inputs[where["measured"]] = positions
+        inputs[where["coming"]] = self.way[0] if self.way else 0.0
         (self.program.step if k else self.program.update)(inputs, self.outputs)
         nis = self.outputs[out["nis"]][0]
         sound = (nis >= 0) & (nis < np.inf)
+        self.sound = sound
         if sound.all():
             self.memory[:] = self.outputs[out["memory"]]
             return nis, self.outputs[out["used"]][0]
@@ -187,11 +191,16 @@ class _Lockstep:
     def _ahead(self, k: int) -> Array:
         """Return the states (N, S) for which the commands of tick k are computed."""
         z = self.memory[: self.program.out["z"].stop]
-        rows = slice(0, len(z))
-        for command in self.path.on_their_way():
+        rows, known = slice(0, len(z)), self.outputs[self.program.out["later"]]
+        for place, command in enumerate(self.way):
+            if place == 0 and self.sound.all():
+                z = known
+                continue
             self.ahead_inputs[rows] = z
             self.ahead_inputs[len(z)] = command
             z = self.program.ahead(self.ahead_inputs, self.predicted)
+            if place == 0:
+                z = np.where(self.sound, known, z)
         states = z[: self.program.model.dimension]
         if self.rate_noise is None:
             return states
@@ -217,6 +226,7 @@ class _Lockstep:
         with np.errstate(all="ignore"):
             for k in range(self.count):
                 positions, switch = bench.read(k)
+                self.way = path.on_their_way()
                 nis, used = self._estimated(k, acted, positions)
                 states, extras = self._of(self.memory)
                 ahead = self._ahead(k)
@@ -225,7 +235,7 @@ class _Lockstep:
                 error = np.abs(states[:arms] - self.wanted[k]).max(axis=0)
                 stopped, restarts = watch.judge(
                     k, error=error, nis=nis, used=used, position=ahead[n - 2], velocity=ahead[n - 1],
-                    sent=path.velocity, switch=switch, fault=bench.failed,
+                    sent=path.velocity, readings=(positions, self.wanted[k]), switch=switch, fault=bench.failed,
                 )  # fmt: skip
                 feedback = back
                 if restarts is not None:

@@ -7,6 +7,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dpcontrol.lab.batch_stuck import BatchStuck
+from dpcontrol.lab.command_path import AT_REST
 from dpcontrol.lab.control_loop import BRAKING, SETTLING
 from dpcontrol.lab.loop import LoopSettings, loop_supervisor
 from dpcontrol.lab.result import Ending
@@ -39,7 +41,8 @@ class BatchPath:
         most, fastest = self._limits.acceleration, self._limits.velocity
         clipped = np.minimum(np.maximum(commands, -most), most)
         self._sent.append(clipped)
-        self.velocity = np.minimum(np.maximum(self.velocity + clipped * self._period, -fastest), fastest)
+        velocity = np.minimum(np.maximum(self.velocity + clipped * self._period, -fastest), fastest)
+        self.velocity = np.where(np.abs(velocity) > AT_REST, velocity, 0.0)
 
     def braking(self) -> Array:
         """Return the commands (S,) that brake the carts."""
@@ -72,6 +75,7 @@ class BatchWatch:
         self._one: Supervisor = one
         self._error, self._nis = np.zeros(runs), np.zeros(runs)
         self._restarts = np.zeros(runs, dtype=int)
+        self._stuck: BatchStuck | None = None
         self._alive = np.ones(runs, dtype=bool)
         self._since = np.full(runs, np.inf)
         self.braking = np.zeros(runs, dtype=bool)
@@ -99,10 +103,14 @@ class BatchWatch:
         position: Array,
         velocity: Array,
         sent: Array,
+        readings: tuple[Array, Array],
         switch: NDArray[np.bool_],
         fault: NDArray[np.bool_] | None,
     ) -> tuple[NDArray[np.intp] | None, list[int] | None]:
-        """Judge tick k; return which runs are to be stopped now and whose estimators are to be restarted."""
+        """Judge tick k; return which runs are to be stopped now and whose estimators are to be restarted.
+
+        readings: positions (n+1, S) and the references' angles (n, 1) or (n, S).
+        """
         one = self._one
         if fault is not None:
             self._fail(k, fault)
@@ -114,6 +122,13 @@ class BatchWatch:
         )
         bad |= np.maximum(self._rest(position, velocity), self._rest(position, sent)) >= one.travel
         bad |= switch
+        positions, wanted = readings
+        if self._stuck is None:
+            self._stuck = BatchStuck(len(wanted), period=self._period, reaction=one.reaction, runs=self._runs)
+        # Those that are restarted in this tick have no NIS to doubt by, as below.
+        doubt = np.where(mean_nis <= one.settings.lost_estimate, mean_nis, 0.0)
+        stuck = self._stuck.seen(positions, wanted, sent, doubt)
+        bad[list(stuck)] = True
         bad &= going
         before = (self._error, self._nis)
         self._error, self._nis = mean_error, mean_nis
@@ -130,6 +145,9 @@ class BatchWatch:
                 position=float(position[lane]), velocity=float(velocity[lane]), sent=float(sent[lane]),
             )  # fmt: skip
             self._nis[lane], self._restarts[lane] = supervisor.nis, supervisor.restarts
+            if lane in stuck and outcome is not Outcome.STOP:
+                outcome, ending = Outcome.STOP, Ending.ESTIMATE_LOST
+                why = f"estimate lost at t = {now:.3f} s: {stuck[int(lane)]}; check its cable and its head"
             if outcome is Outcome.CONTINUE and switch[lane]:
                 outcome, ending = Outcome.STOP, Ending.CART_STOP
                 why = f"cart at its stop at t = {now:.3f} s: a limit switch answered; allow more travel"

@@ -15,6 +15,8 @@ from collections import deque
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.problem import Limits
 
+AT_REST = 1e-12
+"""m/s: slower than any cart."""
 LONGEST_DELAY = 1000.0
 """Periods."""
 
@@ -61,7 +63,9 @@ class CommandPath:
         clipped = self.clipped(command)
         self._sent.append(clipped)
         fastest = self.limits.velocity
-        self.velocity = min(max(self.velocity + clipped * self.period, -fastest), fastest)
+        velocity = min(max(self.velocity + clipped * self.period, -fastest), fastest)
+        # Braking to rest leaves what rounding leaves.
+        self.velocity = velocity if abs(velocity) > AT_REST else 0.0
 
     def acted(self, velocity: float) -> float:
         """Return what acted in the period that now ends, m/s², at the cart's believed `velocity` m/s at its start."""

@@ -26,7 +26,7 @@ _DOUBT = 300.0
 The cart's scale is told without it: nothing but its own commands contradicts it."""
 _UNSEEN = 0.2
 """rad: taken for a count while a sensor has not moved at all."""
-_SAME = 1e-9
+SAME = 1e-9
 """rad and m: readings this near to each other are the same count."""
 
 
@@ -35,9 +35,10 @@ class StuckWatch:
 
     def __init__(self, arms: int, *, period: float, reaction: float = 0.0) -> None:
         self._arms, self._period = arms, period
-        self._still = [_STILL / period] * arms + [(_CART_STILL + reaction) / period]
-        self._least = [_JOINT_MOVED] * arms + [_CART_MOVED]
-        self._doubt = [_DOUBT] * arms + [0.0]
+        # Bounds, sensor by sensor: ticks, rad or m, mean NIS per position.
+        self.still = [_STILL / period] * arms + [(_CART_STILL + reaction) / period]
+        self.least = [_JOINT_MOVED] * arms + [_CART_MOVED]
+        self.doubt = [_DOUBT] * arms + [0.0]
         self._last = [math.nan] * (arms + 1)
         self._steps = [math.inf] * (arms + 1)
         self._same = [0] * (arms + 1)
@@ -60,20 +61,27 @@ class StuckWatch:
             else:
                 value, should = positions[n], self._sent
             step = abs(value - self._last[i])
-            if not step < _SAME:
+            if not step < SAME:
                 self._last[i], self._same[i], self._begin[i], self._moved[i] = value, 0, should, 0.0
                 if step < self._steps[i]:
                     self._steps[i] = step
                 continue
             self._same[i] += 1
             moved = self._moved[i] = max(self._moved[i], abs(should - self._begin[i]))
-            if self._same[i] >= self._still[i] and moved >= self._least[i] and not nis <= self._doubt[i]:
-                count = self._steps[i] if self._steps[i] < math.inf else _UNSEEN / _COUNTS
-                turning = 2 * math.sqrt(2 * count / _TURNING) / self._period
-                if moved >= _COUNTS * count and self._same[i] >= turning:
-                    return self._told(i)
+            if self._same[i] >= self.still[i] and moved >= self.least[i] and not nis <= self.doubt[i]:
+                told = self.told(i, same=self._same[i], moved=moved, step=self._steps[i])
+                if told:
+                    return told
         return ""
 
-    def _told(self, i: int) -> str:
+    def told(self, i: int, *, same: int, moved: float, step: float) -> str:
+        """Return that sensor i is stuck, or "" where it may as well turn back.
+
+        same: ticks with one reading; moved: by how much it should have changed meanwhile; step: the smallest seen.
+        """
+        count = step if step < math.inf else _UNSEEN / _COUNTS
+        turning = 2 * math.sqrt(2 * count / _TURNING) / self._period
+        if not (moved >= _COUNTS * count and same >= turning):
+            return ""
         name = "the cart's scale" if i == self._arms else f"the encoder of joint {i + 1}"
-        return f"{name} is stuck: it has given the same reading for {self._same[i] * self._period:.3g} s"
+        return f"{name} is stuck: it has given the same reading for {same * self._period:.3g} s"
