@@ -6,6 +6,7 @@ The adaptive law needs a filter that estimates the model's errors, so a tick's t
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from dpcontrol.bench.chart import Chart, Missing, Panel, Point
 from dpcontrol.bench.control_trials import LARGE, SMALL, Outcome, Task, held, outcome, tick_of
 from dpcontrol.bench.estimator_trials import noise_of
 from dpcontrol.bench.measure import timed
+from dpcontrol.bench.side_by_side import timed_in_turns
 from dpcontrol.control.adaptive import AdaptiveSettings, adaptive_controller
 from dpcontrol.control.compiled_ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings
@@ -37,7 +39,6 @@ from dpcontrol.scenes.plan import make_plan
 from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
 RATE = 1000.0
-REPEATS = 9
 TICKS = "s per tick, filter and law"
 SECTIONS = (1, 2, 3, 4, 8, 16, 32)
 QUICK_SECTIONS = (4, 16)
@@ -81,22 +82,25 @@ def measured(
     task: Task, made: Made, *, seeds: int
 ) -> tuple[list[tuple[str, str, float, Outcome]], list[Missing], dict[str, float]]:
     """Return (method, setting, seconds, outcome) of those that come through, the rest with reasons, and start-ups."""
-    rows, missing, start_up = [], [], {}
+    start_up, outcomes = {}, {}
+    steps: dict[tuple[str, str, str], Callable[[], object]] = {}
     for (method, setting), (make, estimator) in made.items():
         settings = LoopSettings(seed=0, rate=RATE, estimator=estimator)
         model = sampled_model(task.arms, RATE)
         built = timed(lambda make=make, model=model: make(model), 1)
         controller = built.result
-        found = outcome(task, controller, settings, seeds=seeds)
+        outcomes[method, setting] = outcome(task, controller, settings, seeds=seeds)
         ekf = CompiledEkf(model, estimator, noise=noise_of(task.arms, settings.sensors.counts))
-        last = ekf.first(controller.first_state)
-        step = tick_of(controller, extras=len(ekf.extra_names))
         positions = controller.first_state[model.position_indices]
-        filtering = timed(lambda e=ekf, x=last, z=positions: e.step(x, 0.1, z), REPEATS)
-        spent = filtering.seconds + timed(step, REPEATS).seconds
+        steps[method, setting, "filter"] = partial(ekf.step, ekf.first(controller.first_state), 0.1, positions)
+        steps[method, setting, "law"] = tick_of(controller, extras=len(ekf.extra_names))
         start_up[", ".join(filter(None, (method, setting)))] = built.seconds
+    spent = timed_in_turns(steps)
+    rows, missing = [], []
+    for (method, setting), found in outcomes.items():
         if np.isfinite(found.error):
-            rows.append((method, setting, spent, found))
+            seconds = sum(spent[method, setting, part].seconds for part in ("filter", "law"))
+            rows.append((method, setting, seconds, found))
         else:
             missing.append(Missing(method, setting, f"none of {seeds} runs came through at {SMALL:.0%} mismatch"))
     return rows, missing, start_up

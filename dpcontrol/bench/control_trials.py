@@ -97,13 +97,16 @@ def held(orbit_angles: Array, *, period: float, near: float = 0.1) -> Judge:
 
 
 def tick_of(controller: Controller, *, extras: int = 0) -> Callable[[], Action]:
-    """Return what a tick of the controller costs, as a function to be timed, walking through its ticks."""
-    session, state, extra = controller.begin(), controller.first_state.copy(), np.zeros(extras)
+    """Return what a tick of the controller costs, as a function to be timed, walking along what it asks for."""
+    session, state, extra = controller.begin(), controller.first_state, np.zeros(extras)
     tick = 0
 
     def step() -> Action:
-        nonlocal tick
+        nonlocal tick, state
         tick += 1
-        return session.command(tick, state, extra)
+        action = session.command(tick, state, extra)
+        # A state that stood still would be lost by the clocks of those that have one.
+        state = action.reference
+        return action
 
     return step

@@ -1,5 +1,8 @@
 """Chart 4: estimators, their error and consistency against the time of a tick, over the resolution of the encoders."""
 
+from collections.abc import Callable
+from functools import partial
+
 from dpcontrol.bench.chart import Chart, Panel, Point
 from dpcontrol.bench.derivative_filter import DerivativeFilter
 from dpcontrol.bench.estimator_trials import (
@@ -12,7 +15,7 @@ from dpcontrol.bench.estimator_trials import (
     one_step,
     swing,
 )
-from dpcontrol.bench.measure import timed
+from dpcontrol.bench.side_by_side import timed_in_turns
 from dpcontrol.control.compiled_ekf import CompiledEkf
 from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterpyEkfSettings, UkfSettings
@@ -29,7 +32,7 @@ RESOLUTIONS = (512, 4000, 40_000, 400_000)
 QUICK_RESOLUTIONS = (4000, 40_000)
 CUTOFFS = (10.0, 30.0, 100.0)
 """Hz; without a low pass besides."""
-REPEATS = 9
+DEFAULT = ("EKF, compiled", "state only")
 AUGMENTS: tuple[tuple[str, ...], ...] = ((), ("zeros",), ("zeros", "friction", "parameters"))
 _METHODS: tuple[tuple[str, type[EstimatorSettings]], ...] = (
     ("EKF, compiled", EkfSettings), ("EKF, filterpy", FilterpyEkfSettings), ("UKF, filterpy", UkfSettings)
@@ -71,23 +74,27 @@ def chart(quick: bool, progress: Progress) -> Chart:
 
 def _panel(arms: ArmChainParameters, swings: list[Swing], counts: int, *, quick: bool) -> Panel:
     model = SampledModel(equations_of(arms, Level.CART), arms.base(), period=PERIOD)
-    points, start_up = [], {}
+    steps: dict[tuple[str, str], Callable[[], object]] = {}
+    trials: dict[tuple[str, str], Trial] = {}
+    compiled = []
     for name, settings in _METHODS:
         for augment in AUGMENTS[:2] if quick and settings is UkfSettings else AUGMENTS:
             estimator = make_estimator(settings(augment=augment), model, noise=noise_of(arms, counts))
-            spent = timed(one_step(estimator, swings[0], counts=counts), REPEATS)
-            trial = estimator_trial(estimator, swings, counts=counts)
-            plain = settings is EkfSettings and not augment
-            points.append(_point(name, "+".join(augment) or "state only", spent.seconds, trial, default=plain))
+            key = name, "+".join(augment) or "state only"
+            steps[key] = one_step(estimator, swings[0], counts=counts)
+            trials[key] = estimator_trial(estimator, swings, counts=counts)
             if isinstance(estimator, CompiledEkf):
-                start_up[f"{name}, {'+'.join(augment) or 'state only'}"] = spent.start_up
+                compiled.append(key)
+    measured = swings[0].measured(counts)[:, : arms.count]
+    rates = swings[0].states[0, arms.count : 2 * arms.count]
     for cutoff in (*CUTOFFS, float("inf")):
         law = DerivativeFilter(PERIOD, cutoff)
-        measured = swings[0].measured(counts)[:, : arms.count]
-        rates = swings[0].states[0, arms.count : 2 * arms.count]
-        spent = timed(lambda law=law, r=rates, z=measured: law.step(r, z[0], z[1]), REPEATS)
-        setting = f"{cutoff:g} Hz" if cutoff < float("inf") else "no low pass"
-        points.append(_point("differences", setting, spent.seconds, derivative_trial(law, swings, counts=counts)))
+        key = "differences", f"{cutoff:g} Hz" if cutoff < float("inf") else "no low pass"
+        steps[key] = partial(law.step, rates, measured[0], measured[1])
+        trials[key] = derivative_trial(law, swings, counts=counts)
+    spent = timed_in_turns(steps)
+    points = [_point(*key, spent[key].seconds, trials[key], default=key == DEFAULT) for key in steps]
+    start_up = {", ".join(key): spent[key].start_up for key in compiled}
     return Panel(
         title=f"{counts} counts per turn",
         x_label="s per tick",

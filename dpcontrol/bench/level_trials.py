@@ -7,13 +7,14 @@ distance from what the fullest level does. *Closed loop*: campaigns of the scene
 each level. The rig's drive is not identified; the values below are those of a common servo with a linear motor.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.measure import timed
+from dpcontrol.bench.side_by_side import timed_in_turns
 from dpcontrol.dynamics.arm_chain import Level, equations_of
 from dpcontrol.dynamics.drive_level import PlantLevel, PlantParameters, plant_step
 from dpcontrol.dynamics.fixed_step import compiled_step
@@ -74,11 +75,13 @@ def motions(reference: Reference, arms: ArmChainParameters) -> tuple[LevelMotion
     }
     scale = np.array([ANGLE_SCALE] * n + [RATE_SCALE] * n)[:, None]
     full = ends[PLANT_LEVELS[-1]]
+    start, command = first[:, 0], float(inputs[0, 0])
+    spent = timed_in_turns({level: _tick(level, arms, start, command) for level in MOTION_LEVELS})
     found = []
     for level in MOTION_LEVELS:
         away = np.abs((ends[level][: 2 * n] - full[: 2 * n]) / scale).max(axis=0)
         error = max(float(np.sqrt(np.mean(away**2))), _FLOOR)
-        found.append(LevelMotion(level, *_cost(level, arms, first[:, 0], float(inputs[0, 0])), error))
+        found.append(LevelMotion(level, spent[level].seconds / TICK, spent[level].start_up, error))
     return tuple(found)
 
 
@@ -95,8 +98,8 @@ def _flown(plant: PlantParameters, first: Array, inputs: Array) -> Array:
     return state
 
 
-def _cost(level: str, arms: ArmChainParameters, first: Array, command: float) -> tuple[float, float]:
-    """Return seconds per second of motion, at a tick's step, and the extra seconds of the first step."""
+def _tick(level: str, arms: ArmChainParameters, first: Array, command: float) -> Callable[[], Array]:
+    """Return what a tick of a level costs, as a function to be timed."""
     if level in _LOWER:
         own = arms.frictionless() if level == "conservative" else arms
         equations, numbers, size = equations_of(own, _LOWER[level]), own.base(), 2 * arms.count
@@ -108,8 +111,7 @@ def _cost(level: str, arms: ArmChainParameters, first: Array, command: float) ->
     state = np.append(first, command)[:size]
     given[step.slices["parameters"]], given[step.slices["duration"]] = numbers, TICK
     given[step.slices["state"]], given[step.slices["inputs"]] = state, command
-    spent = timed(lambda: step(given, out), 9)
-    return spent.seconds / TICK, spent.start_up
+    return lambda: step(given, out)
 
 
 def shortened(itinerary: Itinerary) -> Itinerary:
