@@ -24,7 +24,8 @@ from dpcontrol.control.ekf_equations import FilterEquations
 from dpcontrol.control.estimator_settings import Augment, FilterSettings, extra_names
 from dpcontrol.control.interface import Action, Mode
 from dpcontrol.control.sampled import SampledModel
-from dpcontrol.control.tracking import FeedforwardSettings, QuadraticWeights, terminal_cost, tracking_controller
+from dpcontrol.control.tracking import FeedforwardSettings, terminal_cost, tracking_controller
+from dpcontrol.control.weights import ClosingWeights
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.references.reference import Reference
@@ -33,12 +34,11 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class AdaptiveSettings(QuadraticWeights):
+class AdaptiveSettings(ClosingWeights):
     """Weights as of "tvlqr", heavier by default: what is known of the model needs no feedback, so there is room.
 
-    closing: how many times the angles weigh in the last closing_time s, when they shall be the model's own orbit
-    whatever the arms would rather do. trust: the greatest share by which a parameter is taken to be wrong; masses and
-    lengths that are off by a fifth make base parameters off by 0.39 at most.
+    trust: the greatest share by which a parameter is taken to be wrong; masses and lengths that are off by a fifth make
+    base parameters off by 0.39 at most.
     """
 
     kind: str = "adaptive"
@@ -46,7 +46,6 @@ class AdaptiveSettings(QuadraticWeights):
     rate: float = 3000.0
     position: float = 300.0
     closing: float = 30.0
-    closing_time: float = 1.6
     trust: float = 0.4
 
     def __post_init__(self) -> None:
@@ -56,10 +55,8 @@ class AdaptiveSettings(QuadraticWeights):
             InputError: names the setting, its value and what is allowed.
         """
         super().__post_init__()
-        for name, low, high in (("closing", 1.0, 1e6), ("closing_time", 0.0, 1e4), ("trust", 0.0, 1.9)):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise InputError(f"controller: {name} = {value!r}: must be {low:g} to {high:g}")
+        if not 0.0 <= self.trust <= 1.9:
+            raise InputError(f"controller: trust = {self.trust!r}: must be 0 to 1.9")
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,9 +225,7 @@ def adaptive_controller(
     process = estimator.process(model.arms, model.period)
     e, kept = extra_jacobians(model, estimator.augments, states[:-1], commands, process)
     diagonal, effort = settings.weights(model.arms, model.period)
-    weights = np.tile(diagonal, (len(b), 1))
-    closing = round(settings.closing_time / model.period)
-    weights[max(len(b) - closing, 0) :, : model.arms] *= settings.closing
+    weights = settings.along(model.arms, model.period, count=len(b))
     terminal = terminal_cost(a[-1], b[-1], weights=diagonal, effort=effort)
     gains, extra_gains = preview_gains((a, b, e, kept), weights=weights, effort=effort, terminal=terminal)
     if not (np.isfinite(gains).all() and np.isfinite(extra_gains).all()):

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from dpcontrol.control.interface import Action, Mode
 from dpcontrol.control.phase import whole_turns
 from dpcontrol.control.sampled import SampledModel
-from dpcontrol.control.tracking import QuadraticWeights
+from dpcontrol.control.weights import QuadraticWeights
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE, Limits

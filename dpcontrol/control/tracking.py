@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from dpcontrol.control.interface import Action, Mode
 from dpcontrol.control.phase_tracking import PhaseController, phase_controller
 from dpcontrol.control.sampled import SampledModel
+from dpcontrol.control.weights import ClosingWeights
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.tables import suggest
-from dpcontrol.references.problem import ANGLE_SCALE, CART_VELOCITY_SCALE, RATE_SCALE
 from dpcontrol.references.reference import Reference
 
 Array = NDArray[np.float64]
@@ -30,55 +30,18 @@ class FeedforwardSettings:
     kind: str = "feedforward"
 
 
-@dataclass(frozen=True)
-class QuadraticWeights:
-    """Weights per second of the squared errors, each scaled: angles by π, rates by 10 rad/s, the cart's velocity
-    by 3 m/s; the cart's position by 1 m and the effort by 1 m/s².
-    """
-
-    angle: float = 1000.0
-    rate: float = 100.0
-    position: float = 100.0
-    velocity: float = 10.0
-    effort: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Refuse weights without a solution.
-
-        Raises:
-            InputError: names the weight, its value and what is allowed.
-        """
-        for name in ("angle", "rate", "position", "velocity", "effort"):
-            value = getattr(self, name)
-            allowed = "positive" if name in ("position", "effort") else "zero or positive"
-            if not np.isfinite(value) or value < 0 or (value == 0 and allowed == "positive"):
-                raise InputError(f"controller: {name} = {value!r}: must be a finite number, {allowed}")
-
-    def weights(self, arms: int, period: float) -> tuple[Array, float]:
-        """Return Q's diagonal (N,) and r of one period in s."""
-        scaled = [self.angle / ANGLE_SCALE**2] * arms + [self.rate / RATE_SCALE**2] * arms
-        cart = [self.position, self.velocity / CART_VELOCITY_SCALE**2]
-        return np.array(scaled + cart) * period, self.effort * period
-
-
 SCHEDULES = ("time", "phase")
 
 
 @dataclass(frozen=True)
-class TvlqrSettings(QuadraticWeights):
-    """Linear-quadratic feedback. schedule: whether reference and gains are taken by time or at the nearest phase.
-
-    closing: how many times the angles weigh in the last closing_time s of a reference, when they shall be the model's
-    own orbit whatever the arms would rather do.
-    """
+class TvlqrSettings(ClosingWeights):
+    """Linear-quadratic feedback. schedule: whether reference and gains are taken by time or at the nearest phase."""
 
     angle: float = 10_000.0
     rate: float = 1000.0
     position: float = 150.0
     kind: str = "tvlqr"
     schedule: str = "time"
-    closing: float = 50.0
-    closing_time: float = 1.6
 
     def __post_init__(self) -> None:
         """Refuse weights without a solution, and a schedule that there is not.
@@ -89,10 +52,6 @@ class TvlqrSettings(QuadraticWeights):
         super().__post_init__()
         if self.schedule not in SCHEDULES:
             raise InputError(f"controller: schedule = {self.schedule!r}: {suggest(self.schedule, SCHEDULES)}")
-        for name, low, high in (("closing", 1.0, 1e6), ("closing_time", 0.0, 1e4)):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise InputError(f"controller: {name} = {value!r}: must be {low:g} to {high:g}")
 
 
 ControllerSettings = FeedforwardSettings | TvlqrSettings
@@ -247,8 +206,7 @@ def tracking_controller(
     diagonal, effort = settings.weights(model.arms, model.period)
     a, b = model.linearised(states[:-1], feedforward)
     terminal = terminal_cost(a[-1], b[-1], weights=diagonal, effort=effort)
-    weights = np.tile(diagonal, (count, 1))
-    weights[max(count - round(settings.closing_time / model.period), 0) :, : model.arms] *= settings.closing
+    weights = settings.along(model.arms, model.period, count=count)
     gains, _ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
     if not np.isfinite(gains).all():
         raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
