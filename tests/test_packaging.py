@@ -58,10 +58,12 @@ def test_the_wheel_carries_every_model_and_itinerary_as_it_is_in_the_checkout(wh
     assert carried == expected
 
 
-def test_the_wheel_carries_every_module_and_nothing_of_the_tests(wheel: Path) -> None:
+def test_the_wheel_carries_every_module_its_tables_and_nothing_of_the_tests(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
-        modules = {name for name in archive.namelist() if name.endswith(".py")}
-    assert modules == {str(file.relative_to(ROOT)) for file in (ROOT / "dpcontrol").rglob("*.py")}
+        names = {n for n in archive.namelist() if not n.startswith("dpcontrol/data/") and ".dist-info/" not in n}
+    package = {file for end in ("*.py", "*.toml") for file in (ROOT / "dpcontrol").rglob(end)}
+    assert names == {str(file.relative_to(ROOT)) for file in package}
+    assert "dpcontrol/lab/mappings/multi-arm.toml" in names
 
 
 def test_the_wheel_declares_the_console_script_and_the_dependencies(wheel: Path) -> None:
