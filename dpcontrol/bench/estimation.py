@@ -32,14 +32,14 @@ RESOLUTIONS = (512, 4000, 40_000, 400_000)
 QUICK_RESOLUTIONS = (4000, 40_000)
 CUTOFFS = (10.0, 30.0, 100.0)
 """Hz; without a low pass besides."""
-DEFAULT = ("EKF, compiled", "state only")
+DEFAULT = ("EKF, compiled", "+".join(EkfSettings().augment) or "state only")
 AUGMENTS: tuple[tuple[str, ...], ...] = ((), ("zeros",), ("zeros", "friction", "parameters"))
 _METHODS: tuple[tuple[str, type[EstimatorSettings]], ...] = (
     ("EKF, compiled", EkfSettings), ("EKF, filterpy", FilterpyEkfSettings), ("UKF, filterpy", UkfSettings)
 )  # fmt: skip
 _WHY = (
-    "the plain filter is the fastest that says how sure it is; zeros and parameters are estimated where a scene says "
-    "that they are in doubt, for up to twice the time"
+    "zeros of a few milliradians are what a feedback on the state alone fails by, and finding them costs less than "
+    "twice the time; parameters are estimated where a controller asks for them"
 )
 
 
