@@ -43,7 +43,7 @@ class CampaignSettings:
     path: str = "compiled"
     workers: int = 0
     scheduler: str = ""
-    batch: int = 128
+    batch: int = 256
     replayed: int = 4
 
     def __post_init__(self) -> None:
