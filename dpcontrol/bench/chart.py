@@ -152,7 +152,8 @@ class Panel:
         error = self._error(point)
         fastest = min(p.seconds for p in running if self._error(p) <= error)
         truest = min(self._error(p) for p in running if p.seconds <= point.seconds)
-        wrong = error / truest if truest > 0 else (1.0 if error == 0 else math.inf)
+        # An error at the floor cannot be lowered, so only time counts there.
+        wrong = error / truest if truest > 0 and error > self.floor else math.inf
         return min(point.seconds / fastest, wrong) - 1
 
     def standing(self, point: Point) -> str:

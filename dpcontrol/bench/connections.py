@@ -167,7 +167,7 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], *, quick: bool) 
 
 def _two_flights(orbit: LyapunovOrbit, distance: float) -> list[Array]:
     """Return the states in which cuts flown from seeds at `distance` meet, without refinement."""
-    system, settings = orbit.system, ConnectionSettings(distance=distance, accept=1e-3)
+    system, settings = orbit.system, ConnectionSettings(distance=distance)
     section = system.section_between(orbit.saddle, orbit.saddle)
     manifold = local_manifold(orbit, distance)
     cut = tube_cut(manifold, section, hit=1, settings=settings.cut)

@@ -33,16 +33,20 @@ def timed(
     *,
     grain: float = GRAIN,
     most: float = 2.0,
+    starts_up: bool = True,
     clock: Callable[[], float] = time.process_time,
 ) -> Timed[T]:
     """Call `function` once, then in `repeats` measurements of at least `grain` s each.
 
-    most: s after which no further measurement is begun; slow work has little noise.
+    most: s after which no further measurement is begun; slow work has little noise. starts_up: False for work that
+    compiles nothing, whose first call counts like the others.
     clock: seconds; `time.perf_counter` for work that waits (files, other processes).
     """
     began = clock()
     result = function()
     first = clock() - began
+    if not starts_up and first >= most:
+        return Timed(first, 0.0, result)
     began = clock()
     function()
     spent = clock() - began

@@ -82,8 +82,26 @@ def test_start_up_is_told_apart_from_repeated_time():
         clock[0] += {1: 6.0, 3: 9.0}.get(len(calls), 1.0)
         return len(calls)
 
-    found = timed(work, 5, clock=lambda: clock[0])
+    found = timed(work, 5, most=100.0, clock=lambda: clock[0])
     assert (found.seconds, found.start_up, found.result) == (1.0, 5.0, 1)
+
+
+def test_slow_work_is_not_repeated_beyond_the_time_it_may_take():
+    clock, calls = [0.0], []
+
+    def work():
+        calls.append(1)
+        clock[0] += 3.0
+
+    assert timed(work, 50, most=5.0, clock=lambda: clock[0]).seconds == 3.0
+    assert len(calls) == 3
+
+
+def test_errors_below_the_floor_count_as_equal():
+    points = points_of([(1, 3e-16), (2, 1e-16)], default={1})
+    assert panel(*points).front == tuple(points)
+    assert panel(*points, floor=1e-14).front == (points[0],)
+    assert panel(*points, floor=1e-14, why="a reason").complaints() != ()
 
 
 def test_work_shorter_than_the_clocks_grain_is_repeated_within_a_measurement():
