@@ -15,7 +15,7 @@ from dpcontrol.foundation.errors import GoalMissed
 @click.option("--model", default="lab", show_default=True, help="Model that predicts: a name or a path.")
 @click.option("--estimator", default="ekf", show_default=True, help="Kind of estimator: ekf, ukf.")
 @click.option("--counts", default=40_000, show_default=True, help="Of an encoder per turn: the noise that is assumed.")
-@click.option("--mean-over", default=0.01, show_default=True, help="Of each mean that the estimator is given, s.")
+@click.option("--mean-over", default=0.015, show_default=True, help="Of each mean that the estimator is given, s.")
 @click.option("--model-error", default=0.003, show_default=True, help="Share by which the model's accelerations err.")
 @click.option("--ahead", default=100, show_default=True, help="Samples ahead of the estimate for the n-step error.")
 @click.option("--span", default=5.0, show_default=True, help="Longest stretch predicted in one piece, s.")
@@ -38,7 +38,7 @@ def command(
     """Predict a recording by a model, run an estimator over its angles, and write both beside what was measured.
 
     Each segment is predicted in one piece from the initial state that fits it best. The log has the prediction as its
-    reference: `dpcontrol review` shows both together.
+    reference: `dpcontrol review` shows both together. Encoder zeros that the model's file tells are taken off.
     """
     from dpcontrol.lab.recordings import load_recording
     from dpcontrol.lab.replay import ReplaySettings, filter_settings, replay_recording, write_replay
@@ -49,7 +49,9 @@ def command(
     loaded = load_model(model)
     recording = load_recording(log)
     with progress_bar("replay") as progress:
-        result = replay_recording(recording, loaded.arms, filters, settings, progress=progress)
+        result = replay_recording(
+            recording, loaded.arms, filters, settings, zeros=loaded.encoder_zeros, progress=progress
+        )
         target = out or Path("logs") / f"{log.stem}-replay.mcap"
         written = write_replay(result, target, model=loaded.name, model_text=loaded.text)
     segments: list[dict[str, Any]] = []

@@ -15,6 +15,7 @@ from dpcontrol.lab.recording_import import import_recording
 from dpcontrol.lab.recordings import Recording, load_recording
 from dpcontrol.lab.replay import ReplaySettings, filter_settings, replay_recording, write_replay
 from dpcontrol.logs import read_log
+from dpcontrol.scenes.model import load_model
 
 COUNT = 2 * np.pi / 40_000  # rad: of an encoder
 STEP = 1e-8  # rad: DOP853 at 1 ms against scipy's at 1e-10, over 2 s
@@ -23,6 +24,7 @@ NEAR_COUNT = 0.8  # of a count: rms of two summed roundings, 0.41, and what the 
 IN_BAND = 0.90  # of the settled samples; the consistent share is 0.95
 RATES = 0.15  # rad/s rms: the bar for the recorded, filtered rates
 PUBLISHED = (2.0e-3, 5.5e-3)  # rad rms over whole segments that the published parameters leave on the rig's recording
+IDENTIFIED = 1.6e-3  # rad rms over whole segments that the identified model may leave
 
 ARMS = ArmChainParameters(
     mass=LAB["m"],
@@ -85,7 +87,23 @@ def test_the_true_model_follows_to_a_count_and_its_filter_is_consistent(kind: st
     assert result.rates_rms is not None
     assert result.rates_rms.max() <= RATES / 3
     assert max(result.ahead[1]) <= COUNT
-    assert max(result.ahead[100]) <= 10 * COUNT
+    # A tenth of a second on, what means of 15 samples leave of the rates counts most.
+    assert max(result.ahead[100]) <= 12 * COUNT
+
+
+def test_zeros_that_the_model_tells_are_taken_off_and_shown_again() -> None:
+    exact, zeros = recorded(), (4e-3, -6e-3)
+    off = replace(exact, angles=exact.angles + np.array(zeros))
+    ignored, told = (replay_recording(off, ARMS, filter_settings("ekf"), zeros=z) for z in ((), zeros))
+    without = replay_recording(exact, ARMS, filter_settings("ekf"))
+    # What is off by one count or two is off by as much without zeros.
+    assert np.abs(told.predicted - without.predicted - np.array([*zeros, 0, 0])).max() <= COUNT / 100
+    assert np.abs(told.estimated - without.estimated - np.array([*zeros, 0, 0])).max() <= COUNT / 100
+    assert told.ahead[100] == pytest.approx(without.ahead[100], rel=1e-3)
+    assert np.array_equal(told.recording.angles, off.angles)
+    assert np.mean([f.residual for f in ignored.fits]) > 5 * np.mean([f.residual for f in told.fits])
+    with pytest.raises(InputError, match="1 zeros for 2 arms"):
+        replay_recording(off, ARMS, filter_settings("ekf"), zeros=(1e-3,))
 
 
 def test_ekf_and_ukf_agree() -> None:
@@ -154,12 +172,35 @@ def test_the_log_shows_measured_predicted_and_estimated_together(tmp_path: Path)
 
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])
 def test_on_the_rigs_recording_the_filters_keep_to_their_band_and_find_the_rates(kind: str) -> None:
-    recording = import_recording(rig_file())
-    result = replay_recording(recording, ARMS, filter_settings(kind))
+    recording, model = import_recording(rig_file()), load_model("lab-identified")
+    result = replay_recording(recording, model.arms, filter_settings(kind), zeros=model.encoder_zeros)
     assert result.nis_inside_95 >= IN_BAND
     assert result.rates_rms is not None
     assert result.rates_rms.max() <= RATES
     left = [float(np.sqrt(np.mean(fit.residual**2))) for fit in result.fits]
     assert all(fit.converged for fit in result.fits)
+    assert max(left) <= IDENTIFIED
+
+
+def test_the_filters_settings_hold_where_they_were_not_chosen() -> None:
+    recording, model = import_recording(rig_file()), load_model("lab-identified")
+    left_out = replace(recording, segments=recording.segments[2::3])
+    parts = replace(
+        left_out,
+        segments=tuple((k * 2667, (k + 1) * 2667) for k in range(len(left_out.segments))),
+        **{
+            name: np.concatenate([getattr(one, name) for one in left_out.split()])
+            for name in ("time", "angles", "rates")
+        },
+    )
+    result = replay_recording(parts, model.arms, filter_settings("ekf"), zeros=model.encoder_zeros)
+    assert result.nis_inside_95 >= IN_BAND
+    assert result.rates_rms is not None
+    assert result.rates_rms.max() <= RATES
+
+
+def test_the_published_parameters_leave_what_they_were_measured_to_leave() -> None:
+    result = replay_recording(import_recording(rig_file()), ARMS, filter_settings("ekf"))
+    left = [float(np.sqrt(np.mean(fit.residual**2))) for fit in result.fits]
     assert PUBLISHED[0] <= min(left)
     assert max(left) <= PUBLISHED[1]
