@@ -33,7 +33,7 @@ def draw(chart: Chart) -> Figure:
 
 def _panel(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) -> None:
     def height(error: float) -> float:
-        return max(error, FLOOR) if panel.log_y else error
+        return max(error, panel.floor, FLOOR) if panel.log_y else error
 
     for method in dict.fromkeys(p.method for p in panel.points):
         mark, colour = looks[method]
