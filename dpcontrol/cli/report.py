@@ -79,7 +79,7 @@ def _campaign(file: Path, picture: Path, *, as_json: bool) -> dict[str, Any]:
         "unknown": summary.unknown,
         **_share(summary.share),
         "groups": [{**group.names, **_share(group.share)} for group in summary.groups],
-        "mismatch": [
+        summary.axis: [
             {"group": level.label, "from": level.low, "to": level.high, **_share(level.share)}
             for level in summary.levels
         ],

@@ -20,11 +20,9 @@ def score_document(verdict: "Score") -> dict[str, Any]:
 
 def print_score(verdict: "Score") -> None:
     """Print a score for people."""
-    done = {True: "completed", False: "NOT completed", None: "completion unknown"}[verdict.completed]
     pace = "" if verdict.real_time_factor is None else f", {verdict.real_time_factor:.1f} × real time"
     click.echo(f"{verdict.log}")
-    symbols = f"{verdict.symbols_completed} of {verdict.symbols_total} symbols; " if verdict.symbols_total else ""
-    click.echo(f"  {done}: {symbols}{verdict.reason}")
+    click.echo(f"  {verdict.headline}")
     click.echo(
         f"  tracking {verdict.rms_tracking_error * 1e3:.1f} mrad rms; cart {verdict.max_cart_position * 1e3:.1f} mm at "
         f"most, {verdict.rms_cart_acceleration:.3f} m/s² rms; NIS inside its 95 % band "

@@ -18,7 +18,7 @@ def blueprint(motion: Motion, context: ReviewContext, *, from_log: bool) -> rrb.
     """Return the blueprint of a recording; one made `from_log` has the log's own bodies in its scene, and events."""
     ranges = shown_ranges(motion, context)
     named = "arm 1 blue, arm 2 orange" if motion.arms == 2 else "one colour for each arm"
-    grey = ", reference grey" if motion.reference is not None else ""
+    grey = f", {motion.against} grey" if motion.reference is not None else ""
     plots = [
         plot(f"Angles (rad): {named}{grey}", "/plots/angles"),
         plot("Rates (rad/s)" + (", by differences" if motion.differenced else ""), "/plots/rates"),
@@ -31,13 +31,17 @@ def blueprint(motion: Motion, context: ReviewContext, *, from_log: bool) -> rrb.
         corner = rrb.Corner2D.RightTop
         plots.append(plot(title, "/plots/acceleration", legend=corner, shown=ranges.get("acceleration")))
     checks = (
-        [plot("Tracking error of the angles (rad)", "/plots/tracking_error")] if motion.reference is not None else []
+        [plot(f"{motion.error_name} of the angles (rad)", "/plots/tracking_error")]
+        if motion.reference is not None
+        else []
     )
     if motion.error is not None and motion.sigma is not None:
         title = "Estimation error of the angles (rad), band ±2σ"
         checks.append(plot(title, "/plots/estimation_error", shown=ranges.get("estimation_error")))
     if motion.nis is not None:
-        checks.append(plot("NIS: means of 50 ticks; 95 % belong between the green lines", "/plots/nis"))
+        checks.append(
+            plot("NIS: means of 50 ticks; 95 % belong between the green lines", "/plots/nis", shown=ranges.get("nis"))
+        )
     if series.energy_of(motion, context) is not None:
         corner = rrb.Corner2D.RightTop
         checks.append(plot("Energy and saddles (J)", "/plots/energy", legend=corner, shown=ranges.get("energy")))
@@ -133,6 +137,10 @@ def shown_ranges(motion: Motion, context: ReviewContext) -> dict[str, Range]:
     if motion.error is not None:
         most = series.error_reach(motion)
         ranges["estimation_error"] = (-most, most)
+    if motion.nis is not None:
+        means = series.smoothed_nis(motion)[1]
+        if len(means) and np.nanmax(means) > series.NIS_LOST * motion.sensors:
+            ranges["nis"] = (0.0, series.NIS_LOST * motion.sensors)
     energy = series.energy_of(motion, context)
     if energy is not None:
         ranges["energy"] = series.energy_range(energy, context.saddle_energies)

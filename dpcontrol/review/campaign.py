@@ -2,11 +2,13 @@
 
 Shares come with Wilson's 95 % interval (`lab.statistics`). Only `completed` must be there; other columns are used where
 they are known: itinerary, controller, estimator, mismatch, symbols_completed, symbols_total, reason, ending,
-rms_tracking_error (rad), max_cart_position (m). Further columns are left alone.
+rms_tracking_error (rad), max_cart_position (m). A table with kind and level is of the standard score: its groups are
+those by kind of trouble, its levels those of all kinds together. Further columns are left alone.
 """
 
 import re
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -19,7 +21,10 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.lab.statistics import Share, wilson
 
 _WHAT = ("itinerary", "controller", "estimator")
-_BINS = 6
+_KIND, _LEVEL = "kind", "level"
+_EARLY = re.compile(r"; the run ended [^:;]* early: ")
+_APART, _BINS = 21, 6
+"""Up to so many values stand for themselves; more are gathered."""
 _NUMBER = re.compile(r"[-+]?\d[\d.,]*(?:e[-+]?\d+)?")
 _MOST_LETTERS = 90
 
@@ -34,12 +39,17 @@ class Group:
     @property
     def label(self) -> str:
         """The names as one line."""
-        return " · ".join(self.names.values()) or "all runs"
+        return _label(self.names.values())
+
+    @property
+    def family(self) -> str:
+        """The names but for the kind of trouble, as one line."""
+        return _label(name for column, name in self.names.items() if column != _KIND)
 
 
 @dataclass(frozen=True)
 class LevelShare:
-    """Runs of a group whose mismatch lies between two bounds."""
+    """Runs of a family whose mismatch, or level of trouble, lies between two bounds."""
 
     label: str
     low: float
@@ -55,9 +65,10 @@ class CampaignSummary:
         path: of the table.
         runs: rows whose outcome is known. unknown: other rows.
         share: of all runs.
-        groups: by itinerary, controller and estimator as far as these differ.
-        levels: by group and mismatch; empty where it does not vary.
-        failed_symbols: (group, symbol from 1, how many runs failed at it), symbol 0 where that is not known.
+        groups: by itinerary, controller and estimator as far as these differ, and by kind of trouble.
+        axis: "mismatch", or "level" of the standard score.
+        levels: by family and mismatch or level; empty where it does not vary.
+        failed_symbols: (family, symbol from 1, how many runs failed at it), symbol 0 where that is not known.
         reasons: how many runs failed for each reason, the most frequent first; numbers in it are left out.
         spreads: by column, values of runs that completed and of those that did not.
     """
@@ -67,6 +78,7 @@ class CampaignSummary:
     unknown: int
     share: Share
     groups: tuple[Group, ...]
+    axis: str
     levels: tuple[LevelShare, ...]
     failed_symbols: tuple[tuple[str, int, int], ...]
     reasons: tuple[tuple[str, int], ...]
@@ -98,23 +110,31 @@ def campaign_summary(path: Path) -> CampaignSummary:
         raise InputError(f"{path} holds no runs with a verdict; run the campaign again")
     table = {name: [values[k] for k in rows] for name, values in columns.items()}
     done = np.array([bool(outcome[k]) for k in rows])
-    varied = [name for name in _WHAT if name in table and len(set(table[name])) > 1]
+    families = [name for name in _WHAT if name in table and len(set(table[name])) > 1]
+    standard = _KIND in table and _LEVEL in table
+    varied = [*families, _KIND] if standard else families
     keys = [tuple(str(table[name][k]) for name in varied) for k in range(len(rows))]
     groups = tuple(
         Group(dict(zip(varied, key, strict=True)), _share(done, [k == key for k in keys])) for key in sorted(set(keys))
     )
-    labels = [" · ".join(key) or "all runs" for key in keys]
+    labels = [_label(key[: len(families)]) for key in keys]
+    axis = _LEVEL if standard else "mismatch"
     return CampaignSummary(
         path=Path(path),
         runs=len(rows),
         unknown=len(outcome) - len(rows),
         share=wilson(int(done.sum()), len(done)),
         groups=groups,
-        levels=_levels(table, labels, done),
+        axis=axis,
+        levels=_levels(_numbers(table, axis), labels, done),
         failed_symbols=_symbols(table, labels, done),
         reasons=_reasons(table, done),
         spreads=_spreads(table, done),
     )
+
+
+def _label(names: Iterable[str]) -> str:
+    return " · ".join(names) or "all runs"
 
 
 def _columns(path: Path) -> dict[str, list[Any]]:
@@ -145,22 +165,21 @@ def _numbers(table: dict[str, list[Any]], name: str) -> NDArray[np.float64] | No
     return values if np.isfinite(values).any() else None
 
 
-def _levels(table: dict[str, list[Any]], labels: list[str], done: NDArray[np.bool_]) -> tuple[LevelShare, ...]:
-    mismatch = _numbers(table, "mismatch")
-    if mismatch is None or len(np.unique(mismatch[np.isfinite(mismatch)])) < 2:
+def _levels(values: NDArray[np.float64] | None, labels: list[str], done: NDArray[np.bool_]) -> tuple[LevelShare, ...]:
+    if values is None or len(np.unique(values[np.isfinite(values)])) < 2:
         return ()
-    known = np.unique(mismatch[np.isfinite(mismatch)])
-    if len(known) <= 2 * _BINS:
+    known = np.unique(values[np.isfinite(values)])
+    if len(known) <= _APART:
         spans = [(float(v), float(v)) for v in known]
     else:
-        edges = np.unique(np.quantile(mismatch[np.isfinite(mismatch)], np.linspace(0, 1, _BINS + 1)))
+        edges = np.unique(np.quantile(values[np.isfinite(values)], np.linspace(0, 1, _BINS + 1)))
         spans = [(float(a), float(np.nextafter(b, -np.inf))) for a, b in pairwise(edges)]
         spans[-1] = (spans[-1][0], float(edges[-1]))
     found = []
     for label in sorted(set(labels)):
         mine = np.array([text == label for text in labels])
         for low, high in spans:
-            chosen = mine & (mismatch >= low) & (mismatch <= high)
+            chosen = mine & (values >= low) & (values <= high)
             if chosen.any():
                 found.append(LevelShare(label, low, high, _share(done, chosen)))
     return tuple(found)
@@ -190,9 +209,8 @@ def _reasons(table: dict[str, list[Any]], done: NDArray[np.bool_]) -> tuple[tupl
 
 
 def _plain(reason: str) -> str:
-    """Return a reason without its numbers and with its last part only, which says how it came about."""
-    parts = [part.strip() for part in reason.split(";")]
-    text = parts[-1].split(": ", 1)[-1] if len(parts) > 1 else parts[0]
+    """Return why a run ended, else what was not done, without numbers and without the remedy."""
+    text = _EARLY.split(reason)[-1].split(";")[0].strip()
     text = _NUMBER.sub("…", text)
     return text if len(text) <= _MOST_LETTERS else text[: _MOST_LETTERS - 1] + "…"
 

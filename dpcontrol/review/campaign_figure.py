@@ -15,7 +15,7 @@ from dpcontrol.review.figures.page import new_figure, quiet
 from dpcontrol.review.panel_frame import NOTE
 
 _GOOD, _BAD = "#1e7a3c", style.LIMIT
-_MOST = 16
+_MOST = 28
 _SPREADS = {
     "max_cart_position": ("Cart's largest distance (mm)", 1e3),
     "rms_tracking_error": ("Tracking (mrad rms)", 1e3),
@@ -46,6 +46,7 @@ def _bars(axes: Axes, labels: Sequence[str], shares: Sequence[Share], colours: S
         axes.plot([share.low, share.high], [place, place], color=style.INK, linewidth=1.4)
         axes.text(1.02, place, f"{share.successes} of {share.runs}", va="center", fontsize=8.5, color=NOTE)
     axes.set_yticks(places, [shorten(label, 44, placeholder=" …") for label in labels])
+    axes.tick_params(axis="y", labelsize=7.0 if len(labels) > 18 else 8.5)
     axes.set_xlim(0, 1)
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
     axes.set_ylim(-0.6, max(len(labels) - 0.4, 0.6))
@@ -54,24 +55,25 @@ def _bars(axes: Axes, labels: Sequence[str], shares: Sequence[Share], colours: S
 def _groups(axes: Axes, summary: CampaignSummary) -> None:
     quiet(axes, "Runs completed; lines: Wilson's 95 % interval")
     groups = sorted(summary.groups, key=lambda group: group.share.rate, reverse=True)[:_MOST]
-    _bars(axes, [g.label for g in groups], [g.share for g in groups], _colours(summary, [g.label for g in groups]))
+    _bars(axes, [g.label for g in groups], [g.share for g in groups], _colours(summary, [g.family for g in groups]))
     hidden = len(summary.groups) - len(groups)
     if hidden:
         axes.set_xlabel(f"… and {hidden} groups more, with less success", fontsize=8.5, color=NOTE)
 
 
 def _colours(summary: CampaignSummary, labels: Sequence[str]) -> list[str]:
-    order = [group.label for group in summary.groups]
+    order = list(dict.fromkeys(group.family for group in summary.groups))
     return [style.RUNS[order.index(label) % len(style.RUNS)] for label in labels]
 
 
 def _levels(axes: Axes, summary: CampaignSummary) -> None:
-    quiet(axes, "Runs completed over the plant's mismatch")
+    standard = summary.axis == "level"
+    quiet(axes, "Runs completed over the level, of all kinds" if standard else "Runs completed over the mismatch")
     axes.set_ylim(-0.03, 1.03)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     labels = list(dict.fromkeys(level.label for level in summary.levels))
     if not labels:
-        _empty(axes, "the mismatch does not vary in this campaign")
+        _empty(axes, f"the {summary.axis} does not vary in this campaign")
         return
     shown = labels[: len(style.RUNS)]
     reach = max(level.high for level in summary.levels) - min(level.low for level in summary.levels)
@@ -84,8 +86,10 @@ def _levels(axes: Axes, summary: CampaignSummary) -> None:
         above = np.array([level.share.high for level in levels]) - rates
         look = {"color": colour, "marker": "o", "markersize": 4.5, "linewidth": 1.3, "capsize": 2}
         axes.errorbar(x, rates, yerr=[np.maximum(below, 0), np.maximum(above, 0)], label=label, **look)
-    axes.xaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.set_xlabel("mismatch, share of each parameter", fontsize=8.5, color=NOTE)
+    if not standard:
+        axes.xaxis.set_major_formatter(PercentFormatter(1.0))
+    text = "level of each kind of trouble" if standard else "mismatch, share of each parameter"
+    axes.set_xlabel(text, fontsize=8.5, color=NOTE)
     if len(labels) > 1:
         axes.set_title("colours as on the left", loc="right", fontsize=8.5, color=NOTE)
     if len(labels) > len(shown):

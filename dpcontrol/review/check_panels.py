@@ -11,7 +11,7 @@ from dpcontrol.review.panel_frame import legend, number, plot, prepare
 
 def tracking_error(axes: Axes, motion: Motion, context: ReviewContext) -> None:
     """Draw how far the arms are from the reference, in rad."""
-    prepare(axes, f"Tracking error: {motion.what} minus reference (rad)")
+    prepare(axes, f"{motion.error_name}: {motion.what} minus {motion.against} (rad)")
     axes.axhline(0, color=style.FAINT, linewidth=1)
     if motion.reference is not None:
         away = motion.state - motion.reference
@@ -74,5 +74,10 @@ def innovations(axes: Axes, motion: Motion, context: ReviewContext) -> None:
     prepare(axes, f"NIS, means of 50 ticks; 95 % belong in {max(expected - spread, 0):.1f} to {expected + spread:.1f}")
     axes.axhspan(max(expected - spread, 0), expected + spread, color="#9fd3a8", alpha=0.35, linewidth=0)
     axes.plot(*series.thinned(time, means), color=style.CART, linewidth=1.0)
-    if len(means):
-        axes.set_ylim(0, max(1.15 * float(np.nanquantile(means, 0.98)), 1.6 * expected))
+    highest = float(np.nanquantile(means, 0.98)) if len(means) else 0.0
+    if highest > series.NIS_LOST * expected:
+        # An estimate that is lost would press all that went before into the axis.
+        axes.set_yscale("log")
+        axes.set_ylim(0.3 * expected, 2 * float(np.nanmax(means)))
+    elif len(means):
+        axes.set_ylim(0, max(1.15 * highest, 1.6 * expected))

@@ -7,12 +7,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from dpcontrol.review import film, series, story_panels, style
 from dpcontrol.review.comparison import ComparedRun, Comparison
-from dpcontrol.review.panel_frame import NOTE, ghost, in_pi, limit_lines, number, plot, prepare
+from dpcontrol.review.panel_frame import NOTE, ghost, label_in_pi, limit_lines, number, plot, prepare
 
 Array = NDArray[np.float64]
 Values = Callable[[ComparedRun], Array | None]
@@ -112,7 +112,7 @@ def _panels(figure: Figure, comparison: Comparison, *, top: float, tall: float, 
             limit_lines(axes, bound)
         if "angle θ" in title:
             axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
-            axes.yaxis.set_major_formatter(FuncFormatter(in_pi))
+            label_in_pi(axes.yaxis)
         axes.set_xlim(*span)
         if row == rows - 1 or k == len(shown) - 1:
             axes.set_xlabel("time on the common clock (s)", fontsize=8.5, color=NOTE, labelpad=1)
@@ -181,4 +181,4 @@ def _plane(axes: Axes, comparison: Comparison, arm: int) -> None:
         axes.plot(state[-1, arm] / np.pi, state[-1, n + arm], "s", color=run.colour, markersize=5)
     axes.margins(x=0.04)
     axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
-    axes.xaxis.set_major_formatter(FuncFormatter(in_pi))
+    label_in_pi(axes.xaxis)

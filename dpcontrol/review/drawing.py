@@ -104,7 +104,7 @@ def _stack(
 
 def heading(figure: Figure, motion: Motion, context: ReviewContext) -> None:
     """Write title, origin and verdict at the top of a page."""
-    title = shorten(context.title, 96, placeholder=" …")
+    title = shorten(context.title, 112, placeholder=" …")
     figure.text(
         0.022, 0.975, title, fontsize=17 if len(title) < 72 else 14, weight="bold", color=style.INK, va="center"
     )

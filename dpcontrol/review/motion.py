@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.lab.recordings import REPLAYED
 from dpcontrol.logs import Mode, RunLog
 from dpcontrol.logs.reader import Event
 from dpcontrol.references.reference import Reference
@@ -39,6 +40,7 @@ class Motion:
         events, metadata, arm_lengths, has_cart, rate_hz: as in the log.
         breaks: rows that follow a gap in time.
         differenced: whether the rates are differences of the measured angles.
+        against: what `reference` is: "reference", or "prediction" where a model was replayed on a recording.
     """
 
     path: Path
@@ -59,11 +61,17 @@ class Motion:
     rate_hz: float
     breaks: NDArray[np.int64]
     differenced: bool = False
+    against: str = "reference"
 
     @property
     def arms(self) -> int:
         """Number of arms."""
         return len(self.arm_lengths)
+
+    @property
+    def error_name(self) -> str:
+        """What the difference between state and reference is called."""
+        return "Prediction error" if self.against == "prediction" else "Tracking error"
 
     @property
     def time_range(self) -> tuple[float, float]:
@@ -119,6 +127,7 @@ def motion_of(log: RunLog) -> Motion:
         rate_hz=log.rate_hz,
         breaks=breaks,
         differenced=what == "measured" and log.rates is None,
+        against="prediction" if log.metadata.get("kind") == REPLAYED else "reference",
     )
 
 

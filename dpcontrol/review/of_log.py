@@ -15,7 +15,7 @@ from dpcontrol.logs import RunLog
 from dpcontrol.references.reference import Reference
 from dpcontrol.review.context import OrbitCurve, ReviewContext, Stay
 from dpcontrol.review.run_tubes import tubes_of
-from dpcontrol.review.score import REFERENCE_ATTACHMENT, Score, plan_of, score
+from dpcontrol.review.score import REFERENCE_ATTACHMENT, plan_of, recovered_note, score
 from dpcontrol.review.stops import Decoded, decode_run, orbit_index
 
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ def review_context(log: RunLog) -> ReviewContext:
         saddle_energies=context.saddle_energies,
         symbols=context.symbols,
         energy=_energy(system, states, n),
-        verdict=verdict_line(verdict),
+        verdict=verdict.headline,
         good=verdict.completed,
         tubes=context.tubes,
         planned=context.planned,
@@ -58,12 +58,6 @@ def review_context(log: RunLog) -> ReviewContext:
         crossings=decoded.crossings,
         duration=plan.duration,
     )
-
-
-def verdict_line(verdict: Score) -> str:
-    """Return a score as one line."""
-    done = {True: "completed", False: "NOT completed", None: "completion unknown"}[verdict.completed]
-    return f"{done}: {verdict.symbols_completed} of {verdict.symbols_total} symbols; {verdict.reason}"
 
 
 def plan_context(plan: Reference, *, system: System | None) -> ReviewContext:
@@ -140,7 +134,7 @@ def _without_plan(log: RunLog) -> ReviewContext:
         limits=log.limits,
         energy=None if states is None else _energy(system, states, n),
         verdict=f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; it carries no plan, so nothing was "
-        "asked and nothing is judged",
+        "asked and nothing is judged" + (f"; {recovered_note(log)}" if log.recovered else ""),
     )
 
 

@@ -2,7 +2,9 @@
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.lines import Line2D
+from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from dpcontrol.review import series, style
@@ -51,11 +53,24 @@ def number(i: int) -> str:
     return str(i + 1).translate(_SUBSCRIPTS)
 
 
-def in_pi(value: float, _: object = None) -> str:
+def in_pi(value: float, *, digits: int = 3) -> str:
     """Return a number of half turns as text."""
     if abs(value) < 1e-9:
         return "0"
-    return {"1": "π", "-1": "−π"}.get(f"{value:.3g}", f"{value:.3g}π".replace("-", "−"))
+    text = f"{value:.{digits}g}"
+    return {"1": "π", "-1": "−π"}.get(text, f"{text}π".replace("-", "−"))
+
+
+def label_in_pi(axis: Axis) -> None:
+    """Label an axis of half turns, with as many digits as tell its ends apart."""
+
+    def text(value: float, _: object) -> str:
+        low, high = axis.get_view_interval()
+        largest = max(abs(low), abs(high))
+        finest = np.log10(largest / (high - low)) if high > low else 0.0
+        return in_pi(value, digits=3 + max(0, int(np.ceil(finest))))
+
+    axis.set_major_formatter(FuncFormatter(text))
 
 
 def plot(axes: Axes, motion: Motion, values: Array, **look: object) -> None:

@@ -2,13 +2,13 @@
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, MaxNLocator
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from dpcontrol.review import series, style
 from dpcontrol.review.context import ReviewContext
 from dpcontrol.review.motion import Motion
-from dpcontrol.review.panel_frame import ghost, in_pi, legend, limit_lines, number, plot, prepare
+from dpcontrol.review.panel_frame import ghost, label_in_pi, legend, limit_lines, number, plot, prepare
 
 _POINTS = 20_000
 
@@ -24,9 +24,9 @@ def angles(axes: Axes, motion: Motion, context: ReviewContext) -> None:
         plot(axes, motion, motion.state[:, arm] / np.pi, color=colour, linewidth=1.3)
         entries.append((f"θ{number(arm)} {motion.what}", {"color": colour, "linewidth": 1.5}))
     if motion.reference is not None:
-        entries.append(("reference", {"color": style.REFERENCE, "linewidth": 4.5, "alpha": 0.6}))
+        entries.append((motion.against, {"color": style.REFERENCE, "linewidth": 4.5, "alpha": 0.6}))
     axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
-    axes.yaxis.set_major_formatter(FuncFormatter(in_pi))
+    label_in_pi(axes.yaxis)
     legend(axes, entries)
 
 
@@ -50,7 +50,7 @@ def cart(axes: Axes, motion: Motion, context: ReviewContext) -> None:
     entries: list[tuple[str, dict]] = [(motion.what, {"color": style.CART})]
     if motion.reference is not None:
         plot(axes, motion, 1000 * motion.reference[:, position], **ghost(style.CART))
-        entries.append(("reference", {"color": style.REFERENCE, "linewidth": 4.5, "alpha": 0.6}))
+        entries.append((motion.against, {"color": style.REFERENCE, "linewidth": 4.5, "alpha": 0.6}))
     plot(axes, motion, 1000 * motion.state[:, position], color=style.CART, linewidth=1.3)
     if context.limits:
         limit_lines(axes, 1000 * context.limits[0])
@@ -112,7 +112,7 @@ def phase_plane(axes: Axes, motion: Motion, context: ReviewContext, *, arm: int)
         entries.append(("to them", {"color": style.STABLE, "linewidth": 1.5}))
     axes.margins(x=0.04)
     axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
-    axes.xaxis.set_major_formatter(FuncFormatter(in_pi))
+    label_in_pi(axes.xaxis)
     if entries:
         legend(axes, entries)
 

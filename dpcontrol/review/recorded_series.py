@@ -31,7 +31,7 @@ def record_motion(recording: rr.RecordingStream, home: str, motion: Motion, cont
 def _followed(recording: rr.RecordingStream, at: str, motion: Motion, column: int, *, colour: str, name: str) -> None:
     """Record one column of reference, estimate and state; an estimate shows where it differs from the plant."""
     if motion.reference is not None:
-        look = line(style.REFERENCE, f"{name} reference", width=3.0)
+        look = line(style.REFERENCE, f"{name} {motion.against}", width=3.0)
         curve(recording, f"{at}/1_reference", time=motion.time, values=motion.reference[:, column], look=look)
     if motion.estimate is not None and motion.what != "estimate":
         look = line(style.PALE_INK, f"{name} estimate", width=1.0)

@@ -49,6 +49,13 @@ class Score:
     real_time_factor: float | None
     reason: str
 
+    @property
+    def headline(self) -> str:
+        """The verdict in one line."""
+        done = {True: "completed", False: "NOT completed", None: "completion unknown"}[self.completed]
+        symbols = f"{self.symbols_completed} of {self.symbols_total} symbols; " if self.symbols_total else ""
+        return f"{done}: {symbols}{self.reason}"
+
 
 def plan_of(log: RunLog) -> Reference:
     """Return the reference that the log carries, with the plan's notes.
@@ -179,6 +186,8 @@ def score(log: RunLog) -> Score:
     reason = problem or _done(total, wraps, notes)
     if not known:
         reason = f"the true state is not known, so completion cannot be judged; by the estimate: {reason}"
+    if log.recovered:
+        reason += f"; {recovered_note(log)}"
     return Score(
         log=str(log.path),
         seed=None if seed is None else int(seed),
@@ -193,6 +202,11 @@ def score(log: RunLog) -> Score:
         real_time_factor=None if factor is None else float(factor),
         reason=reason,
     )
+
+
+def recovered_note(log: RunLog) -> str:
+    """Return what is missing of a log that was recovered."""
+    return f"the log was recovered and lacks {log.recovered}"
 
 
 def _done(total: int, wraps: tuple[int | None, ...], notes: dict[str, Any]) -> str:
@@ -288,9 +302,9 @@ def _last_orbit(flown: Flown, plan: Reference, *, last: str, ended: str) -> str:
 def _orbit_tree(plan: Reference, k: int, arms: int) -> Any:
     """Return the angles (M, n) on a plan's orbit k as a tree, which is quicker by far than all distances."""
     # scipy.spatial is imported where it is used: it takes a tenth of a second.
-    from scipy.spatial import cKDTree
+    from scipy.spatial import KDTree
 
-    return cKDTree(_denser(plan.extra[f"orbit_{k}"][:, :arms], 8))
+    return KDTree(_denser(plan.extra[f"orbit_{k}"][:, :arms], 8))
 
 
 def _denser(closed: Array, factor: int) -> Array:

@@ -12,6 +12,8 @@ from dpcontrol.review.motion import LARGEST, Motion
 
 Array = NDArray[np.float64]
 
+NIS_LOST = 10.0
+"""Times the expected NIS: beyond, an estimate is lost."""
 _TURN = 2 * np.pi
 
 
@@ -113,7 +115,9 @@ def film_times(context: ReviewContext, time: Array, *, frames: int) -> Array:
     """
     if context.good is False and frames > 3 and time[-1] > time[0]:
         last = frames // 4
-        ending = np.linspace(max(time[0], time[-1] - 0.2 * last), time[-1], last + 1)
+        # Of a run that ended at once no more than its share.
+        length = min(0.2 * last, (time[-1] - time[0]) * last / frames)
+        ending = np.linspace(time[-1] - length, time[-1], last + 1)
         before = film_times(replace(context, good=None), time[time <= ending[0]], frames=frames - last)
         return np.concatenate([before, ending[1:]])
     actual = (*context.crossings, *[None] * len(context.symbols))

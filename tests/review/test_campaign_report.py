@@ -31,7 +31,7 @@ def rows(*, controllers: tuple[str, ...] = ("tvlqr", "feedforward"), each: int =
                     "completed": done,
                     "symbols_completed": 1 if done else seed % 2,
                     "symbols_total": 1,
-                    "reason": "done" if done else f"symbol 1 was not done; the run ended: lost at t = {seed}.5 s",
+                    "reason": "done" if done else f"symbol 1 not done; the run ended 1.2 s early: lost at t = {seed}.5 s",
                     "ending": "completed" if done else "lost",
                     "max_cart_position": 0.05 + 0.01 * seed,
                     "a_column_of_tomorrow": "x",
@@ -91,13 +91,58 @@ def test_many_mismatches_are_gathered_and_none_is_lost(tmp_path: Path) -> None:
     assert sum(level.share.runs for level in summary.levels) == 200
 
 
+def standard_rows(controllers: tuple[str, ...]) -> list[dict[str, Any]]:
+    """Return three kinds of trouble at 21 levels, once each; the first controller stands more of it."""
+    return [
+        {"controller": controller, "kind": kind, "level": float(k), "mismatch": 0.01 * k, "completed": k < 15 - 8 * c}
+        for c, controller in enumerate(controllers)
+        for kind in ("noise", "lag", "pushes")
+        for k in range(21)
+    ]
+
+
+def test_a_standard_score_is_told_by_kind_and_by_level_of_all_kinds(tmp_path: Path) -> None:
+    summary = campaign_summary(table(tmp_path / "runs.parquet", standard_rows(("tvlqr", "adaptive"))))
+    shares = {tuple(group.names.values()): group.share for group in summary.groups}
+    assert {key: share.successes for key, share in shares.items()} == {
+        (controller, kind): count
+        for controller, count in (("tvlqr", 15), ("adaptive", 7))
+        for kind in ("noise", "lag", "pushes")
+    }
+    assert summary.axis == "level"
+    levels = {(level.label, level.low): (level.share.successes, level.share.runs) for level in summary.levels}
+    assert len(levels) == 42
+    assert levels["tvlqr", 14.0] == (3, 3)
+    assert levels["tvlqr", 15.0] == levels["adaptive", 7.0] == (0, 3)
+
+
+@pytest.mark.parametrize(
+    ("reason", "shown"),
+    [
+        (
+            "symbol 1 of 1 ('down-up +') was not done; the run ended 2.38 s early: cart at its stop at t = 2.339 s: at "
+            "-0.116 m with -2.90 m/s it must brake now to stay on the track; weigh its position more",
+            "cart at its stop at t = … s: at … m with … m/s it must brake now to stay on the track",
+        ),
+        ("symbol 2 of 3 ('a > b') was not done; the run ended 1 s early", "symbol … of … ('a > b') was not done"),
+        ("cart position 0.411 passed its limit of 0.4", "cart position … passed its limit of …"),
+    ],
+)
+def test_a_reason_is_how_it_came_about_not_the_remedy(tmp_path: Path, reason: str, shown: str) -> None:
+    summary = campaign_summary(table(tmp_path / "runs.parquet", [{"completed": False, "reason": reason}]))
+    assert summary.reasons == ((shown, 1),)
+
+
 def test_runs_without_a_verdict_are_counted_apart(tmp_path: Path) -> None:
     summary = campaign_summary(table(tmp_path / "runs.parquet", [*rows(), {"completed": None}]))
     assert (summary.runs, summary.unknown) == (20, 1)
     assert "1 without a verdict" in summary.status
 
 
-@pytest.mark.parametrize("content", [rows(), rows(controllers=("tvlqr",), each=8), [{"completed": False}]])
+@pytest.mark.parametrize(
+    "content",
+    [rows(), rows(controllers=("tvlqr",), each=8), [{"completed": False}], standard_rows(("a", "b", "c"))],
+)
 def test_every_table_is_drawn_and_an_empty_panel_says_why(tmp_path: Path, content: list[dict[str, Any]]) -> None:
     figure = draw_campaign(campaign_summary(table(tmp_path / "runs.parquet", content)))
     figure.savefig(tmp_path / "page.png")
