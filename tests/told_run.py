@@ -1,0 +1,47 @@
+"""Kill runs of the program: as a script, `dpcontrol` with the arguments given, its rig telling each tick on stdout."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from dpcontrol.cli.main import main
+from dpcontrol.lab import loop
+from dpcontrol.lab.rig import Reading
+from dpcontrol.logs import read_log, recover
+
+
+class TellingRig(loop.SimulatedRig):
+    """A rig that writes the number of each tick that is read, four bytes at a time."""
+
+    told = 0
+
+    def read(self) -> Reading:
+        os.write(1, self.told.to_bytes(4, "little"))
+        self.told += 1
+        return super().read()
+
+
+def killed(path: Path, *, after: float) -> tuple[int, int]:
+    """Kill `dpcontrol run` so many seconds after its first tick; return ticks that it began and that were recovered."""
+    command = [sys.executable, __file__, "run", "hold-down-down", "--out", path]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as child:
+        assert child.stdout is not None
+        pipe = child.stdout.fileno()
+        told = os.read(pipe, 4)
+        end = time.perf_counter() + after
+        # The first chunk stands for a log at all; a slow machine may need longer for it.
+        while time.perf_counter() < end or len(told) < 400:
+            told += os.read(pipe, 1 << 16)
+        child.kill()
+        while rest := os.read(pipe, 1 << 16):
+            told += rest
+    done = recover(path.with_name(path.name + ".partial"))
+    assert {"scene.toml", "model.toml", "reference.npz"} <= read_log(done.log).attachments.keys()
+    return len(told) // 4, done.ticks
+
+
+if __name__ == "__main__":
+    loop.SimulatedRig = TellingRig
+    main(sys.argv[1:])
