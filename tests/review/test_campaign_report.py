@@ -31,7 +31,7 @@ def rows(*, controllers: tuple[str, ...] = ("tvlqr", "feedforward"), each: int =
                     "completed": done,
                     "symbols_completed": 1 if done else seed % 2,
                     "symbols_total": 1,
-                    "reason": "done" if done else f"symbol 1 not done; the run ended 1.2 s early: lost at t = {seed}.5 s",
+                    "reason": "done" if done else f"symbol 1 not done; the run ended 1 s early: lost at t = {seed}.5 s",
                     "ending": "completed" if done else "lost",
                     "max_cart_position": 0.05 + 0.01 * seed,
                     "a_column_of_tomorrow": "x",
