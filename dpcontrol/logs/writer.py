@@ -9,7 +9,6 @@ that is killed loses no more than that. The file grows as `NAME.mcap.partial` an
 the disk.
 """
 
-import json
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
@@ -22,9 +21,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs import cdr, layout, urdf
-from dpcontrol.logs.blocks import REFERENCE_PREFIX, ChunkEncoder, Note, TickRows
+from dpcontrol.logs import cdr, layout
+from dpcontrol.logs.blocks import ChunkEncoder, Note, TickRows
 from dpcontrol.logs.container import COMPRESSION, McapFile
+from dpcontrol.logs.opening import descriptions, layout_record
 from dpcontrol.logs.partial import moved_away, open_partial, sync_folder
 from dpcontrol.logs.sealed import sealed
 
@@ -279,29 +279,13 @@ class LogWriter:
         given = self._given or (False,) * len(layout.PARTS)
         parts = frozenset(part for part, has in zip(layout.PARTS, given, strict=True) if has)
         tick = layout.TickLayout(len(self._lengths), self._has_cart, parts)
-        described = {
-            "format": layout.FORMAT,
-            "arm_lengths": " ".join(repr(length) for length in self._lengths),
-            "has_cart": "1" if self._has_cart else "0",
-            "rate_hz": repr(self._rate),
-            "limits": " ".join(repr(float(limit)) for limit in self._limits or ()),
-            "parts": " ".join(part for part in layout.PARTS if part in parts),
-            "attachments": json.dumps(list(self._attachments)),
-            "program": f"dpcontrol {version('dpcontrol')}",
-        }
+        described = layout_record(
+            tick, self._lengths, rate_hz=self._rate, limits=self._limits, attachments=self._attachments
+        )
         file.add_metadata(layout.LAYOUT_RECORD, sealed(layout.LAYOUT_RECORD, described))
         file.add_channels(tick.schemas, latched=layout.LATCHED)
         first = round(self._time[0] * 1e9) if self._filled else 0
-        for topic in (topic for topic in tick.channels if topic in layout.LATCHED):
-            ghost = topic == layout.GHOST
-            text = urdf.robot_description(
-                self._lengths,
-                has_cart=self._has_cart,
-                limits=self._limits,
-                prefix=REFERENCE_PREFIX if ghost else "",
-                ghost=ghost,
-            )
-            self._notes.insert(0, Note(row=0, topic=topic, time_ns=first, content=cdr.string(text)))
+        self._notes[:0] = descriptions(tick, self._lengths, limits=self._limits, time_ns=first)
         return ChunkEncoder(tick, self._lengths, rows=self._rows)
 
     def _write_chunk(self) -> None:
