@@ -7,6 +7,7 @@ Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking a
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,7 +66,7 @@ class EkfProgram:
         self.equations, self.step, self.update, self.ahead = _compiled(model.equations, model.period, settings.augments)
         """ahead: from z, command, parameters and process to the next z (N+E,), without a measurement."""
         size, m = self.equations.dimension, model.arms + 1
-        lengths = {"z": size, "covariance": size * (size + 1) // 2, "sigmas": size, "innovation": m}
+        lengths = {"z": size, "covariance": size * (size + 1) // 2, "sigmas": size, "innovation": m, "later": size}
         lengths |= {"nis": 1, "used": 1, "sound": 1}
         ends = np.cumsum([*lengths.values()])
         self.out = {name: slice(int(end - n), int(end)) for (name, n), end in zip(lengths.items(), ends, strict=True)}
@@ -109,6 +110,14 @@ class EkfProgram:
         return out
 
 
+class _Memory(NamedTuple):
+    """What the filter keeps from tick to tick: z and P; and z a period later, if `coming` m/s² act until then."""
+
+    kept: Array
+    coming: float
+    later: Array
+
+
 class CompiledEkf:
     """The extended Kalman filter for one sampled model; an `Estimator`. Not to be shared between threads.
 
@@ -132,6 +141,7 @@ class CompiledEkf:
         self._all = True
         self._kept, self._z = out["memory"].stop, out["z"].stop
         self._sigmas, self._innovation = out["sigmas"], out["innovation"]
+        self._later, self._coming_at = out["later"], where["coming"].start
         ahead = self.program.ahead
         self._ahead_inputs = np.zeros(ahead.size_in)
         self._ahead_inputs[ahead.slices["parameters"]] = model.parameters
@@ -160,35 +170,53 @@ class CompiledEkf:
 
     def _begun(self, memory: Array, sigmas: Array) -> Estimate:
         still = np.zeros(self.model.arms + 1)
-        return Estimate(memory[: self._size], memory[self._size : self._z], sigmas, still, float("nan"), 0, memory)
+        state, extra = memory[: self._size], memory[self._size : self._z]
+        return Estimate(state, extra, sigmas, still, float("nan"), 0, _Memory(memory, float("nan"), state))
 
-    def update(self, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None = None) -> Estimate:
+    def update(
+        self, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None = None, *, coming: float = 0.0
+    ) -> Estimate:
         """Return the estimate after the positions `measured` (n+1,): angles in rad, cart in m.
 
-        present (n+1,): which of them count; all by default.
+        present (n+1,): which of them count; all by default. coming: the next period's command, which spares `ahead` its
+        first period.
 
         Raises:
             InputError: the measurement or the estimate has the wrong shape.
             ArithmeticError: the estimate is no longer finite, or its covariance no longer positive.
         """
-        return self._called(self.program.update, estimate, measured, present)
+        return self._called(self.program.update, estimate, measured, present, coming)
 
     def step(
-        self, estimate: Estimate, command: float, measured: Array, present: NDArray[np.bool_] | None = None
+        self,
+        estimate: Estimate,
+        command: float,
+        measured: Array,
+        present: NDArray[np.bool_] | None = None,
+        *,
+        coming: float = 0.0,
     ) -> Estimate:
         """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came.
+
+        present, coming: as in `update`.
 
         Raises:
             InputError: the measurement or the estimate has the wrong shape.
             ArithmeticError: the estimate is no longer finite, or its covariance no longer positive.
         """
         self._inputs[self._command_at] = command
-        return self._called(self.program.step, estimate, measured, present)
+        return self._called(self.program.step, estimate, measured, present, coming)
 
     def _called(
-        self, program: Compiled, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None
+        self,
+        program: Compiled,
+        estimate: Estimate,
+        measured: Array,
+        present: NDArray[np.bool_] | None,
+        coming: float,
     ) -> Estimate:
-        memory = estimate.memory
+        memory = estimate.memory.kept
+        self._inputs[self._coming_at] = coming
         if measured.shape != self._measured.shape or memory.shape != self._memory.shape:
             raise InputError(
                 f"measurement has shape {measured.shape} and the estimate's memory {memory.shape}: the filter needs "
@@ -214,16 +242,21 @@ class CompiledEkf:
                 "measured positions, or assume more noise"
             )
         n, z = self._size, self._z
-        return Estimate(out[:n], out[n:z], out[self._sigmas], out[self._innovation], nis, int(used), out[: self._kept])
+        memory = _Memory(out[: self._kept], coming, out[self._later])
+        return Estimate(out[:n], out[n:z], out[self._sigmas], out[self._innovation], nis, int(used), memory)
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
         """Return the state (N,) after the commands on their way, one per period, with the extras' effect.
 
         This compensates the delay: a new command is computed for the state at which it will act.
         """
-        z = estimate.memory[: self._z]
+        memory: _Memory = estimate.memory
+        first = 0
+        z = memory.kept[: self._z]
+        if commands and commands[0] == memory.coming:
+            first, z = 1, memory.later
         inputs, n = self._ahead_inputs, self._z
-        for command in commands:
+        for command in commands[first:]:
             inputs[:n] = z
             inputs[n] = command
             z = self.program.ahead(inputs, np.empty(n))
@@ -231,7 +264,7 @@ class CompiledEkf:
 
     def covariance(self, estimate: Estimate) -> Array:
         """Return the covariance (N+E, N+E) of state and extra."""
-        return unpacked(estimate.memory[self._z :])
+        return unpacked(estimate.memory.kept[self._z :])
 
     def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
         """Return an estimate that trusts the positions `measured` (n+1,) and little else: for recovery when lost.

@@ -98,7 +98,9 @@ class FilterpyEstimator(ABC):
     ) -> tuple[Array, Array, Array, float]:
         """Return z, P, innovation (m,) and NIS after m measured values = `observation` (m, N+E) z and noise."""
 
-    def update(self, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None = None) -> Estimate:
+    def update(
+        self, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None = None, *, coming: float = 0.0
+    ) -> Estimate:
         """Return the estimate after the positions `measured` (n+1,): angles in rad, cart in m.
 
         present (n+1,): which of them count; all by default.
@@ -127,7 +129,13 @@ class FilterpyEstimator(ABC):
         return self._estimate(after, left, innovation, nis, len(rows))
 
     def step(
-        self, estimate: Estimate, command: float, measured: Array, present: NDArray[np.bool_] | None = None
+        self,
+        estimate: Estimate,
+        command: float,
+        measured: Array,
+        present: NDArray[np.bool_] | None = None,
+        *,
+        coming: float = 0.0,
     ) -> Estimate:
         """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came.
 

@@ -64,12 +64,23 @@ class Estimator(Protocol):
         """Return the estimate before any measurement, at `state` (N,)."""
         ...
 
-    def update(self, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None = None) -> Estimate:
-        """Return the estimate after the positions `measured` (n+1,); present (n+1,): which of them count."""
+    def update(
+        self, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None = None, *, coming: float = 0.0
+    ) -> Estimate:
+        """Return the estimate after the positions `measured` (n+1,); present (n+1,): which of them count.
+
+        coming m/s²: the command of the next period, if `ahead` is to be asked for it.
+        """
         ...
 
     def step(
-        self, estimate: Estimate, command: float, measured: Array, present: NDArray[np.bool_] | None = None
+        self,
+        estimate: Estimate,
+        command: float,
+        measured: Array,
+        present: NDArray[np.bool_] | None = None,
+        *,
+        coming: float = 0.0,
     ) -> Estimate:
         """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came."""
         ...

@@ -125,7 +125,7 @@ class ControlLoop:
         thinking = np.zeros(self.count)
         most, fastest = path.limits.acceleration, path.limits.velocity
         acted, was_saturated, late, quiet_until = 0.0, False, 0, 0.0
-        clock = time.perf_counter
+        clock, step = time.perf_counter, self.estimator.step
         began = clock()
         for k in range(self.count):
             now = k * period
@@ -135,15 +135,17 @@ class ControlLoop:
                 self.ending, self.reason = Ending.PLANT_FAILED, str(failure)
                 break
             before = clock()
+            way = path.on_their_way()
+            coming = way[0] if way else 0.0
             try:
                 if k:
-                    estimate = self.estimator.step(estimate, acted, reading.positions, reading.present)
+                    estimate = step(estimate, acted, reading.positions, reading.present, coming=coming)
                 else:
-                    estimate = self.estimator.update(estimate, reading.positions, reading.present)
+                    estimate = self.estimator.update(estimate, reading.positions, reading.present, coming=coming)
                 nis = estimate.nis
             except ArithmeticError:
                 nis = math.inf
-            action, estimate = self._decided(k, now, estimate, reading, nis)
+            action, wanted, estimate = self._decided(k, now, estimate, reading, nis, way)
             command = action.feedforward + action.feedback
             path.send(command)
             thinking[k] = clock() - before
@@ -157,7 +159,7 @@ class ControlLoop:
             saturated = abs(command) > most or abs(path.velocity) >= fastest
             if saturated and mode is not Mode.ABORTED:
                 mode = Mode.SATURATED
-            rows.take(k, reading, estimate, action, (acted, saturated, mode), rig.truth)
+            rows.take(k, reading, estimate, action, wanted, (acted, saturated, mode), rig.truth)
             if reading.late > 0:
                 late += 1
                 if now >= quiet_until:
@@ -185,28 +187,36 @@ class ControlLoop:
         self.progress("run", 1.0)
         return LoopRecord(rows.head(done), self.ending, self.reason, thinking[:done], late, elapsed)
 
-    def _decided(self, k: int, now: float, estimate: Estimate, reading: Reading, nis: float) -> tuple[Action, Estimate]:
-        """Return the command of tick k, with the reference of tick k, and the estimate, restarted if need be."""
+    def _decided(
+        self, k: int, now: float, estimate: Estimate, reading: Reading, nis: float, way: list[float]
+    ) -> tuple[Action, Array, Estimate]:
+        """Return the command of tick k, the reference of tick k, and the estimate, restarted if need be.
+
+        way: the commands on their way.
+        """
         if self._braking_since is not None:
-            return self._brake(now, self._rows.references[k - 1]), estimate
-        x, n, lead = estimate.state, self._n, self.path.lead
-        ahead = self.estimator.ahead(estimate, self.path.on_their_way())
+            wanted = self._rows.references[k - 1]
+            return self._brake(now, wanted), wanted, estimate
+        lead = len(way)
+        ahead = self.estimator.ahead(estimate, way)
         action = self.session.command(k + lead, ahead, estimate.extra)
         self._coming.append(action)
         wanted = self._coming.popleft().reference
-        if lead:
-            action = Action(action.feedforward, action.feedback, wanted, action.mode, action.event)
         if action.event:
             self._event(now, "info", "controller", action.event)
-        pairs = zip(x[: self._arms].tolist(), wanted[: self._arms].tolist(), strict=True)
-        error = max([abs(a - b) for a, b in pairs])
+        seen, due, expected = estimate.state.tolist(), wanted.tolist(), ahead.tolist()
+        error = 0.0
+        for i in range(self._arms):
+            away = abs(seen[i] - due[i])
+            # What is no number must not be passed over.
+            error = away if not away <= error else error
         outcome, ending, why = self.supervisor.judge(
-            now, error=error, nis=nis, used=estimate.used, position=float(ahead[n - 2]),
-            velocity=float(ahead[n - 1]), sent=self.path.velocity,
+            now, error=error, nis=nis, used=estimate.used, position=expected[-2], velocity=expected[-1],
+            sent=self.path.velocity,
         )  # fmt: skip
         if reading.present is None:
             sent, doubt = self.path.velocity, self.supervisor.nis
-            stuck = self._sensors.seen(reading.positions.tolist(), wanted.tolist(), sent, doubt)
+            stuck = self._sensors.seen(reading.positions.tolist(), due, sent, doubt)
             if stuck and outcome is not Outcome.STOP:
                 # A restart does not help against that.
                 outcome, ending = Outcome.STOP, Ending.ESTIMATE_LOST
@@ -215,24 +225,24 @@ class ControlLoop:
             outcome, ending = Outcome.STOP, Ending.CART_STOP
             why = f"cart at its stop at t = {now:.3f} s: a limit switch answered; allow more travel"
         if outcome is Outcome.CONTINUE:
-            return action, estimate
+            return action, wanted, estimate
         self._event(now, "warn", outcome.value, why)
         if outcome is Outcome.RESTART:
-            return action, self.estimator.restarted(estimate, reading.positions)
+            return action, wanted, self.estimator.restarted(estimate, reading.positions)
         if outcome is Outcome.RESYNCHRONISE:
             moved = self.session.resynchronise(k + lead, ahead)
             self._event(now, "info", "re-synchronise", moved or "the controller has no clock to move")
-            return action, estimate
+            return action, wanted, estimate
         if outcome is Outcome.HOLD and self.fallback is not None:
             self.session, held = self.fallback.session(k + lead, ahead)
             self._coming.clear()
             self._coming.extend([action] * lead)
             self._event(now, "warn", "fallback", held)
             self.ending, self.reason = Ending.FELL_BACK, f"{why}; {held}"
-            return action, estimate
+            return action, wanted, estimate
         self.ending, self.reason = ending, why
         self._braking_since = now
-        return self._brake(now, wanted), estimate
+        return self._brake(now, wanted), wanted, estimate
 
     def _brake(self, now: float, wanted: Array) -> Action:
         if self.path.velocity:

@@ -40,17 +40,25 @@ class NoisyRates:
         """Return the estimate before any measurement, at `state` (N,)."""
         return self._inner.first(state)
 
-    def update(self, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None = None) -> Estimate:
+    def update(
+        self, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None = None, *, coming: float = 0.0
+    ) -> Estimate:
         """Return the estimate after the positions `measured` (n+1,); present (n+1,): which of them count."""
         self._tick += 1
-        return self._inner.update(estimate, measured, present)
+        return self._inner.update(estimate, measured, present, coming=coming)
 
     def step(
-        self, estimate: Estimate, command: float, measured: Array, present: NDArray[np.bool_] | None = None
+        self,
+        estimate: Estimate,
+        command: float,
+        measured: Array,
+        present: NDArray[np.bool_] | None = None,
+        *,
+        coming: float = 0.0,
     ) -> Estimate:
         """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came."""
         self._tick += 1
-        return self._inner.step(estimate, command, measured, present)
+        return self._inner.step(estimate, command, measured, present, coming=coming)
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
         """Return the state (N,) after the commands on their way, this tick's noise on its rates."""

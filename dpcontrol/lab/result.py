@@ -67,15 +67,16 @@ class Ticks:
         reading: Reading,
         estimate: Estimate,
         action: Action,
+        wanted: Array,
         acted: tuple[float, bool, int],
         truth: Array | None,
     ) -> None:
-        """Write tick k; acted: acceleration in m/s², whether it was cut, mode."""
+        """Write tick k; wanted (N,): its reference; acted: acceleration in m/s², whether it was cut, mode."""
         self.measured[k] = reading.positions
         if reading.present is not None:
             self.measured[k, ~reading.present] = math.nan
         self.estimates[k] = estimate.state
-        self.references[k] = action.reference
+        self.references[k] = wanted
         if self.truth is not None:
             self.truth[k] = truth
         row = self.control[k]

@@ -45,7 +45,7 @@ KEPT_UP = {
     "lag and 1.6 periods": with_drive(lag=0.005, delay=1.6),
     "heavy cart": with_drive(lag=0.002, cart_mass=4.0, cart_viscous=1.0),
     "noisy, weak, jerky drive": with_drive(command_noise=0.3, response=0.95, jerk=2000.0),
-    "little acceleration": with_drive(acceleration=2.0, velocity=0.5),
+    "little acceleration": with_drive(acceleration=5.0, velocity=0.5),
     "pushes and knocks": replace(
         BASE, disturbances=DisturbanceSettings(pushes=3, push_impulse=2e-4, knocks=2, knock_velocity=0.02)
     ),
