@@ -38,7 +38,7 @@ def turn() -> Itinerary:
 
 def campaign(scene: Itinerary, file: Path, *, over: dict[str, Any] | None = None, **settings: Any) -> Campaign:
     cases = cases_of(scene, fixed=HARD, over=over or {})
-    chosen = CampaignSettings(**{"runs": 12, "workers": 1, "batch": 4, **settings})
+    chosen = CampaignSettings(**{"runs": 12, "workers": 1, "batch": 4, "replayed": 1, **settings})
     return run_campaign(scene, cases, file, settings=chosen)
 
 
@@ -73,7 +73,9 @@ def test_pairs_are_counted_by_seed_and_judged_by_mcnemars_sum() -> None:
 
 def test_cases_run_the_same_seeds_and_are_compared_in_pairs(turn: Itinerary, tmp_path: Path) -> None:
     file = tmp_path / "pairs.parquet"
-    found = campaign(turn, file, over={"controller": ["tvlqr", "feedforward"]}, runs=8, batch=8, first_seed=5)
+    found = campaign(
+        turn, file, over={"controller": ["tvlqr", "feedforward"]}, runs=8, batch=8, first_seed=5, replayed=4
+    )
     rows, metadata = read_rows(file)
     assert not file.with_name(file.name + ".parts").exists()
     seeds = [[row["seed"] for row in rows if row["controller"] == name] for name in ("tvlqr", "feedforward")]
@@ -108,7 +110,7 @@ def test_an_interrupted_campaign_goes_on_where_it_was(
 ) -> None:
     file = tmp_path / "stopped.parquet"
     cases = cases_of(turn, fixed=HARD, over={})
-    settings = CampaignSettings(runs=24, workers=1, batch=4)
+    settings = CampaignSettings(runs=24, workers=1, batch=4, replayed=1)
 
     def stop(what: str, done: float) -> None:
         if what.startswith("2 of"):
@@ -130,6 +132,7 @@ def test_an_interrupted_campaign_goes_on_where_it_was(
     assert not parts.exists()
 
 
+@pytest.mark.slow
 def test_a_killed_process_changes_nothing_in_the_table(
     turn: Itinerary, undisturbed: list[dict[str, Any]], tmp_path: Path
 ) -> None:
@@ -142,7 +145,7 @@ def test_a_killed_process_changes_nothing_in_the_table(
             os.kill(process.pid, signal.SIGKILL)
 
     cases = cases_of(turn, fixed=HARD, over={})
-    run_campaign(turn, cases, file, settings=CampaignSettings(runs=24, workers=2, batch=4), progress=kill)
+    run_campaign(turn, cases, file, settings=CampaignSettings(runs=24, workers=2, batch=4, replayed=1), progress=kill)
     assert killed
     assert read_rows(file)[0] == undisturbed
 
@@ -180,12 +183,13 @@ def killed_cluster(scene: Itinerary, file: Path, *, runs: int, batch: int) -> li
                 killed.append(next(iter(pids.values())))
                 os.kill(killed[0], signal.SIGKILL)
 
-        settings = CampaignSettings(runs=runs, batch=batch, scheduler=cluster.scheduler_address)
+        settings = CampaignSettings(runs=runs, batch=batch, replayed=1, scheduler=cluster.scheduler_address)
         run_campaign(scene, cases_of(scene, fixed=HARD, over={}), file, settings=settings, progress=kill)
     assert killed
     return read_rows(file)[0]
 
 
+@pytest.mark.slow
 def test_a_killed_dask_worker_changes_nothing_in_the_table(
     turn: Itinerary, undisturbed: list[dict[str, Any]], tmp_path: Path
 ) -> None:
@@ -196,7 +200,7 @@ def test_threads_of_one_worker_do_not_disturb_each_other(turn: Itinerary, undist
     archive = make_plan(turn).file.read_bytes()
     (case,) = cases_of(turn, fixed=HARD, over={})
     jobs = [
-        campaign_jobs.Job(turn.name, archive, turn.model.arms, case, tuple(range(k, k + 4)), "compiled")
+        campaign_jobs.Job(turn.name, archive, turn.model.arms, case, tuple(range(k, k + 4)), "compiled", replayed=1)
         for k in (0, 4, 8)
     ]
     with ThreadPoolExecutor(3) as pool:
