@@ -46,7 +46,12 @@ def profiles(
     inside = np.diag(found.covariance) > 0
     information = np.where(np.outer(inside, inside), fit.information, 0.0)
     information[~inside, ~inside] = np.diag(fit.information)[~inside]
-    curvature = 1 / np.diag(np.linalg.pinv(information, hermitian=True))
+    # What lies on a bound has the standard error, and the curve, that it would have without it.
+    curvature = np.where(
+        inside,
+        1 / np.diag(np.linalg.pinv(information, hermitian=True)),
+        1 / np.maximum(np.diag(np.linalg.pinv(fit.information, hermitian=True)), 1e-300),
+    )
     out: list[Profile] = []
     for k, (name, index) in enumerate(zip(found.names, fit.unknowns, strict=True)):
         progress("profiles", k / len(found.names))

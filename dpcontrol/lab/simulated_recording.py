@@ -14,9 +14,30 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.arm_chain import Level, equations_of
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.dynamics.propagator import Propagator
+from dpcontrol.foundation.errors import InputError
 from dpcontrol.lab.recordings import Recording
 
 Array = NDArray[np.float64]
+
+
+_REACH = 1.2
+"""rad: swings let go within this of hanging are lively and not chaotic, and tell most."""
+_ZEROS = 2e-3
+
+
+def random_swings(arms: ArmChainParameters, *, swings: int, seconds: float, seed: int, name: str) -> Recording:
+    """Return a recording of swings let go at random angles, with encoders whose zeros are off by up to 2 mrad.
+
+    Raises:
+        InputError: there are to be no swings, or of no time.
+    """
+    for key, value, most in (("swings", swings, 1000), ("seconds", seconds, 1000.0)):
+        if not 0 < value <= most:
+            raise InputError(f"{key} = {value!r}: must be above 0, at most {most:g}")
+    random = np.random.default_rng(seed)
+    zeros = random.uniform(-_ZEROS, _ZEROS, arms.count)
+    starts = list(random.uniform(-_REACH, _REACH, (swings, arms.count)))
+    return simulated_recording(arms, starts, seconds=seconds, zeros=zeros, name=name)
 
 
 def simulated_recording(

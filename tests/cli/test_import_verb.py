@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from bench_recordings import rig_variables, table_columns, write_csv, write_mat
 from command_line import dpcontrol
@@ -55,6 +56,40 @@ def test_a_fault_is_refused_with_the_option_that_mends_it_and_then_mended() -> N
 def test_options_that_name_nothing_are_refused(options: list[str], said: str) -> None:
     write_csv(Path("swing.csv"), table_columns())
     ended = dpcontrol("import", "swing.csv", *options)
+    assert ended.code == 2
+    assert said in ended.stderr
+    assert not Path("logs").exists()
+
+
+def test_simulated_swings_are_those_of_the_model_and_of_the_seed() -> None:
+    options = ["--swings", "2", "--seconds", "0.5"]
+    first = dpcontrol("import", "--simulated", "lab-identified", *options, "--json").document
+    assert first["log"] == str(Path("logs/lab-identified-swings-0.mcap"))
+    assert [part["samples"] for part in first["segments"]] == [501, 501]
+    assert first["source"] == "simulated"
+    dpcontrol("import", "--simulated", "lab-identified", *options, "--out", "again.mcap")
+    dpcontrol("import", "--simulated", "lab-identified", *options, "--seed", "1", "--out", "other.mcap")
+    swings = [load_recording(log).angles for log in (first["log"], "again.mcap", "other.mcap")]
+    assert np.array_equal(swings[0], swings[1])
+    assert np.abs(swings[0] - swings[2]).max() > 0.1
+    told = dpcontrol("replay", "again.mcap", "--model", "lab-identified", "--json").document
+    # A count is 1.6e-4 rad; the zeros, up to 2 mrad, are not the model's.
+    assert all(part["rms"] < 2e-3 for part in told["segments"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "give a FILE"),
+        (["swing.csv", "--simulated", "lab"], "give a FILE"),
+        (["--simulated", "lap"], "lab"),
+        (["--simulated", "three-body"], "has no arms"),
+        (["--simulated", "lab", "--swings", "0"], "swings = 0"),
+        (["--simulated", "lab", "--seconds", "nan"], "seconds = nan"),
+    ],
+)
+def test_simulated_swings_that_cannot_be_are_refused(arguments: list[str], said: str) -> None:
+    ended = dpcontrol("import", *arguments)
     assert ended.code == 2
     assert said in ended.stderr
     assert not Path("logs").exists()
