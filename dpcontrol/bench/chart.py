@@ -113,7 +113,8 @@ class Panel:
     """One diagram: points that did the same work, and why a default off the front is kept.
 
     start_up: seconds that each method needs once (compiling, building) before its times count; floor: smaller errors
-    are rounding and count as equal.
+    are rounding and count as equal. judged: False for a second view of work that another
+    panel judges.
     """
 
     title: str
@@ -125,6 +126,7 @@ class Panel:
     why: str = ""
     log_y: bool = True
     floor: float = 0.0
+    judged: bool = True
 
     def _error(self, point: Point) -> float:
         return max(point.error, self.floor)
@@ -152,8 +154,8 @@ class Panel:
         error = self._error(point)
         fastest = min(p.seconds for p in running if self._error(p) <= error)
         truest = min(self._error(p) for p in running if p.seconds <= point.seconds)
-        # An error at the floor cannot be lowered, so only time counts there.
-        wrong = error / truest if truest > 0 and error > self.floor else math.inf
+        # Where none as fast is truer, only time is left to tell how far it is.
+        wrong = error / truest if 0 < truest < error else math.inf
         return min(point.seconds / fastest, wrong) - 1
 
     def standing(self, point: Point) -> str:
@@ -165,7 +167,7 @@ class Panel:
     def complaints(self) -> tuple[str, ...]:
         """Return a sentence for each default that is too far off the front, or off it without a reason."""
         found = []
-        for p in self.defaults:
+        for p in self.defaults if self.judged else ():
             off = self.off_front(p)
             if off > ALLOWED:
                 found.append(f"{self.title}: the default {p.name} is {off:.0%} off the front; choose another")

@@ -67,4 +67,4 @@ def _panel(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) -> None:
     axis.set_ylabel(panel.y_label)
     axis.grid(True, which="major", color=FAINT, linewidth=0.5)
     axis.margins(0.12, 0.08)
-    axis.legend(fontsize=6, loc="best", framealpha=0.85)
+    axis.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)

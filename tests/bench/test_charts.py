@@ -54,6 +54,14 @@ def test_a_default_may_be_a_fifth_slower_with_a_reason_and_no_more(slower):
     assert bool(panel(*far, why="a reason").complaints()) == (slower > ALLOWED)
 
 
+def test_a_second_view_of_the_same_work_shows_where_its_default_stands_but_raises_no_complaint():
+    points = points_of([(1.0, 1e-6), (9.0, 1e-6)], default={1})
+    assert panel(*points).complaints() != ()
+    view = panel(*points, judged=False)
+    assert view.complaints() == ()
+    assert view.document()["defaults"][0]["off_front"] > 1
+
+
 def test_a_stored_point_is_drawn_but_takes_no_part_in_the_front():
     ours, theirs = Point("ours", "", 2.0, 1e-3, default=True), Point("theirs", "", 1.0, 1e-9, stored=True)
     both = panel(ours, theirs)
