@@ -44,21 +44,27 @@ def _bars(axes: Axes, labels: Sequence[str], shares: Sequence[Share], colours: S
     for place, share, colour in zip(places, shares, colours, strict=True):
         axes.barh(place, share.rate, color=colour, height=0.62, alpha=0.85)
         axes.plot([share.low, share.high], [place, place], color=style.INK, linewidth=1.4)
-        axes.text(1.02, place, f"{share.successes} of {share.runs}", va="center", fontsize=8.5, color=NOTE)
+        text = f"{share.successes} of {share.runs}"
+        axes.text(1.02, place, text, va="center", fontsize=_letters(len(labels)), color=NOTE)
     axes.set_yticks(places, [shorten(label, 44, placeholder=" …") for label in labels])
-    axes.tick_params(axis="y", labelsize=7.0 if len(labels) > 18 else 8.5)
+    axes.tick_params(axis="y", labelsize=_letters(len(labels)))
     axes.set_xlim(0, 1)
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))
     axes.set_ylim(-0.6, max(len(labels) - 0.4, 0.6))
 
 
+def _letters(rows: int) -> float:
+    return 7.0 if rows > 18 else 8.5
+
+
 def _groups(axes: Axes, summary: CampaignSummary) -> None:
     quiet(axes, "Runs completed; lines: Wilson's 95 % interval")
-    groups = sorted(summary.groups, key=lambda group: group.share.rate, reverse=True)[:_MOST]
+    # Of one kind of trouble the controllers stand side by side.
+    groups = sorted(summary.groups, key=lambda group: (group.names.get("kind", ""), -group.share.rate))[:_MOST]
     _bars(axes, [g.label for g in groups], [g.share for g in groups], _colours(summary, [g.family for g in groups]))
     hidden = len(summary.groups) - len(groups)
     if hidden:
-        axes.set_xlabel(f"… and {hidden} groups more, with less success", fontsize=8.5, color=NOTE)
+        axes.set_xlabel(f"… and {hidden} groups more", fontsize=8.5, color=NOTE)
 
 
 def _colours(summary: CampaignSummary, labels: Sequence[str]) -> list[str]:
@@ -86,7 +92,9 @@ def _levels(axes: Axes, summary: CampaignSummary) -> None:
         above = np.array([level.share.high for level in levels]) - rates
         look = {"color": colour, "marker": "o", "markersize": 4.5, "linewidth": 1.3, "capsize": 2}
         axes.errorbar(x, rates, yerr=[np.maximum(below, 0), np.maximum(above, 0)], label=label, **look)
-    if not standard:
+    if standard:
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    else:
         axes.xaxis.set_major_formatter(PercentFormatter(1.0))
     text = "level of each kind of trouble" if standard else "mismatch, share of each parameter"
     axes.set_xlabel(text, fontsize=8.5, color=NOTE)
