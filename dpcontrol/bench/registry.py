@@ -26,8 +26,16 @@ CHARTS: dict[str, Drawer] = {
     "control": _of("control"),
     "logging": _of("logging"),
     "levels": _of("levels"),
+    "edges-propagation": _of("edges_propagation"),
+    "edges-walks": _of("edges_walks"),
+    "edges-references": _of("edges_references"),
+    "edges-control": _of("edges_control"),
+    "edges-ogy": _of("edges_ogy"),
+    "edges-estimation": _of("edges_estimation"),
 }
 """Each module has one function `chart(quick, progress)`."""
+GROUPS = {"edges": tuple(name for name in CHARTS if name.startswith("edges-"))}
+"""Names that stand for several charts."""
 
 
 def check_names(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -36,7 +44,9 @@ def check_names(names: tuple[str, ...]) -> tuple[str, ...]:
     Raises:
         InputError: an unknown name.
     """
+    chosen: list[str] = []
     for name in names:
-        if name not in CHARTS:
-            raise InputError(f"there is no chart {name!r}; choose from {', '.join(CHARTS)}")
-    return tuple(dict.fromkeys(names)) or tuple(CHARTS)
+        if name not in CHARTS and name not in GROUPS:
+            raise InputError(f"there is no chart {name!r}; choose from {', '.join((*CHARTS, *GROUPS))}")
+        chosen += GROUPS.get(name, (name,))
+    return tuple(dict.fromkeys(chosen)) or tuple(CHARTS)

@@ -24,7 +24,8 @@ def command(*, names: tuple[str, ...], quick: bool, out: Path, as_json: bool) ->
     """Chart speed against accuracy: every numerical choice as a point beside its alternatives, measured here and now.
 
     Charts: propagation, connections, transcription. All are drawn where none is named. Times are medians on one core,
-    start-up apart; the product's default is ringed.
+    start-up apart; the product's default is ringed. `edges` stands for the maps of failure: where methods stop working,
+    found by bisection, beside where theory has it.
     """
     from dpcontrol.bench.run import draw_charts
 

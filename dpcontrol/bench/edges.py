@@ -1,0 +1,227 @@
+"""Maps of failure: where a method stops working, found by bisection, beside where theory says that it does.
+
+On each line of a map one quantity y is varied between a value that works and one that does not. The border lies at
+
+    measured = √(near · far),    far / near ≤ ratio,    off = max(measured / predicted, predicted / measured) - 1
+
+and agrees where `off` is at most a quarter, or the prediction lies between near and far. What the product itself says
+on the far side is kept with the border: a failure that nobody reports is a complaint.
+
+Source: for bisection on a yes-or-no answer, Press et al., Numerical Recipes, 3rd ed., section 9.1.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from dpcontrol.bench.chart import READING_LINES, TextTable
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+AGREES = 0.25
+"""How far measured and predicted borders may be apart, as a share."""
+_MOST_PROBES = 60
+
+
+@dataclass(frozen=True)
+class Answer:
+    """Whether something works, and what is said of it where it does not."""
+
+    works: bool
+    says: str = ""
+
+
+Probe = Callable[[float], Answer]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One value that was tried, and what came of it."""
+
+    y: float
+    works: bool
+    says: str
+
+
+@dataclass(frozen=True)
+class Border:
+    """The border on one line of a map.
+
+    x: the line's place; line: its name; near, far: the last value that works and the first that does not, None where
+    the range tried has none; predicted: by theory, None where there is none; says: what the product says at `far`.
+    """
+
+    x: float
+    line: str
+    near: float | None
+    far: float | None
+    predicted: float | None
+    says: str
+    trials: tuple[Trial, ...]
+
+    @property
+    def measured(self) -> float | None:
+        """The border, None where one of its sides was not found."""
+        return math.sqrt(self.near * self.far) if self.near and self.far else None
+
+    @property
+    def off(self) -> float | None:
+        """By what share measured and predicted are apart: zero where the prediction lies between near and far."""
+        if self.measured is None or self.predicted is None or not self.near or not self.far:
+            return None
+        if min(self.near, self.far) <= self.predicted <= max(self.near, self.far):
+            return 0.0
+        return max(self.measured / self.predicted, self.predicted / self.measured) - 1
+
+    def document(self) -> dict[str, Any]:
+        """Return the border in JSON's terms."""
+        return {**asdict(self), "measured": self.measured, "off": self.off}
+
+
+def find_border(
+    probe: Probe,
+    *,
+    x: float,
+    line: str,
+    near: float,
+    far: float,
+    predicted: float | None = None,
+    ratio: float = 1.1,
+    unit: float = 0.0,
+) -> Border:
+    """Return the border between `near`, which is to work, and `far`, which is not; both positive, either may be larger.
+
+    ratio: how near together its sides are brought; unit: only whole numbers of it are tried, down to neighbours.
+    """
+    trials: list[Trial] = []
+    near, far = (max(round(y / unit), 1) * unit if unit else y for y in (near, far))
+
+    def asked(y: float) -> bool:
+        answer = probe(y)
+        trials.append(Trial(y, answer.works, answer.says))
+        return answer.works
+
+    def done(says: str, good: float | None, bad: float | None) -> Border:
+        return Border(x, line, good, bad, predicted, says, tuple(sorted(trials, key=lambda t: t.y)))
+
+    if not asked(near):
+        return done(trials[-1].says, None, near)
+    if asked(far):
+        return done("", far, None)
+    good, bad, says = near, far, trials[-1].says
+    while len(trials) < _MOST_PROBES and max(good / bad, bad / good) > ratio:
+        middle = math.sqrt(good * bad)
+        if unit:
+            low, high = sorted((round(good / unit), round(bad / unit)))
+            if high - low < 2:
+                break
+            middle = min(max(round(middle / unit), low + 1), high - 1) * unit
+        if asked(middle):
+            good = middle
+        else:
+            bad, says = middle, trials[-1].says
+    return done(says, good, bad)
+
+
+@dataclass(frozen=True)
+class EdgeMap:
+    """One map: borders on its lines. theory: what predicts them, "" where nothing does; far: the far side in words.
+
+    agrees: how far measured and predicted may be apart, as a share.
+    """
+
+    title: str
+    x_label: str
+    y_label: str
+    borders: tuple[Border, ...]
+    theory: str = ""
+    far: str = "fails"
+    log_x: bool = True
+    agrees: float = AGREES
+
+    def complaints(self) -> tuple[str, ...]:
+        """Return a sentence for each border that is not where theory has it, not found, or passed in silence."""
+        found = []
+        for b in self.borders:
+            where = f"{self.title}, {b.line}"
+            if b.near is None:
+                if b.predicted is not None:
+                    found.append(f"{where}: nothing works, not even {b.far:.3g}, foretold at {b.predicted:.3g}")
+            elif b.far is None:
+                if b.predicted is not None:
+                    found.append(f"{where}: no border up to {b.near:.3g}, foretold at {b.predicted:.3g}")
+            elif b.off is not None and b.off > self.agrees:
+                found.append(f"{where}: border at {b.measured:.3g}, foretold at {b.predicted:.3g}, {b.off:.0%} apart")
+            if b.far is not None and not b.says:
+                found.append(f"{where}: what lies beyond {b.far:.3g} is not reported")
+        return tuple(found)
+
+    def document(self) -> dict[str, Any]:
+        """Return the map in JSON's terms."""
+        return {**asdict(self), "borders": [b.document() for b in self.borders], "complaints": list(self.complaints())}
+
+    def table(self) -> TextTable:
+        """Return the borders as a table."""
+        rows = tuple(
+            (b.line, _number(b.near), _number(b.far), _number(b.predicted), "" if b.off is None else f"{b.off:.0%}",
+             b.says)
+            for b in self.borders
+        )  # fmt: skip
+        notes = (f"foretold: {self.theory}",) if self.theory else ()
+        return TextTable(
+            f"{self.title}: {self.y_label}",
+            ("line", "works", self.far, "foretold", "apart", "what it says"),
+            rows,
+            notes,
+        )
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"
+
+
+@dataclass(frozen=True)
+class EdgeChart:
+    """A page of maps, three lines on how to read it, and what follows for the product.
+
+    Raises:
+        ValueError: the reading is not of three lines.
+    """
+
+    name: str
+    title: str
+    maps: tuple[EdgeMap, ...]
+    reading: tuple[str, str, str]
+    chosen: str
+
+    def __post_init__(self) -> None:
+        if len(self.reading) != READING_LINES:
+            raise ValueError(f"{self.name}: {len(self.reading)} lines on how to read it; write {READING_LINES}")
+
+    @property
+    def complaints(self) -> tuple[str, ...]:
+        """What is not as it should be, a sentence each."""
+        return tuple(text for m in self.maps for text in m.complaints())
+
+    def document(self) -> dict[str, Any]:
+        """Return the chart in JSON's terms."""
+        return {
+            "name": self.name,
+            "title": self.title,
+            "reading": list(self.reading),
+            "chosen": self.chosen,
+            "complaints": list(self.complaints),
+            "maps": [m.document() for m in self.maps],
+        }
+
+    def figure(self) -> "Figure":
+        """Return the chart's page."""
+        from dpcontrol.bench.edges_drawing import draw
+
+        return draw(self)
+
+    def tables(self) -> tuple[TextTable, ...]:
+        """Return each map's borders."""
+        return tuple(m.table() for m in self.maps)

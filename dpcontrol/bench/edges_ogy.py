@@ -1,0 +1,272 @@
+"""Where OGY ends: encoder counts by sections in a period, and the largest pulse by encoder counts.
+
+An error grows by Λ_j, about λ^(1/k), from one of k sections to the next. Along the unstable direction w_j,
+
+    ν_{j+1} = Λ_j ν_j + β_j p_j,    |p_j| ≤ limit:      |ν_j| ≤ c_j = (c_{j+1} + |β_j| limit) / Λ_j
+
+can still be brought back, nothing larger. What the encoders leave unknown, the filter's errors e along the orbit, is
+answered as if it were there: s_j² = w_j Ξ_j w_jᵀ, Ξ the covariance of ξ_{j+1} = (A - BK) ξ_j - BK e_j. With |ν| < c at
+every section of a run as likely as not, Π_j erf(c_j / (√2 s_j)) = 1/2, the border is foretold without one run.
+
+Source: Ott, Grebogi & Yorke, Controlling chaos, Physical Review Letters 64 (1990), 1196, for noise against the largest
+pulse; Hu & Lin, Control Systems with Actuator Saturation (2001), chapter 2, for c.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import erf, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.bench.control_trials import held
+from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border
+from dpcontrol.control.compiled_ekf import EkfProgram
+from dpcontrol.control.ogy import OgyController, OgySettings, ogy_controller
+from dpcontrol.control.sampled import SampledModel
+from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.foundation.files import Progress
+from dpcontrol.lab.batch import run_batch
+from dpcontrol.lab.loop import LoopSettings, sampled_model
+from dpcontrol.lab.result import Ending
+from dpcontrol.lab.sensors import SensorSettings
+from dpcontrol.references.problem import Limits
+from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.lyapunov import lyapunov_orbit
+
+Array = NDArray[np.float64]
+
+RATE = 1000.0
+SECONDS = 6.0
+SEEDS = 6
+LIMIT = 0.5
+"""m/s²: small, so that authority ends before the linear range does."""
+SECTIONS = (3, 4, 8, 16)
+QUICK_SECTIONS = (4, 16)
+FEWEST, MOST = 50.0, 4e8
+"""Counts per turn: encoders from the coarsest to none that there is."""
+COUNTS = (40_000.0, 2_000.0)
+IN_COUNTS = 1.6
+"""A quarter of authority, as a share of counts."""
+THEORY = "what the filter does not know grows by Λ between sections, past what a pulse can bring back"
+_PERIODS = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """An orbit to be held, the arms that are believed and simulated alike, and the model between ticks."""
+
+    orbit: SustainedOrbit
+    arms: ArmChainParameters
+    model: SampledModel
+
+    def controller(self, sections: int, limit: float = LIMIT) -> OgyController:
+        """Return the law by `sections` pulses a period, of at most `limit` m/s²; it learns nothing."""
+        settings = OgySettings(sections=sections, pulse_limit=limit, parameter_error=0.0)
+        return ogy_controller(self.orbit, self.model, settings, seconds=SECONDS)
+
+
+def task(saddle: str = "down-up", energy: float = -0.07) -> Task:
+    """Return the lab's orbit about a saddle at an energy in J."""
+    model = load_model("lab")
+    orbit = sustained_orbit(lyapunov_orbit(model.system, saddle, energy=energy), model.arms)
+    return Task(orbit, model.arms, sampled_model(model.arms, RATE))
+
+
+def chart(quick: bool, progress: Progress) -> EdgeChart:
+    """Return the chart; quick: fewer sections and seeds."""
+    one = task()
+    sections, seeds, ratio = (QUICK_SECTIONS, 3, 1.5) if quick else (SECTIONS, SEEDS, 1.2)
+    counted, maps = [], []
+    resolutions = COUNTS[:1] if quick else COUNTS
+    for i, counts in enumerate(resolutions):
+        weak = []
+        for j, k in enumerate(sections):
+            progress(f"edges of OGY, {counts:g} counts, k = {k}", (i + j / len(sections)) / (len(resolutions) + 1))
+            weak.append(limit_border(one, k, counts=counts, seeds=seeds, ratio=ratio))
+        maps.append(EdgeMap(f"Authority, {counts:,.0f} counts per turn", "sections in a period, k",
+                            "largest pulse, m/s²", tuple(weak), THEORY, far="lost"))  # fmt: skip
+    for k in sections[-1:] if quick else sections:
+        progress(f"edges of OGY, counts, k = {k}", len(resolutions) / (len(resolutions) + 1))
+        counted.append(counts_border(one, k, seeds=seeds, ratio=ratio))
+    maps.append(EdgeMap(f"Encoders, pulses of {LIMIT:g} m/s²", "sections in a period, k", "counts per turn",
+                        tuple(counted), THEORY, far="lost", agrees=IN_COUNTS))  # fmt: skip
+    return EdgeChart(
+        name="edges-ogy",
+        title=f"Where OGY ends: Down-Up at -0.07 J, multiplier {one.orbit.multipliers[0].real:.0f} a period",
+        maps=tuple(maps),
+        reading=(
+            "From one section to the next an error grows by about λ^(1/k), so that few sections ask for large pulses "
+            "or for encoders that nobody builds. Each border: half of the runs hold.",
+            "In counts the border is not sharp: authority goes by about their fifth root, for the filter averages.",
+            "Circles hold, crosses are lost; diamonds are foretold from the filter's own uncertainty, without a run.",
+        ),
+        chosen="16 sections a period and pulses of up to 5 m/s²: encoders of a few hundred counts would still do.",
+    )  # fmt: skip
+
+
+def unknown(one: Task, counts: float) -> tuple[Array, Array]:
+    """Return Σ (K, Z, Z), the covariance of the filter's true errors e at each tick of a period, and Φ (K, Z, Z).
+
+    e_{i} = Φ_i e_{i-1} + what the reading adds. The filter's gain is its answer to a reading, tick by tick; the errors
+    are those of encoders of `counts` alone.
+    """
+    noise = _sensors(counts).covariance(one.arms.count)
+    program = EkfProgram(one.model, LoopSettings(seed=0).estimator)
+    m, n = one.arms.count + 1, one.model.dimension
+    lanes = program.inputs(noise, runs=m + 1)
+    out, where = np.empty((program.step.size_out, m + 1)), program.slices
+    count = round(one.orbit.period / one.model.period)
+    step = one.orbit.period / count
+    times = np.arange(count + 1) * step
+    states, inputs = one.orbit.state(times[:-1]), one.orbit.input(times[:-1] + step / 2)
+    matrices, _ = one.model.linearised(states, inputs)
+    position = one.model.position_indices
+    memory = program.first(states[0])
+    # The filter estimates more than the state; what it takes for an encoder's zero is an error of the state.
+    size, seen = program.equations.dimension, program.equations.observation
+    sigma = np.diag(np.square(program.settings.first_sigmas(one.arms.count)))
+    kept, steps = [], []
+    # What is believed of the encoders' zeros is true here.
+    sigma[n:, n:] = 0.0
+    whole = np.diag([*np.ones(n), *program.process[3 : 3 + size - n]])
+    sizes = np.sqrt(np.diag(noise))
+    for k in range(1, _PERIODS * count + 1):
+        here = states[k % count]
+        memory[:n] = states[(k - 1) % count]
+        lanes[where["memory"]] = memory[:, None]
+        lanes[where["command"]] = inputs[(k - 1) % count]
+        lanes[where["measured"]] = here[position, None]
+        # Each reading is nudged by its own noise: the estimate is linear in it.
+        for j in range(m):
+            lanes[where["measured"].start + j, j + 1] += sizes[j]
+        program.step(lanes, out)
+        gain = (out[:size, 1:] - out[:size, :1]) / sizes
+        memory = out[program.out["memory"], 0].copy()
+        memory[n:size] = 0.0
+        whole[:n, :n] = matrices[(k - 1) % count]
+        rest = (np.eye(size) - gain @ seen) @ whole
+        sigma = rest @ sigma @ rest.T + gain @ noise @ gain.T
+        kept.append(sigma)
+        steps.append(rest)
+    # From a phase-0 tick on, a period long.
+    return np.array(kept[-count - 1 : -1]), np.array(steps[-count - 1 : -1])
+
+
+def margins(one: Task, controller: OgyController, counts: float) -> Array:
+    """Return c_j / s_j (k,): how many standard deviations of what the encoders do to it each section can bring back."""
+    k = len(controller.times)
+    maps = one.orbit.section_maps(k)
+    a, b = np.array([m.matrix for m in maps]), np.array([m.response for m in maps])
+    sigmas, steps = unknown(one, counts)
+    ticks = np.rint(controller.times / one.orbit.period * len(sigmas)).astype(int) % len(sigmas)
+    growths, reaches, directions = _unstable(a, b)
+    ranges = np.zeros(k)
+    ahead = 0.0
+    for j in reversed(list(range(k)) * 40):
+        ahead = (ahead + abs(reaches[j]) * controller.pulse_limit) / growths[j]
+        ranges[j] = ahead
+    n, size = a.shape[-1], sigmas.shape[-1]
+    lasting = [_over(steps, ticks[j], ticks[(j + 1) % k]) for j in range(k)]
+    spread, common, spreads = np.zeros((n, n)), np.zeros((n, size)), np.zeros(k)
+    for j in list(range(k)) * 60:
+        spreads[j] = float(np.sqrt(directions[j] @ spread @ directions[j]))
+        closed = a[j] - np.outer(b[j], controller.gains[j])
+        answer = np.zeros((n, size))
+        answer[:, :n] = -np.outer(b[j], controller.gains[j] @ maps[j].start.projection)
+        error, both = sigmas[ticks[j]], closed @ common
+        spread = closed @ spread @ closed.T + answer @ error @ answer.T + both @ answer.T + (both @ answer.T).T
+        # What a filter errs by lasts longer than from one section to the next where these are near together.
+        common = (both + answer @ error) @ lasting[j].T
+    return ranges / spreads
+
+
+def _over(steps: Array, begin: int, end: int) -> Array:
+    """Return the product of the steps after tick `begin` up to tick `end`, round the period."""
+    out = np.eye(steps.shape[-1])
+    for i in range(begin + 1, begin + 1 + ((end - begin - 1) % len(steps) + 1)):
+        out = steps[i % len(steps)] @ out
+    return out
+
+
+def _unstable(a: Array, b: Array) -> tuple[Array, Array, Array]:
+    """Return Λ (k,), β (k,) and w (k, N) of unit length with w_{j+1} A_j = Λ_j w_j, β_j = w_{j+1} · B_j."""
+    k = len(a)
+    product = np.eye(a.shape[-1])
+    for one in a:
+        product = one @ product
+    values, left = np.linalg.eig(product.T)
+    w = np.real(left[:, np.argmax(np.abs(values))])
+    directions, growths, reaches = np.zeros((k, len(w))), np.zeros(k), np.zeros(k)
+    w = w / np.linalg.norm(w)
+    for j in reversed(range(k)):
+        before = w @ a[j]
+        growths[j], reaches[j] = np.linalg.norm(before), w @ b[j]
+        w = before / growths[j]
+        directions[j] = w
+    return growths, reaches, directions
+
+
+def survives(one: Task, controller: OgyController, counts: float) -> float:
+    """Return the foretold probability that a run holds to its end."""
+    each = np.array([erf(float(z) / sqrt(2)) for z in margins(one, controller, counts)])
+    return float(np.prod(each) ** (SECONDS / one.orbit.period))
+
+
+def _sensors(counts: float) -> SensorSettings:
+    return SensorSettings(counts=max(round(counts), 1), cart_resolution=1e-6)
+
+
+def holds(one: Task, controller: OgyController, *, counts: float, seeds: int) -> Answer:
+    """Return whether at least half of the runs hold the orbit, else what ended the first that did not."""
+    settings = LoopSettings(seed=0, rate=RATE, sensors=_sensors(counts), initial_error=1e-4)
+    runs = run_batch(one.arms, settings=settings, seeds=range(seeds), controller=controller,
+                     limits=Limits(position=5.0, acceleration=30.0))  # fmt: skip
+    judge = held(one.orbit.state(np.linspace(0, one.orbit.period, 1000))[:, : one.arms.count],
+                 period=one.orbit.period)  # fmt: skip
+    lost = [run for run in runs if not judge(run)]
+    if not lost:
+        return Answer(True)
+    stopped = [run.reason for run in lost if run.ending is not Ending.FINISHED]
+    text = stopped[0] if stopped else "finished, but away from the orbit in its last period"
+    return Answer(2 * len(lost) <= seeds, f"{len(lost)} of {seeds} runs lost; {text}")
+
+
+def _foretold(probability: Callable[[float], float], low: float, high: float) -> float | None:
+    """Return where a probability that rises from `low` to `high` is one half, None where it is not between."""
+    if probability(low) > 0.5 or probability(high) < 0.5:
+        return None
+    while high / low > 1.005:
+        middle = sqrt(low * high)
+        low, high = (low, middle) if probability(middle) >= 0.5 else (middle, high)
+    return sqrt(low * high)
+
+
+def counts_border(one: Task, sections: int, *, seeds: int = SEEDS, ratio: float = 1.2) -> Border:
+    """Return the fewest counts per turn with which `sections` pulses a period hold the orbit."""
+    controller = one.controller(sections)
+    predicted = _foretold(lambda counts: survives(one, controller, counts), FEWEST, MOST)
+    middle = predicted or sqrt(FEWEST * MOST)
+    return find_border(
+        lambda counts: holds(one, controller, counts=counts, seeds=seeds), x=sections, line=f"k = {sections}",
+        near=2.5 * middle, far=max(middle / 2.5, 1.0), predicted=predicted, ratio=ratio,
+    )  # fmt: skip
+
+
+def limit_border(one: Task, sections: int, *, counts: float = 40_000, seeds: int = SEEDS, ratio: float = 1.2) -> Border:
+    """Return the smallest limit of the pulses, m/s², with which `sections` of them a period hold the orbit."""
+    at_one = one.controller(sections, 1.0)
+    # Margins are proportional to the limit.
+    each = margins(one, at_one, counts)
+    runs = SECONDS / one.orbit.period
+
+    def probability(limit: float) -> float:
+        return float(np.prod([erf(limit * float(z) / sqrt(2)) for z in each]) ** runs)
+
+    predicted = _foretold(probability, 1e-6, 1e6)
+    middle = predicted or 1.0
+    return find_border(
+        lambda limit: holds(one, replace(at_one, pulse_limit=limit), counts=counts, seeds=seeds), x=sections,
+        line=f"k = {sections}", near=2.5 * middle, far=middle / 2.5, predicted=predicted, ratio=ratio,
+    )  # fmt: skip

@@ -1,0 +1,91 @@
+"""Where shadowing ends: wraps and tolerance by the spacing of nodes.
+
+A node's rounding, half a unit in the last place of a rate of up to 20 rad/s, grows by λ^(1/s) to the next of s nodes in
+a period of the orbit, whatever the number of wraps: multiple shooting forgets what lies before. Gaps cannot become
+much smaller than
+
+    floor = ½ ulp(rate) λ^(1/s)
+
+whose constant depends on the luck of roundings, so that it is a bound and no prediction. One that shoots over a whole
+stop, s below one, would be lost after a single wrap.
+
+Source: Stoer & Bulirsch, Introduction to Numerical Analysis, 3rd ed., section 7.3.5.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border
+from dpcontrol.foundation.files import Progress
+from dpcontrol.itineraries.edges import find_edges
+from dpcontrol.itineraries.shadowing import shadow
+from dpcontrol.itineraries.shooting import NewtonSettings
+from dpcontrol.itineraries.tiling import ShadowingSettings
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.connection import Connection
+
+ENERGY = 0.2
+WRAPS = (0, 1, 2, 4, 8)
+QUICK_WRAPS = (1, 4)
+SPACINGS = (1, 2, 3, 4, 8)
+QUICK_SPACINGS = (1, 4)
+
+
+def chart(quick: bool, progress: Progress) -> EdgeChart:
+    """Return the chart; quick: fewer wraps and spacings."""
+    walk = round_trip()
+    wraps, spacings = (QUICK_WRAPS, QUICK_SPACINGS) if quick else (WRAPS, SPACINGS)
+    by_spacing, by_wraps = [], []
+    for k, segments in enumerate(spacings):
+        progress(f"edges of shadowing, {segments} nodes a period", 0.5 * k / len(spacings))
+        by_spacing.append(tolerance_border(walk, segments=segments, wraps=2, x=segments))
+    for k, count in enumerate(wraps):
+        progress(f"edges of shadowing, {count} wraps", 0.5 + 0.5 * k / len(wraps))
+        by_wraps.append(tolerance_border(walk, segments=1, wraps=count, x=count))
+    return EdgeChart(
+        name="edges-walks",
+        title=f"Where shadowing ends: Down-Up to Up-Down and back at {ENERGY:g} J",
+        maps=(
+            EdgeMap("Two wraps", "nodes in a period", "tolerance of gaps, rad and rad/s", tuple(by_spacing),
+                    far="not converged"),
+            EdgeMap("One node in a period", "wraps", "tolerance of gaps, rad and rad/s", tuple(by_wraps),
+                    far="not converged", log_x=False),
+        ),
+        reading=(
+            "The smallest gap between pieces of orbit that Newton's method can reach: what rounding leaves.",
+            "Left: it falls as nodes come nearer together. Right: more wraps make it no worse.",
+            "Rounding that grows by λ^(1/s) from node to node sets the scale; its constant is luck: none foretold.",
+        ),
+        chosen="Eight nodes in a period and a tolerance of 1e-11, three orders above what rounding leaves.",
+    )  # fmt: skip
+
+
+def round_trip() -> tuple[Connection, ...]:
+    """Return the lab's first crossing from Down-Up to Up-Down and the first one back."""
+    system = load_model("lab").system
+    edges = find_edges(system, ENERGY, pairs=[("down-up", "up-down"), ("up-down", "down-up")])
+    return edges.between("down-up", "up-down")[0], edges.between("up-down", "down-up")[0]
+
+
+def rounding_floor(walk: Sequence[Connection], *, segments: int) -> float:
+    """Return the gap in rad/s that rounding leaves between nodes, `segments` of them in a period."""
+    fastest = max(
+        float(np.abs(c.orbit.sample(np.linspace(c.orbit.times[0], c.orbit.times[-1], 400)))[:, 2:].max()) for c in walk
+    )
+    growth = max(c.source.unstable_multiplier for c in walk)
+    return 0.5 * math.ulp(fastest) * growth ** (1 / segments)
+
+
+def tolerance_border(walk: Sequence[Connection], *, segments: int, wraps: int, x: float) -> Border:
+    """Return the smallest tolerance at which a walk's orbit is found with `segments` nodes a period."""
+
+    def probe(tolerance: float) -> Answer:
+        settings = ShadowingSettings(segments, newton=NewtonSettings(tolerance=tolerance))
+        orbit = shadow(walk, wraps=[wraps], settings=settings)
+        return Answer(orbit.converged, "" if orbit.converged else orbit.status)
+
+    floor = rounding_floor(walk, segments=segments)
+    line = f"{wraps} wraps, {segments} nodes"
+    return find_border(probe, x=x, line=line, near=100 * floor, far=floor / 20, ratio=1.3)
