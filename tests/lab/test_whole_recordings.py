@@ -81,7 +81,10 @@ def test_one_arm_logged_as_structures_opens_and_its_cart_where_it_moved(tmp_path
     angle, cart = _one_arm(times, driven=driven)
     variables = {"Theta1": _logged(angle + np.pi, times)}
     if driven:
-        variables |= {"Distance": _logged(cart, times), "Velocity": _logged(np.asarray(np.gradient(cart, PERIOD), dtype=np.float64), times)}
+        variables |= {
+            "Distance": _logged(cart, times),
+            "Velocity": _logged(np.asarray(np.gradient(cart, PERIOD), dtype=np.float64), times),
+        }
     savemat(tmp_path / "single.mat", variables)
     recording = import_recording(tmp_path / "single.mat")
     assert recording.arms == 1
