@@ -75,9 +75,12 @@ class Itinerary:
         """Return the scene with run settings replaced by name, such as mismatch or controller; None keeps.
 
         Raises:
-            InputError: an unknown name or kind, or an impossible value.
+            InputError: an unknown name or kind, or an impossible value; an uncertainty to draw the plant from that
+                the model's file does not give.
         """
-        return replace(self, loop=overridden(self.loop, overrides))
+        scene = replace(self, loop=overridden(self.loop, overrides))
+        _ = scene.uncertainty
+        return scene
 
 
 def load_itinerary(name: str, *, model: Model | None = None) -> Itinerary:

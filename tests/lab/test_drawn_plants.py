@@ -1,6 +1,7 @@
 """Plants drawn from how well a model is known: spread as its covariance says, other draws untouched, in both loops."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from dpcontrol.lab.drive import DriveSettings
 from dpcontrol.lab.loop import LoopSettings, loop_controller, run_loop
 from dpcontrol.lab.sensors import SensorSettings
 from dpcontrol.references.reference import Reference
+from dpcontrol.scenes.campaign_jobs import Case, Job
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.model import load_model
 
@@ -84,7 +86,22 @@ def test_asking_for_what_is_not_known_is_refused() -> None:
     with pytest.raises(InputError, match="model_uncertainty = -1"):
         LoopSettings(seed=0, model_uncertainty=-1.0)
     with pytest.raises(InputError, match=r"lab.toml has no \[uncertainty\]"):
-        _ = load_itinerary("outer-turn").with_run(model_uncertainty=1.0).uncertainty
+        load_itinerary("outer-turn").with_run(model_uncertainty=1.0)
+
+
+def test_an_itinerary_may_ask_for_it_where_its_model_tells(tmp_path: Path) -> None:
+    text = load_itinerary("outer-turn").text.replace('model  = "lab"', 'model  = "lab-identified"')
+    file = tmp_path / "mine.toml"
+    file.write_text(text.replace("[run]\n", "[run]\nmodel_uncertainty = 2.0\n"))
+    scene = load_itinerary(str(file))
+    assert scene.loop.model_uncertainty == 2.0
+    assert scene.uncertainty == load_model("lab-identified").uncertainty
+    assert scene.with_run(model_uncertainty=0.0).uncertainty is None
+
+
+def test_rows_of_a_campaign_are_told_apart_by_what_their_plants_are_drawn_from() -> None:
+    job = Job("turn", b"", LAB, Case("as the scene", (), LoopSettings(seed=0, model_uncertainty=1.0)), (0,), "ticks")
+    assert len({job.key, replace(job, uncertainty=KNOWN_TO).key}) == 2
 
 
 def test_ratios_that_no_arms_have_are_drawn_again() -> None:

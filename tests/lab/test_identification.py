@@ -1,6 +1,7 @@
 """Identification: known arms recovered from quantised swings, the rig's own recording, the choice of laws, refusals."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -41,7 +42,7 @@ def recorded(
 
 @pytest.fixture(scope="module")
 def ten_runs() -> list[tuple[Identification, np.ndarray]]:
-    """Ten arms unlike the lab's by up to 5 %, each identified from eight swings of 8 s, four left out; and the truth."""
+    """Ten arms up to 5 % off the lab's, each identified from eight swings of 8 s, four left out; and the truth."""
     out = []
     for seed in range(10):
         arms = RUBBING.mismatched(0.05, np.random.default_rng(100 + seed))
@@ -193,6 +194,6 @@ def test_arms_that_hang_still_are_refused() -> None:
 
 
 @pytest.mark.parametrize(("name", "value"), [("zeros", "maybe"), ("left_out", 1), ("longest", 0.0), ("laws", ())])
-def test_impossible_settings_are_refused_by_name(name: str, value: object) -> None:
+def test_impossible_settings_are_refused_by_name(name: str, value: Any) -> None:
     with pytest.raises(InputError, match=name):
         IdentificationSettings(**{name: value})
