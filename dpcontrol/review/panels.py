@@ -15,7 +15,8 @@ _POINTS = 20_000
 
 def angles(axes: Axes, motion: Motion, context: ReviewContext) -> None:
     """Draw the arms' angles in turns of π with the reference behind."""
-    prepare(axes, "Angles from hanging (rad)")
+    # An estimate's legend takes the room of the longer title.
+    prepare(axes, "Angles (rad)" if motion.what == "estimate" else "Angles from hanging (rad)")
     entries: list[tuple[str, dict]] = []
     for arm in range(motion.arms):
         colour = style.arm_colour(arm)

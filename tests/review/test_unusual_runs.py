@@ -50,6 +50,13 @@ def test_a_replay_is_judged_as_a_prediction_not_as_tracking(tmp_path: Path) -> N
         errors = [t for t in left_titles(drawing.draw(read, review_context(read))) if "error" in t]
         assert [title.split(":")[0] for title in errors] == [name]
         assert motion_of(read).error_name == name
+        figure = drawing.draw(read, review_context(read))
+        figure.canvas.draw()
+        for axes in figure.axes:
+            legend = axes.get_legend()
+            if legend and (title := axes.get_title(loc="left")):
+                edge = axes._left_title.get_window_extent().x1
+                assert legend.get_window_extent().x0 > edge, title
 
 
 @pytest.mark.parametrize("seconds", [0.3, 0.6, 5.0])
