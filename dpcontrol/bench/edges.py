@@ -127,7 +127,8 @@ def find_border(
 
 @dataclass(frozen=True)
 class EdgeMap:
-    """One map: borders on its lines. theory: what predicts them, "" where nothing does; far: the far side in words.
+    """One map: borders on its lines. theory: what predicts them, "" where nothing does; far, near: the sides in
+    words.
 
     agrees: how far measured and predicted may be apart, as a share.
     """
@@ -138,6 +139,7 @@ class EdgeMap:
     borders: tuple[Border, ...]
     theory: str = ""
     far: str = "fails"
+    near: str = "works"
     log_x: bool = True
     agrees: float = AGREES
 
@@ -172,7 +174,7 @@ class EdgeMap:
         notes = (f"foretold: {self.theory}",) if self.theory else ()
         return TextTable(
             f"{self.title}: {self.y_label}",
-            ("line", "works", self.far, "foretold", "apart", "what it says"),
+            ("line", self.near, self.far, "foretold", "apart", "what it says"),
             rows,
             notes,
         )

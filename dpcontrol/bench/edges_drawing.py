@@ -4,6 +4,7 @@ from textwrap import fill
 from typing import Any
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
 
 from dpcontrol.bench.edges import EdgeChart, EdgeMap
 from dpcontrol.review.style import INK, LIMIT, REFERENCE, STABLE
@@ -29,12 +30,20 @@ def draw(chart: EdgeChart) -> Figure:
 
 def _map(axis: Any, one: EdgeMap) -> None:
     trials = [(b.x, t) for b in one.borders for t in b.trials]
-    for works, mark, colour, label in ((True, "o", STABLE, "works"), (False, "x", LIMIT, one.far)):
+    for works, mark, colour, label in ((True, "o", STABLE, one.near), (False, "x", LIMIT, one.far)):
         shown = [(x, t.y) for x, t in trials if t.works is works]
         axis.plot([x for x, _ in shown], [y for _, y in shown], mark, color=colour, markersize=5, label=label)
     ends = [(b.x, b.measured, b.near, b.far) for b in one.borders if b.measured is not None]
     if ends:
-        axis.plot([e[0] for e in ends], [e[1] for e in ends], color=INK, linewidth=1.2, label="measured border")
+        axis.plot(
+            [e[0] for e in ends],
+            [e[1] for e in ends],
+            "_-",
+            color=INK,
+            markersize=16,
+            linewidth=1.2,
+            label="measured border",
+        )
     known = [(b.x, b.predicted) for b in one.borders if b.predicted is not None]
     if known:
         axis.plot(
@@ -46,11 +55,15 @@ def _map(axis: Any, one: EdgeMap) -> None:
     axis.set_yscale("log")
     places = sorted({b.x for b in one.borders})
     axis.set_xticks(places, [_label(one, x) for x in places], fontsize=8, rotation=20 if _named(one) else 0)
-    axis.minorticks_off()
+    axis.xaxis.set_minor_locator(NullLocator())
+    # Most borders span less than a decade: its parts are labelled too.
+    axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:.3g}"))
+    axis.yaxis.set_minor_formatter(NullFormatter())
     axis.set_title(one.title, fontsize=10, color=INK)
     axis.set_xlabel(one.x_label)
     axis.set_ylabel(one.y_label)
-    axis.margins(0.12, 0.08)
+    axis.margins(0.12, 0.2)
     axis.legend(fontsize=7, loc="best", framealpha=0.85)
 
 

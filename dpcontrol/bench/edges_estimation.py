@@ -67,7 +67,7 @@ def chart(quick: bool, progress: Progress) -> EdgeChart:
             EdgeMap("Lost samples", "rate of the loop, Hz", "samples that arrive, per s", tuple(lost), far="lost",
                     theory="a gap of 0.1 s is as likely as not in 10 s"),
             EdgeMap("A stuck encoder of the outer arm, on the orbit about Down-Up", "phase at which it sticks",
-                    "seconds until it is reported", tuple(stuck), far="reported", log_x=False),
+                    "seconds until it is reported", tuple(stuck), far="reported", near="goes on", log_x=False),
         ),
         reading=(
             "Left: the filter flies through gaps on its model; the supervisor ends the run after 0.1 s without any.",
