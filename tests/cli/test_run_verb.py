@@ -112,12 +112,17 @@ def test_several_logs_score_in_order_and_one_missed_goal_ends_with_1(tmp_path: P
     assert "1 of 2 not completed" in scored.message
 
 
-def test_mismatch_and_initial_error_of_the_file_are_overridden_and_felt(tmp_path: Path) -> None:
+def test_mismatch_and_initial_error_of_the_file_are_overridden_and_felt(
+    tmp_path: Path, shipped_text: dict[str, str]
+) -> None:
+    # Encoder zeros that are estimated too cost as much as what is to be felt here.
+    scene = tmp_path / "turn.toml"
+    scene.write_text(shipped_text["outer-turn"].replace('kind = "ekf"', 'kind = "ekf"\naugment = []'))
     errors = {}
     for mismatch, initial in ((0.0, 0.0), (0.02, 0.0), (0.0, 0.02)):
         log = tmp_path / f"{mismatch}-{initial}.mcap"
         shown = dpcontrol(
-            "run", "outer-turn", "--mismatch", str(mismatch), "--initial-error", str(initial), "--out", log, "--json"
+            "run", scene, "--mismatch", str(mismatch), "--initial-error", str(initial), "--out", log, "--json"
         )
         _, truth = series(log, "/truth/joint_states")
         _, reference = series(log, "/reference/joint_states")
