@@ -99,8 +99,8 @@ def chart(quick: bool, progress: Progress) -> EdgeChart:
         reading=(
             "From one section to the next an error grows by about λ^(1/k), so that few sections ask for large pulses "
             "or for encoders that nobody builds. Each border: half of the runs hold.",
-            "In counts the border is not sharp, for the filter averages. With two sections runs fail where it is foretold that "
-            "they hold: the prediction is linear.",
+            "In counts the border is not sharp, for the filter averages. With two sections runs fail where it is "
+            "foretold that they hold: the prediction is linear.",
             "Circles hold, crosses are lost; diamonds are foretold from the filter's own uncertainty, without a run.",
         ),
         chosen="16 sections a period and pulses of up to 5 m/s²: encoders of a few hundred counts would still do.",
