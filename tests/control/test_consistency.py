@@ -158,8 +158,9 @@ def test_an_estimate_that_is_lost_is_told_and_a_restart_heals_it() -> None:
     watch = Watch(ekf, WatchSettings(), noise=NOISE, period=1e-3)
     # A filter that is sure of rates that are wrong by 30 rad/s.
     wrong = np.array(SWING) + np.array([0.5, 0.5, 30, -30, 0, 0])
-    memory = ekf.program.first(wrong, np.full(6, 1e-4))
-    estimate, health = ekf.first(wrong)._replace(memory=memory), watch.begin()
+    estimate, health = ekf.first(wrong), watch.begin()
+    sure = estimate.memory._replace(kept=ekf.program.first(wrong, np.full(6, 1e-4)))
+    estimate = estimate._replace(memory=sure)
     seen = []
     for k in range(100):
         estimate = ekf.step(estimate, float(flown.commands[k]), flown.measured(k))
