@@ -70,7 +70,7 @@ def test_every_command_of_the_walk_through_prints_what_is_shown() -> None:
     shown = conversations()
     assert {command.split()[1] for command, _ in shown} >= {
         "model", "orbit", "connect", "plan", "run", "score", "review", "atlas", "bifurcations", "figures",
-        "walk", "reference",
+        "walk", "reference", "campaign", "report", "info", "recover", "import", "identify", "replay", "bench",
     }  # fmt: skip
     for command, lines in shown:
         words = shlex.split(command, comments=True)
