@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 class ContinuationSettings:
     """How a family is followed. step: largest change of √(energy above the saddle) over √(energy scale)."""
 
-    step: float = 0.3
+    step: float = 0.1
     smallest_step: float = 1e-4
     newton_iterations: int = 12
     tolerance: float = 1e-13
