@@ -47,8 +47,6 @@ QUICK_SECTIONS = (4, 16)
 FEWEST, MOST = 50.0, 4e8
 """Counts per turn: encoders from the coarsest to none that there is."""
 COUNTS = (40_000.0, 2_000.0)
-IN_COUNTS = 1.6
-"""A quarter of authority, as a share of counts."""
 THEORY = "what the filter does not know grows by Λ between sections, past what a pulse can bring back"
 _PERIODS = 3
 
@@ -91,7 +89,7 @@ def chart(quick: bool, progress: Progress) -> EdgeChart:
         progress(f"edges of OGY, counts, k = {k}", len(resolutions) / (len(resolutions) + 1))
         counted.append(counts_border(one, k, seeds=seeds, ratio=ratio))
     maps.append(EdgeMap(f"Encoders, pulses of {LIMIT:g} m/s²", "sections in a period, k", "counts per turn",
-                        tuple(counted), THEORY, far="lost", agrees=IN_COUNTS))  # fmt: skip
+                        tuple(counted), THEORY, far="lost"))  # fmt: skip
     return EdgeChart(
         name="edges-ogy",
         title=f"Where OGY ends: Down-Up at -0.07 J, multiplier {one.orbit.multipliers[0].real:.0f} a period",

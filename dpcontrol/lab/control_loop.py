@@ -30,8 +30,6 @@ _FLUSH_SECONDS = 0.02
 _PROGRESS_EVERY = 500
 _TELL_EVERY = 1.0
 """Seconds between events that deadlines were missed."""
-_HEAD = 7
-"""Fields of /control before the standard deviations."""
 BRAKING = 0.9
 """Share of the greatest acceleration with which the cart is braked: more than the supervisor counts on."""
 SETTLING = 0.05
