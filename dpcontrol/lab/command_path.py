@@ -6,7 +6,8 @@ mean over the period from tick k is
     f c_{k-i-1} + (1 - f) c_{k-i}
 
 and the command is computed for the state at tick k + round(d): up to half a period of wrong timing is left. At 1 kHz it
-moves the motion in time and harms nothing; at 50 Hz it takes part of the margin for delays. The limits of acceleration and velocity are the drive's own, applied before it is believed.
+moves the motion in time and harms nothing; at 50 Hz it takes part of the margin for delays. The limits of acceleration
+and velocity are the drive's own, applied before it is believed.
 """
 
 import math
