@@ -2,7 +2,8 @@
 
 Plant, filter and prediction are the same machine code as in the loop, called for one tick of all runs at once; what
 lies between is the same arithmetic in the same order, on arrays (…, S). A run comes out as the loop gives it, to
-1e-9: code for one run and for many differs in the last bit; no events are kept, and what only the loop can do is left to it (`can_batch`).
+1e-9: code for one run and for many differs in the last bit. No events are kept, and what only the loop can do is left
+to it (`can_batch`).
 """
 
 from collections.abc import Sequence
