@@ -1,8 +1,7 @@
-"""What a chart was made on and with: processor, cores, load, versions, commit."""
+"""What a chart was made on and with: processor, cores, load, versions."""
 
 import os
 import platform
-import subprocess
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -26,18 +25,6 @@ def machine() -> dict[str, Any]:
 def versions() -> dict[str, str]:
     """Return the versions of this package and of those it measures; "" for one that is not installed."""
     return {"dpcontrol": dpcontrol.__version__} | {name: _version(name) for name in PACKAGES}
-
-
-def commit() -> str:
-    """Return the commit of the checkout that this package runs from, or "" for an installed one."""
-    root = Path(dpcontrol.__file__).parent.parent
-    if not (root / ".git").exists():
-        return ""
-    command = ["git", "-C", str(root), "describe", "--always", "--dirty"]
-    try:
-        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
-    except (OSError, subprocess.SubprocessError):
-        return ""
 
 
 def _version(name: str) -> str:

@@ -8,9 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from dpcontrol.bench.chart import Drawable
-from dpcontrol.bench.machine import commit, machine, versions
+from dpcontrol.bench.machine import machine, versions
 from dpcontrol.bench.measure import one_core
 from dpcontrol.bench.registry import CHARTS, check_names
+from dpcontrol.foundation.checkout import commit
 from dpcontrol.foundation.files import Progress, no_progress, part_of, whole_file, write_whole
 
 

@@ -1,12 +1,12 @@
 """Run an itinerary: its plan, the closed loop, the log."""
 
 import json
-import subprocess
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 
 import dpcontrol
+from dpcontrol.foundation.checkout import commit
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import Progress, content_hash, no_progress
 from dpcontrol.lab.log_sink import LogSink
@@ -71,7 +71,7 @@ def _metadata(itinerary: Itinerary) -> Mapping[str, str]:
     """Return what tells this run from others; settings as JSON, so that overrides on the command line are kept."""
     return {
         "version": dpcontrol.__version__,
-        "commit": _commit(),
+        "commit": commit(),
         "itinerary": itinerary.name,
         "model": itinerary.model.name,
         "seed": str(itinerary.loop.seed),
@@ -81,18 +81,3 @@ def _metadata(itinerary: Itinerary) -> Mapping[str, str]:
         "run_settings": json.dumps(asdict(itinerary.loop), sort_keys=True),
         MODEL_METADATA: json.dumps(asdict(itinerary.model.arms), sort_keys=True),
     }
-
-
-def _commit() -> str:
-    """Return the commit of the checkout that this package runs from, or "" for an installed one."""
-    root = Path(dpcontrol.__file__).parent.parent
-    if not (root / ".git").exists():
-        return ""
-    try:
-        found = subprocess.run(
-            ["git", "-C", str(root), "describe", "--always", "--dirty"],
-            capture_output=True, text=True, timeout=5, check=True,
-        )  # fmt: skip
-    except (OSError, subprocess.SubprocessError):
-        return ""
-    return found.stdout.strip()
