@@ -169,7 +169,8 @@ class ControlLoop:
                 self.ending, self.reason = Ending.CART_STOP, rig.fault
                 break
             if saturated and not was_saturated:
-                self._event(now, "warn", "saturated", f"command {command:.3g} m/s², applied {acted:.3g} m/s²")
+                over = f"command {command:.3g} m/s², cut to {path.clipped(command):.3g} m/s²"
+                self._event(now, "warn", "saturated", over if abs(command) > most else f"cart at {fastest:g} m/s")
             was_saturated = saturated
             if self._braking_since is not None and now > self._braking_since + SETTLING:
                 break

@@ -87,9 +87,10 @@ def control_fields(arms: int, *, has_cart: bool) -> tuple[str, ...]:
     """Return the names of /control's float64 fields in order.
 
     `command`, `feedforward`, `feedback` and `applied` are cart accelerations in m/s²: the controller's sum and
-    its two parts before limits, and what the drive was given. `saturated` is 0 or 1, `nis` the normalised
-    innovation squared (nan in a tick without a measurement), `mode` a number of `Mode`. `sigma_1 …` are the
-    standard deviations of the estimate in state order, in rad, rad/s, m and m/s.
+    its two parts before limits, and what acts from this tick to the next as far as the loop knows: by its own
+    limits and delay. What a drive does besides is in the truth's cart velocity. `saturated` is 0 or 1, `nis` the
+    normalised innovation squared (nan in a tick without a measurement), `mode` a number of `Mode`. `sigma_1 …` are
+    the standard deviations of the estimate in state order, in rad, rad/s, m and m/s.
     """
     size = 2 * arms + (2 if has_cart else 0)
     return (*_CONTROL_HEAD, *(f"sigma_{i + 1}" for i in range(size)))

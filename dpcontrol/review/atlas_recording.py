@@ -4,6 +4,7 @@ Space is (first coordinate, second, first rate), for arms (θ₁, θ₂, ω₁);
 high as wide. On the sections, (q, p/p₀) with p upwards. Dots move along the flights with time.
 """
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from dpcontrol.itineraries.atlas import Atlas, AtlasConnection, AtlasCut, AtlasK
 from dpcontrol.review import style
 from dpcontrol.review.figures.cuts import colours, connections_of, stable_direction
 from dpcontrol.review.figures.page import saddle_colour, wrapped_runs
+from dpcontrol.review.recorded_planes import Box, reading_lines
 
 Array = NDArray[np.float64]
 
@@ -141,6 +143,9 @@ def _flights(recording: rr.RecordingStream, shown: _Shown, connections: tuple[At
 
 def _section(recording: rr.RecordingStream, atlas: Atlas, kind: AtlasKind) -> None:
     home, height = f"sections/{_key(kind)}", _height(atlas, kind)
+    cut = atlas.cut(kind.source, kind.section, kind.hits[0])
+    turning = section_axes(cut.section, atlas.periods)[1] is not None
+    reading_lines(recording, home, _box(atlas, kind), scale=height, turning=turning, dark=True)
     for stable, runs in _curves(atlas, kind).items():
         strips = [run * [1.0, -height] for _, run in runs]
         tints = [(*style.rgb(BRANCHES[stable, sign]), 255) for sign, _ in runs]
@@ -186,6 +191,24 @@ def _height(atlas: Atlas, kind: AtlasKind) -> float:
     return float(2 / 3 * spans[0] / spans[1])
 
 
+def _box(atlas: Atlas, kind: AtlasKind) -> Box:
+    """Return least and greatest x, least and greatest y of a section's cuts, as drawn."""
+    points = np.concatenate([run for runs in _curves(atlas, kind).values() for _, run in runs])
+    points = points * [1.0, -_height(atlas, kind)]
+    low, high = points.min(axis=0), points.max(axis=0)
+    margin = 0.12 * float(max(high - low)) + 1e-6
+    return float(low[0]) - margin, float(high[0]) + margin, float(low[1]) - margin, float(high[1]) + margin
+
+
+def _section_title(atlas: Atlas, kind: AtlasKind) -> str:
+    section = atlas.cut(kind.source, kind.section, kind.hits[0]).section
+    coordinate, period = section_axes(section, atlas.periods)
+    where = re.sub(r"angle_(\d)", lambda found: f"θ{chr(ord('₀') + int(found[1]))}", kind.section)
+    where = where.replace("2 pi k", "2πk")
+    hits = "" if kind.hits == (1, 1) else f", hits {kind.hits[0]} and {kind.hits[1]}"
+    return f"{kind.source} → {kind.target}: {'p/p₀' if period else 'momentum'} over {coordinate} at {where}{hits}"
+
+
 def _summary(atlas: Atlas) -> str:
     rows = [f"# {atlas.title}, {atlas.energy:g} J", "", atlas.status, "", "| from → to | hits | count | cuts |",
             "|---|---|---|---|"]  # fmt: skip
@@ -212,9 +235,10 @@ def _hidden(atlas: Atlas) -> list[str]:
 
 
 def _blueprint(atlas: Atlas, shown: _Shown) -> rrb.Blueprint:
+    axes = "θ₁, θ₂, ω₁" if np.isfinite(atlas.periods).any() else "x, y, x rate"
     eye = shown.centre + np.array([-0.9, -1.3, 0.75]) * shown.size * 1.1
     space = rrb.Spatial3DView(
-        name="Space: θ₁, θ₂, ω₁" if np.isfinite(atlas.periods).any() else "Space: x, y, x rate",
+        name=f"Space ({axes}): orbits thick, tubes from them red, to them green, where these end violet",
         origin="/space",
         eye_controls=rrb.EyeControls3D(position=tuple(eye), look_target=tuple(shown.centre), eye_up=(0.0, 0.0, 1.0)),
         line_grid=False,
@@ -225,18 +249,12 @@ def _blueprint(atlas: Atlas, shown: _Shown) -> rrb.Blueprint:
     for kind in atlas.kinds:
         if not connections_of(atlas, kind):
             continue
-        points = np.concatenate([run for runs in _curves(atlas, kind).values() for _, run in runs])
-        points = points * [1.0, -_height(atlas, kind)]
-        low, high = points.min(axis=0), points.max(axis=0)
-        margin = 0.12 * float(max(high - low)) + 1e-6
+        left, right, top, bottom = _box(atlas, kind)
         sections.append(
             rrb.Spatial2DView(
-                name=f"{kind.source} → {kind.target}: {kind.section}, hits {list(kind.hits)}",
+                name=_section_title(atlas, kind),
                 origin=f"/sections/{_key(kind)}",
-                visual_bounds=rrb.VisualBounds2D(
-                    x_range=(float(low[0]) - margin, float(high[0]) + margin),
-                    y_range=(float(low[1]) - margin, float(high[1]) + margin),
-                ),
+                visual_bounds=rrb.VisualBounds2D(x_range=(left, right), y_range=(top, bottom)),
                 background=_DARK,
             )
         )

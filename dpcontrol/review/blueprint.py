@@ -5,10 +5,11 @@ import rerun.blueprint as rrb
 
 from dpcontrol.review import series
 from dpcontrol.review.context import ReviewContext
-from dpcontrol.review.motion import Motion
+from dpcontrol.review.motion import ACTUAL, Motion
 from dpcontrol.review.recorded import TIMELINE
 from dpcontrol.review.recorded_planes import Box, bounds
 from dpcontrol.review.recorded_scene import WORLD
+from dpcontrol.review.recorded_series import DRIVEN
 
 PAPER = [250, 251, 252]
 Range = tuple[float, float]
@@ -26,10 +27,10 @@ def blueprint(motion: Motion, context: ReviewContext, *, from_log: bool) -> rrb.
     if motion.has_cart:
         plots.append(plot(f"Cart position (m){grey}", "/plots/cart", shown=ranges.get("cart")))
     if motion.control is not None:
-        limit = f", limit ±{context.limits[2]:g}" if context.limits else ""
-        title = f"Cart's acceleration (m/s²){limit}"
-        corner = rrb.Corner2D.RightTop
-        plots.append(plot(title, "/plots/acceleration", legend=corner, shown=ranges.get("acceleration")))
+        limit = f"±{context.limits[2]:g} m/s²" if context.limits else "(m/s²)"
+        said = ", ".join(text for name, (text, _) in DRIVEN.items() if name in motion.control)
+        title = f"Acceleration {limit}: {said}"
+        plots.append(plot(title, "/plots/acceleration", shown=ranges.get("acceleration")))
     checks = (
         [plot(f"{motion.error_name} of the angles (rad)", "/plots/tracking_error")]
         if motion.reference is not None
@@ -40,7 +41,7 @@ def blueprint(motion: Motion, context: ReviewContext, *, from_log: bool) -> rrb.
         checks.append(plot(title, "/plots/estimation_error", shown=ranges.get("estimation_error")))
     if motion.nis is not None:
         checks.append(
-            plot("NIS: means of 50 ticks; 95 % belong between the green lines", "/plots/nis", shown=ranges.get("nis"))
+            plot("NIS: means of 50 updates; 95 % belong between the green lines", "/plots/nis", shown=ranges.get("nis"))
         )
     if series.energy_of(motion, context) is not None:
         corner = rrb.Corner2D.RightTop
@@ -50,11 +51,14 @@ def blueprint(motion: Motion, context: ReviewContext, *, from_log: bool) -> rrb.
     if motion.events:
         columns = rrb.TextLogColumns(text_log_columns=["loglevel", "body"])
         texts.append(rrb.TextLogView(name="Events", origin="/rosout", columns=columns))
+    if len(checks) == 1 and len(plots) > 2:
+        plots, checks = [*plots, *checks], []
     middle = [*plots]
     if context.planned or motion.control is not None:
-        middle.insert(
-            0, rrb.StateTimelineView(name="Itinerary as asked and done, symbols, controller", origin="/states")
-        )
+        parts = ["itinerary as asked" + (" and done" if context.done else "")] if context.planned else []
+        parts += ["symbols"] if context.symbols else []
+        parts += ["controller"] if series.mode_spans(motion) else []
+        middle.insert(0, rrb.StateTimelineView(name=", ".join(parts).capitalize(), origin="/states"))
     shares = [2.2 if k == 0 and len(middle) > len(plots) else 2 for k in range(len(middle))]
     columns_of_views = [
         rrb.Vertical(
@@ -130,8 +134,9 @@ def plot(name: str, origin: str, *, legend: rrb.Corner2D | None = None, shown: R
 def shown_ranges(motion: Motion, context: ReviewContext) -> dict[str, Range]:
     """Return what to show at first of each plot whose limits, levels or first instants would flatten the rest."""
     ranges: dict[str, Range] = {}
-    if motion.control is not None and "applied" in motion.control:
-        ranges["acceleration"] = series.padded(motion.control["applied"])
+    if motion.control is not None:
+        shown = [motion.control[name] for name in ("applied", ACTUAL) if name in motion.control]
+        ranges["acceleration"] = series.padded(np.concatenate(shown or [motion.control["feedforward"]]))
     if motion.has_cart:
         ranges["cart"] = series.padded(motion.state[:, 2 * motion.arms])
     if motion.error is not None:
@@ -139,8 +144,9 @@ def shown_ranges(motion: Motion, context: ReviewContext) -> dict[str, Range]:
         ranges["estimation_error"] = (-most, most)
     if motion.nis is not None:
         means = series.smoothed_nis(motion)[1]
-        if len(means) and np.nanmax(means) > series.NIS_LOST * motion.sensors:
-            ranges["nis"] = (0.0, series.NIS_LOST * motion.sensors)
+        most = series.NIS_LOST * motion.sensors
+        if len(means) and np.nanmin(means) < most < np.nanmax(means):
+            ranges["nis"] = (0.0, most)
     energy = series.energy_of(motion, context)
     if energy is not None:
         ranges["energy"] = series.energy_range(energy, context.saddle_energies)

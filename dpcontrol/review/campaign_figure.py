@@ -1,4 +1,7 @@
-"""A campaign on one page: shares of success by group and by mismatch, where and why runs failed, and their spreads."""
+"""A campaign on one page: shares of success by group and by mismatch, where and why runs failed, and their spreads.
+
+What a campaign has nothing of, such as failures, has no panel.
+"""
 
 from collections.abc import Sequence
 from textwrap import shorten
@@ -28,14 +31,17 @@ def draw_campaign(summary: CampaignSummary) -> Figure:
     share = summary.share
     colour = _GOOD if share.rate >= 0.5 else _BAD
     figure.text(0.015, 0.935, summary.status, fontsize=11, color=colour, va="center")
-    wide = 0.36 if len(summary.groups) < 2 else 0.30
+    failed, levels = bool(summary.failed_symbols or summary.reasons), bool(summary.levels)
+    wide = (0.36 if len(summary.groups) < 2 else 0.30) if levels else 0.70
     _groups(figure.add_axes((0.22, 0.55, wide, 0.32)), summary)
-    _levels(figure.add_axes((0.66, 0.55, 0.325, 0.32)), summary)
-    _symbols(figure.add_axes((0.045, 0.075, 0.27, 0.36)), summary)
-    _reasons(figure.add_axes((0.62, 0.285, 0.365, 0.15)), summary)
+    if levels:
+        _levels(figure.add_axes((0.66, 0.55, 0.325, 0.32)), summary)
+    if failed:
+        _symbols(figure.add_axes((0.045, 0.075, 0.27, 0.36)), summary)
+        _reasons(figure.add_axes((0.62, 0.285, 0.365, 0.15)), summary)
     for k, (name, (title, scale)) in enumerate(_SPREADS.items()):
-        axes = figure.add_axes((0.37 + 0.32 * k, 0.075, 0.295, 0.13))
-        _spread(axes, summary, name, title=title, scale=scale)
+        place = (0.37 + 0.32 * k, 0.075, 0.295, 0.13) if failed else (0.045 + 0.49 * k, 0.075, 0.45, 0.34)
+        _spread(figure.add_axes(place), summary, name, title=title, scale=scale)
     return figure
 
 
@@ -78,9 +84,6 @@ def _levels(axes: Axes, summary: CampaignSummary) -> None:
     axes.set_ylim(-0.03, 1.03)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     labels = list(dict.fromkeys(level.label for level in summary.levels))
-    if not labels:
-        _empty(axes, f"the {summary.axis} does not vary in this campaign")
-        return
     shown = labels[: len(style.RUNS)]
     reach = max(level.high for level in summary.levels) - min(level.low for level in summary.levels)
     for k, (label, colour) in enumerate(zip(shown, _colours(summary, shown), strict=True)):
@@ -108,7 +111,7 @@ def _levels(axes: Axes, summary: CampaignSummary) -> None:
 def _symbols(axes: Axes, summary: CampaignSummary) -> None:
     quiet(axes, "Failed runs by the symbol that was not done")
     if not summary.failed_symbols:
-        _empty(axes, "no run failed")
+        _empty(axes, "no failed run says which")
         return
     numbers = sorted({symbol for _, symbol, _ in summary.failed_symbols})
     bottoms = dict.fromkeys(numbers, 0)
@@ -128,7 +131,7 @@ def _symbols(axes: Axes, summary: CampaignSummary) -> None:
 def _reasons(axes: Axes, summary: CampaignSummary) -> None:
     quiet(axes, "Failed runs by reason, numbers left out")
     if not summary.reasons:
-        _empty(axes, "no run failed")
+        _empty(axes, "no failed run gives one")
         return
     shown = list(summary.reasons[:6])
     rest = sum(count for _, count in summary.reasons[6:])
@@ -141,11 +144,13 @@ def _reasons(axes: Axes, summary: CampaignSummary) -> None:
 
 
 def _spread(axes: Axes, summary: CampaignSummary, name: str, *, title: str, scale: float) -> None:
-    quiet(axes, f"{title}: completed, failed" if name in summary.spreads else title)
     if name not in summary.spreads:
+        quiet(axes, title)
         _empty(axes, f"the table has no {name}")
         return
     good, bad = (scale * values for values in summary.spreads[name])
+    both = "completed green, failed red" if len(good) and len(bad) else "all completed" if len(good) else "all failed"
+    quiet(axes, f"{title}: number of runs, {both}")
     every = np.concatenate([good, bad])
     edges = np.linspace(float(every.min()), float(np.quantile(every, 0.99)) + 1e-9, 31)
     parts = [np.clip(values, edges[0], edges[-1]) for values in (good, bad)]

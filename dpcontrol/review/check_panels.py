@@ -71,7 +71,8 @@ def innovations(axes: Axes, motion: Motion, context: ReviewContext) -> None:
     """Draw means of the NIS over windows, and where 95 % of them lie if the estimator is consistent."""
     time, means, spread = series.smoothed_nis(motion)
     expected = motion.sensors
-    prepare(axes, f"NIS, means of 50 ticks; 95 % belong in {max(expected - spread, 0):.1f} to {expected + spread:.1f}")
+    band = f"{max(expected - spread, 0):.1f} to {expected + spread:.1f}"
+    prepare(axes, f"NIS, means of 50 updates; 95 % belong in {band}")
     axes.axhspan(max(expected - spread, 0), expected + spread, color="#9fd3a8", alpha=0.35, linewidth=0)
     axes.plot(*series.thinned(time, means), color=style.CART, linewidth=1.0)
     highest = float(np.nanquantile(means, 0.98)) if len(means) else 0.0

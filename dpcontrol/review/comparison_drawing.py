@@ -98,7 +98,7 @@ def _panels(figure: Figure, comparison: Comparison, *, top: float, tall: float, 
         ("Tracking error: largest of the angles (rad)", _tracking, None, None),
         ("Acceleration applied (m/s²)", _applied, None, limits[2] if limits else None),
         ("Energy of the pendulum (J)", lambda run: series.energy_of(run.motion, run.context), None, None),
-        ("NIS, means of 50 ticks", _nis, None, None),
+        ("NIS, means of 50 updates", _nis, None, None),
     ]
     shown = [c for c in curves if any(c[1](run) is not None for run in comparison.runs)]
     rows = (len(shown) + 1) // 2

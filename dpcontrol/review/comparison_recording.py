@@ -119,7 +119,7 @@ def _blueprint(comparison: Comparison) -> rrb.Blueprint:
     if any(series.energy_of(run.motion, run.context) is not None for run in runs):
         checks.append(plot("Energy and saddles (J)", "/plots/energy"))
     if any(run.motion.nis is not None for run in runs):
-        checks.append(plot("NIS, means of 50 ticks", "/plots/nis"))
+        checks.append(plot("NIS, means of 50 updates", "/plots/nis"))
     if any(run.context.planned for run in runs):
         name = f"Itineraries, aligned at symbol {comparison.symbol}"
         middle.insert(0, rrb.StateTimelineView(name=name, origin="/states"))

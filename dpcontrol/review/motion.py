@@ -21,6 +21,8 @@ Array = NDArray[np.float64]
 LARGEST = 1e6
 """In rad, rad/s, m …: no run that is worth a look comes near, and drawing libraries fail far beyond."""
 _REFERENCE_RATE = 500.0
+ACTUAL = "actual"
+"""In `control`: what the simulated cart did, where the truth is known."""
 _DRIVEN = ("command", "applied", "feedforward")
 
 
@@ -35,7 +37,7 @@ class Motion:
         estimate, reference: (N, 2n+2), or None.
         error: (N, 2n+2) estimate minus truth, or None.
         sigma: (N, 2n+2) standard deviations of the estimate, or None.
-        control: (N,) `command`, `applied`, `feedforward`, `saturated`, `mode` by name; or None.
+        control: (N,) `command`, `applied`, `feedforward`, `saturated`, `mode` by name, and `actual`; or None.
         nis: (N,) nan where there was no measurement; or None. sensors: numbers in a measurement.
         events, metadata, arm_lengths, has_cart, rate_hz: as in the log.
         breaks: rows that follow a gap in time.
@@ -107,6 +109,8 @@ def motion_of(log: RunLog) -> Motion:
         sigma = sigma if np.nan_to_num(sigma).any() else None
     nis = control.get("nis")
     driven = any(np.nan_to_num(control[name]).any() for name in _DRIVEN if name in control)
+    if truth is not None and log.has_cart and "applied" in control and len(log.time) > 1:
+        control[ACTUAL] = _cart_acceleration(truth[:, 2 * n + 1], log.time)
     busy = "mode" in control and (control["mode"] != Mode.IDLE).any()
     return Motion(
         path=log.path,
@@ -144,7 +148,7 @@ def motion_of_reference(reference: Reference, path: Path, *, arm_lengths: tuple[
         reference=None,
         error=None,
         sigma=None,
-        control={"applied": inputs},
+        control={"feedforward": inputs},
         nis=None,
         sensors=0,
         events=(),
@@ -154,6 +158,17 @@ def motion_of_reference(reference: Reference, path: Path, *, arm_lengths: tuple[
         rate_hz=_REFERENCE_RATE,
         breaks=np.zeros(0, dtype=np.int64),
     )
+
+
+def _cart_acceleration(velocity: Array, time: Array) -> Array:
+    """Return the mean acceleration (N,) m/s² from each tick to the next; nan where a blow moved the cart at once."""
+    steps = np.diff(time)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(steps > 0, np.diff(velocity) / steps, np.nan)
+    usual = float(np.nanquantile(np.abs(mean), 0.99)) if np.isfinite(mean).any() else 0.0
+    with np.errstate(invalid="ignore"):
+        mean = np.where(np.abs(mean) <= 5 * usual + 1e-9, mean, np.nan)
+    return np.append(mean, mean[-1])
 
 
 def _clean(values: Array) -> Array:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.review import series, style
 from dpcontrol.review.context import ReviewContext
-from dpcontrol.review.motion import Motion
+from dpcontrol.review.motion import ACTUAL, Motion
 from dpcontrol.review.panel_frame import ghost, label_in_pi, legend, limit_lines, number, plot, prepare
 
 _POINTS = 20_000
@@ -59,15 +59,19 @@ def cart(axes: Axes, motion: Motion, context: ReviewContext) -> None:
 
 
 def command(axes: Axes, motion: Motion, context: ReviewContext) -> None:
-    """Draw the applied acceleration and its feedforward part; where it was cut at a limit the panel is shaded."""
-    limit = f" |u| ≤ {context.limits[2]:g} m/s²" if context.limits else " (m/s²)"
+    """Draw the acceleration as applied, its planned part, and the plant's own; where it was cut the panel is shaded."""
+    limit = f" ≤ {context.limits[2]:g} m/s²" if context.limits else " (m/s²)"
     prepare(axes, f"Acceleration{limit}")
     control = motion.control or {}
     entries: list[tuple[str, dict]] = []
-    for name, colour, width in (("applied", style.INK, 1.0), ("feedforward", style.ARMS[1], 1.4)):
+    for name, said, colour, width in (
+        (ACTUAL, "plant", style.ARMS[2], 2.6),
+        ("applied", "applied", style.INK, 1.0),
+        ("feedforward", "plan", style.ARMS[1], 1.4),
+    ):
         if name in control:
             plot(axes, motion, control[name], color=colour, linewidth=width)
-            entries.append((name, {"color": colour}))
+            entries.append((said, {"color": colour, "linewidth": max(width, 1.5)}))
     if "saturated" in control and (control["saturated"] > 0).any():
         for start, end in series.spans(motion.time, control["saturated"] > 0):
             axes.axvspan(start, end, color=style.LIMIT, alpha=0.3, linewidth=0.8, zorder=0.5)

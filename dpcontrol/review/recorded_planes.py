@@ -22,7 +22,7 @@ Box = tuple[float, float, float, float]
 
 _RATE = 0.2
 _MOST = 20_000
-_GRID = (226, 229, 233)
+_GRID, _DARK_GRID = (226, 229, 233), (52, 56, 62)
 _EACH = 2
 """Of a tube's strands every second is enough here, and quicker to draw without a graphics card."""
 _TUBES = (
@@ -40,7 +40,7 @@ def record_planes(
     """Record the phase plane of each arm under `home/arm_K`; lines to read by fill the arm's box."""
     for arm in range(motion.arms):
         at = f"{home}/arm_{arm + 1}"
-        _lines(recording, at, boxes[arm] if boxes else bounds(motion, context, arm))
+        reading_lines(recording, at, boxes[arm] if boxes else bounds(motion, context, arm), scale=_RATE)
         for stable, colour, pale, name in _TUBES:
             tubes = [tube for tube in context.tubes if tube.stable == stable]
             strands = [_scaled(strand, motion, arm) for tube in tubes for strand in tube.strands[::_EACH]]
@@ -105,26 +105,37 @@ def _strips(
         recording.log(at, rr.LineStrips2D(strips, colors=tints, radii=rr.Radius.ui_points(width)), static=True)
 
 
-def _lines(recording: rr.RecordingStream, at: str, box: Box) -> None:
-    """Draw lines at multiples of π and of a round rate, named at their ends."""
+def reading_lines(
+    recording: rr.RecordingStream, at: str, box: Box, *, scale: float, turning: bool = True, dark: bool = False
+) -> None:
+    """Draw lines to read by, named at their ends: at round values across, and at multiples of π or round ones along.
+
+    scale: what one unit across is drawn as; turning: whether x is an angle; dark: the background.
+    """
     left, right, top, bottom = box
-    turns = max(1.0, np.ceil((right - left) / np.pi / 6))
-    spin = next((s for s in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if (bottom - top) / (_RATE * s) <= 6), 100.0)
+    unit = np.pi if turning else 1.0
+    turns = max(_round_step((right - left) / unit, 6), 1.0 if turning else 0.0)
+    spin = _round_step((bottom - top) / scale, 6)
     strips, places, labels = [], [], []
     if (right - left) > 100 * np.pi:
         return
-    for k in np.arange(np.ceil(left / np.pi / turns), np.floor(right / np.pi / turns) + 1) * turns:
-        strips.append([(k * np.pi, top), (k * np.pi, bottom)])
-        places.append((k * np.pi, bottom - 0.04 * (bottom - top)))
-        labels.append(in_pi(k))
-    for k in np.arange(np.ceil(-bottom / _RATE / spin), np.floor(-top / _RATE / spin) + 1) * spin:
-        strips.append([(left, -_RATE * k), (right, -_RATE * k)])
-        places.append((left + 0.06 * (right - left), -_RATE * k))
-        labels.append(f"{k + 0.0:g}")
+    for k in np.arange(np.ceil(left / unit / turns), np.floor(right / unit / turns) + 1) * turns:
+        strips.append([(k * unit, top), (k * unit, bottom)])
+        places.append((k * unit, bottom - 0.04 * (bottom - top)))
+        labels.append(in_pi(k) if turning else f"{k + 0.0:.6g}")
+    for k in np.arange(np.ceil(-bottom / scale / spin), np.floor(-top / scale / spin) + 1) * spin:
+        strips.append([(left, -scale * k), (right, -scale * k)])
+        places.append((left + 0.06 * (right - left), -scale * k))
+        labels.append(f"{k + 0.0:.6g}")
     if strips:
-        look = {"colors": [_GRID], "radii": rr.Radius.ui_points(0.5), "draw_order": -10.0}
+        look = {"colors": [_DARK_GRID if dark else _GRID], "radii": rr.Radius.ui_points(0.5), "draw_order": -10.0}
         recording.log(f"{at}/grid", rr.LineStrips2D(strips, **look), static=True)  # type: ignore[arg-type]
-        names = rr.Points2D(
-            places, labels=labels, colors=[(70, 76, 84)], radii=rr.Radius.ui_points(1.0), show_labels=True
-        )
+        ink = (154, 163, 173) if dark else (70, 76, 84)
+        names = rr.Points2D(places, labels=labels, colors=[ink], radii=rr.Radius.ui_points(1.0), show_labels=True)
         recording.log(f"{at}/grid/names", names, static=True)
+
+
+def _round_step(span: float, most: int) -> float:
+    """Return the least of 1, 2, 5 times a power of ten of which at most so many go into a span."""
+    size = 10.0 ** np.floor(np.log10(max(span, 1e-9) / most))
+    return float(next(step * size for step in (1.0, 2.0, 5.0, 10.0) if span / (step * size) <= most))

@@ -6,10 +6,22 @@ from numpy.typing import NDArray
 
 from dpcontrol.review import series, style
 from dpcontrol.review.context import ReviewContext
-from dpcontrol.review.motion import Motion
+from dpcontrol.review.motion import ACTUAL, Motion
 from dpcontrol.review.recorded import band, curve, level, line, states, stay_changes
 
 Array = NDArray[np.float64]
+
+DRIVEN = {
+    ACTUAL: ("plant green", style.ARMS[2]),
+    "command": ("command grey", style.REFERENCE),
+    "applied": ("applied blue", style.ARMS[0]),
+    "feedforward": ("plan orange", style.ARMS[1]),
+}
+"""Accelerations in the order in which they are drawn: what a title says of them, and their colours."""
+_BAND_POINTS = 4000
+_EDGE = np.array([-1e-6, 0.0, 1e-6])
+"""s: about an end of a band."""
+ENDED = "ended"
 
 
 def record_motion(recording: rr.RecordingStream, home: str, motion: Motion, context: ReviewContext) -> None:
@@ -42,9 +54,10 @@ def _followed(recording: rr.RecordingStream, at: str, motion: Motion, column: in
 
 def _command(recording: rr.RecordingStream, home: str, motion: Motion, context: ReviewContext) -> None:
     control = motion.control or {}
-    for name, colour in (("command", style.CART), ("applied", style.ARMS[0]), ("feedforward", style.ARMS[1])):
+    for name, (_, colour) in DRIVEN.items():
         if name in control:
-            curve(recording, f"{home}/{name}", time=motion.time, values=control[name], look=line(colour, name))
+            look = line(colour, "plant", width=3.0) if name == ACTUAL else line(colour, name)
+            curve(recording, f"{home}/{name}", time=motion.time, values=control[name], look=look)
     if not control:
         return
     if context.limits:
@@ -55,10 +68,11 @@ def _command(recording: rr.RecordingStream, home: str, motion: Motion, context: 
     cut = control.get("saturated", np.zeros(0)) > 0
     if cut.any():
         height = float(np.nanmax(np.abs(control["applied"])))
-        edges = [moment for pair in series.spans(motion.time, cut) for moment in pair]
-        # Each stretch is a band of full height between two points of none.
-        time = np.repeat(np.array(edges), 2)
-        reach = np.tile([0.0, height, height, 0.0], len(edges) // 2)
+        # The viewer joins what falls into one pixel: a band between few points would be drawn as wedges.
+        edges = np.array(series.spans(motion.time, cut))
+        time = np.union1d(np.linspace(*motion.time_range, _BAND_POINTS), np.add.outer(edges, _EDGE).ravel())
+        inside = np.searchsorted(edges[:, 0], time, side="right") > np.searchsorted(edges[:, 1], time, side="left")
+        reach = np.where(inside, height, 0.0)
         name = "cut at a limit"
         band(
             recording, f"{home}/cut", time=time, values=np.zeros(len(time)), reach=reach, colour=style.LIMIT, name=name
@@ -82,7 +96,7 @@ def record_checks(
             band(recording, at, time=motion.time, values=error, reach=reach, colour=colour, name=name)
     if motion.nis is not None:
         time, means, spread = series.smoothed_nis(motion)
-        curve(recording, f"{home}/nis/mean", time=time, values=means, look=line(style.PALE_INK, "mean of 50 ticks"))
+        curve(recording, f"{home}/nis/mean", time=time, values=means, look=line(style.PALE_INK, "mean of 50 updates"))
         for name, value in (("least", max(motion.sensors - spread, 0)), ("greatest", motion.sensors + spread)):
             at = f"{home}/nis/{name}"
             level(recording, at, motion, value=value, colour=style.ARMS[2], name=f"{name} for 95 %")
@@ -105,6 +119,8 @@ def record_story(recording: rr.RecordingStream, home: str, motion: Motion, conte
         stopped = context.duration is not None and end < context.duration - 2 / motion.rate_hz
         if done and not stopped:
             done = [*done[:-1]] if end - done[-1][0] < 2 / motion.rate_hz else done
+        elif done:
+            done.append((end, ENDED))
         states(recording, f"{home}/2_done", done, colours)
     if context.symbols:
         names = [f"{i + 1}: {name}" for i, (_, name) in enumerate(context.symbols)]
@@ -113,4 +129,6 @@ def record_story(recording: rr.RecordingStream, home: str, motion: Motion, conte
         changes = [(begin, "before the first"), *zip(moments, names, strict=True)]
         states(recording, f"{home}/3_symbol", changes, tints)
     modes = [(start, name) for start, _, name in series.mode_spans(motion)]
+    if modes and context.duration is not None and end < context.duration - 2 / motion.rate_hz:
+        modes.append((end, ENDED))
     states(recording, f"{home}/4_controller", modes, style.MODES)

@@ -103,7 +103,8 @@ def _summary(motion: Motion, context: ReviewContext) -> str:
         seen = "" if done is None else f", done at {done:.3f} s"
         rows.append(f"{i + 1}. {name}: planned at {at:.3f} s{seen}")
     if context.orbits:
-        rows += ["", "Phase planes, rad/s over rad: orbits thick; tubes from them red, to them green; the run black."]
+        flown = "the reference" if motion.what == "reference" else "the run"
+        rows += ["", f"Phase planes, rad/s over rad: orbits thick; tubes from them red, to them green; {flown} black."]
     rows += ["", f"{context.title} ({motion.path.name})", "", "| | |", "|---|---|"]
     # Long values, such as settings as JSON, would push everything else out of sight.
     rows += [f"| {key} | {value} |" for key, value in motion.metadata.items() if value and len(value) < 60]

@@ -7,7 +7,8 @@ Source: Kaheman et al. (2023), section 3.
 """
 
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,9 @@ PHASES = 96
 STRANDS = 24
 INSTANTS = 160
 _HEIGHT = 1e-6
+_CHORD = 0.2
+"""rad, a rad/s counting a fifth: between neighbours of a cut; where halving the phases brings none, the cut is open."""
+_HALVINGS = 5
 _NAME = re.compile(r"h(?P<unstable>\d+)\.(?P<stable>\d+)(?::(?P<section>[\w-]+))?@")
 
 
@@ -68,19 +72,50 @@ def _flown(
     for branch in (1, -1):
         seeds, _ = manifold.seeds(np.arange(PHASES) / PHASES, branch)
         crossings = system.propagator.crossings(seeds, section, longest=longest, hit=hit)
-        ends = np.array([c.state if c else np.full(system.dimension, np.nan) for c in crossings])
-        chosen = [k for k in range(0, PHASES, PHASES // STRANDS) if crossings[k] is not None]
         strands = [
             system.propagator.sample(seeds[k], np.linspace(0.0, crossing.time, INSTANTS))
-            for k in chosen
+            for k in range(0, PHASES, PHASES // STRANDS)
             if (crossing := crossings[k]) is not None
         ]
         if strands:
-            states, ends = np.array(strands), np.vstack([ends, ends[:1]])
+            ends_of = partial(_ends, manifold, section, branch=branch, longest=longest, hit=hit)
+            states, ends = np.array(strands), _resolved(ends_of)
             if stable:
                 turn, centre = system.reversers[0].T, orbit.centre
                 states, ends = (states - centre) @ turn + centre, (ends - centre) @ turn + centre
             yield TubeCurve(stable, states, ends)
+
+
+def _ends(
+    manifold: UnstableManifold, section: Section, phases: Array, *, branch: int, longest: float, hit: int
+) -> Array:
+    """Return where the trajectories of these phases (K,) meet the section (K, 2n), nan where they do not."""
+    seeds, _ = manifold.seeds(phases, branch)
+    system = manifold.orbit.system
+    found = system.propagator.crossings(seeds, section, longest=longest, hit=hit)
+    return np.array([c.state if c else np.full(system.dimension, np.nan) for c in found])
+
+
+def _resolved(ends_of: Callable[[Array], Array]) -> Array:
+    """Return a cut (C, 2n) in order of phase, its first point again at the end, nan between points that lie apart."""
+    phases: Array = np.arange(PHASES + 1) / PHASES
+    ends = ends_of(phases[:-1])
+    ends = np.vstack([ends, ends[:1]])
+    for _ in range(_HALVINGS):
+        far = np.flatnonzero(_chords(ends) > _CHORD)
+        if not len(far):
+            break
+        between = (phases[far] + phases[far + 1]) / 2
+        ends = np.insert(ends, far + 1, ends_of(between), axis=0)
+        phases = np.insert(phases, far + 1, between)
+    apart = np.flatnonzero(_chords(ends) > _CHORD)
+    return np.insert(ends, apart + 1, np.nan, axis=0)
+
+
+def _chords(ends: Array) -> Array:
+    half = ends.shape[1] // 2
+    steps = np.diff(ends, axis=0) * np.repeat([1.0, 0.2], half)
+    return np.asarray(np.linalg.norm(steps, axis=1), dtype=np.float64)
 
 
 def _at(curves: list[TubeCurve], section: Section, *, lift: Array, height: float) -> Iterator[TubeCurve]:

@@ -7,13 +7,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_run import context_for, synthetic_run, write_log
+from synthetic_run import RATE, context_for, synthetic_run, write_log
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
 from dpcontrol.review.context import ReviewContext
+from dpcontrol.review.motion import ACTUAL, motion_of
 from dpcontrol.review.recording import write_recording
 from dpcontrol.review.viewer import open_viewer, viewer_program
+
+ACCELERATION = 1e-9  # m/s²: velocities of 1 m/s differ by rounding, over 1 ms
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +80,25 @@ def test_a_recording_holds_scene_plots_events_and_blueprint(run: tuple[RunLog, R
         "/viewport",
     ):
         assert entity in found, f"{entity} is not in the recording"
+
+
+def test_what_the_plants_cart_did_stands_beside_what_was_believed(tmp_path: Path) -> None:
+    made = synthetic_run(seconds=1.0)
+    # A drive that gives half of what it was told: known from the truth alone.
+    told = made.control[:, 3]
+    made.truth[:, 5] = np.concatenate([[0.0], np.cumsum(0.5 * told[:-1])]) / RATE
+    motion = motion_of(read_log(write_log(tmp_path / "weak.mcap", made)))
+    assert motion.control is not None
+    assert np.abs(motion.control[ACTUAL][:-1] - 0.5 * told[:-1]).max() <= ACCELERATION
+    assert np.array_equal(motion.control["applied"], told)
+
+
+def test_a_blow_on_the_cart_is_no_acceleration_of_its_drive(tmp_path: Path) -> None:
+    made = synthetic_run(seconds=1.0)
+    made.truth[500:, 5] += 1.0
+    motion = motion_of(read_log(write_log(tmp_path / "knocked.mcap", made)))
+    assert motion.control is not None
+    assert np.flatnonzero(np.isnan(motion.control[ACTUAL])).tolist() == [499]
 
 
 def test_the_log_alone_passes_the_viewers_own_check(run: tuple[RunLog, ReviewContext]) -> None:
