@@ -18,20 +18,19 @@ from pathlib import Path
 from types import TracebackType
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import cdr, layout
-from dpcontrol.logs.blocks import ChunkEncoder, Note, TickRows
+from dpcontrol.logs.blocks import ChunkEncoder, Note
 from dpcontrol.logs.container import COMPRESSION, McapFile
 from dpcontrol.logs.opening import descriptions, layout_record
 from dpcontrol.logs.partial import moved_away, open_partial, sync_folder
 from dpcontrol.logs.sealed import sealed
+from dpcontrol.logs.tick_buffer import Row, TickBuffer
 
 CHUNK_SECONDS = 0.02
 """Of a chunk: what a run that is killed loses at most, and a tick."""
-
-Row = NDArray[np.float64]
 
 
 class LogWriter:
@@ -79,15 +78,8 @@ class LogWriter:
         if not self._lengths or not self._rate > 0:
             raise ValueError(f"a log needs arms and a positive rate; got {len(self._lengths)} arms at {rate_hz} Hz")
         tick = layout.TickLayout(len(self._lengths), has_cart, frozenset(layout.PARTS))
-        self._joints, self._size, self._width = len(tick.names), 2 * len(tick.names), len(tick.fields)
-        self._rows = max(1, round(chunk_seconds * self._rate))
-        self._time = np.zeros(self._rows)
-        self._measured = np.zeros((self._rows, self._joints))
-        self._parts = {part: np.zeros((self._rows, width)) for part, width in tick.widths.items()}
-        self._rates, self._estimate, self._reference, self._truth, self._control = self._parts.values()
-        self._given: tuple[bool, ...] | None = None
-        self._filled = self._ticks = 0
-        self._last = 0.0
+        self._buffer = TickBuffer(tick, rows=max(1, round(chunk_seconds * self._rate)))
+        self._ticks = 0
         self._notes: list[Note] = []
         self._result: dict[str, str] = {}
         self._encoder: ChunkEncoder | None = None
@@ -136,7 +128,7 @@ class LogWriter:
 
     def _give_up(self, error: BaseException) -> None:
         """Keep what was written and say where it is; a chunk that was cut short is followed by no other."""
-        if self._encoder is None and not self._filled:
+        if self._encoder is None and not self._buffer.filled:
             # A run that failed before its first tick leaves nothing worth a look.
             self.partial.unlink(missing_ok=True)
             return
@@ -146,8 +138,8 @@ class LogWriter:
                 self._write_chunk()
         if self.partial.exists():
             error.add_note(
-                f"{self.partial} keeps the run up to {self._last:.3f} s at most; `dpcontrol recover {self.partial}` "
-                "makes a log of it"
+                f"{self.partial} keeps the run up to {self._buffer.last:.3f} s at most; "
+                f"`dpcontrol recover {self.partial}` makes a log of it"
             )
 
     def _unwritable(self, error: OSError) -> InputError:
@@ -185,38 +177,8 @@ class LogWriter:
             ValueError: an array of another length, a time before the last, or a part in some ticks only.
             InputError: the file cannot be written.
         """
-        row = self._filled
-        given = (rates is not None, estimate is not None, reference is not None, truth is not None, control is not None)
-        if given != self._given:
-            self._decide(given)
-        if not time_s >= self._last:
-            raise ValueError(f"tick at {time_s} s after one at {self._last} s")
-        if (
-            len(measured) != self._joints
-            or (rates is not None and len(rates) != self._joints)
-            or (estimate is not None and len(estimate) != self._size)
-            or (reference is not None and len(reference) != self._size)
-            or (truth is not None and len(truth) != self._size)
-            or (control is not None and len(control) != self._width)
-        ):
-            raise ValueError(
-                f"a tick needs measured and rates ({self._joints},), estimate, reference and truth ({self._size},), "
-                f"control ({self._width},)"
-            )
-        self._measured[row] = measured
-        if rates is not None:
-            self._rates[row] = rates
-        if estimate is not None:
-            self._estimate[row] = estimate
-        if reference is not None:
-            self._reference[row] = reference
-        if truth is not None:
-            self._truth[row] = truth
-        if control is not None:
-            self._control[row] = control
-        self._time[row] = self._last = time_s
-        self._filled = row + 1
-        if self._filled == self._rows:
+        self._buffer.put(time_s, measured, (rates, estimate, reference, truth, control))
+        if self._buffer.full:
             self._write_chunk()
 
     def ticks(
@@ -232,28 +194,11 @@ class LogWriter:
     ) -> None:
         """Log K periods at once, for loops that run as compiled code: arguments as in `tick`, with K rows each."""
         times = np.asarray(time_s, float)
-        rows = (rates, estimate, reference, truth, control)
-        given = tuple(array is not None for array in rows)
-        pairs = [(self._measured, measured)]
-        pairs += [(to, array) for to, array in zip(self._parts.values(), rows, strict=True) if array is not None]
-        for to, array in pairs:
-            if np.shape(array) != (len(times), to.shape[1]):
-                raise ValueError(f"expected rows of shape {(len(times), to.shape[1])}, got {np.shape(array)}")
-        if len(times) and not (times[0] >= self._last and (np.diff(times) >= 0).all()):
-            raise ValueError("the times of ticks must not decrease")
-        if given != self._given:
-            self._decide(given)
+        pairs = self._buffer.checked(times, measured, (rates, estimate, reference, truth, control))
         done = 0
         while done < len(times):
-            count = min(self._rows - self._filled, len(times) - done)
-            into, since = slice(self._filled, self._filled + count), slice(done, done + count)
-            self._time[into] = times[since]
-            for to, array in pairs:
-                to[into] = array[since]
-            self._filled += count
-            done += count
-            self._last = float(times[done - 1])
-            if self._filled == self._rows:
+            done += self._buffer.put_rows(times, pairs, since=done)
+            if self._buffer.full:
                 self._write_chunk()
 
     def result(self, **values: str) -> None:
@@ -266,49 +211,36 @@ class LogWriter:
             raise ValueError(f"event level {level!r}: must be one of {', '.join(layout.LEVELS)}")
         time_ns = round(time_s * 1e9)
         message = cdr.log(time_ns, layout.LEVELS[level], name=name, text=text)
-        self._notes.append(Note(row=self._filled, topic=layout.EVENTS, time_ns=time_ns, content=message))
-
-    def _decide(self, given: tuple[bool, ...]) -> None:
-        if self._given is not None:
-            names = (part for part, a, b in zip(layout.PARTS, given, self._given, strict=True) if a != b)
-            raise ValueError(f"{', '.join(names)} must be given in every tick of a run or in none")
-        self._given = given
+        self._notes.append(Note(row=self._buffer.filled, topic=layout.EVENTS, time_ns=time_ns, content=message))
 
     def _prepare(self, file: McapFile) -> ChunkEncoder:
         # Done with the first chunk: only then is it known what a tick holds.
-        given = self._given or (False,) * len(layout.PARTS)
-        parts = frozenset(part for part, has in zip(layout.PARTS, given, strict=True) if has)
-        tick = layout.TickLayout(len(self._lengths), self._has_cart, parts)
+        tick = layout.TickLayout(len(self._lengths), self._has_cart, self._buffer.parts)
         described = layout_record(
             tick, self._lengths, rate_hz=self._rate, limits=self._limits, attachments=self._attachments
         )
         file.add_metadata(layout.LAYOUT_RECORD, sealed(layout.LAYOUT_RECORD, described))
         file.add_channels(tick.schemas, latched=layout.LATCHED)
-        first = round(self._time[0] * 1e9) if self._filled else 0
+        first = round(self._buffer.first * 1e9)
         self._notes[:0] = descriptions(tick, self._lengths, limits=self._limits, time_ns=first)
-        return ChunkEncoder(tick, self._lengths, rows=self._rows)
+        return ChunkEncoder(tick, self._lengths, rows=self._buffer.size)
 
     def _write_chunk(self) -> None:
         if self._file is None:
             raise ValueError(f"the log {self.path} is not open: use LogWriter in a with statement")
-        count = self._filled
+        count = self._buffer.filled
         if not count and not self._notes:
             return
         self._torn = True
         try:
             if self._encoder is None:
                 self._encoder = self._prepare(self._file)
-            rows = TickRows(
-                time_ns=np.rint(self._time[:count] * 1e9).astype(np.int64),
-                measured=self._measured[:count],
-                parts={part: self._parts[part][:count] for part in layout.PARTS if part in self._encoder.parts},
-            )
-            self._file.add_chunk(*self._encoder.encode(rows, self._notes))
+            self._file.add_chunk(*self._encoder.encode(self._buffer.taken(self._encoder.parts), self._notes))
         except OSError as error:
             raise self._unwritable(error) from error
         self._notes.clear()
         self._ticks += count
-        self._filled = 0
+        self._buffer.clear()
         self._torn = False
         if self._stream is not None and moved_away(self.partial, self._stream):
             raise InputError(
