@@ -40,12 +40,12 @@ class SampledModel:
         self.parameters = np.array(parameters, dtype=float)
         self.period = period
 
-    @property
+    @cached_property
     def dimension(self) -> int:
         """Length of the state."""
         return self.equations.dimension
 
-    @property
+    @cached_property
     def arms(self) -> int:
         """Number of arms."""
         return (self.dimension - 2) // 2

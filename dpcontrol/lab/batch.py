@@ -17,6 +17,7 @@ from dpcontrol.control.compiled_ekf import EkfProgram, restarted
 from dpcontrol.control.consistency import chi_square_band
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import Controller, ManySession
+from dpcontrol.dynamics.compiled import VECTOR
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.dynamics.uncertain_arms import Uncertainty
 from dpcontrol.foundation.errors import InputError
@@ -29,8 +30,9 @@ from dpcontrol.references.problem import Limits
 
 Array = NDArray[np.float64]
 
-VECTOR = 8
-"""Doubles in the widest vector of today's processors."""
+_TURN = 32
+"""Ticks that are turned from lanes side by side into lanes one after the other at once: one by one, every row of every
+run would be fetched from memory anew."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -138,7 +140,8 @@ class _Lockstep:
         self.inputs = program.inputs(settings.sensors.covariance(arms), runs=self.runs)
         self.outputs = np.empty((program.step.size_out, self.runs))
         first = controller.first_state
-        self.memory = program.first(np.repeat(first[:, None], self.runs, axis=1))
+        self.memory: Array = self.inputs[program.slices["memory"]]
+        self.memory[:] = program.first(np.repeat(first[:, None], self.runs, axis=1))
         self.ahead_inputs = np.zeros((program.ahead.size_in, self.runs))
         for name, value in (("parameters", program.model.parameters), ("process", program.process)):
             self.ahead_inputs[program.ahead.slices[name]] = value[:, None]
@@ -158,7 +161,7 @@ class _Lockstep:
         self.rate_noise = np.stack(rate_noise, axis=2) if rate_noise else None
         self.watch = BatchWatch(settings, limits, runs=self.runs)
         self.way: list[Array] = []
-        self.sound = np.ones(self.runs, dtype=bool)
+        self.sound: NDArray[np.bool_] | None = None
 
     def _want(self, k: int, reference: Array) -> None:
         """Keep the reference (N,) or (N, S) of tick k."""
@@ -174,17 +177,17 @@ class _Lockstep:
     def _estimated(self, k: int, acted: Array, positions: Array) -> tuple[Array, Array]:
         """Return each run's NIS, infinite where the filter failed, and how many positions it holds."""
         where, out, inputs = self.program.slices, self.program.out, self.inputs
-        inputs[where["memory"]] = self.memory
         inputs[where["command"]] = acted
         inputs[where["measured"]] = positions
         inputs[where["coming"]] = self.way[0] if self.way else 0.0
         (self.program.step if k else self.program.update)(inputs, self.outputs)
         nis = self.outputs[out["nis"]][0]
-        sound = (nis >= 0) & (nis < np.inf)
-        self.sound = sound
-        if sound.all():
+        self.sound = None
+        # What is no number fails both.
+        if np.minimum.reduce(nis) >= 0 and np.maximum.reduce(nis) < np.inf:
             self.memory[:] = self.outputs[out["memory"]]
             return nis, self.outputs[out["used"]][0]
+        self.sound = sound = (nis >= 0) & (nis < np.inf)
         # The loop keeps the estimate before it failed.
         self.memory[:, sound] = self.outputs[out["memory"]][:, sound]
         return np.where(sound, nis, np.inf), np.where(sound, self.outputs[out["used"]][0], 1.0)
@@ -194,13 +197,13 @@ class _Lockstep:
         z = self.memory[: self.program.out["z"].stop]
         rows, known = slice(0, len(z)), self.outputs[self.program.out["later"]]
         for place, command in enumerate(self.way):
-            if place == 0 and self.sound.all():
+            if place == 0 and self.sound is None:
                 z = known
                 continue
             self.ahead_inputs[rows] = z
             self.ahead_inputs[len(z)] = command
             z = self.program.ahead(self.ahead_inputs, self.predicted)
-            if place == 0:
+            if place == 0 and self.sound is not None:
                 z = np.where(self.sound, known, z)
         states = z[: self.program.model.dimension]
         if self.rate_noise is None:
@@ -211,16 +214,11 @@ class _Lockstep:
 
     def run(self) -> list[BatchRun]:
         """Run to the last tick, or until every run has ended."""
-        n, arms, lead, watch, path, bench = (
-            self.program.model.dimension,
-            self.arms,
-            self.path.lead,
-            self.watch,
-            self.path,
-            self.bench,
-        )
+        n, arms, lead = self.program.model.dimension, self.arms, self.path.lead
+        watch, path, bench = self.watch, self.path, self.bench
         # A run's states stand together, for they are looked at run by run.
         truth = np.empty((self.runs, self.count, n))
+        latest = np.empty((_TURN, n, self.runs))
         applied, feedbacks, nis_rows = (np.empty((self.count, self.runs)) for _ in range(3))
         acted = np.zeros(self.runs)
         done = self.count
@@ -233,7 +231,7 @@ class _Lockstep:
                 ahead = self._ahead(k)
                 forward, back, reference = self.session.commands(k + lead, ahead, extras)
                 self._want(k + lead, reference)
-                error = np.abs(states[:arms] - self.wanted[k]).max(axis=0)
+                error = np.maximum.reduce(np.abs(states[:arms] - self.wanted[k]), axis=0)
                 stopped, restarts = watch.judge(
                     k, error=error, nis=nis, used=used, position=ahead[n - 2], velocity=ahead[n - 1],
                     sent=path.velocity, readings=(positions, self.wanted[k]), switch=switch, fault=bench.failed,
@@ -254,7 +252,10 @@ class _Lockstep:
                 if stopped is not None:
                     bench.stop(stopped)
                 acted = path.acted(self.memory[n - 1])
-                truth[:, k] = bench.truth.T
+                turn = k % _TURN
+                latest[turn] = bench.truth
+                if turn == _TURN - 1:
+                    truth[:, k - turn : k + 1] = latest.transpose(2, 0, 1)
                 applied[k], feedbacks[k] = acted, feedback
                 if restarts is not None or watch.any_braking:
                     # As in the loop: a filter that failed shows its last NIS, one that starts anew has none.
@@ -265,6 +266,8 @@ class _Lockstep:
                 if watch.all_ended:
                     done = k + 1
                     break
+        rest = done % _TURN
+        truth[:, done - rest : done] = latest[:rest].transpose(2, 0, 1)
         return self._results(done, truth, applied, feedbacks, nis_rows)
 
     def _results(self, done: int, truth: Array, applied: Array, feedbacks: Array, nis: Array) -> list[BatchRun]:

@@ -69,8 +69,11 @@ class BatchBench:
     @property
     def failed(self) -> NDArray[np.bool_] | None:
         """Which states (S,) are no longer finite; None while all are."""
-        total = self._state.sum(axis=0)
-        return None if np.isfinite(total).all() else ~np.isfinite(total)
+        # One sum tells that all are; only where one is not is it asked which.
+        if math.isfinite(np.add.reduce(self._state, axis=None)):
+            return None
+        failed = ~np.isfinite(self._state.sum(axis=0))
+        return failed if failed.any() else None
 
     def read(self, k: int) -> tuple[Array, NDArray[np.bool_]]:
         """Return the positions (n+1, S) at tick k, and which runs (S,) touch a limit switch."""
@@ -119,7 +122,7 @@ class BatchBench:
         low, high = (-drive.velocity - velocity) / duration, (drive.velocity - velocity) / duration
         wanted = np.minimum(np.maximum(demand, low), high)
         most = drive.acceleration
-        acting = np.where(np.abs(wanted) <= most, wanted, np.copysign(most, wanted))
+        acting = np.minimum(np.maximum(wanted, -most), most)
         if self._braking is None:
             return acting
         return np.where(self._braking, np.minimum(np.maximum(-velocity / duration, -most), most), acting)
@@ -149,7 +152,7 @@ class BatchBench:
         for part in range(splits):
             self._step(inputs, following)
             beyond = np.abs(following[cart]) > self._track
-            if beyond.any():
+            if np.logical_or.reduce(beyond):
                 began = time + part * duration / splits
                 for lane in np.flatnonzero(beyond):
                     following[:, lane] = self._at_stop(int(lane), float(accelerations[lane]), duration / splits, began)

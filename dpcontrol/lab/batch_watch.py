@@ -17,6 +17,9 @@ from dpcontrol.references.problem import Limits
 
 Array = NDArray[np.float64]
 
+_NEARLY = 1 - 1e-9
+"""Sums of the same numbers in another order may differ by their round-off."""
+
 
 class BatchPath:
     """The commands on their way in S runs; see `CommandPath`."""
@@ -77,6 +80,7 @@ class BatchWatch:
         self._restarts = np.zeros(runs, dtype=int)
         self._stuck: BatchStuck | None = None
         self._alive = np.ones(runs, dtype=bool)
+        self._going: NDArray[np.bool_] | None = None
         self._since = np.full(runs, np.inf)
         self.braking = np.zeros(runs, dtype=bool)
         """Which runs (S,) are being brought to rest."""
@@ -91,7 +95,7 @@ class BatchWatch:
     @property
     def all_ended(self) -> bool:
         """Tell whether no run goes on."""
-        return not self._alive.any()
+        return self._going is not None and not self._alive.any()
 
     def judge(
         self,
@@ -114,24 +118,26 @@ class BatchWatch:
         one = self._one
         if fault is not None:
             self._fail(k, fault)
-        going = self._alive & ~self.braking
         mean_nis = self._nis + (nis / used - self._nis) * one.estimate_share
         mean_error = self._error + (error - self._error) * one.tracking_share
+        positions, wanted = readings
+        if self._stuck is None:
+            self._stuck = BatchStuck(len(wanted), period=self._period, reaction=one.reaction, runs=self._runs)
+        before = (self._error, self._nis)
+        self._error, self._nis = mean_error, mean_nis
+        # Those that are restarted in this tick have no NIS to doubt by.
+        doubt = np.where(mean_nis <= one.settings.lost_estimate, mean_nis, 0.0)
+        stuck = self._stuck.seen(positions, wanted, sent, doubt, judged=self._going)
+        if not stuck and self._all_well(mean_nis, mean_error, position, velocity, sent, switch):
+            return None, None
         bad = (
             ~(mean_nis <= one.settings.lost_estimate) | ~np.isfinite(error) | (mean_error > one.settings.lost_tracking)
         )
         bad |= np.maximum(self._rest(position, velocity), self._rest(position, sent)) >= one.travel
         bad |= switch
-        positions, wanted = readings
-        if self._stuck is None:
-            self._stuck = BatchStuck(len(wanted), period=self._period, reaction=one.reaction, runs=self._runs)
-        # Those that are restarted in this tick have no NIS to doubt by, as below.
-        doubt = np.where(mean_nis <= one.settings.lost_estimate, mean_nis, 0.0)
-        stuck = self._stuck.seen(positions, wanted, sent, doubt)
         bad[list(stuck)] = True
-        bad &= going
-        before = (self._error, self._nis)
-        self._error, self._nis = mean_error, mean_nis
+        if self._going is not None:
+            bad &= self._going
         if not bad.any():
             return None, None
         stopped, restarted = [], []
@@ -159,8 +165,35 @@ class BatchWatch:
         if stopped:
             self.braking[stopped] = True
             self._since[stopped] = k * self._period
-            self.any_braking = True
+            self._note()
         return np.array(stopped, dtype=np.intp) if stopped else None, restarted or None
+
+    def _all_well(
+        self, nis: Array, error: Array, position: Array, velocity: Array, sent: Array, switch: NDArray[np.bool_]
+    ) -> bool:
+        """Tell whether the worst of each kind among all runs, taken together, would not be worth a word.
+
+        Quicker than asking run by run, while all of them go well. What is no number fails every comparison.
+        """
+        one, most = self._one, self._most
+        if not (most(nis) <= one.settings.lost_estimate and most(error) <= one.settings.lost_tracking):
+            return False
+        fastest = max(most(np.abs(velocity)), most(np.abs(sent)))
+        farthest = most(np.abs(position)) + fastest * one.reaction + fastest * fastest / one.brake + one.settings.margin
+        return bool(
+            farthest < one.travel * _NEARLY and not (switch if self._going is None else switch & self._going).any()
+        )
+
+    def _most(self, values: Array) -> float:
+        """Return the greatest of values (S,) among the runs that are judged."""
+        if self._going is None:
+            return np.maximum.reduce(values)
+        return np.maximum.reduce(values, where=self._going, initial=-np.inf)
+
+    def _note(self) -> None:
+        """Note which runs are judged, and whether any is being brought to rest: some runs have just changed."""
+        self._going = self._alive & ~self.braking
+        self.any_braking = bool((self._alive & self.braking).any())
 
     def _rest(self, position: Array, velocity: Array) -> Array:
         """Return where the carts come to rest, as `Supervisor.stopping_point` does."""
@@ -180,10 +213,12 @@ class BatchWatch:
                 for lane in np.flatnonzero(over):
                     self.counts[lane] = k + 1
                 self._alive &= ~over
+                self._note()
         for lane, fault in faults.items():
             if self._alive[lane] and self.endings[lane] is not Ending.CART_STOP:
                 self.endings[lane], self.reasons[lane], self.counts[lane] = Ending.CART_STOP, fault, k + 1
                 self._alive[lane] = False
+                self._note()
 
     def _fail(self, k: int, failed: NDArray[np.bool_]) -> None:
         for lane in np.flatnonzero(failed & self._alive):
@@ -191,3 +226,4 @@ class BatchWatch:
             self.reasons[lane] = f"plant failed at t = {k * self._period:.3f} s: its state is no longer finite"
             self.counts[lane] = k
             self._alive[lane] = False
+            self._note()

@@ -87,11 +87,22 @@ def draw_bench(
             f"sensors: jitter = {sensors.jitter!r}: must be at most a period, {period:g} s; use the drive's delay for "
             "readings that are older"
         )
-    children = np.random.SeedSequence(seed).spawn(len(_STREAMS))
-    random = {name: np.random.default_rng(child) for name, child in zip(_STREAMS, children, strict=True)}
+    children: dict[str, np.random.SeedSequence] = dict(
+        zip(_STREAMS, np.random.SeedSequence(seed).spawn(len(_STREAMS)), strict=True)
+    )
 
+    def random(name: str) -> np.random.Generator:
+        return np.random.default_rng(children[name])
+
+    # What is not asked for is not drawn: making a generator takes longer than most draws.
     def normal(name: str, sigmas: Array) -> Array | None:
-        return random[name].standard_normal((ticks, len(sigmas))) * sigmas if sigmas.any() else None
+        return random(name).standard_normal((ticks, len(sigmas))) * sigmas if sigmas.any() else None
+
+    def within(name: str, most: float) -> Array:
+        return random(name).uniform(-most, most, n) if most else np.zeros(n)
+
+    def shares(name: str, count: int, width: int) -> Array:
+        return random(name).uniform(size=(count, width)) if count else np.zeros((0, width))
 
     command_noise = normal("command_noise", np.array([drive.command_noise]))
     lost = sensors.missed_counts * period
@@ -102,24 +113,25 @@ def draw_bench(
         )
     likely = arms
     if model_uncertainty and uncertainty is not None and plant is None:
-        likely = uncertainty.drawn(arms, random["model"], scale=model_uncertainty)
-    true_arms = plant or likely.mismatched(mismatch, random["plant"])
+        likely = uncertainty.drawn(arms, random("model"), scale=model_uncertainty)
+    true_arms = plant or likely.mismatched(mismatch, random("plant"))
     return BenchDraw(
         seed=seed,
         ticks=ticks,
         period=period,
         plant=settings.plant(true_arms),
-        initial_error=random["initial_error"].uniform(-initial_error, initial_error, n),
-        zeros=random["zero_errors"].uniform(-sensors.zero_error, sensors.zero_error, n),
+        initial_error=within("initial_error", initial_error),
+        zeros=within("zero_errors", sensors.zero_error),
         command_noise=None if command_noise is None else command_noise[:, 0],
-        ages=random["ages"].uniform(0.0, sensors.jitter, ticks) if sensors.jitter else None,
-        dropped=random["dropped"].uniform(size=ticks) < sensors.dropout if sensors.dropout else None,
+        ages=random("ages").uniform(0.0, sensors.jitter, ticks) if sensors.jitter else None,
+        dropped=random("dropped").uniform(size=ticks) < sensors.dropout if sensors.dropout else None,
         # Whole counts of the right mean: the whole part always, one more with the rest's probability.
-        missed=np.floor(random["missed"].uniform(size=(ticks, n)) + lost).astype(np.int64) if lost else None,
+        missed=np.floor(random("missed").uniform(size=(ticks, n)) + lost).astype(np.int64) if lost else None,
         noise=normal("noise", np.array([*[sensors.noise] * n, sensors.cart_noise])),
         rate_noise=normal("rate_noise", np.full(n, sensors.rate_noise)),
-        blows=_blows(settings, n, (ticks, period), random["pushes"].uniform(size=(blows.pushes, 3)),
-                     random["knocks"].uniform(size=(blows.knocks, 2))),
+        blows=_blows(
+            settings, n, (ticks, period), shares("pushes", blows.pushes, 3), shares("knocks", blows.knocks, 2)
+        ),
     )  # fmt: skip
 
 

@@ -8,7 +8,6 @@ its limits, and over the last full period the angles stay within 0.1 rad of the 
 
 import io
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -19,12 +18,12 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog
 from dpcontrol.references.archive import load_reference
 from dpcontrol.references.reference import Reference
+from dpcontrol.review.last_orbit import NEAR_LAST_ORBIT, far_from_orbit
 from dpcontrol.review.stops import REST, Visit, decode_run, orbit_index
 
 Array = NDArray[np.float64]
 
 REFERENCE_ATTACHMENT = "reference.npz"
-NEAR_LAST_ORBIT = 0.1  # rad
 
 
 @dataclass(frozen=True)
@@ -278,7 +277,6 @@ def _limits(flown: Flown) -> str:
 def _last_orbit(flown: Flown, plan: Reference, *, last: str, ended: str) -> str:
     """Return how far the last full period was from the last orbit where that is too far, or an empty string."""
     notes: dict[str, Any] = dict(plan.notes)
-    n = flown.angles.shape[1]
     stop = notes["stops"][-1]
     k = orbit_index(notes, stop)
     if ended:
@@ -287,28 +285,10 @@ def _last_orbit(flown: Flown, plan: Reference, *, last: str, ended: str) -> str:
     rows = flown.time >= flown.time[-1] - period
     home = np.asarray(notes["saddles"][stop["saddle"]]["angles"])
     angles = flown.angles[rows] - (np.asarray(stop["angles"]) - home)
-    # The worst angle's distance from the nearest point of the orbit.
-    finite = np.isfinite(angles).all()
-    gap = float(_orbit_tree(plan, k, n).query(angles, p=np.inf)[0].max()) if finite else np.inf
-    if gap > NEAR_LAST_ORBIT:
+    gap = far_from_orbit(plan, k, angles, ticks=period * flown.rate_hz)
+    if gap is not None:
         return (
             f"over the last period the arms were up to {gap:.2f} rad from the orbit about {stop['saddle']} "
             f"{last} (allowed: {NEAR_LAST_ORBIT:g})"
         )
     return ""
-
-
-@lru_cache(maxsize=4)
-def _orbit_tree(plan: Reference, k: int, arms: int) -> Any:
-    """Return the angles (M, n) on a plan's orbit k as a tree, which is quicker by far than all distances."""
-    # scipy.spatial is imported where it is used: it takes a tenth of a second.
-    from scipy.spatial import KDTree
-
-    return KDTree(_denser(plan.extra[f"orbit_{k}"][:, :arms], 8))
-
-
-def _denser(closed: Array, factor: int) -> Array:
-    """Return points (factor · M, n) on the closed polyline through (M, n)."""
-    share = np.arange(factor)[:, None, None] / factor
-    following = np.roll(closed, -1, axis=0)
-    return (closed[None] * (1 - share) + following[None] * share).reshape(-1, closed.shape[1])

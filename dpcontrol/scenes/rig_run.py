@@ -9,13 +9,14 @@ from pathlib import Path
 
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.lab.bench_recipe import BenchRecipe
 from dpcontrol.lab.control_loop import ControlLoop
 from dpcontrol.lab.deadlines import Deadlines, real_time_priority, without_collecting
 from dpcontrol.lab.log_sink import LogSink
 from dpcontrol.lab.loop import control_loop, loop_controller, loop_result
 from dpcontrol.lab.rehearsal import rehearse
 from dpcontrol.lab.result import LoopResult
-from dpcontrol.lab.udp_bench import BenchRecipe, BenchServerSettings
+from dpcontrol.lab.udp_bench import BenchServerSettings
 from dpcontrol.lab.udp_process import BenchProcess
 from dpcontrol.lab.udp_rig import UdpRig, parse_address
 from dpcontrol.logs import read_log
