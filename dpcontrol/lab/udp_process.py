@@ -6,7 +6,8 @@ from multiprocessing.connection import Connection
 from types import TracebackType
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.lab.udp_bench import BenchRecipe, BenchServerSettings, UdpBench
+from dpcontrol.lab.bench_recipe import BenchRecipe
+from dpcontrol.lab.udp_bench import BenchServerSettings, UdpBench
 
 _START = 120.0
 """Seconds for the process to load and compile."""

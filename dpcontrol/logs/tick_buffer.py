@@ -40,6 +40,13 @@ class TickBuffer:
         given = self._given or (False,) * len(layout.PARTS)
         return frozenset(part for part, has in zip(layout.PARTS, given, strict=True) if has)
 
+    @property
+    def _wanted(self) -> str:
+        joints, size, _, _, width = self._widths
+        return (
+            f"a tick needs measured and rates ({joints},), estimate, reference and truth ({size},), control ({width},)"
+        )
+
     def put(self, time_s: float, measured: Row, parts: Parts) -> None:
         """Take one tick.
 
@@ -49,18 +56,14 @@ class TickBuffer:
         self._decide(parts)
         if not time_s >= self.last:
             raise ValueError(f"tick at {time_s} s after one at {self.last} s")
-        if len(measured) != self._measured.shape[1] or any(
-            part is not None and len(part) != width for part, width in zip(parts, self._widths, strict=True)
-        ):
-            _, size, _, _, width = self._widths
-            raise ValueError(
-                f"a tick needs measured and rates ({self._measured.shape[1]},), estimate, reference and truth "
-                f"({size},), control ({width},)"
-            )
         row = self.filled
+        if len(measured) != self._measured.shape[1]:
+            raise ValueError(self._wanted)
         self._measured[row] = measured
-        for room, part in zip(self._parts, parts, strict=True):
+        for room, part, width in zip(self._parts, parts, self._widths, strict=True):
             if part is not None:
+                if len(part) != width:
+                    raise ValueError(self._wanted)
                 room[row] = part
         self._time[row] = self.last = time_s
         self.filled = row + 1

@@ -18,11 +18,12 @@ from shadowing_stand_in import LAB, StandIn
 from dpcontrol.control.tracking import tracking_controller
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.lab import udp_packets as packets
+from dpcontrol.lab.bench_recipe import BenchRecipe
 from dpcontrol.lab.loop import LoopSettings, control_loop, loop_result, sampled_model
 from dpcontrol.lab.rehearsal import rehearse
 from dpcontrol.lab.result import Ending
 from dpcontrol.lab.rig import Reading
-from dpcontrol.lab.udp_bench import BenchRecipe, BenchServerSettings, UdpBench
+from dpcontrol.lab.udp_bench import BenchServerSettings, UdpBench
 from dpcontrol.lab.udp_packets import Condition, Kind
 from dpcontrol.lab.udp_process import BenchProcess
 from dpcontrol.lab.udp_rig import LinkSettings, UdpRig, parse_address
