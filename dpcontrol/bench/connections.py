@@ -69,7 +69,7 @@ def orbit_panel(*, quick: bool) -> Panel:
     truth = refine_orbit(found, exact, height, RefinementSettings()).state.astype(float)
     points, start_up = [], {}
     base = ContinuationSettings()
-    steps = (0.05, 0.1, 0.2, 0.4)
+    steps = (0.025, 0.05, 0.1, 0.2, 0.4)
     settings = [("step of the continuation", f"{s:g}", replace(base, step=s)) for s in steps]
     settings += [("tolerance", f"{t:.0e}", replace(base, tolerance=t)) for t in (1e-4, 1e-7, 1e-10)]
     missing = []
@@ -83,7 +83,7 @@ def orbit_panel(*, quick: bool) -> Panel:
         error = float(np.abs((run.result.state - truth) / system.scale).max())
         points.append(Point(method, label, run.seconds, error, default=chosen == base))
         start_up[method] = max(start_up.get(method, 0.0), run.start_up)
-    why = "a longer step is not safe near the ends of a family; one orbit takes milliseconds either way"
+    why = "longer steps find other orbits near the ends of families; one orbit takes milliseconds either way"
     return Panel(
         "Lyapunov orbit about down-up", "time, s", "error of the orbit, scaled", tuple(points), start_up,
         tuple(missing), why=why, floor=ROUNDING,

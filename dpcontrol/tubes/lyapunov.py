@@ -3,6 +3,7 @@
 The arc's equations (module symmetric_shooting) are closed by H(x(0)) = energy: n + 1 equations for n + 1 unknowns.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,12 +15,15 @@ from dpcontrol.tubes.symmetric_shooting import LinearCentre, SymmetricShooting, 
 
 Array = NDArray[np.float64]
 
+_ON_THE_WAY = 1e-7
+"""Scaled residual of orbits that are only passed."""
+
 
 @dataclass(frozen=True)
 class ContinuationSettings:
     """How a family is followed. step: largest change of √(energy above the saddle) over √(energy scale)."""
 
-    step: float = 0.1
+    step: float = 0.2
     smallest_step: float = 1e-4
     newton_iterations: int = 12
     tolerance: float = 1e-13
@@ -144,44 +148,66 @@ def described_orbit(
     )
 
 
+@dataclass(frozen=True)
+class _Passed:
+    """A member on the way: its place s, unknowns (n + 1,) and their change by s."""
+
+    s: float
+    unknowns: Array
+    slope: Array
+
+
 def _follow(
     problem: SymmetricShooting, settings: ContinuationSettings, linear: LinearCentre, energy: float
 ) -> tuple[Array, float, bool, str]:
-    """Continue from the linear centre in s = √(energy above the saddle) with secant predictions."""
+    """Continue from the linear centre in s = √(energy above the saddle), predicting by cubics in s."""
     saddle_energy, sign = linear.energy, linear.sign
     goal = np.sqrt(abs(energy - saddle_energy))
     largest = settings.step * np.sqrt(problem.system.energy_scale)
-
-    def linear_guess(s: float) -> Array:
-        return np.append(linear.direction * s, 2 * np.pi / linear.frequency / problem.quarters)
-
-    points: list[tuple[float, Array]] = [(0.0, linear_guess(0.0))]
+    at_birth = 2 * np.pi / linear.frequency / problem.quarters
+    units = np.append(np.abs(problem.start.T) @ problem.system.scale, at_birth)
+    passed = [_Passed(0.0, np.append(0 * linear.direction, at_birth), np.append(linear.direction, 0.0))]
     step = min(largest, goal)
     residual = np.inf
-    while points[-1][0] < goal:
-        s = min(points[-1][0] + step, goal)
-        if len(points) == 1:
-            guess = linear_guess(s)
-        else:
-            (s0, u0), (s1, u1) = points[-2:]
-            guess = u1 + (u1 - u0) * (s - s1) / (s1 - s0)
-        at = energy if s == goal else saddle_energy + sign * s * s
-        unknowns, residual = problem.at_energy(
-            guess, at, iterations=settings.newton_iterations, tolerance=settings.tolerance
-        )
-        jumped = np.linalg.norm(unknowns - guess) > 0.5 * np.linalg.norm(guess)
-        if residual > settings.tolerance or jumped:
-            step = (s - points[-1][0]) / 2
+    while passed[-1].s < goal:
+        last = passed[-1]
+        s = min(last.s + step, goal)
+        ends = s == goal
+        enough = 0.0 if ends else _ON_THE_WAY
+        guess = _predicted(passed[-2:], s)
+        found = problem.member(
+            guess, energy if ends else saddle_energy + sign * s * s, iterations=settings.newton_iterations,
+            tolerance=settings.tolerance, enough=enough,
+        )  # fmt: skip
+        residual = found.residual
+        corrected, moved = (float(np.linalg.norm(v / units)) for v in (found.unknowns - guess, guess - last.unknowns))
+        # A correction as long as half the step has left for another curve, as in module family_curve.
+        if residual > max(settings.tolerance, enough) or corrected > 0.5 * moved:
+            step = (s - last.s) / 2
             if step < settings.smallest_step * largest:
-                reached = saddle_energy + sign * points[-1][0] ** 2
-                return points[-1][1], residual, False, (
+                reached = saddle_energy + sign * last.s**2
+                return last.unknowns, residual, False, (
                     f"not converged: the family could be followed only to {reached:.6g} J (residual "
                     f"{residual:.1e} beyond); ask for an energy nearer to the saddle's"
                 )  # fmt: skip
             continue
-        points.append((s, unknowns))
+        passed.append(_Passed(s, found.unknowns, 2 * sign * s * found.slope))
         step = min(largest, step * 1.5)
-    return points[-1][1], residual, True, f"converged in {len(points) - 1} continuation steps"
+    return passed[-1].unknowns, residual, True, f"converged in {len(passed) - 1} continuation steps"
+
+
+def _predicted(points: Sequence[_Passed], s: float) -> Array:
+    """Return the unknowns (n + 1,) at s on the tangent at one point, or on the cubic through two and their tangents."""
+    last = points[-1]
+    ahead = last.unknowns + (s - last.s) * last.slope
+    if len(points) == 1:
+        return ahead
+    # Newton's form on the nodes last, last, first, first.
+    first = points[0]
+    width = first.s - last.s
+    chord = (first.unknowns - last.unknowns) / width
+    bend, far_bend = (chord - last.slope) / width, (first.slope - chord) / width
+    return ahead + (s - last.s) ** 2 * (bend + (s - first.s) * (far_bend - bend) / width)
 
 
 def floquet_multipliers(system: System, state: Array, period: float, monodromy: Array) -> NDArray[np.complex128]:

@@ -12,7 +12,7 @@ Source: Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998), theo
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,9 @@ from dpcontrol.tubes.equilibria import equilibrium
 
 Array = NDArray[np.float64]
 Row = Callable[[Array], tuple[float, Array]]
+
+_LONGEST = 3.0
+"""Times the guessed arc's duration: what Newton's method may try."""
 
 
 @dataclass(frozen=True)
@@ -70,14 +73,27 @@ class SymmetricShooting:
     def at_energy(self, guess: Array, energy: float, *, iterations: int, tolerance: float) -> tuple[Array, float]:
         """Solve for the member at `energy` from guessed unknowns (n + 1,); return (unknowns, scaled residual).
 
-        The residual is infinite where Newton left the family.
+        The residual is infinite where Newton left the family: for arcs of no or of over three times the guessed
+        duration.
+        """
+        found = self.member(guess, energy, iterations=iterations, tolerance=tolerance)
+        return found.unknowns, found.residual
+
+    def member(
+        self, guess: Array, energy: float, *, iterations: int, tolerance: float, enough: float = 0.0
+    ) -> "FamilyMember":
+        """Solve for the member at `energy` as `at_energy` does, and tell where the family goes from there.
+
+        enough: a residual with which Newton's method stops; else it goes on to rounding, which is to be below
+        `tolerance`.
         """
 
         def row(unknowns: Array) -> tuple[float, Array]:
             here, slope = self.energy(unknowns)
             return (here - energy) / self.system.energy_scale, slope / self.system.energy_scale
 
-        return self._newton(guess, row, iterations=iterations, tolerance=tolerance)
+        found = self._newton(guess, row, iterations=iterations, tolerance=tolerance, enough=enough)
+        return replace(found, slope=found.slope / self.system.energy_scale)
 
     def along(
         self, guess: Array, tangent: Array, weights: Array, *, iterations: int, tolerance: float
@@ -90,28 +106,46 @@ class SymmetricShooting:
         def row(unknowns: Array) -> tuple[float, Array]:
             return float(tangent @ ((unknowns - guess) / weights)), tangent / weights
 
-        return self._newton(guess, row, iterations=iterations, tolerance=tolerance)
+        found = self._newton(guess, row, iterations=iterations, tolerance=tolerance)
+        return found.unknowns, found.residual
 
-    def _newton(self, guess: Array, row: Row, *, iterations: int, tolerance: float) -> tuple[Array, float]:
-        best, best_residual = guess, np.inf
+    def _newton(
+        self, guess: Array, row: Row, *, iterations: int, tolerance: float, enough: float = 0.0
+    ) -> "FamilyMember":
+        best = FamilyMember(guess, np.inf, np.zeros_like(guess))
         unknowns = guess
         for _ in range(iterations):
             try:
                 miss, arc_jacobian = self.arc(unknowns)
                 extra, slope = row(unknowns)
-                step = np.linalg.solve(np.vstack([arc_jacobian, slope]), np.append(miss, extra))
+                right = np.column_stack([np.append(miss, extra), np.append(np.zeros_like(miss), 1.0)])
+                step, along = np.linalg.solve(np.vstack([arc_jacobian, slope]), right).T
             except (ArithmeticError, np.linalg.LinAlgError):
-                return best, best_residual
+                return best
             residual = float(np.max(np.append(np.abs(miss) * self.arc_weights, abs(extra))))
-            if residual < best_residual:
-                best, best_residual = unknowns, residual
-            elif best_residual < tolerance:
+            if residual < best.residual:
+                best = FamilyMember(unknowns, residual, along)
+                if residual <= enough:
+                    return best
+            elif best.residual < tolerance:
                 # Newton has reached rounding: more steps only wander.
-                return best, best_residual
+                return best
             unknowns = unknowns - step
-            if unknowns[-1] <= 0:
-                return best, np.inf
-        return best, best_residual
+            # What is far from the guess is no neighbour of it, and a long arc takes as long to fly.
+            if not 0 < unknowns[-1] <= _LONGEST * guess[-1]:
+                return replace(best, residual=np.inf)
+        return best
+
+
+@dataclass(frozen=True)
+class FamilyMember:
+    """What Newton's method found: unknowns (n + 1,), scaled residual, and their change (n + 1,) by the closing row's
+    value: by the energy in J for a member at an energy.
+    """
+
+    unknowns: Array
+    residual: float
+    slope: Array
 
 
 def fixed_and_moved(reverser: Array) -> tuple[Array, Array]:

@@ -9,6 +9,7 @@ from dpcontrol.tubes.equilibria import equilibria
 from dpcontrol.tubes.lyapunov import ContinuationSettings, lyapunov_orbit
 from dpcontrol.tubes.manifold import UnstableManifold
 from dpcontrol.tubes.orbit_curve import OrbitCurve
+from dpcontrol.tubes.symmetric_shooting import SymmetricShooting
 from tests.reference_values import LYAPUNOV_ORBITS, SQUARED_EIGENVALUES
 
 EIGENVALUES = 1e-10
@@ -20,7 +21,7 @@ CLOSURE = 5e-14  # times λ (1 + largest state): a few ulp of a rate, amplified 
 
 @pytest.fixture(scope="module")
 def systems():
-    return {name: load_model(name).system for name in ("lab", "printed")}
+    return {name: load_model(name).system for name in ("lab", "printed", "three-body")}
 
 
 @pytest.fixture(scope="module")
@@ -95,6 +96,34 @@ def test_the_orbit_does_not_depend_on_the_steps_that_lead_to_it(systems):
     )
     assert fine.period == pytest.approx(coarse.period, rel=1e-13)
     assert np.abs(fine.state - coarse.state).max() < 1e-12
+
+
+@pytest.mark.parametrize("energy", [-1.505, -1.5, -1.495])
+def test_far_up_the_orbit_found_is_of_the_family_whatever_the_steps(systems, energy):
+    """Other families cross nearby: long steps that are not checked end on orbits of less than half the period."""
+    default, fine = (
+        lyapunov_orbit(systems["three-body"], "L1", energy=energy, settings=settings)
+        for settings in (ContinuationSettings(), ContinuationSettings(step=0.02))
+    )
+    assert default.converged
+    assert fine.converged
+    assert default.period == pytest.approx(fine.period, rel=1e-9)
+
+
+def test_where_a_family_ends_is_told_after_few_arcs(systems, monkeypatch):
+    flown = []
+    arc = SymmetricShooting.arc
+
+    def counted(problem, unknowns):
+        flown.append(unknowns[-1])
+        return arc(problem, unknowns)
+
+    monkeypatch.setattr(SymmetricShooting, "arc", counted)
+    orbit = lyapunov_orbit(systems["lab"], "up-down", energy=0.6)
+    assert not orbit.converged
+    assert len(flown) < 300
+    # Newton's method may be led to arcs of any length: the longest that were flown once took a minute.
+    assert max(flown) < 20 * orbit.period
 
 
 @pytest.mark.parametrize(
