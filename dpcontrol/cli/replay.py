@@ -15,10 +15,10 @@ from dpcontrol.foundation.errors import GoalMissed
 @click.option("--model", default="lab", show_default=True, help="Model that predicts: a name or a path.")
 @click.option("--estimator", default="ekf", show_default=True, help="Kind of estimator: ekf, ukf.")
 @click.option("--counts", default=40_000, show_default=True, help="Of an encoder per turn: the noise that is assumed.")
-@click.option("--mean-over", default=0.015, show_default=True, help="Of each mean that the estimator is given, s.")
+@click.option("--mean-over", type=float, help="Of each mean the estimator is given, s [0.015; 0 if the cart moved].")
 @click.option("--model-error", default=0.003, show_default=True, help="Share by which the model's accelerations err.")
 @click.option("--ahead", default=100, show_default=True, help="Samples ahead of the estimate for the n-step error.")
-@click.option("--span", default=5.0, show_default=True, help="Longest stretch predicted in one piece, s.")
+@click.option("--span", type=float, help="Longest stretch predicted in one piece, s [5; 0.5 if the cart moved].")
 @click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Log to write [logs/NAME-replay.mcap].")
 @json_option
 @reports_failure
@@ -28,20 +28,22 @@ def command(
     model: str,
     estimator: str,
     counts: int,
-    mean_over: float,
+    mean_over: float | None,
     model_error: float,
     ahead: int,
-    span: float,
+    span: float | None,
     out: Path | None,
     as_json: bool,
 ) -> None:
     """Predict a recording by a model, run an estimator over its angles, and write both beside what was measured.
 
     Each segment is predicted in one piece from the initial state that fits it best. The log has the prediction as its
-    reference: `dpcontrol review` shows both together. Encoder zeros that the model's file tells are taken off.
+    reference: `dpcontrol review` shows both together. Where the cart moved, as in a log of `dpcontrol run`, its command
+    or its recorded motion is the model's input. Encoder zeros that the model's file tells are taken off.
     """
     from dpcontrol.lab.recordings import load_recording
-    from dpcontrol.lab.replay import ReplaySettings, filter_settings, replay_recording, write_replay
+    from dpcontrol.lab.replay import ReplaySettings, filter_settings, replay_recording
+    from dpcontrol.lab.replay_log import write_replay
     from dpcontrol.scenes.model import load_model
 
     settings = ReplaySettings(counts=counts, mean_over=mean_over, ahead=ahead, span=span)
@@ -71,6 +73,7 @@ def command(
                 "nis_below_95": result.nis_below_95,
                 "rms_ahead": {str(samples): rms for samples, rms in result.ahead.items()},
                 "rates_rms": result.rates_rms,
+                "cart": result.cart,
                 "status": result.status,
             }
         )
@@ -86,6 +89,8 @@ def command(
             for segment in segments
         ]
         print_table(f"{loaded.name} over {recording.name}: rms of whole segments", columns, rows)
+        if result.cart:
+            click.echo(f"  cart      moved by {result.cart}")
         for samples, rms in result.ahead.items():
             said = ", ".join(f"{1e3 * value:.3f}" for value in rms)
             click.echo(f"  {samples} ahead   {said} mrad rms from the estimate")

@@ -27,27 +27,53 @@ _ENOUGH = 1e-6
 _GUESS_SECONDS = 0.02
 
 
-class FreeMotion:
-    """Arms on a pivot at rest, sampled every `period` s, for many motions at once. Not to be shared between threads."""
+@dataclass(frozen=True, eq=False)
+class CartDrive:
+    """How the carts of C stretches move: velocities (C,) m/s at first, accelerations (K, C) m/s² held between samples.
 
-    def __init__(self, arms: ArmChainParameters, *, period: float) -> None:
+    The arms do not feel where a cart is.
+    """
+
+    velocities: Array
+    accelerations: Array
+
+
+class FreeMotion:
+    """Arms on a pivot that rests or is moved, sampled every `period` s, for many motions at once.
+
+    moving: whether the pivot is on a cart; then `paths` is told how it moves. Not to be shared between threads.
+    """
+
+    def __init__(self, arms: ArmChainParameters, *, period: float, moving: bool = False) -> None:
         self.arms = arms.count
         self.period = period
-        self._step = compiled_step(equations_of(arms, Level.DISSIPATIVE))
+        self.moving = moving
+        self._step = compiled_step(equations_of(arms, Level.CART if moving else Level.DISSIPATIVE))
         self._base = arms.base()
 
-    def paths(self, states: Array, samples: int) -> Array:
-        """Return the states (samples, N, S) that follow from `states` (N, S), the first included."""
+    def paths(self, states: Array, samples: int, cart: CartDrive | None = None) -> Array:
+        """Return the arms' states (samples, N, S) that follow from `states` (N, S), the first included.
+
+        cart: for each lane, or for each of C stretches with S a multiple of C.
+        """
         size, lanes = states.shape
         inputs = np.zeros((self._step.size_in, lanes))
         where = self._step.slices
         inputs[where["duration"]] = self.period
         inputs[where["parameters"]] = self._base[:, None]
+        whole, following = inputs[where["state"]], np.empty((self._step.size_out, lanes))
+        whole[:size] = states
+        copies = 1 if cart is None else lanes // len(cart.velocities)
+        if cart is not None:
+            whole[size + 1] = np.tile(cart.velocities, copies)
         out = np.empty((samples, size, lanes))
         out[0] = states
         for k in range(1, samples):
-            inputs[where["state"]] = out[k - 1]
-            self._step(inputs, out[k])
+            if cart is not None:
+                inputs[where["inputs"]] = np.tile(cart.accelerations[k - 1], copies)
+            self._step(inputs, following)
+            whole[:] = following
+            out[k] = following[:size]
         return out
 
 
@@ -70,9 +96,15 @@ class FittedPath:
 
 
 def fit_initial_states(
-    motion: FreeMotion, stretches: Sequence[Array], *, progress: Progress = no_progress
+    motion: FreeMotion,
+    stretches: Sequence[Array],
+    carts: Sequence[tuple[Array, Array]] = (),
+    *,
+    progress: Progress = no_progress,
 ) -> list[FittedPath]:
     """Return for each stretch of angles (K, n) the motion that follows it best.
+
+    carts: of each stretch the velocities (K,) m/s and accelerations (K,) m/s² of its cart, where the pivot is moved.
 
     A stretch over which the motion cannot be followed, for it is longer than the model predicts, has a status that
     says so; its path is the best that was found.
@@ -84,15 +116,21 @@ def fit_initial_states(
     for s, angles in enumerate(stretches):
         measured[: len(angles), :, s] = angles
         inside[: len(angles), 0, s] = 1.0
+    cart = None
+    if carts:
+        accelerations = np.zeros((longest, count))
+        for s, (_, acceleration) in enumerate(carts):
+            accelerations[: len(acceleration), s] = acceleration
+        cart = CartDrive(np.array([velocity[0] for velocity, _ in carts]), accelerations)
     states = np.stack([first_guess(angles, motion.period) for angles in stretches], axis=1)
     damping = np.full(count, 1e-6)
-    path = motion.paths(states, longest)
+    path = motion.paths(states, longest, cart)
     cost = _cost(path, measured, inside)
     ended = np.zeros(count, dtype=bool)
     for iteration in range(_ITERATIONS):
         progress("fitting initial states", iteration / _ITERATIONS)
         lanes = np.repeat(states[:, None, :], size, axis=1) + _DIFFERENCE * np.eye(size)[:, :, None]
-        moved = motion.paths(lanes.reshape(size, -1), longest)[:, :n].reshape(longest, n, size, count)
+        moved = motion.paths(lanes.reshape(size, -1), longest, cart)[:, :n].reshape(longest, n, size, count)
         slopes = (moved - path[:, :n, None, :]) / _DIFFERENCE * inside[:, :, None, :]
         residual = (path[:, :n] - measured) * inside
         normal = np.einsum("kais,kajs->sij", slopes, slopes)
@@ -102,7 +140,7 @@ def fit_initial_states(
         normal[~finite], gradient[~finite], scale[~finite] = np.eye(size), 0.0, 1.0
         damped = normal + damping[:, None, None] * scale[:, :, None] * np.eye(size)
         tried = states - np.linalg.solve(damped, gradient[:, :, None])[:, :, 0].T
-        following = motion.paths(tried, longest)
+        following = motion.paths(tried, longest, cart)
         lower = _cost(following, measured, inside)
         better = lower < cost
         ended |= better & (cost - lower <= _ENOUGH * cost)

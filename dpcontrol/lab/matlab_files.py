@@ -89,10 +89,15 @@ def _with_objects(path: Path) -> dict[str, Any]:
 def column(variables: Mapping[str, Any], name: str, *, file: Path) -> Array:
     """Return the numbers (K,) that `name` means: a variable, fields, cells `{i}` and rows `(i,:)` of it.
 
+    Of a signal that Simulink logged, as a structure with time or as a time series, its values.
+
     Raises:
         InputError: there is no such thing, or it is not one row or column of real numbers.
     """
-    return numbers(find(variables, name, file=file), name, file=file)
+    value = find(variables, name, file=file)
+    for inner in (_member(_member(value, "signals"), "values"), _member(value, "Data")):
+        value = value if inner is None else inner
+    return numbers(value, name, file=file)
 
 
 def find(variables: Mapping[str, Any], name: str, *, file: Path) -> Any:

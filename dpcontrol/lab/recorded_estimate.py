@@ -9,6 +9,7 @@ misses of a curved motion is known from the model.
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 5.4.2, 10.3.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,7 @@ from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.lab.cart_motion import CartMotion
 from dpcontrol.lab.initial_states import first_guess
 from dpcontrol.lab.recordings import Recording
 from dpcontrol.lab.sensors import SensorSettings
@@ -45,16 +47,18 @@ def estimate_recording(
     recording: Recording,
     arms: ArmChainParameters,
     filters: EstimatorSettings,
+    carts: Sequence[CartMotion] = (),
     *,
     counts: int,
     mean_over: float,
     progress: Progress = no_progress,
 ) -> RecordedEstimate:
-    """Run an estimator over each segment of a recording with the cart clamped, beginning anew in each.
+    """Run an estimator over each segment of a recording, beginning anew in each.
 
     Args:
         recording: angles in segments.
         arms: the model.
+        carts: how the cart moved in each segment, where it did; empty: clamped.
         filters: kind and process noise of the estimator.
         counts: of an encoder per turn.
         mean_over: s of each mean; samples less than a millisecond apart share their rounding and count as one.
@@ -66,16 +70,17 @@ def estimate_recording(
     """
     n, total = recording.arms, len(recording.time)
     mean_of = max(1, round(mean_over / recording.dt))
-    still = NumericEquations(equations_of(arms, Level.DISSIPATIVE), arms.base())
     model = SampledModel(equations_of(arms, Level.CART), arms.base(), period=mean_of * recording.dt)
+    change = _Change(arms, moving=bool(carts))
     noise = SensorSettings(counts=counts).covariance(n)
     noise[:n, :n] /= max(1.0, mean_of * min(1.0, recording.dt / _INDEPENDENT))
     estimator = make_estimator(filters, model, noise=noise)
-    # The cart is not measured: it stands still in the model as it does on the bench.
+    # The cart's own measurement says nothing of the arms: its motion is given, and a clamped one stands still.
     present = np.array([True] * n + [False])
     times: Array = np.asarray((np.arange(mean_of) - (mean_of - 1) / 2) * recording.dt, dtype=np.float64)
     out = RecordedEstimate(np.zeros((total, 2 * n)), np.zeros((total, 2 * n)), np.full(total, np.nan))
-    for first, end in recording.segments:
+    for index, (first, end) in enumerate(recording.segments):
+        cart = _Cart(carts[index] if carts else None, mean_of)
         blocks = (end - first) // mean_of
         if not blocks:
             raise InputError(
@@ -84,28 +89,34 @@ def estimate_recording(
         used = recording.angles[first : first + blocks * mean_of]
         means: Array = np.asarray(np.mean(used.reshape(blocks, mean_of, n), axis=1), dtype=float)
         guess = first_guess(recording.angles[first:end], recording.dt)
-        middle = _nearby(guess, still.rate(guess)[n:], -times[:1])[0]
-        estimate = estimator.first(np.concatenate([middle, [0.0, 0.0]]))
+        middle = _nearby(guess, change(guess, cart, 0)[n:], -times[:1])[0]
+        estimate = estimator.first(np.concatenate([middle, cart.start]))
         rows = slice(first, first)
         try:
             for k in range(blocks):
                 rows = slice(first + k * mean_of, first + (k + 1) * mean_of)
-                expected = estimate.state if not k else estimator.ahead(estimate, [0.0])
-                bend = still.rate(np.asarray(expected[: 2 * n]))[n:] * np.mean(times**2) / 2
+                moved = cart.between(k)
+                expected = estimate.state if not k else estimator.ahead(estimate, [moved])
+                bend = change(np.asarray(expected[: 2 * n]), cart, k)[n:] * np.mean(times**2) / 2
                 measured = np.concatenate([means[k] - bend, [0.0]])
                 if k:
-                    estimate = estimator.step(estimate, 0.0, measured, present)
+                    estimate = estimator.step(estimate, moved, measured, present)
                     out.nis[rows.stop - 1] = estimate.nis
                 else:
                     estimate = estimator.update(estimate, measured, present)
                 state = np.asarray(estimate.state[: 2 * n])
-                out.states[rows] = _nearby(state, still.rate(state)[n:], times)
+                out.states[rows] = _nearby(state, change(state, cart, k)[n:], times)
                 out.sigmas[rows] = estimate.sigmas[: 2 * n]
                 if not k % 256:
                     progress("running the estimator", rows.stop / total)
         except ArithmeticError as error:
             raise GoalMissed(f"the estimator broke down at {recording.time[rows.start]:.6g} s: {error}") from error
-        _finish(out, still, rows.stop, end, recording.dt)
+        for row in range(rows.stop, end):
+            # Too few for a mean.
+            state = out.states[row - 1]
+            halfway = state + recording.dt / 2 * change(state, cart, blocks - 1)
+            out.states[row] = state + recording.dt * change(halfway, cart, blocks - 1)
+            out.sigmas[row] = out.sigmas[row - 1]
     return out
 
 
@@ -116,10 +127,45 @@ def _nearby(state: Array, acceleration: Array, times: Array) -> Array:
     return np.column_stack([angles, state[n:] + np.outer(times, acceleration)])
 
 
-def _finish(out: RecordedEstimate, still: NumericEquations, begin: int, end: int, period: float) -> None:
-    """Carry the last estimate through the samples that are too few for a mean."""
-    for row in range(begin, end):
-        state = out.states[row - 1]
-        halfway = state + period / 2 * still.rate(state)
-        out.states[row] = state + period * still.rate(halfway)
-        out.sigmas[row] = out.sigmas[row - 1]
+class _Cart:
+    """A segment's cart by means of `mean_of` samples: how it moves in each, and from one's middle to the next."""
+
+    def __init__(self, motion: CartMotion | None, mean_of: int) -> None:
+        self.start = np.zeros(2)
+        self._motion, self._mean_of, self._within, self._between = motion, mean_of, np.zeros(0), np.zeros(0)
+        if motion is not None:
+            middle = mean_of // 2
+            self.start = np.array([motion.position[middle], motion.velocity[middle]])
+            blocks = len(motion.acceleration) // mean_of
+            self._within = motion.acceleration[: blocks * mean_of].reshape(blocks, mean_of).mean(axis=1)
+            total = np.concatenate([[0.0], np.cumsum(motion.acceleration)])
+            # A middle between two samples stands half a sample on.
+            steps = np.arange(len(total))
+            middles = mean_of * np.arange(blocks) + (mean_of - 1) / 2
+            self._between = np.diff(np.interp(middles, steps, total)) / mean_of
+
+    def between(self, k: int) -> float:
+        """Return the mean acceleration m/s² from the middle of mean k - 1 to that of mean k."""
+        return float(self._between[k - 1]) if self._motion is not None and k else 0.0
+
+    def within(self, k: int) -> tuple[float, float]:
+        """Return the mean acceleration m/s² in mean k, and the velocity m/s at its middle."""
+        if self._motion is None:
+            return 0.0, 0.0
+        return float(self._within[k]), float(self._motion.velocity[k * self._mean_of + self._mean_of // 2])
+
+
+class _Change:
+    """How the arms' states (2n,) change, in the middle of mean k of a segment."""
+
+    def __init__(self, arms: ArmChainParameters, *, moving: bool) -> None:
+        self._size, self._base = 2 * arms.count, arms.base()
+        self._still = NumericEquations(equations_of(arms, Level.DISSIPATIVE), self._base)
+        self._moved = equations_of(arms, Level.CART).function() if moving else None
+
+    def __call__(self, state: Array, cart: _Cart, k: int) -> Array:
+        if self._moved is None:
+            return self._still.rate(state)
+        acceleration, velocity = cart.within(k)
+        whole = np.concatenate([state, [0.0, velocity]])
+        return np.asarray(self._moved(whole, acceleration, self._base)).ravel()[: self._size]

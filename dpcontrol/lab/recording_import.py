@@ -26,7 +26,8 @@ Array = NDArray[np.float64]
 MATLAB, TABLES = (".mat",), (".csv", ".tsv", ".txt", ".parquet")
 _MOST_ARMS = 6
 _KNOWN = (
-    "multi-arm", "multi-arm-triple", "multi-arm-double", "multi-arm-single-cart", "multi-arm-single",
+    "multi-arm", "multi-arm-triple-cart", "multi-arm-triple", "multi-arm-double-cart", "multi-arm-double",
+    "multi-arm-single-cart", "multi-arm-single",
     "multi-arm-raw-triple", "multi-arm-raw", "multi-arm-raw-single",
 )  # fmt: skip
 """Mappings of MATLAB files to be told by what they hold: what asks for more comes before what asks for less."""

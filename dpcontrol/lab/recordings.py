@@ -5,6 +5,7 @@ A recording is written in the layout of simulated logs: angles and the rig's own
 metadata says in which rows each begins and ends, and between two segments the time may jump.
 """
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,11 +14,14 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import LogWriter, Mode, RunLog, control_fields, read_log
+from dpcontrol.logs.container import MAGIC
 
 Array = NDArray[np.float64]
 
 KIND, REPLAYED = "recording", "replay"
 """The metadata `kind` of a log that was imported, and of one that a model was replayed on."""
+SUMMARY = "summary"
+"""Metadata of a replay: a sentence on how well the model predicted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,8 +135,14 @@ def load_recording(path: Path | str) -> Recording:
     """Return the recording in a log that `dpcontrol import` or `replay` wrote; a run's log is one segment of its own.
 
     Raises:
-        InputError: the file cannot be read, or holds too few samples.
+        InputError: the file cannot be read, is no log, or holds too few samples.
     """
+    path = Path(path)
+    with suppress(OSError), path.open("rb") as file:
+        head = file.read(len(MAGIC))
+        if head != MAGIC[: len(head)]:
+            said = f"{path} is no log (it begins with {head!r})"
+            raise InputError(f"{said}; of a bench's recording `dpcontrol import` makes one")
     return recording_of(read_log(path))
 
 

@@ -1,8 +1,9 @@
 """What a model would have done where a recording says what the bench did, and what an estimator makes of the angles.
 
 Three predictions, each compared with the measured angles: over whole segments from the initial state that fits best;
-one sample and `ahead` samples from the estimate. Angles are taken less the encoders' zeros, where the model tells them,
-and predictions are given as the encoders would show them. The estimator (`dpcontrol.lab.recorded_estimate`) sees angles
+one sample and `ahead` samples from the estimate. Where the cart moved, its motion is the input
+(`dpcontrol.lab.cart_motion`). Angles are taken less the encoders' zeros, where the model tells them, and predictions
+are given as the encoders would show them. The estimator (`dpcontrol.lab.recorded_estimate`) sees angles
 alone; its NIS has a chi-square distribution with as many degrees of freedom as angles if model and noise are as stated.
 
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4.2.
@@ -11,7 +12,6 @@ Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking a
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,18 +23,18 @@ from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Progress, no_progress, part_of
 from dpcontrol.foundation.tables import suggest
-from dpcontrol.lab.initial_states import FittedPath, FreeMotion, fit_initial_states
+from dpcontrol.lab.cart_motion import CartMotion, cart_motion
+from dpcontrol.lab.initial_states import CartDrive, FittedPath, FreeMotion, fit_initial_states
 from dpcontrol.lab.recorded_estimate import RecordedEstimate, estimate_recording
-from dpcontrol.lab.recordings import REPLAYED, Recording, described
-from dpcontrol.logs import LogWriter, Mode, control_fields
+from dpcontrol.lab.recordings import Recording
 
 Array = NDArray[np.float64]
 
 _SETTLED = 0.1
 """s of a segment in which the estimator may still find the rates: left out of what is said of it."""
 _STARTS = 2000
-
-
+_MEAN_OVER, _SPAN = (0.015, 0.0), (5.0, 0.5)
+"""s: with the cart clamped, and where it moved."""
 _FLOOR = 0.015
 """rad/s/√s: process noise of the rates besides the share of the accelerations, chosen with it."""
 
@@ -44,12 +44,15 @@ class ReplaySettings:
     """counts: of an encoder per turn, the stated noise; mean_over s: of each mean that the estimator is given;
     ahead: samples of the longer prediction; span s: the longest stretch that is predicted in one piece, longer segments
     are cut into equal parts.
+
+    None: 15 ms and 5 s with the cart clamped. Where it moved single samples, for a command changes within a mean, and
+    half a second, for near a saddle errors grow fiftyfold in that time.
     """
 
     counts: int = 40_000
-    mean_over: float = 0.015
+    mean_over: float | None = None
     ahead: int = 100
-    span: float = 5.0
+    span: float | None = None
 
     def __post_init__(self) -> None:
         """Refuse what no replay can do.
@@ -59,11 +62,11 @@ class ReplaySettings:
         """
         if self.counts < 1:
             raise InputError(f"replay: counts = {self.counts}: must be at least 1 for a turn")
-        if not 0 <= self.mean_over <= 0.02:
+        if self.mean_over is not None and not 0 <= self.mean_over <= 0.02:
             raise InputError(f"replay: mean_over = {self.mean_over!r}: must be 0, for single samples, to 0.02 s")
         if not 1 <= self.ahead <= 100_000:
             raise InputError(f"replay: ahead = {self.ahead}: must be 1 to 100000 samples")
-        if not 0.05 <= self.span <= 1000:
+        if self.span is not None and not 0.05 <= self.span <= 1000:
             raise InputError(f"replay: span = {self.span!r}: must be 0.05 to 1000 s")
 
 
@@ -71,11 +74,12 @@ class ReplaySettings:
 class Replay:
     """A recording of K samples beside what a model says of it.
 
-    predicted and estimated (K, 2n): states, the angles as the encoders would show them; sigmas (K, 2n): the estimate's
-    standard deviations; nis (K,), nan where no mean of samples ends. stretches: (segment, first, end) rows of each
-    predicted stretch, fits one for each. ahead: {samples: (n,) rad rms of each angle} from the estimate. rates_rms (n,)
-    rad/s: estimate against the recorded rates, or None. nis_inside_95: share of the settled NIS in its two-sided 95 %
-    band; nis_below_95: below its 95 % quantile.
+    predicted and estimated (K, 2n): the arms' states, the angles as the encoders would show them; sigmas (K, 2n): the
+    estimate's standard deviations; carts: how the cart moved in each segment, empty where it was clamped; nis (K,), nan
+    where no mean of samples ends. stretches: (segment, first, end) rows of each predicted stretch, fits one for each.
+    ahead: {samples: (n,) rad rms of each angle} from the estimate. rates_rms (n,) rad/s: estimate against the recorded
+    rates, or None. nis_inside_95: share of the settled NIS in its two-sided 95 % band; nis_below_95: below its 95 %
+    quantile.
     """
 
     recording: Recording
@@ -83,12 +87,36 @@ class Replay:
     estimated: Array
     sigmas: Array
     nis: Array
+    carts: tuple[CartMotion, ...]
     stretches: tuple[tuple[int, int, int], ...]
     fits: tuple[FittedPath, ...]
     ahead: dict[int, Array]
     rates_rms: Array | None
     nis_inside_95: float
     nis_below_95: float
+
+    def summary(self, model: str) -> str:
+        """Return a sentence: how well this model predicts, and whether the estimator believes it."""
+        rms = sorted(1e3 * float(np.sqrt(np.mean(np.square(fit.residual)))) for fit in self.fits)
+        seconds = max(end - first for _, first, end in self.stretches) * self.recording.dt
+        return (
+            f"predicted by {model} over {seconds:.3g} s from fitted starts: {np.median(rms):.3g} mrad rms in the "
+            f"median, {rms[-1]:.3g} at worst; NIS {self.nis_inside_95:.1%} in its 95 % band"
+        )
+
+    @property
+    def cart(self) -> str:
+        """Return what the cart's acceleration was taken from, or "" where it was clamped."""
+        if not self.carts:
+            return ""
+        commanded = sum(cart.commanded for cart in self.carts)
+        if not commanded:
+            return "its recorded position" + (
+                "; the command does not explain it" if self.recording.command is not None else ""
+            )
+        if commanded == len(self.carts):
+            return "the command" + ("" if self.recording.cart is None else ", which explains its position")
+        return f"the command in {commanded} of {len(self.carts)} segments, else its recorded position"
 
     @property
     def status(self) -> str:
@@ -127,7 +155,7 @@ def replay_recording(
     zeros: Sequence[float] = (),
     progress: Progress = no_progress,
 ) -> Replay:
-    """Predict a recording with the cart clamped by a model, and run an estimator over it.
+    """Predict a recording by a model, its cart clamped or moved as it was recorded, and run an estimator over it.
 
     Args:
         recording: angles in segments.
@@ -138,13 +166,11 @@ def replay_recording(
         progress: told how far it is.
 
     Raises:
-        InputError: the cart moved, or the model has another number of arms.
+        InputError: the model has another number of arms, or the cart moved in some of the segments only.
         GoalMissed: the estimator's covariance broke down.
     """
     settings = settings or ReplaySettings()
     n = recording.arms
-    if recording.cart is not None or recording.command is not None:
-        raise InputError(f"{recording.source}: the cart moves in this recording; a replay needs it clamped")
     if arms.count != n:
         raise InputError(f"{recording.source}: the recording has {n} arms and the model {arms.count}; choose another")
     if len(zeros) not in (0, n):
@@ -152,17 +178,21 @@ def replay_recording(
     shown = np.array([*zeros, *[0.0] * (2 * n - len(zeros))])
     shown_recording = recording
     recording = replace(recording, angles=recording.angles - shown[:n])
-    motion = FreeMotion(arms, period=recording.dt)
-    stretches = _stretches(recording, settings.span)
+    carts = _carts(recording)
+    motion = FreeMotion(arms, period=recording.dt, moving=bool(carts))
+    stretches = _stretches(recording, _SPAN[bool(carts)] if settings.span is None else settings.span)
     pieces = [recording.angles[first:end] for _, first, end in stretches]
-    fits = fit_initial_states(motion, pieces, progress=part_of(progress, 0.0, 0.5))
+    velocity, acceleration = driven(recording, carts)
+    moved = [(velocity[first:end], acceleration[first:end]) for _, first, end in stretches] if carts else []
+    fits = fit_initial_states(motion, pieces, moved, progress=part_of(progress, 0.0, 0.5))
     predicted = np.concatenate([fit.states for fit in fits])
     found = estimate_recording(
         recording,
         arms,
         filters,
+        carts,
         counts=settings.counts,
-        mean_over=settings.mean_over,
+        mean_over=_MEAN_OVER[bool(carts)] if settings.mean_over is None else settings.mean_over,
         progress=part_of(progress, 0.5, 0.9),
     )
     estimated, nis = found.states, found.nis
@@ -181,13 +211,40 @@ def replay_recording(
         estimated=estimated + shown,
         sigmas=found.sigmas,
         nis=nis,
+        carts=carts,
         stretches=stretches,
         fits=tuple(fits),
-        ahead={k: _ahead(motion, recording, found, settled, k) for k in sorted({1, settings.ahead})},
+        ahead={
+            k: _ahead(motion, recording, found, settled, k, velocity, acceleration) for k in sorted({1, settings.ahead})
+        },
         rates_rms=rates_rms,
         nis_inside_95=float(np.mean((told >= low) & (told <= high))) if len(told) else float("nan"),
         nis_below_95=float(np.mean(told <= chi_square_band(n, share=0.9)[1])) if len(told) else float("nan"),
     )
+
+
+def _carts(recording: Recording) -> tuple[CartMotion, ...]:
+    """Return how the cart moved in each segment; empty where it was clamped.
+
+    Raises:
+        InputError: it moved in some only.
+    """
+    found = [cart_motion(part) for part in recording.split()]
+    moved = tuple(cart for cart in found if cart is not None)
+    if moved and len(moved) < len(found):
+        still = next(k for k, cart in enumerate(found) if cart is None)
+        raise InputError(
+            f"{recording.source}: the cart moves in some segments and stands in others, as in segment {still}; "
+            "import them apart"
+        )
+    return moved
+
+
+def driven(recording: Recording, carts: tuple[CartMotion, ...]) -> tuple[Array, Array]:
+    """Return the cart's velocity and acceleration (K,) over all segments, zero where it was clamped."""
+    if not carts:
+        return np.zeros(len(recording.time)), np.zeros(len(recording.time))
+    return np.concatenate([c.velocity for c in carts]), np.concatenate([c.acceleration for c in carts])
 
 
 def _stretches(recording: Recording, span: float) -> tuple[tuple[int, int, int], ...]:
@@ -201,7 +258,13 @@ def _stretches(recording: Recording, span: float) -> tuple[tuple[int, int, int],
 
 
 def _ahead(
-    motion: FreeMotion, recording: Recording, found: RecordedEstimate, settled: NDArray[np.bool_], samples: int
+    motion: FreeMotion,
+    recording: Recording,
+    found: RecordedEstimate,
+    settled: NDArray[np.bool_],
+    samples: int,
+    velocity: Array,
+    acceleration: Array,
 ) -> Array:
     """Return the rms error (n,) rad of angles predicted `samples` ahead from the estimate; nan where none fits."""
     inside = np.zeros(len(settled), dtype=bool)
@@ -213,43 +276,8 @@ def _ahead(
     if not len(rows):
         return np.full(recording.arms, np.nan)
     states = np.ascontiguousarray(found.states[rows].T)
-    for _ in range(samples):
-        states = motion.paths(states, 2)[1]
+    for k in range(samples):
+        cart = CartDrive(velocity[rows + k], acceleration[None, rows + k]) if motion.moving else None
+        states = motion.paths(states, 2, cart)[1]
     error = states[: recording.arms].T - recording.angles[rows + samples]
     return np.sqrt(np.mean(np.square(error), axis=0))
-
-
-def write_replay(result: Replay, path: Path | str, *, model: str, model_text: str) -> Path:
-    """Write measured angles with the estimate and, as the reference, the prediction; return the log's path.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    recording = result.recording
-    fields = control_fields(recording.arms, has_cart=False)
-    control = np.zeros((len(recording.time), len(fields)))
-    control[:, fields.index("mode")] = Mode.IDLE
-    control[:, fields.index("nis")] = result.nis
-    control[:, fields.index("sigma_1") :] = result.sigmas
-    metadata = described(recording, kind=REPLAYED) | {"model": model}
-    with LogWriter(
-        path,
-        arm_lengths=recording.arm_lengths,
-        rate_hz=1 / recording.dt,
-        has_cart=False,
-        metadata=metadata,
-        attachments={"model.toml": model_text.encode()},
-    ) as log:
-        for (index, first, end), fit in zip(result.stretches, result.fits, strict=True):
-            text = f"segment {index}: predicted to {1e3 * np.sqrt(np.mean(fit.residual**2)):.2f} mrad rms"
-            log.event(float(recording.time[first]), "info" if fit.converged else "warn", "replay", text)
-            rows = slice(first, end)
-            log.ticks(
-                recording.time[rows],
-                measured=recording.angles[rows],
-                rates=None if recording.rates is None else recording.rates[rows],
-                estimate=result.estimated[rows],
-                reference=result.predicted[rows],
-                control=control[rows],
-            )
-    return Path(path)

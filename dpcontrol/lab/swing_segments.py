@@ -6,10 +6,10 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import savgol_filter
 
 from dpcontrol.control.shooting_windows import Swing
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.lab.cart_motion import cart_motion
 from dpcontrol.lab.recordings import Recording
 
 Array = NDArray[np.float64]
@@ -45,13 +45,13 @@ def cut_into_swings(recordings: Sequence[Recording], arms: int, longest: float) 
         for part in recording.split():
             pieces = max(int(np.ceil((len(part.time) - 1) * part.dt / longest)), 1)
             edges = np.linspace(0, len(part.time), pieces + 1).round().astype(int)
-            accelerations, velocities = _cart_motion(part)
+            cart = cart_motion(part)
             for a, b in pairwise(edges):
                 angles = part.angles[a:b]
                 # Turns counted before a segment say nothing about it.
                 angles = angles - 2 * np.pi * np.rint(angles[0] / (2 * np.pi))
-                u = None if accelerations is None else accelerations[a:b]
-                v = None if velocities is None else velocities[a:b]
+                u = None if cart is None else cart.acceleration[a:b]
+                v = None if cart is None else cart.velocity[a:b]
                 about.append(
                     Segment(len(about), recording.name, float(part.time[a]), float((b - a - 1) * part.dt), True, np.nan)
                 )
@@ -61,14 +61,3 @@ def cut_into_swings(recordings: Sequence[Recording], arms: int, longest: float) 
     if max(float(np.ptp(s.angles, axis=0).max()) for s in swings) < _STILL:
         raise InputError(f"no angle moves by more than {_STILL:g} rad: nothing to identify; record free swings")
     return swings, about
-
-
-def _cart_motion(part: Recording) -> tuple[Array | None, Array | None]:
-    """Return the cart's acceleration and velocity at each sample, or nothing where it was clamped."""
-    if part.cart is None or float(np.ptp(part.cart)) < _STILL:
-        return None, None
-    width = min(max(int(0.02 / part.dt) | 1, 5), (len(part.cart) - 1) | 1)
-    velocity = np.asarray(savgol_filter(part.cart, width, 3, deriv=1, delta=part.dt), dtype=float)
-    if part.command is not None:
-        return part.command, velocity
-    return np.asarray(savgol_filter(part.cart, width, 3, deriv=2, delta=part.dt), dtype=float), velocity

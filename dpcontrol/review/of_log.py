@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.dynamics.system import System, pendulum_system
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.lab.recordings import SUMMARY
 from dpcontrol.logs import RunLog
 from dpcontrol.references.reference import Reference
 from dpcontrol.review.context import OrbitCurve, ReviewContext, Stay
@@ -133,8 +134,9 @@ def _without_plan(log: RunLog) -> ReviewContext:
         arm_lengths=log.arm_lengths,
         limits=log.limits,
         energy=None if states is None else _energy(system, states, n),
-        verdict=f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; it carries no plan, so nothing was "
-        "asked and nothing is judged" + (f"; {recovered_note(log)}" if log.recovered else ""),
+        verdict=f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; "
+        + (log.metadata.get(SUMMARY) or "it carries no plan, so nothing was asked and nothing is judged")
+        + (f"; {recovered_note(log)}" if log.recovered else ""),
     )
 
 

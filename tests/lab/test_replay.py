@@ -13,7 +13,8 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.lab.initial_states import FreeMotion, fit_initial_states
 from dpcontrol.lab.recording_import import import_recording
 from dpcontrol.lab.recordings import Recording, load_recording
-from dpcontrol.lab.replay import ReplaySettings, filter_settings, replay_recording, write_replay
+from dpcontrol.lab.replay import ReplaySettings, filter_settings, replay_recording
+from dpcontrol.lab.replay_log import write_replay
 from dpcontrol.logs import read_log
 from dpcontrol.scenes.model import load_model
 
@@ -147,10 +148,8 @@ def test_long_segments_are_predicted_in_parts_that_cover_them() -> None:
     assert len(result.predicted) == 3000
 
 
-def test_a_moving_cart_and_another_number_of_arms_are_refused() -> None:
+def test_another_number_of_arms_is_refused() -> None:
     recording = recorded(segments=1)
-    with pytest.raises(InputError, match="the cart moves"):
-        replay_recording(replace(recording, cart=np.zeros(1000)), ARMS, filter_settings("ekf"))
     with pytest.raises(InputError, match="has 1 arms and the model 2"):
         replay_recording(replace(recording, angles=recording.angles[:, :1]), ARMS, filter_settings("ekf"))
     with pytest.raises(InputError, match="did you mean 'ukf'"):
