@@ -13,60 +13,15 @@ Source: Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I (19
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from dpcontrol.bench.page import Page, TextTable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 ALLOWED = 0.2
 """How far off the front a default may stand, with a reason."""
-READING_LINES = 3
-
-
-@dataclass(frozen=True)
-class TextTable:
-    """A table for people: title, heads of the columns, rows of text; notes follow it, a line each."""
-
-    title: str
-    columns: tuple[str, ...]
-    rows: tuple[tuple[str, ...], ...]
-    notes: tuple[str, ...] = ()
-
-
-class Drawable(Protocol):
-    """What `dpcontrol bench` draws, saves and prints: a chart here, a map of failure elsewhere."""
-
-    @property
-    def name(self) -> str:
-        """The name on the command line and of the files."""
-        ...
-
-    @property
-    def reading(self) -> tuple[str, str, str]:
-        """Three lines on how to read it."""
-        ...
-
-    @property
-    def chosen(self) -> str:
-        """What was chosen after it."""
-        ...
-
-    @property
-    def complaints(self) -> tuple[str, ...]:
-        """What is not as it should be, a sentence each."""
-        ...
-
-    def document(self) -> dict[str, Any]:
-        """Return everything in JSON's terms."""
-        ...
-
-    def figure(self) -> "Figure":
-        """Return the picture."""
-        ...
-
-    def tables(self) -> tuple[TextTable, ...]:
-        """Return what is shown to people in the terminal."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -195,47 +150,24 @@ class Panel:
 
 
 @dataclass(frozen=True)
-class Chart:
-    """One chart: its panels, three lines on how to read it, and what was chosen after it.
+class Chart(Page):
+    """A page of work-precision diagrams.
 
     Raises:
         ValueError: the reading is not of three lines, or no panel holds a default.
     """
 
-    name: str
-    title: str
-    panels: tuple[Panel, ...]
-    reading: tuple[str, str, str]
-    chosen: str
+    PARTS: ClassVar[str] = "panels"
+
+    panels: tuple[Panel, ...] = ()
 
     def __post_init__(self) -> None:
-        if len(self.reading) != READING_LINES:
-            raise ValueError(f"{self.name}: {len(self.reading)} lines on how to read it; write {READING_LINES}")
+        super().__post_init__()
         if not any(panel.defaults for panel in self.panels):
             raise ValueError(f"{self.name}: no point is the product's default")
-
-    @property
-    def complaints(self) -> tuple[str, ...]:
-        """What is wrong with the defaults, a sentence each; empty where all stand where they may."""
-        return tuple(text for panel in self.panels for text in panel.complaints())
-
-    def document(self) -> dict[str, Any]:
-        """Return the chart in JSON's terms."""
-        return {
-            "name": self.name,
-            "title": self.title,
-            "reading": list(self.reading),
-            "chosen": self.chosen,
-            "complaints": list(self.complaints),
-            "panels": [panel.document() for panel in self.panels],
-        }
 
     def figure(self) -> "Figure":
         """Return the chart's page."""
         from dpcontrol.bench.drawing import draw
 
         return draw(self)
-
-    def tables(self) -> tuple[TextTable, ...]:
-        """Return each panel's front."""
-        return tuple(panel.table() for panel in self.panels)

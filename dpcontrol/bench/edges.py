@@ -13,9 +13,10 @@ Source: for bisection on a yes-or-no answer, Press et al., Numerical Recipes, 3r
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from textwrap import shorten
+from typing import TYPE_CHECKING, Any, ClassVar
 
-from dpcontrol.bench.chart import READING_LINES, TextTable
+from dpcontrol.bench.page import Page, TextTable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 AGREES = 0.25
 """How far measured and predicted borders may be apart, as a share."""
 _MOST_PROBES = 60
+_SHOWN = 90
+"""Characters of what is said, in a table; the JSON holds all."""
 
 
 @dataclass(frozen=True)
@@ -168,7 +171,7 @@ class EdgeMap:
         """Return the borders as a table."""
         rows = tuple(
             (b.line, _number(b.near), _number(b.far), _number(b.predicted), "" if b.off is None else f"{b.off:.0%}",
-             b.says)
+             shorten(b.says, _SHOWN, placeholder=" …"))
             for b in self.borders
         )  # fmt: skip
         notes = (f"foretold: {self.theory}",) if self.theory else ()
@@ -185,45 +188,15 @@ def _number(value: float | None) -> str:
 
 
 @dataclass(frozen=True)
-class EdgeChart:
-    """A page of maps, three lines on how to read it, and what follows for the product.
+class EdgeChart(Page):
+    """A page of maps of failure."""
 
-    Raises:
-        ValueError: the reading is not of three lines.
-    """
+    PARTS: ClassVar[str] = "maps"
 
-    name: str
-    title: str
-    maps: tuple[EdgeMap, ...]
-    reading: tuple[str, str, str]
-    chosen: str
-
-    def __post_init__(self) -> None:
-        if len(self.reading) != READING_LINES:
-            raise ValueError(f"{self.name}: {len(self.reading)} lines on how to read it; write {READING_LINES}")
-
-    @property
-    def complaints(self) -> tuple[str, ...]:
-        """What is not as it should be, a sentence each."""
-        return tuple(text for m in self.maps for text in m.complaints())
-
-    def document(self) -> dict[str, Any]:
-        """Return the chart in JSON's terms."""
-        return {
-            "name": self.name,
-            "title": self.title,
-            "reading": list(self.reading),
-            "chosen": self.chosen,
-            "complaints": list(self.complaints),
-            "maps": [m.document() for m in self.maps],
-        }
+    maps: tuple[EdgeMap, ...] = ()
 
     def figure(self) -> "Figure":
         """Return the chart's page."""
         from dpcontrol.bench.edges_drawing import draw
 
         return draw(self)
-
-    def tables(self) -> tuple[TextTable, ...]:
-        """Return each map's borders."""
-        return tuple(m.table() for m in self.maps)

@@ -3,16 +3,16 @@
 import importlib
 from collections.abc import Callable
 
-from dpcontrol.bench.chart import Drawable
+from dpcontrol.bench.page import Page
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Progress
 
-Drawer = Callable[[bool, Progress], Drawable]
+Drawer = Callable[[bool, Progress], Page]
 """(quick, progress) -> chart: `quick` takes less of the same work, so that the order on the front stays."""
 
 
 def _of(module: str) -> Drawer:
-    def chart(quick: bool, progress: Progress) -> Drawable:
+    def chart(quick: bool, progress: Progress) -> Page:
         return importlib.import_module(f"dpcontrol.bench.{module}").chart(quick, progress)
 
     return chart
@@ -27,6 +27,7 @@ CHARTS: dict[str, Drawer] = {
     "logging": _of("logging"),
     "levels": _of("levels"),
     "edges-propagation": _of("edges_propagation"),
+    "edges-seeds": _of("edges_seeds"),
     "edges-walks": _of("edges_walks"),
     "edges-references": _of("edges_references"),
     "edges-control": _of("edges_control"),

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dpcontrol.bench.chart import Drawable
 from dpcontrol.bench.machine import machine, versions
 from dpcontrol.bench.measure import one_core
+from dpcontrol.bench.page import Page
 from dpcontrol.bench.registry import CHARTS, check_names
 from dpcontrol.foundation.checkout import commit
 from dpcontrol.foundation.files import Progress, no_progress, part_of, whole_file, write_whole
@@ -19,7 +19,7 @@ from dpcontrol.foundation.files import Progress, no_progress, part_of, whole_fil
 class Drawn:
     """A chart that was made, its files, and the seconds that it took."""
 
-    chart: Drawable
+    chart: Page
     picture: Path
     data: Path
     seconds: float
@@ -48,7 +48,7 @@ def draw_charts(
     return tuple(drawn)
 
 
-def save(chart: Drawable, folder: Path, *, made_with: Mapping[str, Any], seconds: float) -> tuple[Path, Path]:
+def save(chart: Page, folder: Path, *, made_with: Mapping[str, Any], seconds: float) -> tuple[Path, Path]:
     """Write a chart's picture and data to `folder`; return their paths."""
     picture, data = Path(folder) / f"{chart.name}.png", Path(folder) / f"{chart.name}.json"
     with whole_file(picture, suffix=".png") as temporary:

@@ -1,14 +1,37 @@
 """dpcontrol bench"""
 
+from collections.abc import Iterable
 from pathlib import Path
 from textwrap import fill
 
 import click
 
+from dpcontrol.bench.registry import CHARTS, GROUPS
 from dpcontrol.cli.output import json_option, print_json, print_table, progress_bar, reports_failure
+from dpcontrol.foundation.errors import GoalMissed
 
 
-@click.command("bench", epilog="Example:  dpcontrol bench propagation --quick --out charts")
+def _listed(names: Iterable[str]) -> str:
+    """Return names as a paragraph that is not broken within them."""
+    return "\b\n" + fill(", ".join(names), 76, break_on_hyphens=False)
+
+
+_HELP = f"""Chart speed against accuracy, each numerical choice as a point beside its alternatives, and map failures.
+
+Charts, times being medians on one core, start-up apart, the product's default ringed:
+
+{_listed(name for name in CHARTS if name not in GROUPS["edges"])}
+
+Maps of where a method stops working, found by bisection, beside where theory has it; `edges` stands for all of them:
+
+{_listed(GROUPS["edges"])}
+
+All are drawn where none is named. What is not as it should be, a default off its front or a border that is not where it
+is foretold, is in the status; with --strict it makes the exit code 1.
+"""
+
+
+@click.command("bench", help=_HELP, epilog="Example:  dpcontrol bench propagation --quick --out charts")
 @click.argument("names", nargs=-1, metavar="[CHART]...")
 @click.option("--quick", is_flag=True, help="Less of the same work: all charts in three minutes.")
 @click.option(
@@ -18,15 +41,11 @@ from dpcontrol.cli.output import json_option, print_json, print_table, progress_
     show_default=True,
     help="Folder for each chart's NAME.png and NAME.json.",
 )
+@click.option("--strict", is_flag=True, help="Exit with 1 where a chart has a complaint.")
 @json_option
 @reports_failure
-def command(*, names: tuple[str, ...], quick: bool, out: Path, as_json: bool) -> None:
-    """Chart speed against accuracy: every numerical choice as a point beside its alternatives, measured here and now.
-
-    Charts: propagation, connections, transcription. All are drawn where none is named. Times are medians on one core,
-    start-up apart; the product's default is ringed. `edges` stands for the maps of failure: where methods stop working,
-    found by bisection, beside where theory has it.
-    """
+def command(*, names: tuple[str, ...], quick: bool, out: Path, strict: bool, as_json: bool) -> None:
+    """Draw the charts, print their fronts and borders."""
     from dpcontrol.bench.run import draw_charts
 
     with progress_bar("bench") as progress:
@@ -37,8 +56,7 @@ def command(*, names: tuple[str, ...], quick: bool, out: Path, as_json: bool) ->
         files = [{"file": str(d.picture), "data": str(d.data), "seconds": d.seconds} for d in drawn]
         charts = [{**d.chart.document(), **file} for d, file in zip(drawn, files, strict=True)]
         print_json({"charts": charts, "status": status})
-        return
-    for d in drawn:
+    for d in () if as_json else drawn:
         click.echo(f"{d.picture}")
         for table in d.chart.tables():
             print_table(table.title, table.columns, table.rows)
@@ -48,4 +66,7 @@ def command(*, names: tuple[str, ...], quick: bool, out: Path, as_json: bool) ->
             click.echo(f"  {line}")
         click.echo(fill(f"Chosen: {d.chart.chosen}", 110, initial_indent="  ", subsequent_indent="  "))
         click.echo(f"  {d.data}, {d.seconds:.0f} s")
-    click.echo(status)
+    if strict and complaints:
+        raise GoalMissed(status)
+    if not as_json:
+        click.echo(status)

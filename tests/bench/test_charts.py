@@ -2,6 +2,8 @@
 
 import json
 import math
+import subprocess
+import sys
 import time
 
 import numpy as np
@@ -77,7 +79,7 @@ def test_a_point_that_is_no_measurement_is_refused(seconds, error):
 
 def test_a_chart_without_a_default_is_refused():
     with pytest.raises(ValueError, match="default"):
-        Chart("c", "t", (panel(*points_of([(1, 1)])),), READING, "nothing")
+        Chart("c", "t", READING, "nothing", (panel(*points_of([(1, 1)])),))
 
 
 def test_start_up_is_told_apart_from_repeated_time():
@@ -125,7 +127,7 @@ def one_chart(monkeypatch):
 
     def chart(quick, progress):
         points = points_of([(1e-3, 0.0), (1e-4 if quick else 1e-5, 1e-6)], default={1})
-        return Chart("tiny", "Tiny", (panel(*points),), READING, "the quicker one")
+        return Chart("tiny", "Tiny", READING, "the quicker one", (panel(*points),))
 
     monkeypatch.setattr(registry, "CHARTS", {"tiny": chart})
     monkeypatch.setattr("dpcontrol.bench.run.CHARTS", {"tiny": chart})
@@ -150,6 +152,32 @@ def test_the_verb_prints_fronts_for_people_and_one_document_for_programs(one_cha
     assert "every default stands where it may" in shown.stdout
     document = dpcontrol("bench", "tiny", "--json").document
     assert document["charts"][0]["panels"][0]["defaults"][0]["standing"] == "on the front"
+
+
+def test_help_names_every_chart_and_is_shown_without_numerics():
+    script = (
+        "import sys\n"
+        "from dpcontrol.cli.bench import command\n"
+        "command(['--help'], standalone_mode=False)\n"
+        "assert not {'casadi', 'heyoka', 'matplotlib'} & set(sys.modules)\n"
+    )
+    shown = subprocess.run([sys.executable, "-c", script], check=True, capture_output=True, text=True).stdout
+    for name in (*registry.CHARTS, *registry.GROUPS):
+        assert name in shown
+
+
+def test_a_complaint_is_in_the_status_and_under_strict_the_exit_code(one_chart, monkeypatch, tmp_path):
+    def chart(quick, progress):
+        points = points_of([(1.0, 1e-6), (2.0, 1e-6)], default={1})
+        return Chart("tiny", "Tiny", READING, "the slower one", (panel(*points),))
+
+    monkeypatch.setattr("dpcontrol.bench.run.CHARTS", {"tiny": chart})
+    told = dpcontrol("bench", "--json", "--out", str(tmp_path))
+    assert told.code == 0
+    assert "100% off the front" in told.document["status"]
+    failed = dpcontrol("bench", "--strict", "--out", str(tmp_path))
+    assert failed.code == 1
+    assert "100% off the front" in failed.message
 
 
 def test_an_unknown_chart_is_refused_with_the_known_ones(tmp_path):

@@ -70,7 +70,7 @@ def test_a_far_side_that_nobody_reports_is_a_complaint():
 def test_a_chart_of_maps_is_json_and_a_picture(tmp_path):
     found = find_border(below(), x=2.0, line="two", near=0.01, far=5.0, predicted=0.4)
     none = find_border(below(0.0), x=3.0, line="three", near=0.1, far=1.0)
-    chart = EdgeChart("edges-x", "title", (one_map(found, none, theory="a rule"),), ("1", "2", "3"), "chosen")
+    chart = EdgeChart("edges-x", "title", ("1", "2", "3"), "chosen", (one_map(found, none, theory="a rule"),))
     text = json.dumps(chart.document(), allow_nan=False)
     borders = json.loads(text)["maps"][0]["borders"]
     assert borders[0]["measured"] == pytest.approx(BORDER, rel=0.1)
