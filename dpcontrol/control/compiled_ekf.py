@@ -5,8 +5,9 @@ in arrays (M,) or (M, S); `CompiledEkf` calls it for one run. Both therefore giv
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, section 10.3.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import lru_cache
+from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,7 @@ from dpcontrol.foundation.errors import InputError
 
 Array = NDArray[np.float64]
 
+_AT_ONCE = 32
 RESTART_RATE = 10.0
 """rad/s: standard deviation of the rates after a restart, as fast as the arms of a laboratory swing."""
 RESTART_VELOCITY = 1.0
@@ -139,13 +141,20 @@ class CompiledEkf:
         self._present = self._inputs[where["present"]]
         self._command_at = where["command"].start
         self._all = True
-        self._kept, self._z = out["memory"].stop, out["z"].stop
-        self._sigmas, self._innovation = out["sigmas"], out["innovation"]
-        self._later, self._coming_at = out["later"], where["coming"].start
+        self._shape, self._kept = self._measured.shape, len(self._memory)
+        self._z, self._coming_at = out["z"].stop, where["coming"].start
+        self._rooms = self._room()
         ahead = self.program.ahead
         self._ahead_inputs = np.zeros(ahead.size_in)
-        self._ahead_inputs[ahead.slices["parameters"]] = model.parameters
-        self._ahead_inputs[ahead.slices["process"]] = self.program.process
+        for name, value in (("parameters", model.parameters), ("process", self.program.process)):
+            self._ahead_inputs[ahead.slices[name]] = value
+
+    def _room(self) -> Iterator[tuple[Array, ...]]:
+        """Yield outputs and views of their parts: views of many ticks' at once are made in half the time."""
+        parts = [self.program.out[name] for name in ("state", "extra", "sigmas", "innovation", "memory", "later")]
+        while True:
+            block = np.empty((_AT_ONCE, self.program.step.size_out))
+            yield from zip(block, block[:, -3:], *(block[:, part] for part in parts), strict=True)
 
     @property
     def kind(self) -> str:
@@ -208,19 +217,14 @@ class CompiledEkf:
         return self._called(self.program.step, estimate, measured, present, coming)
 
     def _called(
-        self,
-        program: Compiled,
-        estimate: Estimate,
-        measured: Array,
-        present: NDArray[np.bool_] | None,
-        coming: float,
+        self, program: Compiled, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None, coming: float
     ) -> Estimate:
         memory = estimate.memory.kept
         self._inputs[self._coming_at] = coming
-        if measured.shape != self._measured.shape or memory.shape != self._memory.shape:
+        if measured.shape != self._shape or len(memory) != self._kept:
             raise InputError(
                 f"measurement has shape {measured.shape} and the estimate's memory {memory.shape}: the filter needs "
-                f"{self._measured.shape} and {self._memory.shape}"
+                f"{self._shape} and {self._memory.shape}"
             )
         self._memory[:] = memory
         if present is not None:
@@ -234,16 +238,15 @@ class CompiledEkf:
             if not self._all:
                 self._present[:] = 1.0
                 self._all = True
-        out = program(self._inputs, np.empty(program.size_out))
-        nis, used, sound = out[-3:].tolist()
-        if not (0 <= nis < np.inf and abs(sound) < np.inf):
+        out, told, state, extra, sigmas, innovation, kept, later = next(self._rooms)
+        program.machine(self._inputs, out)
+        nis, used, sound = told.tolist()
+        if not (0 <= nis < inf and -inf < sound < inf):
             raise ArithmeticError(
                 "the filter's covariance is no longer positive, or its state no longer finite; begin again from the "
                 "measured positions, or assume more noise"
             )
-        n, z = self._size, self._z
-        memory = _Memory(out[: self._kept], coming, out[self._later])
-        return Estimate(out[:n], out[n:z], out[self._sigmas], out[self._innovation], nis, int(used), memory)
+        return Estimate(state, extra, sigmas, innovation, nis, int(used), _Memory(kept, coming, later))
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
         """Return the state (N,) after the commands on their way, one per period, with the extras' effect.

@@ -8,6 +8,7 @@ Source: Anderson & Moore, Optimal Control: Linear Quadratic Methods, sections 2.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +22,8 @@ from dpcontrol.foundation.tables import suggest
 from dpcontrol.references.reference import Reference
 
 Array = NDArray[np.float64]
+
+_TRACKING = Mode.TRACKING
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,15 @@ class TrackingController:
         feedback = self.gains[k].dot(self.reference_states[k] - state)
         return float(self.feedforward[k]), float(feedback)
 
+    @cached_property
+    def rows(self) -> list[tuple[float, tuple[float, ...], tuple[float, ...]]]:
+        """Feedforward, gains and reference state tick by tick as plain floats: quicker than arrays so short."""
+        gains, states = self.gains.tolist(), self.reference_states.tolist()
+        return [
+            (forward, tuple(gain), tuple(state))
+            for forward, gain, state in zip(self.feedforward.tolist(), gains, states[:-1], strict=True)
+        ]
+
     @property
     def first_state(self) -> Array:
         """Return the state (N,) from which it starts."""
@@ -114,21 +126,21 @@ class TrackingSession:
 
     def __init__(self, controller: TrackingController, start: int = 0) -> None:
         self._start = start
-        self._feedforward = controller.feedforward.tolist()
-        self._gains, self._wanted = controller.gains, controller.reference_states
+        self._rows, self._wanted = controller.rows, controller.reference_states
         self._still = not controller.gains.any()
-        self._last = len(self._feedforward) - 1
+        self._last = len(self._rows) - 1
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
         """Return what to do in the period from `tick`; after the last, its gain holds the reference's end."""
         tick = max(tick - self._start, 0)
         k = tick if tick < self._last else self._last
         wanted = self._wanted[tick if tick <= self._last else self._last + 1]
+        forward, gains, due = self._rows[k]
         feedback = 0.0
         if not self._still:
-            for product in (self._gains[k] * (self._wanted[k] - state)).tolist():
-                feedback += product
-        return Action(self._feedforward[k], feedback, wanted, Mode.TRACKING)
+            for gain, wish, seen in zip(gains, due, state.tolist(), strict=True):
+                feedback += gain * (wish - seen)
+        return Action(forward, feedback, wanted, _TRACKING)
 
     def resynchronise(self, tick: int, state: Array) -> str:
         """Leave the clock as it is: gains by time have no other."""
@@ -141,11 +153,11 @@ def terminal_cost(state_jacobian: Array, input_jacobian: Array, *, weights: Arra
     Raises:
         GoalMissed: the pair cannot be stabilised.
     """
-    # python-control takes more than a second to import.
-    from control import dare
+    # python-control would ask the same function, and takes a second to import.
+    from scipy.linalg import solve_discrete_are
 
     try:
-        cost, _, _ = dare(state_jacobian, input_jacobian[:, None], np.diag(weights), np.array([[effort]]))
+        cost = solve_discrete_are(state_jacobian, input_jacobian[:, None], np.diag(weights), np.array([[effort]]))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise GoalMissed(
             f"no terminal cost for the controller: the reference's end cannot be stabilised ({error}); give the "
@@ -163,15 +175,20 @@ def riccati_gains(
     """
     gains = np.empty_like(input_jacobians)
     cost = terminal
-    diagonals = np.broadcast_to(weights, gains.shape)
+    changing = weights.ndim > 1
+    state_cost = np.diag(weights[-1] if changing else weights)
+    diagonal = np.einsum("ii->i", state_cost)
+    # numpy's outer and diag would take as long as all the rest.
     for k in range(len(gains) - 1, -1, -1):
         a, b = state_jacobians[k], input_jacobians[k]
         weighted = b @ cost
         gain = (weighted @ a) / (effort + weighted @ b)
         gains[k] = gain
-        closed = a - np.outer(b, gain)
+        closed = a - b[:, None] * gain
+        if changing:
+            diagonal[:] = weights[k]
         # The symmetric form keeps P positive (Joseph): thousands of steps would lose it otherwise.
-        cost = np.diag(diagonals[k]) + effort * np.outer(gain, gain) + closed.T @ cost @ closed
+        cost = state_cost + effort * (gain[:, None] * gain) + closed.T @ cost @ closed
         cost = (cost + cost.T) / 2
     return gains, cost
 

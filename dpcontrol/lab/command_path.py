@@ -33,6 +33,7 @@ class CommandPath:
         if not 0 <= delay <= LONGEST_DELAY:
             raise InputError(f"run: delay = {delay!r}: must be 0 to {LONGEST_DELAY:g} periods")
         self.limits = limits
+        self._most, self._fastest = float(limits.acceleration), float(limits.velocity)
         self.period = period
         self.lead = round(delay)
         """By how many ticks a command is computed ahead."""
@@ -45,8 +46,9 @@ class CommandPath:
 
     def clipped(self, command: float) -> float:
         """Return the command within the limit of acceleration, m/s²."""
-        most = self.limits.acceleration
-        return min(max(command, -most), most)
+        # Here and below in place of min and max, which cost more than the rest.
+        most = self._most
+        return most if command > most else -most if command < -most else command
 
     def start(self, commands: list[float], *, velocity: float) -> None:
         """Fill the path with the commands (m/s²) on their way when the run begins, the cart having `velocity` m/s."""
@@ -61,29 +63,33 @@ class CommandPath:
 
     def send(self, command: float) -> None:
         """Take the command (m/s²) that has just been computed."""
-        clipped = self.clipped(command)
+        most, fastest = self._most, self._fastest
+        clipped = most if command > most else -most if command < -most else command
         self._sent.append(clipped)
-        fastest = self.limits.velocity
-        velocity = min(max(self.velocity + clipped * self.period, -fastest), fastest)
+        velocity = self.velocity + clipped * self.period
+        if velocity > fastest:
+            velocity = fastest
+        elif velocity < -fastest:
+            velocity = -fastest
         # Braking to rest leaves what rounding leaves.
-        self.velocity = velocity if abs(velocity) > AT_REST else 0.0
+        self.velocity = velocity if velocity > AT_REST or velocity < -AT_REST else 0.0
 
     def acted(self, velocity: float) -> float:
         """Return what acted in the period that now ends, m/s², at the cart's believed `velocity` m/s at its start."""
         sent = self._sent
         mean = sent[1] if not self._share else self._share * sent[0] + (1 - self._share) * sent[1]
-        fastest = self.limits.velocity
-        return min(max(mean, (-fastest - velocity) / self.period), (fastest - velocity) / self.period)
+        fastest, period = self._fastest, self.period
+        low, high = (-fastest - velocity) / period, (fastest - velocity) / period
+        return high if mean > high else low if mean < low else mean
 
     def on_their_way(self) -> list[float]:
         """Return what will act in each of the `lead` periods from now on, m/s²."""
-        sent = self._sent
+        sent = list(self._sent)
         # The next to act is one place newer than what acted last.
+        if not self._share:
+            return sent[2:]
         coming = []
         for k in range(1, self.lead + 1):
-            if not self._share:
-                coming.append(sent[min(k + 1, len(sent) - 1)])
-            else:
-                newer = sent[min(k + 1, len(sent) - 1)]
-                coming.append(self._share * sent[k] + (1 - self._share) * newer)
+            newer = sent[min(k + 1, len(sent) - 1)]
+            coming.append(self._share * sent[k] + (1 - self._share) * newer)
         return coming

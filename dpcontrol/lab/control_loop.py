@@ -25,6 +25,7 @@ from dpcontrol.lab.supervisor import Outcome, Supervisor
 
 Array = NDArray[np.float64]
 
+_GO_ON = Outcome.CONTINUE
 _FLUSH_SECONDS = 0.02
 """Between two handings over of rows to the sink; a log's writer makes a chunk of as many."""
 _PROGRESS_EVERY = 500
@@ -85,7 +86,8 @@ class ControlLoop:
         self.ending, self.reason = Ending.FINISHED, "came to the reference's end"
         self._n = len(controller.first_state)
         self._arms = (self._n - 2) // 2
-        self._rows = Ticks.empty(self.count, self._arms, has_truth=False, period=path.period)
+        self._angles = range(self._arms)
+        self._rows = Ticks.empty(0, self._arms, has_truth=False, period=path.period)
         self._flush_every = max(1, round(_FLUSH_SECONDS / path.period))
         self._done = self._flushed = 0
         self._braking_since: float | None = None
@@ -114,16 +116,15 @@ class ControlLoop:
 
     def _run(self, rig: Rig) -> LoopRecord:
         path, period, n, estimate = self.path, self.path.period, self._n, self._first
-        if rig.truth is not None:
-            self._rows = Ticks.empty(self.count, self._arms, has_truth=True, period=period)
-        rows = self._rows
+        has_truth = rig.truth is not None
+        self._rows = rows = Ticks.empty(self.count, self._arms, has_truth=has_truth, period=period)
         path.start(self.queued, velocity=float(self.controller.first_state[-1]))
         ticks = f"{self.count - 1} ticks at {1 / period:g} Hz"
         self._event(0.0, "info", "start", f"{self.controller.kind}, {self.estimator.kind}, {ticks}")
         thinking = np.zeros(self.count)
         most, fastest = path.limits.acceleration, path.limits.velocity
-        acted, was_saturated, late, quiet_until = 0.0, False, 0, 0.0
-        clock, step = time.perf_counter, self.estimator.step
+        acted, was_saturated, late, quiet_until, aborted = 0.0, False, 0, 0.0, Mode.ABORTED
+        clock, step, take = time.perf_counter, self.estimator.step, rows.take
         began = clock()
         for k in range(self.count):
             now = k * period
@@ -151,13 +152,12 @@ class ControlLoop:
             if self._braking_since is not None:
                 # The drive knows best what it is doing; what is sent meanwhile is what the loop believes that it does.
                 rig.stop()
-            x = estimate.state
-            acted = path.acted(float(x[n - 1]))
+            acted = path.acted(estimate.state.item(n - 1))
             mode = action.mode
             saturated = abs(command) > most or abs(path.velocity) >= fastest
-            if saturated and mode is not Mode.ABORTED:
+            if saturated and mode is not aborted:
                 mode = Mode.SATURATED
-            rows.take(k, reading, estimate, action, wanted, (acted, saturated, mode), rig.truth)
+            take(k, reading, estimate, action, wanted, (acted, saturated, mode), rig.truth)
             if reading.late > 0:
                 late += 1
                 if now >= quiet_until:
@@ -205,26 +205,27 @@ class ControlLoop:
             self._event(now, "info", "controller", action.event)
         seen, due, expected = estimate.state.tolist(), wanted.tolist(), ahead.tolist()
         error = 0.0
-        for i in range(self._arms):
+        for i in self._angles:
             away = abs(seen[i] - due[i])
             # What is no number must not be passed over.
-            error = away if not away <= error else error
-        outcome, ending, why = self.supervisor.judge(
-            now, error=error, nis=nis, used=estimate.used, position=expected[-2], velocity=expected[-1],
-            sent=self.path.velocity,
-        )  # fmt: skip
+            if not away <= error:
+                error = away
+        path, supervisor = self.path, self.supervisor
+        sent = path.velocity
+        outcome, ending, why = supervisor.judge(
+            now, error=error, nis=nis, used=estimate.used, position=expected[-2], velocity=expected[-1], sent=sent
+        )
         if reading.present is None:
-            sent, doubt = self.path.velocity, self.supervisor.nis
-            stuck = self._sensors.seen(reading.positions.tolist(), due, sent, doubt)
+            stuck = self._sensors.seen(reading.positions.tolist(), due, sent, supervisor.nis)
             if stuck and outcome is not Outcome.STOP:
                 # A restart does not help against that.
                 outcome, ending = Outcome.STOP, Ending.ESTIMATE_LOST
                 why = f"estimate lost at t = {now:.3f} s: {stuck}; check its cable and its head"
-        if outcome is Outcome.CONTINUE and reading.switch:
+        if outcome is _GO_ON:
+            if not reading.switch:
+                return action, wanted, estimate
             outcome, ending = Outcome.STOP, Ending.CART_STOP
             why = f"cart at its stop at t = {now:.3f} s: a limit switch answered; allow more travel"
-        if outcome is Outcome.CONTINUE:
-            return action, wanted, estimate
         self._event(now, "warn", outcome.value, why)
         if outcome is Outcome.RESTART:
             return action, wanted, self.estimator.restarted(estimate, reading.positions)

@@ -88,8 +88,9 @@ class DriveLimits:
         """Return what becomes of `command` on its way, `last` having been demanded before it."""
         wanted = self.response * command + noise
         most = self.acceleration
-        wanted = min(max(wanted, -most), most)
-        return min(max(wanted, last - self.jerk_step), last + self.jerk_step)
+        wanted = most if wanted > most else -most if wanted < -most else wanted
+        low, high = last - self.jerk_step, last + self.jerk_step
+        return high if wanted > high else low if wanted < low else wanted
 
     def acting(self, demanded: float, velocity: float, duration: float) -> float:
         """Return what acts for `duration` s, so that the loop's velocity reference, now `velocity`, stays in bounds.
@@ -97,7 +98,7 @@ class DriveLimits:
         One that a knock has thrown out of them comes back as fast as the drive can.
         """
         low, high = (-self.velocity - velocity) / duration, (self.velocity - velocity) / duration
-        wanted, most = min(max(demanded, low), high), self.acceleration
+        wanted, most = high if demanded > high else low if demanded < low else demanded, self.acceleration
         return wanted if -most <= wanted <= most else math.copysign(most, wanted)
 
     def braking(self, velocity: float, duration: float) -> float:

@@ -64,8 +64,9 @@ class SimulatedPlant:
         splits = 1 if duration <= self._longest else math.ceil(duration / self._longest)
         inputs, following, track, cart = self._inputs, self._following, self.track, self._cart
         inputs[self._input], inputs[self._duration] = acceleration, duration / splits
+        step = self._step.machine
         for k in range(splits):
-            self._step(inputs, following)
+            step(inputs, following)
             values = following.tolist()
             if values[cart] > track or values[cart] < -track:
                 self._meet_stop(acceleration, duration / splits, time + k * duration / splits)
@@ -156,6 +157,7 @@ class SimulatedRig:
         self._seen: list[float] | None = None
         self._cart = 2 * n
         self._tick, self._acted, self._braking = -1, 0.0, False
+        self._ticks, self._blows = draw.ticks, draw.blows
 
     @property
     def period(self) -> float:
@@ -190,8 +192,8 @@ class SimulatedRig:
         """
         k = self._tick + 1
         draw = self._draw
-        if k >= draw.ticks:
-            raise ArithmeticError(f"the run was drawn for {draw.ticks} ticks and is asked for more; draw more of them")
+        if k >= self._ticks:
+            raise ArithmeticError(f"the run was drawn for {self._ticks} ticks and is asked for more; draw more of them")
         if k:
             self._pass(k - 1)
         self._tick = k
@@ -221,7 +223,8 @@ class SimulatedRig:
         if not math.isfinite(acceleration):
             raise ArithmeticError(f"command = {acceleration!r}: the drive takes finite accelerations only")
         k, demands = max(self._tick, 0), self._demands
-        del demands[self._sent_before + k :]
+        if len(demands) > self._sent_before + k:
+            del demands[self._sent_before + k :]
         noise = 0.0 if self._noise is None else self._noise[k]
         demands.append(self._drive.demanded(acceleration, noise, demands[-1]))
 
@@ -234,10 +237,10 @@ class SimulatedRig:
         plant, demands, period = self._plant, self._demands, self._period
         if len(demands) < self._sent_before + k + 1:
             demands.append(demands[-1])
-        if k in self._draw.blows:
-            blow = self._draw.blows[k]
+        if k in self._blows:
+            blow = self._blows[k]
             plant.strike(impulses=blow.impulses, jumps=blow.jumps, knock=blow.knock)
-        began, fraction = plant.velocity, self._fraction
+        began, fraction = plant.values[self._cart + 1], self._fraction
         if not fraction and self._ages is None:
             plant.move(self._acting(demands[k + 1], period), period, time=k * period)
         else:
@@ -248,7 +251,7 @@ class SimulatedRig:
             if change:
                 self._part(k, demands[k], 0.0, change, seen)
             self._part(k, demands[k + 1], change, period, seen)
-        self._acted = (plant.velocity - began) / period
+        self._acted = (plant.values[self._cart + 1] - began) / period
 
     def _part(self, k: int, demand: float, begin: float, end: float, seen: float) -> None:
         """Let a part of period k pass, from `begin` to `end` seconds in it, `demand` acting."""

@@ -53,23 +53,27 @@ class StuckWatch:
         m/s: the velocity that the cart was sent to; nis: its mean of late, for each position.
         """
         n, inner, inner_wanted = self._arms, 0.0, 0.0
+        last, same, begin = self._last, self._same, self._begin
         self._sent += sent * self._period
-        for i in range(n + 1):
+        for i, position in enumerate(positions):
             if i < n:
-                value, should = positions[i] - inner, wanted[i] - inner_wanted
-                inner, inner_wanted = positions[i], wanted[i]
+                due = wanted[i]
+                value, should = position - inner, due - inner_wanted
+                inner, inner_wanted = position, due
             else:
-                value, should = positions[n], self._sent
-            step = abs(value - self._last[i])
+                value, should = position, self._sent
+            step = abs(value - last[i])
             if not step < SAME:
-                self._last[i], self._same[i], self._begin[i], self._moved[i] = value, 0, should, 0.0
+                last[i], begin[i] = value, should
+                if same[i]:
+                    same[i], self._moved[i] = 0, 0.0
                 if step < self._steps[i]:
                     self._steps[i] = step
                 continue
-            self._same[i] += 1
-            moved = self._moved[i] = max(self._moved[i], abs(should - self._begin[i]))
-            if self._same[i] >= self.still[i] and moved >= self.least[i] and not nis <= self.doubt[i]:
-                told = self.told(i, same=self._same[i], moved=moved, step=self._steps[i])
+            same[i] += 1
+            moved = self._moved[i] = max(self._moved[i], abs(should - begin[i]))
+            if same[i] >= self.still[i] and moved >= self.least[i] and not nis <= self.doubt[i]:
+                told = self.told(i, same=same[i], moved=moved, step=self._steps[i])
                 if told:
                     return told
         return ""

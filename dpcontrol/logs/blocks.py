@@ -18,6 +18,13 @@ REFERENCE_PREFIX = "reference/"
 _SECOND = 1_000_000_000
 _HEAD = struct.Struct("<BQHIQQ")
 _STAMP = np.dtype([("sec", "<i4"), ("nanosec", "<u4")])
+_MEASURED = "measured"
+_TICK_HEAD = np.dtype(
+    [("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8"), ("encapsulation", "V4"), *_STAMP.descr]
+)
+"""What all messages of a tick have in common, as it stands in each: from a record's sequence to its message's stamp."""
+_UNSTAMPED = _TICK_HEAD.fields["encapsulation"][1]  # type: ignore[index]
+"""Bytes of it in messages without a stamp."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +63,8 @@ class ChunkEncoder:
         self._offsets = tick.block_offsets
         self._block = np.frombuffer(bytearray(tick.block_template * rows), tick.block_type)
         self._positions, self._velocities = layout.joint_order(tick.arms, has_cart=tick.has_cart)
+        self._heads, self._rooms = self._views()
+        self._ticks = 0
         frames = [
             frame
             for prefix in (("", REFERENCE_PREFIX) if "reference" in tick.parts else ("",))
@@ -63,6 +72,7 @@ class ChunkEncoder:
         ]
         self._frames = len(frames)
         self._transforms = cdr.transforms(frames)
+        self._template = np.frombuffer(self._transforms.template, np.uint8)
         fields = self._transforms.fields
         stamp_starts = [fields[f"{i}.stamp.sec"][1] for i in range(self._frames)]
         pose_starts = [fields[f"{i}.pose"][1] for i in range(self._frames)]
@@ -103,29 +113,47 @@ class ChunkEncoder:
             messages.append(ChunkMessages(channel=self._channels[topic], times=times, offsets=offsets))
         return b"".join(pieces), messages
 
+    def _views(self) -> tuple[list[NDArray[np.uint8]], list[tuple[NDArray[np.float64], str, slice]]]:
+        """Return where a tick's head stands in each of its messages, and each room for numbers: which part's, which.
+
+        Views are made once: for twenty ticks they cost more than what is copied through them.
+        """
+        block, arms = self._block, self._tick.arms
+        raw = block.view(np.uint8).reshape(len(block), -1)
+        heads, rooms = [], []
+        for topic in self._tick.messages:
+            stamped = topic != layout.CONTROL
+            first = self._offsets[topic] + layout.RECORD_HEADER.fields["sequence"][1]  # type: ignore[index]
+            heads.append(raw[:, first : first + (_TICK_HEAD.itemsize if stamped else _UNSTAMPED)])
+            records = block[topic]
+            if topic == layout.CONTROL:
+                rooms.append((records["row"], "control", slice(None)))
+            elif topic == layout.MEASURED:
+                rooms.append((records["position"], _MEASURED, slice(None)))
+                if "rates" in self._tick.parts:
+                    rooms.append((records["velocity"], "rates", slice(None)))
+            else:
+                part = next(part for part, name in layout.STATE_TOPICS.items() if name == topic)
+                for k, field in enumerate(("position", "velocity")):
+                    rooms.append((records[field][:, :arms], part, slice(k * arms, (k + 1) * arms)))
+                    if self._tick.has_cart:
+                        rooms.append((records[field][:, arms:], part, slice(2 * arms + k, 2 * arms + k + 1)))
+        return heads, rooms
+
     def _fill(self, rows: TickRows) -> NDArray:
         count = len(rows.time_ns)
-        block = self._block[:count]
-        seconds, nanoseconds = np.divmod(rows.time_ns, _SECOND)
-        parts = {topic: rows.parts[part] for part, topic in layout.STATE_TOPICS.items() if part in rows.parts}
-        for topic in self._tick.messages:
-            records = block[topic]
-            records["log_time"] = records["publish_time"] = rows.time_ns
-            records["sequence"] = np.arange(self._counts[topic], self._counts[topic] + count)
-            self._counts[topic] += count
-            if topic == layout.CONTROL:
-                records["row"] = rows.parts["control"]
-                continue
-            records["stamp.sec"] = seconds
-            records["stamp.nanosec"] = nanoseconds
-            if topic == layout.MEASURED:
-                records["position"] = rows.measured
-                if "rates" in rows.parts:
-                    records["velocity"] = rows.parts["rates"]
-            else:
-                records["position"] = parts[topic][:, self._positions]
-                records["velocity"] = parts[topic][:, self._velocities]
-        return block
+        head = np.empty(count, _TICK_HEAD)
+        head["sequence"] = np.arange(self._ticks, self._ticks + count)
+        head["log_time"] = head["publish_time"] = rows.time_ns
+        head["encapsulation"] = cdr.ENCAPSULATION
+        head["sec"], head["nanosec"] = np.divmod(rows.time_ns, _SECOND)
+        self._ticks += count
+        raw = head.view(np.uint8).reshape(count, _TICK_HEAD.itemsize)
+        for into in self._heads:
+            into[:count] = raw[:, : into.shape[1]]
+        for into, part, columns in self._rooms:
+            into[:count] = (rows.measured if part == _MEASURED else rows.parts[part])[:, columns]
+        return self._block[:count]
 
     def _robot(self, rows: TickRows) -> NDArray[np.float64]:
         """Return the states that /tf shows: the best known."""
@@ -138,19 +166,21 @@ class ChunkEncoder:
 
     def _transform_notes(self, rows: TickRows) -> list[Note]:
         number = np.floor(rows.time_ns * (layout.TRANSFORM_RATE / _SECOND) + 1e-6).astype(np.int64)
-        if not len(number):
-            return []
-        chosen = np.flatnonzero(np.diff(number, prepend=self._last_transform) > 0)
-        self._last_transform = int(number[-1])
-        if not len(chosen):
+        chosen: list[int] = []
+        for row, due in enumerate(number.tolist()):
+            if due > self._last_transform:
+                chosen.append(row)
+            self._last_transform = due
+        if not chosen:
             return []
         robots = [self._robot(rows)] + ([rows.parts["reference"]] if "reference" in rows.parts else [])
         states = np.concatenate([robot[chosen] for robot in robots], axis=1)
         # A pose of a state that is no number would be refused by every reader of transforms.
-        finite = np.isfinite(states).all(axis=1)
-        chosen, states = chosen[finite], states[finite]
-        if not len(chosen):
-            return []
+        if not np.isfinite(states).all():
+            finite = np.flatnonzero(np.isfinite(states).all(axis=1))
+            chosen, states = [chosen[k] for k in finite], states[finite]
+            if not chosen:
+                return []
         poses = urdf.poses(
             states.reshape(len(chosen) * len(robots), -1), arm_lengths=self._lengths, has_cart=self._tick.has_cart
         )
@@ -159,12 +189,13 @@ class ChunkEncoder:
         stamps = np.empty(len(chosen), _STAMP)
         stamps["sec"], stamps["nanosec"] = np.divmod(times, _SECOND)
         # All stamps and all poses at once, byte by byte: thirty columns one at a time cost more than the rest.
-        records = np.tile(np.frombuffer(self._transforms.template, np.uint8), (len(chosen), 1))
+        records = np.empty((len(chosen), len(self._template)), np.uint8)
+        records[:] = self._template
         records[:, self._stamp_bytes] = stamps.view(np.uint8).reshape(len(chosen), 1, _STAMP.itemsize)
         records[:, self._pose_bytes] = poses.view(np.uint8).reshape(len(chosen), self._frames, -1)
         return [
-            Note(row=int(row), topic=layout.TRANSFORMS, time_ns=int(time), content=record.tobytes())
-            for row, time, record in zip(chosen, times, records, strict=True)
+            Note(row=row, topic=layout.TRANSFORMS, time_ns=time, content=record.tobytes())
+            for row, time, record in zip(chosen, times.tolist(), records, strict=True)
         ]
 
     def _record(self, note: Note) -> bytes:

@@ -9,7 +9,8 @@ Source: OMG DDS-RTPS 2.3, section 10 (CDR, representation identifier CDR_LE).
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-_HEADER = b"\x00\x01\x00\x00"
+ENCAPSULATION = b"\x00\x01\x00\x00"
+"""The first four bytes of every message."""
 
 
 @dataclass(frozen=True)
@@ -29,11 +30,11 @@ class MessageLayout:
 class CdrBuilder:
     """Appends values in order, with CDR's alignment."""
 
-    data: bytearray = field(default_factory=lambda: bytearray(_HEADER))
+    data: bytearray = field(default_factory=lambda: bytearray(ENCAPSULATION))
     fields: dict[str, tuple[str, int]] = field(default_factory=dict)
 
     def _aligned(self, size: int) -> None:
-        self.data.extend(bytes(-(len(self.data) - len(_HEADER)) % size))
+        self.data.extend(bytes(-(len(self.data) - len(ENCAPSULATION)) % size))
 
     def number(self, kind: str, value: int = 0, *, name: str | None = None) -> None:
         """Append an integer of numpy format `kind` ("<u4", "<i4", "u1"), noted as a field if `name` is given."""
@@ -134,16 +135,16 @@ def read_log_message(data: bytes) -> tuple[int, str, str]:
     Raises:
         ValueError: the message is not of that layout.
     """
-    offset = len(_HEADER) + 9
+    offset = len(ENCAPSULATION) + 9
     if len(data) < offset:
         raise ValueError("message too short")
     texts = []
     for _ in range(2):
-        offset += -(offset - len(_HEADER)) % 4
+        offset += -(offset - len(ENCAPSULATION)) % 4
         size = int.from_bytes(data[offset : offset + 4], "little")
         content = data[offset + 4 : offset + 4 + size]
         if len(content) != size or not content.endswith(b"\0"):
             raise ValueError("string runs over the message's end")
         texts.append(content[:-1].decode())
         offset += 4 + size
-    return data[len(_HEADER) + 8], texts[0], texts[1]
+    return data[len(ENCAPSULATION) + 8], texts[0], texts[1]

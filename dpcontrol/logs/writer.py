@@ -12,7 +12,6 @@ the disk.
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from importlib.metadata import version
 from io import FileIO
 from pathlib import Path
 from types import TracebackType
@@ -20,6 +19,7 @@ from types import TracebackType
 import numpy as np
 from numpy.typing import ArrayLike
 
+import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import cdr, layout
 from dpcontrol.logs.blocks import ChunkEncoder, Note
@@ -146,7 +146,7 @@ class LogWriter:
         return InputError(f"cannot write {self.path}: {error.strerror or error}; choose another file or folder")
 
     def _start(self, stream: FileIO) -> None:
-        self._file = McapFile(stream, library=f"dpcontrol {version('dpcontrol')}", level=self._compression)
+        self._file = McapFile(stream, library=f"dpcontrol {dpcontrol.__version__}", level=self._compression)
         self._file.add_metadata(layout.RUN_RECORD, self._metadata)
         for name, data in self._attachments.items():
             self._file.add_attachment(name, data)
