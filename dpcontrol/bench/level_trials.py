@@ -124,9 +124,9 @@ def shortened(itinerary: Itinerary) -> Itinerary:
 
 
 def can_be_conservative(itinerary: Itinerary) -> bool:
-    """Tell whether a scene can do without friction and cart in its reference: one walk, from orbit to orbit."""
+    """Tell whether a scene can do without friction and cart in its reference: one walk from orbit to orbit, in one."""
     alone = len(itinerary.parts) == 1 and isinstance(itinerary.parts[0], WalkPart)
-    return alone and (itinerary.start, itinerary.finish) == ("orbit", "orbit")
+    return alone and not itinerary.keeps and (itinerary.start, itinerary.finish) == ("orbit", "orbit")
 
 
 def plan_at(itinerary: Itinerary, level: str) -> Plan:

@@ -7,6 +7,8 @@ import click
 
 RUN_OPTIONS: dict[str, tuple[type, str]] = {
     "controller": (str, "Kind of controller: tvlqr, adaptive, ogy, feedforward."),
+    "keep": (str, "What keeps the stops of a walk planned with keep: none, ogy, ogy-classic, tvlqr."),
+    "hold": (str, "Where tracking is lost hold the nearest orbit or equilibrium: nearest; or none."),
     "estimator": (str, "Kind of estimator: ekf, ukf, ekf-filterpy."),
     "rate": (float, "Of the loop, Hz."),
     "mismatch": (float, "Share by which the plant's parameters may be off."),

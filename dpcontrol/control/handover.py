@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 
 NEAR = 0.2
 """Scaled distance between a flight's end and the orbit that is to keep it, beyond which they do not belong together."""
+SLOWER = 0.05
+"""Share by which a stay may take longer than planned: a plant that differs from the model has a period of its own."""
 
 
 class Keeper(Protocol):
@@ -51,11 +53,11 @@ class Keeper(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Keep:
-    """A stay: at an orbit for `wraps` periods, about half a one more or less; at an equilibrium for `seconds`."""
+    """A stay: at an orbit for `wraps` periods, half a one more or less; at an equilibrium for `seconds`."""
 
     name: str
     controller: OgyController | OrbitController | HoldController
-    wraps: int = 0
+    wraps: float = 0.0
     seconds: float = 0.0
 
 
@@ -75,7 +77,7 @@ class Program:
     """Segments one after the other, as one controller; period of the loop in s.
 
     waits: for each stay, what its clock shows when it is to end (s), not-a-number where it has none; lasts: its ticks
-    at least. The last segment goes on to the end of all ticks.
+    at least. The last segment goes on to the end of all ticks, of which there are enough for stays that take longer.
     """
 
     segments: tuple[Segment, ...]
@@ -149,8 +151,8 @@ class ProgramSession:
         return self._session.resynchronise(tick, state - self._lift)
 
 
-def program(segments: Sequence[Segment], *, period: float) -> Program:
-    """Return the program of these segments at the loop's period in s.
+def program(segments: Sequence[Segment], *, period: float, kind: str = "program") -> Program:
+    """Return the program of these segments at the loop's period in s; kind: what logs call it.
 
     Raises:
         InputError: no segments, two flights in a row that do not meet, or a stay that has no length.
@@ -178,8 +180,9 @@ def program(segments: Sequence[Segment], *, period: float) -> Program:
                 raise InputError(f"{segment.name}: wraps = {segment.wraps!r}: must be zero or positive")
             assert isinstance(controller, OgyController | OrbitController)
             whole = controller.table.period
-            last = max(round((segment.wraps - 0.5) * whole / period), 0)
-            room = round(1.2 * whole / period)
+            spare = 0.0 if after is None else 0.5
+            last = max(round((segment.wraps - spare) * whole / period), 0)
+            room = round((2 * spare + SLOWER * segment.wraps) * whole / period)
             if isinstance(after, Fly):
                 wait = float(controller.table.nearest(after.controller.first_state)[0])
         if isinstance(segment, Keep) and isinstance(after, Fly):
@@ -188,7 +191,8 @@ def program(segments: Sequence[Segment], *, period: float) -> Program:
         lasts.append(last)
         total += last + room
     names = ", ".join(segment.name for segment in segments)
-    return Program(tuple(segments), tuple(waits), tuple(lasts), period, total, f"{len(segments)} segments: {names}")
+    status = f"{len(segments)} segments: {names}"
+    return Program(tuple(segments), tuple(waits), tuple(lasts), period, total, status, kind)
 
 
 def _near(keep: Keep, state: Array, what: str) -> None:

@@ -76,6 +76,7 @@ def can_batch(settings: LoopSettings, controller: Controller) -> bool:
         isinstance(settings.estimator, EkfSettings)
         and not faults
         and not settings.supervisor.resynchronise
+        and settings.supervisor.hold == "none"
         and _many(controller) is not None
     )
 

@@ -20,6 +20,7 @@ from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.dynamics.uncertain_arms import Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.tables import suggest
 from dpcontrol.lab.bench import BenchSettings
 from dpcontrol.lab.command_path import CommandPath
 from dpcontrol.lab.control_loop import ControlLoop, Fallback, LoopRecord
@@ -28,6 +29,7 @@ from dpcontrol.lab.disturbances import DisturbanceSettings
 from dpcontrol.lab.draw import draw_bench
 from dpcontrol.lab.drive import DriveSettings
 from dpcontrol.lab.noisy_rates import NoisyRates
+from dpcontrol.lab.programs import KEEPERS, nearest_keeper
 from dpcontrol.lab.result import LoopResult, LoopSink, NoSink
 from dpcontrol.lab.sensors import SensorSettings
 from dpcontrol.lab.simulated import SimulatedRig
@@ -42,8 +44,8 @@ Array = NDArray[np.float64]
 class LoopSettings:
     """A run: rate Hz; initial_error rad, uniform ± on each angle of the true first state; mismatch of the plant's
     parameters (share); model_uncertainty: factor on the standard errors that the model's file gives, by which the plant
-    is drawn besides; seed of all that is random. travel m: the cart's greatest distance from the centre, zero for
-    the reference's own limit.
+    is drawn besides; seed of all that is random. travel m: the cart's greatest distance from the centre, zero for the
+    reference's own limit. keep: what keeps the stops of a walk planned so (`programs.KEEPERS`), while TVLQR flies.
     """
 
     seed: int
@@ -52,6 +54,7 @@ class LoopSettings:
     mismatch: float = 0.0
     model_uncertainty: float = 0.0
     travel: float = 0.0
+    keep: str = "none"
     controller: ControllerSettings = field(default_factory=TvlqrSettings)
     estimator: EstimatorSettings = field(default_factory=EkfSettings)
     sensors: SensorSettings = field(default_factory=SensorSettings)
@@ -74,6 +77,12 @@ class LoopSettings:
             value = getattr(self, name)
             if not 0 <= value <= most:
                 raise InputError(f"run: {name} = {value!r}: must be 0 to {most:.4g}")
+        if self.keep not in KEEPERS:
+            raise InputError(f"run: keep = {self.keep!r}: {suggest(self.keep, KEEPERS)}")
+        if self.keep != "none" and not isinstance(self.controller, TvlqrSettings):
+            raise InputError(
+                f'run: keep = {self.keep!r}: what flies between the stops is "tvlqr", not "{self.controller.kind}"'
+            )
 
     @property
     def bench(self) -> BenchSettings:
@@ -99,7 +108,23 @@ def loop_controller(reference: Reference, parameters: ArmChainParameters, settin
         GoalMissed: no controller can be made for it.
     """
     model = sampled_model(parameters, settings.rate)
-    return make_controller(reference, parameters, model, settings=settings.controller, estimator=settings.estimator)
+    return make_controller(
+        reference, parameters, model, settings=settings.controller, estimator=settings.estimator, keep=settings.keep
+    )
+
+
+def loop_fallback(reference: Reference, parameters: ArmChainParameters, settings: LoopSettings) -> Fallback | None:
+    """Return what these settings hold when tracking is lost, which any number of runs may share; None for nothing.
+
+    Raises:
+        InputError: the reference is of other arms.
+        GoalMissed: an orbit was not found, or cannot be held.
+    """
+    if settings.supervisor.hold == "none":
+        return None
+    law = settings.controller
+    flies = law if isinstance(law, TvlqrSettings) else TvlqrSettings()
+    return nearest_keeper(reference, parameters, sampled_model(parameters, settings.rate), flies=flies)
 
 
 def loop_estimator(parameters: ArmChainParameters, settings: LoopSettings) -> Estimator:
@@ -158,9 +183,9 @@ def run_loop(
 ) -> LoopResult:
     """Track `reference` on a simulated bench, with `parameters` as the model of controller and estimator.
 
-    controller: one made before, by `loop_controller` with the same settings, to spare making it for each of many
-    seeds. plant: the arms to simulate; without it the model's, drawn from its `uncertainty` and mismatched by the
-    settings.
+    controller, fallback: made before, by `loop_controller` and `loop_fallback` with the same settings, to spare making
+    them for each of many seeds. plant: the arms to simulate; without it the model's, drawn from its `uncertainty` and
+    mismatched by the settings.
 
     Raises:
         InputError: the reference did not converge, or is not one of these arms; an uncertainty is asked for and not
@@ -169,6 +194,8 @@ def run_loop(
     """
     if controller is None:
         controller = loop_controller(reference, parameters, settings)
+    if fallback is None:
+        fallback = loop_fallback(reference, parameters, settings)
     period, limits, first = 1 / settings.rate, settings.limits(reference), controller.first_state
     if len(first) != 2 * parameters.count + 2:
         raise InputError(f"the controller is for states of {len(first)} entries, these arms have {parameters.count}")

@@ -13,7 +13,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.tables import suggest
 from dpcontrol.lab.result import Ending
+
+HOLDS = ("none", "nearest")
+"""What may be held where the reference was given up."""
 
 
 class Outcome(StrEnum):
@@ -36,7 +40,7 @@ class SupervisorSettings:
     where the model is wrong by a tenth, and nothing is lost; 1e5 is some 0.04 rad. restarts: how often the estimator is
     restarted before it counts as lost. missing s: longest time without a measurement. braking: share of the greatest
     acceleration that is counted on to stop the cart (it brakes harder), and margin m: what must be left of the track
-    then.
+    then. hold: "nearest" to hold the nearest orbit or equilibrium, once, where tracking is lost; "none" to stop.
     """
 
     lost_tracking: float = 1.5
@@ -46,6 +50,7 @@ class SupervisorSettings:
     missing: float = 0.1
     braking: float = 0.5
     margin: float = 0.002
+    hold: str = "none"
 
     def __post_init__(self) -> None:
         """Refuse what could not stop anything.
@@ -65,11 +70,15 @@ class SupervisorSettings:
             value = getattr(self, name)
             if not math.isfinite(value) or not low <= value <= high:
                 raise InputError(f"supervisor: {name} = {value!r}: must be {low:g} to {high:g}")
+        if self.hold not in HOLDS:
+            raise InputError(f"supervisor: hold = {self.hold!r}: {suggest(self.hold, HOLDS)}")
 
 
 TRACKING_MEMORY = 1.0
 ESTIMATE_MEMORY = 0.2
 """Time constants of the means, s."""
+LOST_AFTER_FALLBACK = 1.5
+"""rad: from which what was fallen back to is lost as well, where less than that loses the reference."""
 
 
 @dataclass
@@ -91,6 +100,7 @@ class Supervisor:
     def __post_init__(self) -> None:
         self.tracking_share = min(self.period / TRACKING_MEMORY, 1.0)
         self.estimate_share = min(self.period / ESTIMATE_MEMORY, 1.0)
+        self.lost = self.settings.lost_tracking
         self.brake = 2 * self.settings.braking * self.acceleration
 
     def stopping_point(self, position: float, velocity: float) -> float:
@@ -141,10 +151,11 @@ class Supervisor:
                     "it must brake now to stay on the track; weigh its position more, or allow more travel"
                 ),
             )
-        if self.error > s.lost_tracking:
+        if self.error > self.lost:
             reason = f"tracking lost at t = {now:.3f} s: an angle has stayed {self.error:.2g} rad from the reference"
             if self.can_hold:
                 self.can_hold, self.error = False, 0.0
+                self.lost = max(self.lost, LOST_AFTER_FALLBACK)
                 return Outcome.HOLD, Ending.TRACKING_LOST, reason
             return Outcome.STOP, Ending.TRACKING_LOST, reason
         if s.resynchronise and self.error > s.resynchronise and now - self._moved > TRACKING_MEMORY:

@@ -224,7 +224,9 @@ def _problem(flown: Flown, plan: Reference, *, visits: list[Visit], matched: int
     """Return why the run is not completed, naming the symbol, or an empty string."""
     notes: dict[str, Any] = dict(plan.notes)
     stops, symbols = notes["stops"], notes["symbols"]
-    ended = _ended(flown, plan)
+    early = _ended(flown, plan)
+    # A run that fell back to something else goes on to its end.
+    ended = early or (f"; {flown.ended}" if flown.ended else "")
     if matched == 0:
         return f"did not start on the orbit about {stops[0]['saddle']}{ended}"
     if matched < len(stops):
@@ -245,7 +247,7 @@ def _problem(flown: Flown, plan: Reference, *, visits: list[Visit], matched: int
     for k, (asked, done) in enumerate(zip(notes["wraps"], wraps, strict=False)):
         if asked is not None and asked != done:
             return f"wraps at stop {k + 1} are {done} instead of {asked}, before symbol {k + 2}"
-    return _limits(flown) or _last_orbit(flown, plan, last=last, ended=ended)
+    return _limits(flown) or _last_orbit(flown, plan, last=last, ended=early)
 
 
 def _ended(flown: Flown, plan: Reference) -> str:

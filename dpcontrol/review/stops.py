@@ -128,7 +128,11 @@ def section_crossings(
         signs = np.flatnonzero(height[middle:end] * height[middle + 1 : end + 1] <= 0) + middle
         if signs.size == 0:
             break
-        i = signs[np.argmin(np.abs(time[signs] - symbols[k]["time"]))]
+        if "program" in notes:
+            # Stays last as long as the plant's own period makes them: where it crosses tells which crossing it is.
+            i = signs[np.argmin(np.abs(angles[signs] - section["angles"]).max(axis=1))]
+        else:
+            i = signs[np.argmin(np.abs(time[signs] - symbols[k]["time"]))]
         share = height[i] / (height[i] - height[i + 1]) if height[i] != height[i + 1] else 0.0
         crossings.append(float(time[i] + share * (time[i + 1] - time[i])))
     return tuple(crossings)

@@ -18,7 +18,8 @@ from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.dynamics.uncertain_arms import Uncertainty
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.lab.batch import BatchRun, can_batch, run_batch
-from dpcontrol.lab.loop import LoopSettings, loop_controller, run_loop
+from dpcontrol.lab.control_loop import Fallback
+from dpcontrol.lab.loop import LoopSettings, loop_controller, loop_fallback, run_loop
 from dpcontrol.lab.result import Ending
 from dpcontrol.references.archive import load_reference
 from dpcontrol.references.reference import Reference
@@ -100,6 +101,11 @@ def _controller(archive: bytes, arms: ArmChainParameters, loop: LoopSettings) ->
     return loop_controller(_reference(archive), arms, loop)
 
 
+@lru_cache(maxsize=8)
+def _fallback(archive: bytes, arms: ArmChainParameters, loop: LoopSettings) -> Fallback | None:
+    return loop_fallback(_reference(archive), arms, loop)
+
+
 def run_job(job: Job) -> list[Row]:
     """Run a job's seeds and return a row for each, in their order.
 
@@ -115,10 +121,17 @@ def _rows(job: Job) -> list[Row]:
     reference = _reference(job.reference)
     loop = job.case.loop
     # By what a controller depends on: cases that differ in the bench share one.
-    decisive = LoopSettings(seed=0, rate=loop.rate, controller=loop.controller, estimator=loop.estimator)
+    decisive = LoopSettings(
+        seed=0, rate=loop.rate, keep=loop.keep, controller=loop.controller, estimator=loop.estimator,
+        supervisor=loop.supervisor,
+    )  # fmt: skip
     controller = _controller(job.reference, job.arms, decisive)
     if job.path == "ticks" or not can_batch(loop, controller):
-        return [_row(job, reference, seed, _one(job, reference, controller, seed), path="ticks") for seed in job.seeds]
+        fallback = _fallback(job.reference, job.arms, decisive)
+        return [
+            _row(job, reference, seed, _one(job, reference, controller, seed, fallback), path="ticks")
+            for seed in job.seeds
+        ]
     limits = loop.limits(reference)
     runs = run_batch(
         job.arms, settings=loop, seeds=job.seeds, controller=controller, limits=limits, uncertainty=job.uncertainty
@@ -131,10 +144,19 @@ def _rows(job: Job) -> list[Row]:
     return rows
 
 
-def _one(job: Job, reference: Reference, controller: Controller, seed: int) -> BatchRun:
+def _one(
+    job: Job, reference: Reference, controller: Controller, seed: int, fallback: Fallback | None = None
+) -> BatchRun:
     settings = replace(job.case.loop, seed=seed)
     return BatchRun.of(
-        run_loop(reference, job.arms, settings=settings, controller=controller, uncertainty=job.uncertainty)
+        run_loop(
+            reference,
+            job.arms,
+            settings=settings,
+            controller=controller,
+            fallback=fallback,
+            uncertainty=job.uncertainty,
+        )
     )
 
 

@@ -24,7 +24,8 @@ class Itinerary:
     """One scene: its parts and the settings of every stage. `loop` carries seed 0 until a run gives another.
 
     start, finish: "orbit" (on the first, last part's orbit), "rest" (hanging still) or "hold" (at the equilibrium that
-    is its only part).
+    is its only part). keeps: whether the stops of its walk are planned as stays on sustained orbits, as the file asks
+    for; runs with other controllers follow the same reference.
     """
 
     name: str
@@ -38,6 +39,7 @@ class Itinerary:
     reference: ReferenceSettings
     loop: LoopSettings
     text: str
+    keeps: bool = False
 
     @property
     def stay(self) -> HoldPart | OrbitPart | None:
@@ -121,8 +123,19 @@ def load_itinerary(name: str, *, model: Model | None = None) -> Itinerary:
         table.table("run"), controller=table.table("controller"), estimator=table.table("estimator"),
         supervisor=table.table("supervisor"),
     )  # fmt: skip
+    keeps = loop.keep != "none"
+    if keeps and not (len(parts) == 1 and isinstance(parts[0], WalkPart) and (start, finish) == ("orbit", "orbit")):
+        raise InputError(
+            f'{path}: [controller] keep = "{loop.keep}": keeps the stops of one walk from orbit to orbit; remove it, '
+            "or start, finish and [[parts]]"
+        )
+    if keeps and reference.level == "conservative":
+        raise InputError(
+            f'{path}: [reference] level = "conservative": orbits are kept by the cart\'s motion; use "cart", or remove '
+            "keep under [controller]"
+        )
     table.finish()
-    return Itinerary(path.stem, path, title, model, parts, start, finish, limits, reference, loop, text)
+    return Itinerary(path.stem, path, title, model, parts, start, finish, limits, reference, loop, text, keeps)
 
 
 def _model(table: Table, path: Path, given: Model | None) -> Model:

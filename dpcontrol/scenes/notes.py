@@ -1,6 +1,8 @@
 """What a plan says beyond the trajectory: notes (JSON) and arrays that score and review need, kept with the reference.
 
 stay      kind "orbit" or "hold", for an itinerary that goes nowhere; what it takes to make its controller
+program   stays ("keep") and flights ("fly") one after the other, for a walk whose stops are kept; rows: the intervals
+          of the mesh, of a stay those of its first period; turns: by which its states are away from the orbit's own
 stops     where the pendulum wobbles or rests: saddle, angles (lifted), orbit (index into orbits)
 symbols   what leads from stop to stop: a connection, or a transfer (name null, no section)
 wraps     one for each interior stop; null where they are not counted: beside a transfer
@@ -95,7 +97,8 @@ def plan_notes(itinerary: Itinerary, pieces: Sequence[Piece], begins: Array) -> 
             continue
         walk = goal.shadowing
         index = orbits.at_rest(goal.where[0]) if walk is None else orbits.of(walk.connections[0].source)
-        _enter(story, goal, goal.first + piece.lift, index, way)
+        if piece.wraps is None:
+            _enter(story, goal, goal.first + piece.lift, index, way)
         if goal.shadowing is not None:
             _follow(story, orbits, piece, float(begin))
     walks = [piece.goal.shadowing for piece in pieces if piece.goal is not None and piece.goal.shadowing is not None]
@@ -204,7 +207,7 @@ def _follow(story: _Story, orbits: _Orbits, piece: Piece, begin: float) -> None:
         angles = (system.equilibrium(target) + orbit.offsets[k + 1] * system.turn_lengths)[:n] + piece.lift
         crossing = orbit.sample(np.array([time]))[0] + lift
         symbol = _connection_note(text, connection, crossing, begin + float(time) - piece.goal.begin)
-        wraps = orbit.wraps[k - 1] if k > 0 else None
+        wraps = orbit.wraps[k - 1] if k > 0 else piece.wraps
         story.arrive(target, angles, orbits.of(connection.target), symbol, wraps)
 
 
@@ -220,6 +223,7 @@ def _connection_note(text: str, connection: Connection, crossing: Array, time: f
         "section": {
             "normal": list(connection.section.normal),
             "value": float(np.dot(connection.section.normal, crossing)),
+            "angles": crossing[: len(crossing) // 2].tolist(),
         },
         "time_out": connection.time_out,
         "time_in": connection.time_in,

@@ -58,13 +58,17 @@ class Goal:
 
 @dataclass(frozen=True)
 class Piece:
-    """A solved piece. kind: "walk", "hold" or "transfer"; lift (n,): radians added to its goal's angles."""
+    """A solved piece. kind: "walk", "hold" or "transfer"; lift (n,): radians added to its goal's angles.
+
+    wraps: at the stop that it shares with the walk's piece before it; None for a walk in one piece.
+    """
 
     kind: str
     text: str
     goal: Goal | None
     lift: Array
     reference: Reference
+    wraps: int | None = None
 
 
 def walk_goal(orbit: ShadowingOrbit, symbols: tuple[str, ...], *, round_off: tuple[bool, bool]) -> Goal:
@@ -125,7 +129,8 @@ def solve_pieces(itinerary: Itinerary, goals: Sequence[Goal], *, progress: Progr
     return pieces
 
 
-def _problem(itinerary: Itinerary, guess: Guess, duration: float, ends: Ends) -> ReferenceProblem:
+def cart_problem(itinerary: Itinerary, guess: Guess, duration: float, ends: Ends) -> ReferenceProblem:
+    """Return the problem of following a guess for `duration` s with the itinerary's arms, within its limits."""
     return ReferenceProblem(
         equations=equations_of(itinerary.model.arms, Level.CART),
         parameters=itinerary.model.arms.base(),
@@ -148,7 +153,7 @@ def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress) -> P
         )
         return Piece("hold", goal.text, goal, lift, piece)
     sample = goal.shadowing.sample
-    problem = _problem(itinerary, lambda times: sample(times + goal.begin) + turned, goal.seconds, Ends())
+    problem = cart_problem(itinerary, lambda times: sample(times + goal.begin) + turned, goal.seconds, Ends())
     if settings.level == "conservative":
         free = itinerary.model.arms.frictionless()
         conservative = replace(problem, equations=equations_of(free, Level.CART), parameters=free.base())
@@ -223,7 +228,7 @@ def _blend(
     start = before.sample(np.array([before.duration]))[0]
     shift = [np.concatenate([turned, np.zeros(n)]) for turned in (lift, onward)]
     ends = Ends(start=np.concatenate([start + shift[0], [0.0, 0.0]]), end=np.concatenate([end + shift[1], [0.0, 0.0]]))
-    found = find_reference(_problem(itinerary, guess, duration, ends), itinerary.reference, progress=progress)
+    found = find_reference(cart_problem(itinerary, guess, duration, ends), itinerary.reference, progress=progress)
     if found.converged:
         return found
     text = f"from {first.energy:g} J to {last.energy:g} J at {first.saddle}"

@@ -22,10 +22,12 @@ from dpcontrol.references.joining import joined
 from dpcontrol.references.reference import Reference
 from dpcontrol.scenes.cache import cache_folder, code_hash
 from dpcontrol.scenes.itinerary import Itinerary
+from dpcontrol.scenes.kept_walks import plan_kept
 from dpcontrol.scenes.notes import plan_notes
 from dpcontrol.scenes.parts import HoldPart, WalkPart
 from dpcontrol.scenes.pieces import REST, REST_AFTER, REST_BEFORE, Goal, solve_pieces, stay_goal, walk_goal
 from dpcontrol.scenes.stays import plan_stay
+from dpcontrol.tubes.connection import Connection
 
 FORMAT = 2
 """Raised whenever the notes change their meaning."""
@@ -64,6 +66,7 @@ def plan_key(itinerary: Itinerary) -> str:
         "ends": (itinerary.start, itinerary.finish),
         "limits": asdict(itinerary.limits),
         "reference": asdict(itinerary.reference),
+        "keeps": itinerary.keeps,
     }
     return content_hash(json.dumps(content, sort_keys=True))
 
@@ -86,6 +89,11 @@ def make_plan(itinerary: Itinerary, *, progress: Progress = no_progress, fresh: 
                 return Plan(itinerary, kept, file, cached=True)
     if itinerary.stay is not None:
         reference, notes, arrays = plan_stay(itinerary, itinerary.stay, progress=progress)
+    elif itinerary.keeps:
+        walk = itinerary.walks[0]
+        chain, solver = _connections(itinerary, walk, part_of(progress, 0.0, 0.5))
+        flying = part_of(progress, 0.5, 1.0)
+        reference, notes, arrays = plan_kept(itinerary, walk, chain, solver, progress=flying)
     else:
         goals = _goals(itinerary, part_of(progress, 0.0, 0.4))
         pieces = solve_pieces(itinerary, goals, progress=part_of(progress, 0.4, 1.0))
@@ -130,16 +138,20 @@ def shadowing_orbit(
         if not itinerary.walks:
             raise InputError(f"{itinerary.name} has no walk, only holds")
         part = itinerary.walks[0]
-    system = itinerary.model.system
-    symbols = parse_walk(part.walk, saddles_with_tubes(system))
-    pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
-    edges = find_edges(system, part.energy, pairs=pairs, symbols=symbols, progress=part_of(progress, 0.0, 0.9))
-    if edges.absent:
-        raise GoalMissed("; ".join(reason for _, reason in edges.absent))
-    chain = resolve(part.walk, edges)
+    chain, solver = _connections(itinerary, part, part_of(progress, 0.0, 0.9))
     progress("shadowing orbit", 0.9)
-    solver = WalkSolver(edges.known)
     result = solver.solve(chain, part.wraps, lead_in=part.lead_in, lead_out=part.lead_out)
     if not result.converged:
         raise GoalMissed(f"the shadowing orbit: {result.status}; {solver.advice(result)}")
     return result
+
+
+def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tuple[tuple[Connection, ...], WalkSolver]:
+    """Return the connections of a part's walk, and what finds the orbits that shadow them."""
+    system = itinerary.model.system
+    symbols = parse_walk(part.walk, saddles_with_tubes(system))
+    pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
+    edges = find_edges(system, part.energy, pairs=pairs, symbols=symbols, progress=progress)
+    if edges.absent:
+        raise GoalMissed("; ".join(reason for _, reason in edges.absent))
+    return resolve(part.walk, edges), WalkSolver(edges.known)

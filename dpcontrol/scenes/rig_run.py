@@ -7,13 +7,14 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+from dpcontrol.control.interface import Controller
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import Progress, no_progress
 from dpcontrol.lab.bench_recipe import BenchRecipe
 from dpcontrol.lab.control_loop import ControlLoop
 from dpcontrol.lab.deadlines import Deadlines, real_time_priority, without_collecting
 from dpcontrol.lab.log_sink import LogSink
-from dpcontrol.lab.loop import control_loop, loop_controller, loop_result
+from dpcontrol.lab.loop import control_loop, loop_controller, loop_fallback, loop_result
 from dpcontrol.lab.rehearsal import rehearse
 from dpcontrol.lab.result import LoopResult
 from dpcontrol.lab.udp_bench import BenchServerSettings
@@ -28,7 +29,7 @@ from dpcontrol.scenes.run import log_writer
 OWN_BENCH = "udp"
 """In place of an address: the example bench is started for the run, in a process of its own."""
 _SPARE = 1.0
-"""Seconds for which the example bench can go on after the reference's end."""
+"""Seconds for which the example bench can go on after the controller's end."""
 
 
 @dataclass(frozen=True)
@@ -44,18 +45,19 @@ class RigRun:
     bench: tuple[str, ...]
 
 
-def bench_recipe(plan: Plan) -> BenchRecipe:
-    """Return the simulated bench that a planned itinerary is run on.
+def bench_recipe(plan: Plan, controller: Controller | None = None) -> BenchRecipe:
+    """Return the simulated bench that a planned itinerary is run on by its controller, which is made where not given.
 
     Raises:
         InputError: the plant is to be drawn from an uncertainty that the model's file does not give.
-        GoalMissed: the plan did not converge.
+        GoalMissed: the plan did not converge, or no controller can be made for it.
     """
     itinerary, reference = plan.itinerary, _converged(plan)
     loop = itinerary.loop
+    controller = controller or loop_controller(reference, itinerary.model.arms, loop)
     return BenchRecipe(
-        itinerary.model.arms, loop.bench, loop.limits(reference), reference.state(0.0),
-        ticks=round((reference.duration + _SPARE) * loop.rate) + 1, period=1 / loop.rate, seed=loop.seed,
+        itinerary.model.arms, loop.bench, loop.limits(reference), controller.first_state,
+        ticks=controller.ticks + round(_SPARE * loop.rate) + 1, period=1 / loop.rate, seed=loop.seed,
         mismatch=loop.mismatch, model_uncertainty=loop.model_uncertainty, uncertainty=itinerary.uncertainty,
         initial_error=loop.initial_error,
     )  # fmt: skip
@@ -76,14 +78,17 @@ def run_on_rig(
     arms, settings = itinerary.model.arms, itinerary.loop
     where = None if address == OWN_BENCH else parse_address(address)
     limits, controller = settings.limits(reference), loop_controller(reference, arms, settings)
+    fallback = loop_fallback(reference, arms, settings)
     process: BenchProcess | None = None
     with log_writer(plan, out) as writer:
-        loop = control_loop(arms, settings, controller, limits=limits, sink=LogSink(writer), progress=progress)
+        loop = control_loop(
+            arms, settings, controller, limits=limits, sink=LogSink(writer), fallback=fallback, progress=progress
+        )
         rehearse(loop)
         with ExitStack() as stack:
             if where is None:
                 process = stack.enter_context(
-                    BenchProcess(bench_recipe(plan), BenchServerSettings(real_time=real_time))
+                    BenchProcess(bench_recipe(plan, controller), BenchServerSettings(real_time=real_time))
                 )
                 where = process.address
             rig = stack.enter_context(UdpRig(where, queued=loop.queued))

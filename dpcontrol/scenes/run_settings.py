@@ -24,6 +24,7 @@ from dpcontrol.lab.controllers import ControllerSettings
 from dpcontrol.lab.disturbances import DisturbanceSettings, Push
 from dpcontrol.lab.drive import DriveSettings
 from dpcontrol.lab.loop import LoopSettings
+from dpcontrol.lab.programs import KEEPERS
 from dpcontrol.lab.sensors import SensorSettings
 from dpcontrol.lab.supervisor import SupervisorSettings
 
@@ -61,10 +62,15 @@ def read_run_settings(run: Table, *, controller: Table, estimator: Table, superv
         given = {"explicit": tuple(blows)} if part == "disturbances" else {}
         parts[part] = Table(own, file=run.file, name=run.name).settings(kind, also=known, **given)
     rest = Table({k: v for k, v in values.items() if k not in names}, file=run.file, name=run.name)
+    keep = controller.text("keep", "none", allowed=KEEPERS)
     law = _kind(controller, CONTROLLERS, "tvlqr")
+    if keep != "none" and not isinstance(law, TvlqrSettings):
+        raise InputError(
+            f'{controller.where("keep")} = {keep!r}: what flies between the stops is kind = "tvlqr", not "{law.kind}"'
+        )
     filters = {**ESTIMATORS, "ekf": AdaptiveEkfSettings} if isinstance(law, AdaptiveSettings) else ESTIMATORS
     return rest.settings(
-        LoopSettings, also=known, seed=0, controller=law, estimator=_kind(estimator, filters, "ekf"),
+        LoopSettings, also=known, seed=0, keep=keep, controller=law, estimator=_kind(estimator, filters, "ekf"),
         supervisor=supervisor.settings(SupervisorSettings), **parts,
     )  # fmt: skip
 
@@ -75,6 +81,8 @@ def _kind(table: Table, kinds: Mapping[str, type], default: str) -> Any:
 
 def overridden(loop: LoopSettings, overrides: Mapping[str, Any]) -> LoopSettings:
     """Return the settings with values replaced by name; None keeps. A controller or estimator is named by its kind.
+
+    A controller that cannot hand over to what keeps the stops follows the whole reference itself.
 
     Raises:
         InputError: an unknown name or kind, or an impossible value.
@@ -91,12 +99,16 @@ def overridden(loop: LoopSettings, overrides: Mapping[str, Any]) -> LoopSettings
                 raise InputError(f"{name} = {value!r}: {suggest(str(value), kinds)}")
             if value != getattr(loop, name).kind:
                 own[name] = kinds[value]()
-        elif name in _OWN:
+        elif name in _OWN or name == "keep":
             own[name] = value
+        elif name == "hold":
+            own["supervisor"] = replace(loop.supervisor, hold=value)
         elif name in names:
             changes.setdefault(names[name], {})[name] = value
         else:
-            raise InputError(f"{name} = {value!r}: no such run setting; {suggest(name, setting_names())}")
+            raise InputError(
+                f"{name} = {value!r}: no such run setting; {suggest(name, (*setting_names(), 'keep', 'hold'))}"
+            )
     law, filters = own.get("controller", loop.controller), own.get("estimator", loop.estimator)
     knows = Augment.PARAMETERS in filters.augments
     if isinstance(law, AdaptiveSettings) and isinstance(filters, EkfSettings) and not knows:
@@ -104,5 +116,7 @@ def overridden(loop: LoopSettings, overrides: Mapping[str, Any]) -> LoopSettings
         own["estimator"] = AdaptiveEkfSettings()
     elif not isinstance(law, AdaptiveSettings) and isinstance(filters, AdaptiveEkfSettings):
         own["estimator"] = EkfSettings()
+    if not isinstance(law, TvlqrSettings):
+        own.setdefault("keep", "none")
     own |= {part: replace(getattr(loop, part), **values) for part, values in changes.items()}
     return replace(loop, **own)

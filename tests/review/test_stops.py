@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dpcontrol.review.stops import Visit, decode_stops, settled_ticks, without_detours
+from dpcontrol.review.stops import Visit, decode_stops, section_crossings, settled_ticks, without_detours
 
 A, B, C, D = (0.0, np.pi), (2 * np.pi, np.pi), (0.0, 3 * np.pi), (np.pi, 0.0)
 
@@ -39,3 +39,16 @@ def test_while_on_a_transfer_the_pendulum_is_nowhere():
     saddles = np.array([A, D])
     assert [v.angles for v in decode_stops(angles, saddles, dwell=5)] == [A, B, C]
     assert [v.angles for v in decode_stops(angles, saddles, dwell=5, settled=settled)] == [A, C]
+
+
+def test_where_a_stay_lasts_its_own_time_the_angles_at_the_section_tell_which_crossing_is_meant() -> None:
+    """Thrice over θ₂ = 0; the one meant is at θ₁ = 1.5, two seconds later than planned."""
+    time = np.arange(0.0, 12.0, 1e-3)
+    angles = np.array([time - 7.0, np.interp(time, [0, 6, 8, 9, 12], [-1.0, -0.5, 0.5, -0.5, 1.0])]).T
+    visits = [Visit((0.0, 0.0), 0, 2000), Visit((0.0, 0.0), 11_000, 11_999)]
+    section = {"normal": [0.0, 1.0, 0.0, 0.0], "value": 0.0, "angles": [1.5, 0.0]}
+    notes = {"symbols": [{"section": section, "time": 6.5}]}
+    (by_time,) = section_crossings(time, angles, notes, visits)
+    (by_place,) = section_crossings(time, angles, {**notes, "program": []}, visits)
+    assert by_time == pytest.approx(7.0, abs=1e-6)
+    assert by_place == pytest.approx(8.5, abs=1e-6)

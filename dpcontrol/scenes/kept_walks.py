@@ -1,0 +1,214 @@
+"""A walk whose stops are kept: flights along connections between sustained orbits, and whole periods of these.
+
+    orbit · orbit · …  flight  orbit · orbit · …  flight  … orbit
+
+Every flight is solved on its own, from phase 0 of one sustained orbit to phase 0 of the next, cart included, so that a
+stay of any length costs nothing more. A stop with too few wraps for a whole period between two flights is flown
+through: its symbols share one flight. The reference says where stays and flights are (notes, `program`), for the
+controllers that hand over to each other.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.control.phase import whole_turns
+from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.foundation.files import Progress, no_progress, part_of
+from dpcontrol.itineraries.shadowing import ShadowingOrbit
+from dpcontrol.itineraries.tiling import phase_gap
+from dpcontrol.itineraries.wraps import WalkSolver
+from dpcontrol.references.find import find_reference
+from dpcontrol.references.joining import joined
+from dpcontrol.references.problem import Ends
+from dpcontrol.references.reference import Reference
+from dpcontrol.references.sustained import SustainedOrbit, SustainedSettings, sustained_orbit
+from dpcontrol.scenes.itinerary import Itinerary
+from dpcontrol.scenes.notes import plan_notes
+from dpcontrol.scenes.parts import WalkPart
+from dpcontrol.scenes.pieces import Goal, Piece, cart_problem, walk_goal
+from dpcontrol.tubes.connection import Connection
+from dpcontrol.tubes.lyapunov import LyapunovOrbit
+
+Array = NDArray[np.float64]
+
+_SAMPLES = 401
+"""Of each sustained orbit, for score and review."""
+
+
+@dataclass(frozen=True)
+class _Flight:
+    """What one flight follows, and the wraps at the stop before it; None before the first."""
+
+    goal: Goal
+    orbit: ShadowingOrbit
+    wraps: int | None
+
+    @property
+    def ends(self) -> tuple[LyapunovOrbit, LyapunovOrbit]:
+        """Return the orbits that it leaves and joins."""
+        return self.orbit.connections[0].source, self.orbit.connections[-1].target
+
+    @property
+    def early(self) -> float:
+        """Return the periods from its start to where its first connection leaves the orbit."""
+        first = self.orbit.connections[0]
+        return (float(self.orbit.symbol_times[0]) - self.goal.begin - first.time_out) / first.source.period
+
+    @property
+    def late(self) -> float:
+        """Return the periods from where its last connection joins the orbit to its end."""
+        last, end = self.orbit.connections[-1], self.goal.begin + self.goal.seconds
+        return (end - float(self.orbit.symbol_times[-1]) - last.time_in) / last.target.period
+
+
+def plan_kept(
+    itinerary: Itinerary,
+    part: WalkPart,
+    chain: Sequence[Connection],
+    solver: WalkSolver,
+    *,
+    progress: Progress = no_progress,
+) -> tuple[Reference, dict[str, Any], dict[str, Array]]:
+    """Return the reference of a walk of these connections with its stops kept, its notes and the arrays with them.
+
+    Raises:
+        GoalMissed: a sustained orbit, or a flight's shadowing orbit or reference, was not found.
+    """
+    orbits = _sustained(itinerary, chain)
+    flights = _flights(part, chain, solver)
+    pieces: list[Piece] = []
+    for k, flight in enumerate(flights):
+        here = part_of(progress, k / len(flights), (k + 1) / len(flights))
+        lift = np.zeros(len(flight.goal.first))
+        if pieces:
+            lift = pieces[-1].lift + flights[k - 1].goal.last - flight.goal.first
+        pieces.append(_flown(itinerary, flight, orbits, lift, here))
+    return _assembled(itinerary, part, flights, pieces, orbits)
+
+
+def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, SustainedOrbit]:
+    """Return the sustained orbits of a walk by saddle, with the intervals of the itinerary's own method."""
+    # The cheapest orbit, not the nearest to the Lyapunov orbit.
+    sought = replace(itinerary.reference, pendulum_weight=0.0, cart_weight=1.0)
+    settings = SustainedSettings(limits=itinerary.limits, reference=sought)
+    orbits: dict[str, SustainedOrbit] = {}
+    for lyapunov in (chain[0].source, *(connection.target for connection in chain)):
+        if lyapunov.saddle not in orbits:
+            found = sustained_orbit(lyapunov, itinerary.model.arms, settings=settings)
+            if not found.converged:
+                where = f"about {lyapunov.saddle} at {lyapunov.energy:g} J"
+                raise GoalMissed(f"the sustained orbit {where}, which is to be kept: {found.status}")
+            orbits[lyapunov.saddle] = found
+    return orbits
+
+
+def _flights(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver) -> list[_Flight]:
+    """Return the walk's flights: one for each symbol, fewer where a stop has no room to stay."""
+    single = [_flight(part, chain, solver, k, k + 1) for k in range(len(chain))]
+    cuts = [k + 1 for k, (before, after) in enumerate(pairwise(single)) if _periods(before, after) >= 1]
+    spans = pairwise([0, *cuts, len(chain)])
+    return [single[i] if j == i + 1 else _flight(part, chain, solver, i, j) for i, j in spans]
+
+
+def _flight(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver, first: int, last: int) -> _Flight:
+    """Return the flight of the symbols from `first` to before `last`."""
+    orbit = solver.solve(chain[first:last], part.wraps[first : last - 1], lead_in=0, lead_out=0)
+    if not orbit.converged:
+        raise GoalMissed(f"the shadowing orbit: {orbit.status}; {solver.advice(orbit)}")
+    goal = walk_goal(orbit, part.walk[first:last], round_off=(True, True))
+    return _Flight(goal, orbit, part.wraps[first - 1] if first else None)
+
+
+def _periods(before: _Flight, after: _Flight) -> int:
+    """Return how many whole periods between two flights give the stop its wraps; negative where there is no room."""
+    assert after.wraps is not None
+    gap = phase_gap(before.orbit.connections[-1], after.orbit.connections[0])
+    return round(after.wraps + gap - before.late - after.early)
+
+
+def _flown(
+    itinerary: Itinerary, flight: _Flight, orbits: dict[str, SustainedOrbit], lift: Array, progress: Progress
+) -> Piece:
+    """Return the piece of a flight, `lift` (n,) added to its goal's angles."""
+    goal, sample = flight.goal, flight.orbit.sample
+    turned = np.concatenate([lift, np.zeros(len(lift))])
+    rows = zip(flight.ends, (goal.start, goal.end), strict=True)
+    start, end = (_on_turns(orbits[which.saddle], state + turned) for which, state in rows)
+    problem = cart_problem(
+        itinerary, lambda times: sample(times + goal.begin) + turned, goal.seconds, Ends(start=start, end=end)
+    )
+    found = find_reference(problem, itinerary.reference, progress=progress)
+    text = ", ".join(goal.symbols)
+    if not found.converged:
+        raise GoalMissed(f"no flight {text!r} between the orbits that are to be kept: {found.status}")
+    return Piece("walk", text, goal, lift, found, flight.wraps)
+
+
+def _on_turns(orbit: SustainedOrbit, state: Array) -> Array:
+    """Return the orbit's state (2n + 2,) at phase 0, on the turns of the pendulum's state (2n,) there."""
+    start, n = np.array(orbit.state(0.0)), len(state) // 2
+    start[:n] += whole_turns(state[:n] - start[:n])
+    return start
+
+
+def _assembled(
+    itinerary: Itinerary,
+    part: WalkPart,
+    flights: list[_Flight],
+    pieces: list[Piece],
+    orbits: dict[str, SustainedOrbit],
+) -> tuple[Reference, dict[str, Any], dict[str, Array]]:
+    """Return stays and flights end to end, with the notes and arrays of the whole."""
+    # The first orbit is where a run is caught, the last one what it is judged by: one period of each at least.
+    leads = (max(round(part.lead_in - flights[0].early), 1), max(round(part.lead_out - flights[-1].late), 1))
+    counts = [leads[0], *(_periods(a, b) for a, b in pairwise(flights)), leads[1]]
+    places = [flights[0].ends[0], *(flight.ends[1] for flight in flights)]
+    states = [pieces[0].reference.state(0.0), *(p.reference.state(p.reference.duration) for p in pieces)]
+    parts: list[Reference] = []
+    segments: list[dict[str, Any]] = []
+    begins: list[float] = []
+    for k, (count, place, state) in enumerate(zip(counts, places, states, strict=True)):
+        orbit = orbits[place.saddle]
+        turns = np.rint((state - orbit.state(0.0)) / (2 * np.pi)) * 2 * np.pi
+        one = replace(orbit.reference, states=orbit.reference.states + turns)
+        stay = {
+            "keep": place.saddle, "energy": place.energy, "family": place.family, "lyapunov_period": place.period,
+            "turns": turns.tolist(), "periods": count,
+        }  # fmt: skip
+        segments.append({**stay, "rows": _rows(parts, one)})
+        parts += [one] * count
+        if k < len(pieces):
+            segments.append({"fly": pieces[k].text, "rows": _rows(parts, pieces[k].reference)})
+            begins.append(sum(one.duration for one in parts))
+            parts.append(pieces[k].reference)
+    reference = _counted_once(joined(parts)[0], [piece.reference for piece in pieces], orbits)
+    notes, arrays = plan_notes(itinerary, pieces, np.array([*begins, reference.duration]))
+    notes |= {"program": segments, "lead_in": part.lead_in, "lead_out": part.lead_out}
+    n = itinerary.model.arms.count
+    for k, entry in enumerate(notes["orbits"]):
+        orbit = orbits[entry["saddle"]]
+        entry["period"] = orbit.period
+        arrays[f"orbit_{k}"] = np.asarray(orbit.state(np.linspace(0.0, orbit.period, _SAMPLES))[:, : 2 * n])
+    return reference, notes, arrays
+
+
+def _counted_once(whole: Reference, flights: list[Reference], orbits: dict[str, SustainedOrbit]) -> Reference:
+    """Return the whole with the cost of finding each of its orbits once, however often it is in it."""
+    solved = [*flights, *(orbit.reference for orbit in orbits.values())]
+    iterations, seconds = sum(one.iterations for one in solved), sum(one.solve_seconds for one in solved)
+    status = (
+        f"converged in {iterations} iterations; error between nodes {whole.max_error_between_nodes:.1e} on "
+        f"{len(whole.mesh) - 1} intervals: {len(flights)} flights, {len(flights) + 1} stays"
+    )
+    return replace(whole, iterations=iterations, solve_seconds=seconds, status=status)
+
+
+def _rows(before: list[Reference], part: Reference) -> list[int]:
+    """Return the first interval of a part and that after it, in the whole."""
+    first = sum(len(one.mesh) - 1 for one in before)
+    return [first, first + len(part.mesh) - 1]
