@@ -3,6 +3,7 @@
 import math
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
@@ -79,13 +80,16 @@ class Ticks:
         self.references[k] = wanted
         if self.truth is not None:
             self.truth[k] = truth
-        row = self.control[k]
         applied, saturated, mode = acted
         feedforward, feedback = action.feedforward, action.feedback
-        row[:CONTROL_HEAD] = (
-            feedforward + feedback, feedforward, feedback, applied, saturated, estimate.nis, mode
-        )  # fmt: skip
-        row[CONTROL_HEAD:] = estimate.sigmas[: len(row) - CONTROL_HEAD]
+        heads, sigmas = self._control_parts
+        heads[k] = feedforward + feedback, feedforward, feedback, applied, saturated, estimate.nis, mode
+        sigmas[k] = estimate.sigmas[: sigmas.shape[1]]
+
+    @cached_property
+    def _control_parts(self) -> tuple[Array, Array]:
+        """The columns of `control` before the standard deviations, and those."""
+        return self.control[:, :CONTROL_HEAD], self.control[:, CONTROL_HEAD:]
 
     def between(self, first: int, end: int) -> "Ticks":
         """Return the ticks from `first` up to `end`, sharing memory."""

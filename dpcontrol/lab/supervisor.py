@@ -74,6 +74,8 @@ class SupervisorSettings:
             raise InputError(f"supervisor: hold = {self.hold!r}: {suggest(self.hold, HOLDS)}")
 
 
+_NEARLY = 1 - 1e-9
+"""Sums of the same numbers in another order may differ by their round-off."""
 TRACKING_MEMORY = 1.0
 ESTIMATE_MEMORY = 0.2
 """Time constants of the means, s."""
@@ -139,9 +141,13 @@ class Supervisor:
                     "check the encoders' cables"
                 ),
             )
-        farthest = self.stopping_point(position, velocity)
-        if sent:
-            farthest = max(farthest, self.stopping_point(position, sent))
+        # At its fastest on the worse side first: mostly that is far from the track's end already.
+        v = max(abs(velocity), abs(sent))
+        farthest = abs(position) + v * self.reaction + v * v / self.brake + s.margin
+        if farthest >= _NEARLY * self.travel:
+            farthest = self.stopping_point(position, velocity)
+            if sent:
+                farthest = max(farthest, self.stopping_point(position, sent))
         if farthest >= self.travel:
             return (
                 Outcome.STOP,
