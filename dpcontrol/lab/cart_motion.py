@@ -1,6 +1,6 @@
 """How the cart of a recording moved: the acceleration that its arms felt, from the command or from its position.
 
-    v = d/dt of cubics through 20 ms of the position (Savitzky–Golay),      u_k = (v_{k+1} - v_k) / Δt
+    u_k = (a_k + a_{k+1}) / 2,      a = d²/dt² of cubics through 20 ms of the position (Savitzky–Golay)
 
 A command is sharper, but a drive may lag, saturate or give less than it is told. It is taken where it explains the
 position: where its integral, smoothed alike, has the accelerations of the position to a tenth of their rms.
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
 from scipy.signal import savgol_filter
 
 from dpcontrol.lab.recordings import Recording
@@ -45,24 +46,30 @@ def cart_motion(part: Recording) -> CartMotion | None:
             return None
         velocity = period * np.concatenate([[0.0], np.cumsum(command[:-1])])
         return CartMotion(_integral(velocity, command, period), velocity, command, True)
-    if float(np.ptp(part.cart)) < STILL:
+    known = np.isfinite(part.cart)
+    if known.sum() < 2 or float(np.ptp(part.cart[known])) < STILL:
         return None
-    velocity = _velocity(part.cart, period)
-    acceleration = np.diff(velocity, append=2 * velocity[-1] - velocity[-2]) / period
+    # A reading now and then that is missing leaves the position on the line through its neighbours.
+    position = part.cart
+    if not known.all():
+        between = make_interp_spline(part.time[known], part.cart[known], k=1)
+        position = np.asarray(between(part.time), dtype=np.float64)
+    velocity, felt = (_derivative(position, period, order) for order in (1, 2))
     if command is not None:
         sent = period * np.concatenate([[0.0], np.cumsum(command[:-1])])
-        told = np.diff(_velocity(_integral(sent, command, period), period)) / period
-        missed, moved = (float(np.sqrt(np.mean(np.square(a)))) for a in (told - acceleration[:-1], acceleration))
+        told = _derivative(_integral(sent, command, period), period, 2)
+        missed, moved = (float(np.sqrt(np.mean(np.square(a)))) for a in (told - felt, felt))
         if missed <= _EXPLAINED * moved:
-            return CartMotion(part.cart, velocity, command, True)
-    return CartMotion(part.cart, velocity, acceleration, False)
+            return CartMotion(position, velocity, command, True)
+    acceleration = (felt + np.append(felt[1:], felt[-1])) / 2
+    return CartMotion(position, velocity, acceleration, False)
 
 
-def _velocity(position: Array, period: float) -> Array:
+def _derivative(position: Array, period: float, order: int) -> Array:
     width = min(max(round(_SMOOTHED / period) | 1, 5), len(position) if len(position) % 2 else len(position) - 1)
     if width < 5:
-        return np.asarray(np.gradient(position, period), dtype=np.float64)
-    return np.asarray(savgol_filter(position, width, 3, deriv=1, delta=period), dtype=np.float64)
+        return np.zeros(len(position))
+    return np.asarray(savgol_filter(position, width, 3, deriv=order, delta=period), dtype=np.float64)
 
 
 def _integral(velocity: Array, acceleration: Array, period: float) -> Array:

@@ -78,11 +78,13 @@ class FreeMotion:
 
 
 def first_guess(angles: Array, period: float) -> Array:
-    """Return the state (2n,) at the first of `angles` (K, n): a parabola through the first 20 ms."""
+    """Return the state (2n,) at the first of `angles` (K, n): a parabola through the first 20 ms that are known."""
     count = int(np.clip(round(_GUESS_SECONDS / period), 5, len(angles)))
-    times = period * np.arange(count)
-    curve = np.polynomial.polynomial.polyfit(times, angles[:count], 2)
-    return np.concatenate([curve[0], curve[1]])
+    rows = np.flatnonzero(np.isfinite(angles).all(axis=1))[:count]
+    if not len(rows):
+        return np.zeros(2 * angles.shape[1])
+    curve = np.polynomial.polynomial.polyfit(period * rows, angles[rows], min(2, len(rows) - 1))
+    return np.concatenate([curve[0], curve[1] if len(rows) > 1 else np.zeros(angles.shape[1])])
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +104,7 @@ def fit_initial_states(
     *,
     progress: Progress = no_progress,
 ) -> list[FittedPath]:
-    """Return for each stretch of angles (K, n) the motion that follows it best.
+    """Return for each stretch of angles (K, n), nan where one is missing, the motion that follows it best.
 
     carts: of each stretch the velocities (K,) m/s and accelerations (K,) m/s² of its cart, where the pivot is moved.
 
@@ -114,8 +116,9 @@ def fit_initial_states(
     measured = np.zeros((longest, n, count))
     inside = np.zeros((longest, 1, count))
     for s, angles in enumerate(stretches):
-        measured[: len(angles), :, s] = angles
-        inside[: len(angles), 0, s] = 1.0
+        known = np.asarray(np.isfinite(angles).all(axis=1))
+        measured[: len(angles), :, s] = np.where(known[:, None], angles, 0.0)
+        inside[: len(angles), 0, s] = known
     cart = None
     if carts:
         accelerations = np.zeros((longest, count))
@@ -136,14 +139,16 @@ def fit_initial_states(
         normal = np.einsum("kais,kajs->sij", slopes, slopes)
         gradient = np.einsum("kais,kas->si", slopes, residual)
         scale = np.einsum("sii->si", normal)
-        finite = np.isfinite(normal).all(axis=(1, 2)) & np.isfinite(gradient).all(axis=1)
+        finite = np.isfinite(normal).all(axis=(1, 2)) & np.isfinite(gradient).all(axis=1) & (scale > 0).all(axis=1)
         normal[~finite], gradient[~finite], scale[~finite] = np.eye(size), 0.0, 1.0
         damped = normal + damping[:, None, None] * scale[:, :, None] * np.eye(size)
         tried = states - np.linalg.solve(damped, gradient[:, :, None])[:, :, 0].T
         following = motion.paths(tried, longest, cart)
         lower = _cost(following, measured, inside)
         better = lower < cost
-        ended |= better & (cost - lower <= _ENOUGH * cost)
+        # From an infinite cost any finite one is better, and no end.
+        gained = np.where(np.isfinite(cost), cost, np.inf) - np.where(np.isfinite(lower), lower, 0.0)
+        ended |= better & (gained <= _ENOUGH * cost) & np.isfinite(cost)
         states = np.where(better, tried, states)
         path = np.where(better, following, path)
         cost = np.where(better, lower, cost)
@@ -162,7 +167,10 @@ def _cost(path: Array, measured: Array, inside: Array) -> Array:
 
 
 def _fitted(path: Array, angles: Array, converged: bool) -> FittedPath:
-    residual = np.sqrt(np.mean(np.square(path[:, : angles.shape[1]] - angles), axis=0))
+    known = np.isfinite(angles).all(axis=1)
+    if not known.any():
+        return FittedPath(path.copy(), np.zeros(angles.shape[1]), False, "it holds no reading")
+    residual = np.sqrt(np.mean(np.square((path[:, : angles.shape[1]] - angles)[known]), axis=0))
     status = (
         "the initial state is fitted"
         if converged

@@ -98,12 +98,14 @@ def estimate_recording(
                 moved = cart.between(k)
                 expected = estimate.state if not k else estimator.ahead(estimate, [moved])
                 bend = change(np.asarray(expected[: 2 * n]), cart, k)[n:] * np.mean(times**2) / 2
-                measured = np.concatenate([means[k] - bend, [0.0]])
+                # A mean that lacks a sample is not of this time, and is left out.
+                known = bool(np.isfinite(means[k]).all())
+                measured = np.concatenate([means[k] - bend if known else np.zeros(n), [0.0]])
                 if k:
-                    estimate = estimator.step(estimate, moved, measured, present)
-                    out.nis[rows.stop - 1] = estimate.nis
+                    estimate = estimator.step(estimate, moved, measured, present & known)
+                    out.nis[rows.stop - 1] = estimate.nis if known else np.nan
                 else:
-                    estimate = estimator.update(estimate, measured, present)
+                    estimate = estimator.update(estimate, measured, present & known)
                 state = np.asarray(estimate.state[: 2 * n])
                 out.states[rows] = _nearby(state, change(state, cart, k)[n:], times)
                 out.sigmas[rows] = estimate.sigmas[: 2 * n]

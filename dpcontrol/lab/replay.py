@@ -280,4 +280,4 @@ def _ahead(
         cart = CartDrive(velocity[rows + k], acceleration[None, rows + k]) if motion.moving else None
         states = motion.paths(states, 2, cart)[1]
     error = states[: recording.arms].T - recording.angles[rows + samples]
-    return np.sqrt(np.mean(np.square(error), axis=0))
+    return np.sqrt(np.nanmean(np.square(error), axis=0))

@@ -68,6 +68,12 @@ def _plan(log: RunLog, folder: Path) -> Plan:
     lacking += [key for key in ("itinerary", "model", "run_settings") if key not in log.metadata]
     if lacking:
         raise InputError(f"{log.path} cannot be repeated: it lacks {', '.join(lacking)}; give a log of `dpcontrol run`")
+    if log.truth is None:
+        where = f"the rig at {log.metadata['rig']}" if "rig" in log.metadata else "a rig"
+        raise InputError(
+            f"{log.path} cannot be repeated: it was made on {where}, and only what is simulated does the same twice; "
+            f"`dpcontrol replay` shows what a model makes of it"
+        )
     # The names of files are the itinerary's and the model's; of a name that is a path only the end counts.
     scene, model = (folder / kind / f"{Path(log.metadata[kind]).name}.toml" for kind in ("itinerary", "model"))
     for path, name in ((scene, _SCENE), (model, _MODEL), (folder / REFERENCE_ATTACHMENT, REFERENCE_ATTACHMENT)):

@@ -31,6 +31,10 @@ def test_a_run_on_a_bench_in_another_process_is_logged_without_truth(tmp_path: P
     assert found["metadata"]["deadlines_missed"] == str(shown["deadlines"]["missed"])
     assert "/estimate/joint_states" in json.dumps(found)
     assert "/truth/joint_states" not in json.dumps(found)
+    again = dpcontrol("run", "--from", log)
+    assert again.code == 2
+    assert f"it was made on the rig at {found['metadata']['rig']}" in again.message
+    assert not (tmp_path / "logs").exists()
 
 
 def test_a_rig_that_cannot_be_is_one_sentence() -> None:

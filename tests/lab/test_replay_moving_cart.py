@@ -16,6 +16,7 @@ from dpcontrol.lab.initial_states import CartDrive, FreeMotion
 from dpcontrol.lab.recordings import Recording, load_recording
 from dpcontrol.lab.replay import ReplaySettings, filter_settings, replay_recording
 from dpcontrol.lab.replay_log import write_replay
+from dpcontrol.lab.swing_segments import cut_into_swings
 from dpcontrol.logs import read_log
 
 Array = NDArray[np.float64]
@@ -129,6 +130,42 @@ def test_a_command_alone_moves_the_cart(driven: tuple[Array, Array]) -> None:
 
 def test_a_cart_that_stood_still_counts_as_clamped(driven: tuple[Array, Array]) -> None:
     assert cart_motion(replace(recorded(driven, command=None), cart=np.full(2000, 0.1))) is None
+
+
+def test_readings_that_are_missing_are_left_out(driven: tuple[Array, Array]) -> None:
+    recording = recorded(driven, command=told(driven[0]))
+    assert recording.cart is not None
+    lost = np.random.default_rng(3).random(2000) < 0.05
+    lost[:2] = True
+    angles, cart = np.where(lost[:, None], np.nan, recording.angles), np.where(lost, np.nan, recording.cart)
+    result = replay_recording(replace(recording, angles=angles, cart=cart), ARMS, filter_settings("ekf"))
+    assert [motion.commanded for motion in result.carts] == [True]
+    assert all(fit.converged for fit in result.fits)
+    assert max(float(np.sqrt(np.mean(fit.residual**2))) for fit in result.fits) <= NEAR_COUNT * COUNT
+    assert np.isfinite(result.estimated).all()
+    assert np.isnan(result.nis[lost]).all()
+    assert result.nis_inside_95 >= IN_BAND
+    assert max(result.ahead[1]) <= COUNT
+
+
+def test_an_identification_bridges_single_missing_readings_and_refuses_more(driven: tuple[Array, Array]) -> None:
+    recording = recorded(driven, command=told(driven[0]))
+    angles = recording.angles.copy()
+    angles[[0, 700, 701, 1999]] = np.nan
+    (swing,), _ = cut_into_swings([replace(recording, angles=angles)], 2, 10.0)
+    assert np.abs(swing.angles - recording.angles).max() <= 2 * COUNT
+    angles[1200:1210] = np.nan
+    with pytest.raises(InputError, match=r"10 readings in a row are missing at 1\.2 s"):
+        cut_into_swings([replace(recording, angles=angles)], 2, 10.0)
+
+
+def test_a_stretch_without_any_reading_is_said_to_be_one(driven: tuple[Array, Array]) -> None:
+    recording = recorded(driven, command=told(driven[0]))
+    angles = recording.angles.copy()
+    angles[500:1000] = np.nan
+    result = replay_recording(replace(recording, angles=angles), ARMS, filter_settings("ekf"))
+    assert [fit.converged for fit in result.fits] == [True, False, True, True]
+    assert "it holds no reading" in result.status
 
 
 def test_segments_of_which_one_has_the_cart_clamped_are_refused(driven: tuple[Array, Array]) -> None:
