@@ -96,12 +96,13 @@ class Replay:
     nis_below_95: float
 
     def summary(self, model: str) -> str:
-        """Return a sentence: how well this model predicts, and whether the estimator believes it."""
+        """Return a sentence: how well this model predicts, and whether the estimator agrees with it."""
         rms = sorted(1e3 * float(np.sqrt(np.mean(np.square(fit.residual)))) for fit in self.fits)
         seconds = max(end - first for _, first, end in self.stretches) * self.recording.dt
+        whole = len(self.nis) * self.recording.dt
         return (
-            f"predicted by {model} over {seconds:.3g} s from fitted starts: {np.median(rms):.3g} mrad rms in the "
-            f"median, {rms[-1]:.3g} at worst; NIS {self.nis_inside_95:.1%} in its 95 % band"
+            f"{whole:.4g} s predicted by {model}, {seconds:.3g} s from each fitted start: {np.median(rms):.3g} mrad "
+            f"rms in the median, {rms[-1]:.3g} at worst; NIS {self.nis_inside_95:.1%} in its band"
         )
 
     @property

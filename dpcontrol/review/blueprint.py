@@ -54,7 +54,7 @@ def blueprint(motion: Motion, context: ReviewContext, *, from_log: bool) -> rrb.
     if len(checks) == 1 and len(plots) > 2:
         plots, checks = [*plots, *checks], []
     middle = [*plots]
-    if context.planned or motion.control is not None:
+    if context.planned or context.symbols or series.mode_spans(motion):
         parts = ["itinerary as asked" + (" and done" if context.done else "")] if context.planned else []
         parts += ["symbols"] if context.symbols else []
         parts += ["controller"] if series.mode_spans(motion) else []

@@ -112,6 +112,10 @@ def motion_of(log: RunLog) -> Motion:
     if truth is not None and log.has_cart and "applied" in control and len(log.time) > 1:
         control[ACTUAL] = _cart_acceleration(truth[:, 2 * n + 1], log.time)
     busy = "mode" in control and (control["mode"] != Mode.IDLE).any()
+    replayed = log.metadata.get("kind") == REPLAYED
+    if not busy:
+        # Where nothing controlled there was no plan, and no mode worth a strip.
+        control = {name: values for name, values in control.items() if name not in ("feedforward", "feedback", "mode")}
     return Motion(
         path=log.path,
         time=log.time,
@@ -123,7 +127,7 @@ def motion_of(log: RunLog) -> Motion:
         sigma=sigma,
         control=control if driven or busy else None,
         nis=nis if nis is not None and np.isfinite(nis).any() else None,
-        sensors=log.measured.shape[1],
+        sensors=n if replayed else log.measured.shape[1],
         events=log.events,
         metadata=log.metadata,
         arm_lengths=log.arm_lengths,
@@ -131,7 +135,7 @@ def motion_of(log: RunLog) -> Motion:
         rate_hz=log.rate_hz,
         breaks=breaks,
         differenced=what == "measured" and log.rates is None,
-        against="prediction" if log.metadata.get("kind") == REPLAYED else "reference",
+        against="prediction" if replayed else "reference",
     )
 
 

@@ -134,8 +134,11 @@ def _without_plan(log: RunLog) -> ReviewContext:
         arm_lengths=log.arm_lengths,
         limits=log.limits,
         energy=None if states is None else _energy(system, states, n),
-        verdict=f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; "
-        + (log.metadata.get(SUMMARY) or "it carries no plan, so nothing was asked and nothing is judged")
+        verdict=(
+            log.metadata.get(SUMMARY)
+            or f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; it carries no plan, so nothing was "
+            "asked and nothing is judged"
+        )
         + (f"; {recovered_note(log)}" if log.recovered else ""),
     )
 

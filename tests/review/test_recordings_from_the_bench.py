@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from synthetic_run import ARM_LENGTHS, synthetic_run, write_log
 
-from dpcontrol.logs import LogWriter, RunLog, read_log
+from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
 from dpcontrol.review import drawing, series
 from dpcontrol.review.motion import motion_of
 from dpcontrol.review.of_log import review_context
@@ -66,6 +66,29 @@ def test_nothing_is_judged_where_nothing_was_asked(bench: RunLog) -> None:
 def test_a_recording_from_the_bench_can_be_recorded_for_the_viewer(bench: RunLog, tmp_path: Path) -> None:
     write_recording(bench, review_context(bench), tmp_path / "bench.rrd")
     assert (tmp_path / "bench.rrd").stat().st_size > 10_000
+
+
+def test_a_replay_with_a_cart_shows_its_nis_for_the_arms_and_no_controller(tmp_path: Path) -> None:
+    fields = control_fields(2, has_cart=True)
+    control = np.zeros((500, len(fields)))
+    control[:, fields.index("applied")] = np.sin(np.arange(500) / 50)
+    control[:, fields.index("nis")] = 2.0
+    metadata = {"kind": "replay", "summary": "0.5 s predicted by lab"}
+    with LogWriter(tmp_path / "replay.mcap", arm_lengths=ARM_LENGTHS, rate_hz=1000.0, metadata=metadata) as log:
+        shape = (500, 6)
+        estimate, reference = np.full(shape, 0.1), np.full(shape, 0.2)
+        log.ticks(
+            np.arange(500) / 1000, measured=np.zeros((500, 3)), estimate=estimate, reference=reference, control=control
+        )
+    run = read_log(tmp_path / "replay.mcap")
+    motion = motion_of(run)
+    assert (motion.sensors, motion.against) == (2, "prediction")
+    assert motion.control is not None
+    assert "applied" in motion.control
+    assert "feedforward" not in motion.control
+    assert series.mode_spans(motion) == []
+    assert review_context(run).verdict == "0.5 s predicted by lab"
+    write_recording(run, review_context(run), tmp_path / "replay.rrd")
 
 
 def test_an_estimate_that_repeats_the_reference_is_no_reference(tmp_path: Path) -> None:
