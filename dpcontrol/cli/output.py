@@ -97,8 +97,8 @@ def checked_suffix(path: Path, suffix: str, *, option: str) -> None:
         raise InputError(f"{option} {path}: this writes a {suffix} file; choose a name that ends in {suffix}")
 
 
-def multiplier_text(value: complex, digits: int = 12) -> str:
-    """Return a Floquet multiplier for people: real where it is."""
+def multiplier_text(value: complex, digits: int = 11) -> str:
+    """Return a Floquet multiplier for people: real where it is; the pair at one is known to some twelve digits."""
     if abs(value.imag) < 1e-12:
         return f"{value.real:.{digits}g}"
     return f"{value.real:.{min(digits, 10)}g}{value.imag:+.{min(digits, 10)}g}i"
