@@ -31,6 +31,7 @@ CHARTS: dict[str, Drawer] = {
     "edges-walks": _of("edges_walks"),
     "edges-references": _of("edges_references"),
     "edges-control": _of("edges_control"),
+    "edges-moving": _of("edges_moving"),
     "edges-ogy": _of("edges_ogy"),
     "edges-estimation": _of("edges_estimation"),
 }

@@ -1,9 +1,8 @@
 """Many seeds of one run in lockstep: what campaigns are made of.
 
-Plant, filter and prediction are the same machine code as in the loop, called for one tick of all runs at once; what
-lies between is the same arithmetic in the same order, on arrays (…, S). A run comes out as the loop gives it, to
-1e-9: code for one run and for many differs in the last bit. No events are kept, and what only the loop can do is left
-to it (`can_batch`).
+Plant, filter and prediction are the loop's machine code, called for one tick of all runs at once; what lies between is
+the same arithmetic in the same order, on arrays (…, S). A run comes out as the loop gives it, to 1e-9: code for one and
+for many differs in the last bit. No events are kept; what only the loop can do is left to it (`can_batch`).
 """
 
 from collections.abc import Sequence
@@ -31,8 +30,7 @@ from dpcontrol.references.problem import Limits
 Array = NDArray[np.float64]
 
 _TURN = 32
-"""Ticks that are turned from lanes side by side into lanes one after the other at once: one by one, every row of every
-run would be fetched from memory anew."""
+"""Ticks turned at once from lanes side by side into one after the other: singly, each row would be fetched anew."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,14 +146,15 @@ class _Lockstep:
             self.ahead_inputs[program.ahead.slices[name]] = value[:, None]
         self.predicted = np.empty((program.ahead.size_out, self.runs))
         self.path = BatchPath(limits, delay=settings.drive.delay, period=self.period, runs=self.runs)
-        states, extras = self._of(self.memory)
+        z = self.memory[: program.out["z"].stop]
         # Angles alone, for that is what a run is judged by; of all runs at once where they have one clock.
         self.wanted = np.empty((self.count + self.path.lead, arms, 1))
         queued = []
         for k in range(self.path.lead):
-            forward, back, reference = session.commands(k, states, extras)
+            forward, back, reference = session.commands(k, *self._of(z))
             self._want(k, reference)
             queued.append(forward + back)
+            z = self._moved(z, queued[-1])
         self.path.start(queued, velocity=float(first[-1]))
         self.bench = BatchBench(draws, settings.bench, limits=limits, start=first, queued=queued)
         rate_noise = [d.rate_noise for d in draws if d.rate_noise is not None]
@@ -193,17 +192,20 @@ class _Lockstep:
         self.memory[:, sound] = self.outputs[out["memory"]][:, sound]
         return np.where(sound, nis, np.inf), np.where(sound, self.outputs[out["used"]][0], 1.0)
 
+    def _moved(self, z: Array, command: Array | float) -> Array:
+        """Return z (Z, S) a period on; it stays valid until the next call."""
+        self.ahead_inputs[: len(z)], self.ahead_inputs[len(z)] = z, command
+        return self.program.ahead(self.ahead_inputs, self.predicted)
+
     def _ahead(self, k: int) -> Array:
         """Return the states (N, S) for which the commands of tick k are computed."""
         z = self.memory[: self.program.out["z"].stop]
-        rows, known = slice(0, len(z)), self.outputs[self.program.out["later"]]
+        known = self.outputs[self.program.out["later"]]
         for place, command in enumerate(self.way):
             if place == 0 and self.sound is None:
                 z = known
                 continue
-            self.ahead_inputs[rows] = z
-            self.ahead_inputs[len(z)] = command
-            z = self.program.ahead(self.ahead_inputs, self.predicted)
+            z = self._moved(z, command)
             if place == 0 and self.sound is not None:
                 z = np.where(self.sound, known, z)
         states = z[: self.program.model.dimension]

@@ -93,8 +93,11 @@ class ControlLoop:
         self._braking_since: float | None = None
         self._sensors = StuckWatch(self._arms, period=path.period, reaction=supervisor.reaction)
         self._first = estimator.first(controller.first_state)
-        # The commands that act before the first tick's own can, computed for the start.
-        self._coming = deque(self.session.command(k, self._first.state, self._first.extra) for k in range(path.lead))
+        # The commands that act before the first tick's own can, computed for where those before them lead.
+        self._coming: deque[Action] = deque()
+        for k in range(path.lead):
+            ahead = estimator.ahead(self._first, self.queued)
+            self._coming.append(self.session.command(k, ahead, self._first.extra))
 
     @property
     def queued(self) -> list[float]:

@@ -61,8 +61,13 @@ class NoisyRates:
         return self._inner.step(estimate, command, measured, present, coming=coming)
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
-        """Return the state (N,) after the commands on their way, this tick's noise on its rates."""
+        """Return the state (N,) after the commands on their way, this tick's noise on its rates.
+
+        Before the first measurement, where only the start is known, there is none.
+        """
         state = self._inner.ahead(estimate, commands).copy()
+        if self._tick < 0:
+            return state
         arms = self._noise.shape[1]
         state[arms : 2 * arms] += self._noise[self._tick]
         return state
