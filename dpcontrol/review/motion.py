@@ -176,8 +176,10 @@ def _cart_acceleration(velocity: Array, time: Array) -> Array:
 
 
 def _clean(values: Array) -> Array:
+    """Return values with nan for those beyond all sense; the same array where there are none, for logs are long."""
     with np.errstate(invalid="ignore"):
-        return np.where(np.abs(values) < LARGEST, values, np.nan)
+        sound = np.abs(values) < LARGEST
+    return values if sound.all() else np.where(sound, values, np.nan)
 
 
 def _cleaned(values: Array | None) -> Array | None:

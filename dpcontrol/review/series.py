@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +71,7 @@ def mode_spans(motion: Motion) -> list[tuple[float, float, str]]:
     ]
 
 
+@cache
 def mode_name(number: float) -> str:
     """Return the name of a mode, in lower case; "unknown mode" for a number that is none."""
     try:
