@@ -145,6 +145,9 @@ class CompiledEkf:
         self._z, self._coming_at = out["z"].stop, where["coming"].start
         self._rooms = self._room()
         ahead = self.program.ahead
+        for function in (self.program.update, self.program.step, ahead):
+            # Compiled now: the first ticks of a run have no time for it.
+            _ = function.machine
         self._ahead_inputs = np.zeros(ahead.size_in)
         for name, value in (("parameters", model.parameters), ("process", self.program.process)):
             self._ahead_inputs[ahead.slices[name]] = value

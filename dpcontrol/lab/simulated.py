@@ -32,6 +32,7 @@ class SimulatedPlant:
         self.parameters, self.track = parameters, track
         self.fault = ""
         self._step = step = plant_step(parameters.arms.count, parameters.level, friction=parameters.arms.friction)
+        self._machine = step.machine
         self._inputs, self._following = np.zeros(step.size_in), np.zeros(step.size_out)
         self.state: Array = self._inputs[step.slices["state"]]
         """The state now; overwritten as the plant moves."""
@@ -64,7 +65,7 @@ class SimulatedPlant:
         splits = 1 if duration <= self._longest else math.ceil(duration / self._longest)
         inputs, following, track, cart = self._inputs, self._following, self.track, self._cart
         inputs[self._input], inputs[self._duration] = acceleration, duration / splits
-        step = self._step.machine
+        step = self._machine
         for k in range(splits):
             step(inputs, following)
             values = following.tolist()

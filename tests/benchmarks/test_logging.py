@@ -1,7 +1,7 @@
 """Logging: its share of a closed-loop run, its size, ten minutes of it; fifty kills and five hundred corruptions.
 
 Times are processor time of one core, side by side in one run; only shares, sizes and memory are asserted, and for the
-ten-minute log the seconds that the issue asks for, with the pace of the machine written out.
+ten-minute log the seconds that users wait at most, with the pace of the machine written out.
 """
 
 import json

@@ -13,7 +13,7 @@ from dpcontrol.references.sustained import SectionMap, SustainedOrbit, Sustained
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
-ERROR_BETWEEN_NODES = 1e-9  # What the issue asks for, scaled.
+ERROR_BETWEEN_NODES = 1e-9  # What is promised, scaled.
 CLOSURE = 1e-9  # rad, rad/s, m: a solver's tolerance, scaled back.
 INPUT = 1e-7  # m/s²: inputs of neighbouring intervals differ by 1e-9 where they meet.
 EFFORT = 0.02  # Relative; the efforts measured before were given to two or three digits.
