@@ -1,0 +1,75 @@
+"""A chart drawn again, held against an earlier drawing: methods keep their order on each front.
+
+Two times that differ by less than `TIED` are a tie: either may come first, and a point that stands off a front by no
+more may be on it in one drawing and not in the other. Everything else must be as it was.
+"""
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+from dpcontrol.bench.chart import ALLOWED, Panel, Point
+from dpcontrol.foundation.errors import InputError
+
+TIED = ALLOWED
+"""Share by which two times may differ and count as equal: what is off a front by no more may be a default, too."""
+
+_POINT = {f.name for f in fields(Point)}
+
+
+def earlier_fronts(folder: Path, name: str) -> tuple[Panel, ...]:
+    """Return the panels of a chart as an earlier drawing in `folder` has them.
+
+    Raises:
+        InputError: there is no earlier drawing, or it is not one.
+    """
+    file = Path(folder) / f"{name}.json"
+    try:
+        return tuple(_panel(panel) for panel in json.loads(file.read_text(encoding="utf-8"))["panels"])
+    except OSError as error:
+        raise InputError(
+            f"no earlier drawing {file}: {error.strerror or error}; draw it with --out {folder}"
+        ) from error
+    except (ValueError, LookupError, TypeError) as error:
+        raise InputError(f"{file} is no drawing of a chart: {error}; draw it anew with --out {folder}") from error
+
+
+def _panel(document: Mapping[str, Any]) -> Panel:
+    points = tuple(Point(**{name: p[name] for name in _POINT}) for p in document["points"])
+    return Panel(
+        document["title"], document["x_label"], document["y_label"], points, floor=document["floor"],
+        judged=document["judged"],
+    )  # fmt: skip
+
+
+def changes(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
+    """Return a sentence for each front that is not as it was, ties apart."""
+    known = {panel.title: panel for panel in before}
+    found = []
+    for panel in after:
+        if panel.title not in known:
+            found.append(f"{panel.title}: not in the earlier drawing")
+        else:
+            found += [f"{panel.title}: {text}" for text in _changes(known[panel.title], panel)]
+    return tuple(found)
+
+
+def _changes(before: Panel, after: Panel) -> list[str]:
+    # What one drawing lacks was not measured (another package that is not installed), and has no place.
+    names = {p.name for p in before.points} & {p.name for p in after.points}
+    before, after = (replace(p, points=tuple(x for x in p.points if x.name in names)) for p in (before, after))
+    was, now = ({p.name: p for p in panel.points} for panel in (before, after))
+    fronts = [{p.name for p in panel.front} for panel in (before, after)]
+    left = {name: after.off_front(now[name]) for name in sorted(fronts[0] - fronts[1])}
+    came = {name: before.off_front(was[name]) for name in sorted(fronts[1] - fronts[0])}
+    found = [f"{name} was on the front, and is {off:.0%} off it" for name, off in left.items() if off > TIED]
+    found += [f"{name} was {off:.0%} off the front, and is on it" for name, off in came.items() if off > TIED]
+    for one, other in combinations(sorted(fronts[0] & fronts[1]), 2):
+        ratios = [p[one].seconds / p[other].seconds for p in (was, now)]
+        low, high = sorted(ratios)
+        if high > 1 + TIED and low < 1 / (1 + TIED):
+            found.append(f"{one} took {ratios[0]:.2g} times as long as {other}, and takes {ratios[1]:.2g} times")
+    return found
