@@ -42,11 +42,14 @@ def command(
     their row, and mended only where --repair says so; the log notes what was. Segments count from 0, rows from 1.
     With --simulated the truth is known: to try `identify` and `replay` on.
     """
+    from dpcontrol.foundation.files import checked_other_file
     from dpcontrol.lab.recording_import import import_recording
     from dpcontrol.lab.recordings import write_recording
 
     if (file is None) == (simulated is None):
         raise click.UsageError("give a FILE, or a model to swing with --simulated")
+    if file is not None and out is not None:
+        checked_other_file(out, file, what="the recording to import")
     repairs = [name.strip() for name in repair.split(",") if name.strip()]
     with progress_bar("import") as progress:
         if file is None:

@@ -41,11 +41,14 @@ def command(
     reference: `dpcontrol review` shows both together. Where the cart moved, as in a log of `dpcontrol run`, its command
     or its recorded motion is the model's input. Encoder zeros that the model's file tells are taken off.
     """
+    from dpcontrol.foundation.files import checked_other_file
     from dpcontrol.lab.recordings import load_recording
     from dpcontrol.lab.replay import ReplaySettings, filter_settings, replay_recording
     from dpcontrol.lab.replay_log import write_replay
     from dpcontrol.scenes.model import load_model
 
+    target = out or Path("logs") / f"{log.stem}-replay.mcap"
+    checked_other_file(target, log, what="the log to replay")
     settings = ReplaySettings(counts=counts, mean_over=mean_over, ahead=ahead, span=span)
     filters = filter_settings(estimator, model_error=model_error)
     loaded = load_model(model)
@@ -54,7 +57,6 @@ def command(
         result = replay_recording(
             recording, loaded.arms, filters, settings, zeros=loaded.encoder_zeros, progress=progress
         )
-        target = out or Path("logs") / f"{log.stem}-replay.mcap"
         written = write_replay(result, target, model=loaded.name, model_text=loaded.text)
     segments: list[dict[str, Any]] = []
     for (index, first, _), fit in zip(result.stretches, result.fits, strict=True):

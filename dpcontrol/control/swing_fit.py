@@ -134,6 +134,9 @@ def fit_swings(
         if iteration <= _STILL_ADAPTING:
             threshold = _threshold(now, settings)
         normal = _normal(now, threshold, n, len(where))
+        if not np.isfinite(normal.scaled).all():
+            status = "errors grow so much along a swing that its start tells nothing; cut the swings shorter"
+            break
         step, firsts = _step(normal, values[where], lower[where], damping)
         better, share = None, 1.0
         new_values, new_starts = values, starts
@@ -199,6 +202,18 @@ class _Normal:
     mixed: list[Array]
     start_rights: list[Array]
 
+    @property
+    def scale(self) -> Array:
+        """What each unknown (f,) is measured in."""
+        return 1 / np.sqrt(np.maximum(np.diag(self.reduced), 1e-300))
+
+    @property
+    def scaled(self) -> Array:
+        """The reduced matrix (f, f) with ones on its diagonal; not finite where rounding has left nothing of it."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            vectors = self.reduced * self.scale[:, None] * self.scale
+            return (vectors + vectors.T) / 2
+
 
 def _normal(now: Linearised, threshold: float, n: int, f: int) -> _Normal:
     out = _Normal(np.zeros((f, f)), np.zeros(f), [], [], [])
@@ -222,9 +237,8 @@ def _step(normal: _Normal, values: Array, lower: Array, damping: float) -> tuple
     f = len(values)
     step = np.zeros(f)
     if f:
-        scale = 1 / np.sqrt(np.maximum(np.diag(normal.reduced), 1e-300))
-        vectors = normal.reduced * scale[:, None] * scale
-        sizes, axes = np.linalg.eigh((vectors + vectors.T) / 2)
+        scale = normal.scale
+        sizes, axes = np.linalg.eigh(normal.scaled)
         kept = sizes > 1e-12 * sizes[-1]
         root = np.sqrt(sizes[kept])[:, None] * axes[:, kept].T
         right = (axes[:, kept].T @ (normal.right * scale)) / np.sqrt(sizes[kept])

@@ -10,6 +10,27 @@ from pathlib import Path
 from dpcontrol.foundation.errors import InputError
 
 
+def checked_target(path: Path) -> None:
+    """Refuse to write where a rename would take the place of what is no file.
+
+    Raises:
+        InputError: `path` is a folder, a device or the like.
+    """
+    if path.exists() and not path.is_file():
+        what = "a folder" if path.is_dir() else "no file but a device or the like"
+        raise InputError(f"cannot write {path}: it is {what}; choose another file name")
+
+
+def checked_other_file(out: Path, source: Path | str, *, what: str) -> None:
+    """Refuse to write over what is being read.
+
+    Raises:
+        InputError: `out` is the file `source`, by whatever name; what: what that file is, as in "the log to repeat".
+    """
+    if out.resolve() == Path(source).resolve() or (out.exists() and out.samefile(source)):
+        raise InputError(f"--out {out}: that is {what}; choose another name")
+
+
 @contextmanager
 def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` when the block ends without an error.
@@ -18,9 +39,10 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     behind when the block raises.
 
     Raises:
-        InputError: the folder cannot be made or written to.
+        InputError: the folder cannot be made or written to, or `path` is a folder or a device.
     """
     path = Path(path)
+    checked_target(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=suffix or ".partial", dir=path.parent)

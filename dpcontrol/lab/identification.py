@@ -26,6 +26,8 @@ from dpcontrol.lab.swing_segments import Segment, cut_into_swings
 
 Array = NDArray[np.float64]
 
+_ROUNDING = 1e-9
+"""Relative, of mean squares: a law whose coefficient came out as zero predicts the same but for rounding."""
 LAWS: tuple[tuple[Friction, ...], ...] = (
     (),
     (Friction.COULOMB,),
@@ -37,12 +39,13 @@ LAWS: tuple[tuple[Friction, ...], ...] = (
 @dataclass(frozen=True)
 class IdentificationSettings:
     """zeros: "free", "none", or "chosen" by the error on what was left out. left_out: one segment of so many, the last
-    of each. longest s: a longer segment is cut into equal ones. laws: the sets of laws besides the viscous one to try.
+    of each. longest s: a longer segment is cut into equal ones; None: 4 s, but 1 s where the cart moved, as in runs,
+    which stay near saddles. laws: the sets of laws besides the viscous one to try.
     """
 
     zeros: str = "chosen"
     left_out: int = 3
-    longest: float = 4.0
+    longest: float | None = None
     laws: tuple[tuple[Friction, ...], ...] = LAWS
     fit: FitSettings = field(default_factory=FitSettings)
 
@@ -58,7 +61,7 @@ class IdentificationSettings:
             raise InputError("identify: laws = (): must name at least one set, () for viscous friction alone")
         if self.left_out < 2:
             raise InputError(f"identify: left_out = {self.left_out!r}: must be at least 2")
-        if not (np.isfinite(self.longest) and self.longest > 0):
+        if self.longest is not None and not (np.isfinite(self.longest) and self.longest > 0):
             raise InputError(f"identify: longest = {self.longest!r}: must be a positive number of seconds")
 
 
@@ -215,11 +218,12 @@ def choose(candidates: Sequence[Candidate]) -> int:
     """Return the index of the one with fewest unknowns whose mean squared error is within one standard error of best.
 
     The standard error is that of the best one's mean over the segments left out. Of equally many unknowns the better.
+    What differs by rounding alone is as good.
     """
     squares = [c.left_out**2 for c in candidates]
     best = min(squares, key=lambda s: float(s.mean()))
     most = float(best.mean()) + (float(best.std(ddof=1)) / np.sqrt(len(best)) if len(best) > 1 else 0.0)
-    within = [k for k, s in enumerate(squares) if s.mean() <= most]
+    within = [k for k, s in enumerate(squares) if s.mean() <= most * (1 + _ROUNDING)]
     return min(within, key=lambda k: (candidates[k].unknowns, float(squares[k].mean())))
 
 

@@ -16,7 +16,7 @@ from itertools import count, pairwise
 from pathlib import Path
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, no_progress, part_of, whole_file
+from dpcontrol.foundation.files import Progress, checked_other_file, no_progress, part_of, whole_file
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import McapFile
 from dpcontrol.logs.decoding import described_layout
@@ -63,10 +63,12 @@ def recover(path: Path | str, out: Path | None = None, *, progress: Progress = n
 
     Raises:
         InputError: there is no such file, nothing in it can be recovered, it holds pieces of several logs, or the new
-            log cannot be written.
+            log cannot be written, or would take the old one's place.
     """
     path = Path(path)
     data = recorded_bytes(path)
+    if out is not None:
+        checked_other_file(Path(out), path, what="the log to recover")
     found = salvage(data, progress=part_of(progress, 0.0, 0.6))
     described = _only(path, found, layout.LAYOUT_RECORD)
     if described is None or not any(chunk.times for chunk in found.chunks):

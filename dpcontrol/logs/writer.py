@@ -21,6 +21,7 @@ from numpy.typing import ArrayLike
 
 import dpcontrol
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import checked_target
 from dpcontrol.logs import cdr, layout
 from dpcontrol.logs.blocks import ChunkEncoder, Note
 from dpcontrol.logs.container import COMPRESSION, McapFile
@@ -90,8 +91,7 @@ class LogWriter:
     def __enter__(self) -> "LogWriter":
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            if self.path.is_dir():
-                raise InputError(f"cannot write {self.path}: it is a folder; choose another file name")
+            checked_target(self.path)
             self.partial, self._stream = open_partial(self.path)
             self._start(self._stream)
         except OSError as error:

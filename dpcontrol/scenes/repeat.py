@@ -15,7 +15,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 import dpcontrol
 from dpcontrol.control.estimation import ESTIMATORS
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.files import Progress, checked_other_file, no_progress
 from dpcontrol.lab.loop import LoopSettings
 from dpcontrol.logs import Comparison, RunLog, compare_messages, read_log
 from dpcontrol.references.archive import load_reference
@@ -52,8 +52,7 @@ def repeat_run(source: Path, out: Path, *, progress: Progress = no_progress) -> 
         GoalMissed: no controller can be made for its reference.
     """
     log = read_log(source)
-    if out.resolve() == Path(source).resolve():
-        raise InputError(f"--out {out}: that is the log to repeat; choose another name")
+    checked_other_file(out, source, what="the log to repeat")
     with TemporaryDirectory() as folder:
         verdict = run_plan(_plan(log, Path(folder)), out, progress=progress)
     then, now = log.metadata.get("version", "?"), dpcontrol.__version__

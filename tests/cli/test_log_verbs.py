@@ -1,5 +1,6 @@
-"""`dpcontrol info`, `recover` and `run --from`: what a log holds, what is left of it, and the run once more."""
+"""`dpcontrol info`, `recover`, `run --from`: what a log holds, what is left of it, the run once more, and its plant."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -7,8 +8,17 @@ import pytest
 from command_line import dpcontrol
 from mcap.reader import make_reader
 
+from dpcontrol.dynamics.base_ratios import base_ratios
+from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.lab.draw import draw_bench
+from dpcontrol.lab.identification import IdentificationSettings, identify
+from dpcontrol.lab.recordings import load_recording
 from dpcontrol.logs import read_log
+from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.model import load_model
 
+RATIO = 1e-5
+"""Of ratios from five seconds of a run: what rounding to counts leaves."""
 RUN = ("run", "outer-turn", "--seed", "3", "--mismatch", "0.02", "--initial-error", "0.02")
 
 
@@ -131,3 +141,45 @@ def test_repeating_takes_no_other_options_and_needs_a_log_of_a_run(logged: Path,
     lacking = dpcontrol("run", "--from", tmp_path / "bench.mcap")
     assert lacking.code == 2
     assert "lacks scene.toml" in lacking.message
+
+
+def test_a_run_tells_the_plant_that_it_was_made_on(logged: Path, tmp_path: Path) -> None:
+    done = dpcontrol("identify", logged, "--model", "lab", "--out", tmp_path / "plant.toml", "--json")
+    assert done.code == 0, done.stderr
+    scene, ticks = load_itinerary("outer-turn"), len(read_log(logged).time)
+    drawn = draw_bench(scene.model.arms, scene.loop.bench, seed=3, ticks=ticks, period=1e-3, mismatch=0.02)
+    plant = base_ratios(drawn.plant.arms)
+    found = list(done.document["parameters"].values())[: len(plant)]
+    for told, true in zip(found, plant, strict=True):
+        assert told["value"] == pytest.approx(true, abs=max(4 * told["standard_error"], RATIO * true))
+
+
+def test_swings_too_long_to_be_told_from_their_starts_are_a_sentence(logged: Path) -> None:
+    run = load_recording(logged)
+    settings = IdentificationSettings(longest=10.0, zeros="none", laws=((),))
+    with pytest.raises(GoalMissed, match=r"no candidate could be fitted; .* shorter"):
+        identify([run, run, run], load_model("lab").arms, settings=settings)
+
+
+@pytest.mark.parametrize("verb", ["recover", "replay", "import"])
+def test_no_verb_writes_over_what_it_reads(verb: str, logged: Path, tmp_path: Path) -> None:
+    read = tmp_path / "read.mcap"
+    read.write_bytes(logged.read_bytes()[: logged.stat().st_size // 2] if verb == "recover" else logged.read_bytes())
+    before = read.read_bytes()
+    (tmp_path / "link.mcap").symlink_to(read)
+    for out in (read, tmp_path / "link.mcap"):
+        refused = dpcontrol(verb, read, "--out", out)
+        assert refused.code == 2
+        assert "choose another name" in refused.message
+    assert read.read_bytes() == before
+
+
+def test_what_is_no_file_is_not_replaced(logged: Path, tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe.png"
+    os.mkfifo(pipe)
+    for call in (("run", "--from", logged, "--out", pipe), ("report", logged, "--picture", pipe)):
+        refused = dpcontrol(*call)
+        assert refused.code == 2
+        assert "choose another file name" in refused.message
+    assert [file.name for file in tmp_path.iterdir()] == ["pipe.png"]
+    assert pipe.is_fifo()

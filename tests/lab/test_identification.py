@@ -153,6 +153,9 @@ def test_the_choice_prefers_few_terms_within_one_standard_error(rig: Identificat
     far = [replace(few, left_out=errors * 2), replace(many, left_out=errors)]
     assert choose(near) == 0
     assert choose(far) == 1
+    # One segment left out tells no standard error, and a law that came out as zero differs in the last digits.
+    same = [replace(few, left_out=np.array([1.0])), replace(many, left_out=np.array([1.0 - 1e-13]))]
+    assert choose(same) == 0
 
 
 def test_the_shipped_model_is_what_the_rigs_recording_gives(rig: Identification) -> None:
