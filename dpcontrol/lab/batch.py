@@ -66,17 +66,13 @@ class BatchRun:
         )  # fmt: skip
 
 
-def can_batch(settings: LoopSettings, controller: Controller) -> bool:
-    """Tell whether runs with these settings can go in lockstep: the compiled filter, no failing sensor, no fallback."""
+def can_batch(settings: LoopSettings, controller: Controller | None = None) -> bool:
+    """Tell whether runs can go in lockstep, by the settings alone where no controller is given."""
     sensors = settings.sensors
     faults = sensors.missed_counts or sensors.dropout or sensors.jitter or np.isfinite(sensors.stuck_at)
-    return (
-        isinstance(settings.estimator, EkfSettings)
-        and not faults
-        and not settings.supervisor.resynchronise
-        and settings.supervisor.hold == "none"
-        and _many(controller) is not None
-    )
+    hands_over = settings.keep != "none" or settings.supervisor.hold != "none" or settings.supervisor.resynchronise
+    compiled = isinstance(settings.estimator, EkfSettings)
+    return compiled and not faults and not hands_over and (controller is None or _many(controller) is not None)
 
 
 def _many(controller: Controller) -> Any:

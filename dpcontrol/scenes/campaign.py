@@ -15,6 +15,7 @@ from typing import Any
 import dpcontrol
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import Progress, no_progress, part_of
+from dpcontrol.lab.batch import can_batch
 from dpcontrol.lab.statistics import Pairing, Share, paired, wilson
 from dpcontrol.scenes.campaign_jobs import Case, Job, Row
 from dpcontrol.scenes.campaign_store import Parts, write_rows
@@ -28,6 +29,8 @@ MOST_PAIRED = 6
 """Cases up to which each two are compared."""
 MOST_TICKS = 5_000_000
 """Of all runs of a job together: what is kept of them takes 72 bytes a tick."""
+MOST_TICKS_OF_LOOPS = 120_000
+"""Of a job whose runs go one after the other, in a quarter of a minute: so much is lost where a campaign is killed."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +155,8 @@ def _jobs(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> list
     jobs = []
     for case in cases:
         ticks = max(round(plan.reference.duration * case.loop.rate), 1)
-        size = max(min(settings.batch, MOST_TICKS // ticks), 1)
+        lockstep = settings.path == "compiled" and can_batch(case.loop)
+        size = max(min(settings.batch, (MOST_TICKS if lockstep else MOST_TICKS_OF_LOOPS) // ticks), 1)
         uncertainty = plan.itinerary.model.known_to if case.loop.model_uncertainty else None
         jobs += [
             Job(name, archive, arms, case, tuple(seeds[k : k + size]), settings.path, uncertainty, settings.replayed)

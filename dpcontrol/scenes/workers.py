@@ -6,9 +6,12 @@ itself.
 
 import multiprocessing
 import os
+import signal
+import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.scenes.campaign_jobs import Job, Row, run_job
@@ -30,8 +33,26 @@ def run_here(jobs: Sequence[Job]) -> Iterator[tuple[Job, list[Row]]]:
         yield job, run_job(job)
 
 
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Let Ctrl-C wait; processes that are started meanwhile never hear it: it is for the one that started them."""
+    heard: list[int] = []
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    # Another thread may still be given the signal, and the main one would leave a process half started.
+    in_main = threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGINT, lambda number, _: heard.append(number)) if in_main else None
+    try:
+        yield
+    finally:
+        if in_main:
+            signal.signal(signal.SIGINT, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    if heard:
+        signal.raise_signal(signal.SIGINT)
+
+
 def run_locally(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[Row]]]:
-    """Run jobs in `workers` processes.
+    """Run jobs in `workers` processes; where the caller is interrupted or takes no more, those under way are ended.
 
     Raises:
         InputError, GoalMissed: as `run_job`; the latter also when a job's worker died again and again.
@@ -42,10 +63,12 @@ def run_locally(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[R
     left = list(jobs)
     for _ in range(ATTEMPTS):
         done: set[str] = set()
+        others = set(multiprocessing.active_children())
         # Forked processes would share heyoka's and casadi's threads in an unknown state.
         pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
         try:
-            running = {pool.submit(run_job, job): job for job in left}
+            with _deaf():
+                running = {pool.submit(run_job, job): job for job in left}
             while running:
                 finished, _ = wait(running, return_when=FIRST_COMPLETED)
                 for future in finished:
@@ -56,6 +79,10 @@ def run_locally(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[R
             return
         except BrokenProcessPool:
             left = [job for job in left if job.key not in done]
+        except BaseException:
+            for worker in set(multiprocessing.active_children()) - others:
+                worker.terminate()
+            raise
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
     raise GoalMissed(

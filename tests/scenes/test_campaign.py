@@ -4,17 +4,23 @@ import math
 import multiprocessing
 import os
 import signal
+import subprocess
+import time
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import psutil
 import pytest
+from command_line import PROGRAM
 from scipy.stats import norm
 
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.lab.statistics import paired, wilson
+from dpcontrol.scenes import campaign as campaign_module
 from dpcontrol.scenes import campaign_jobs, workers
 from dpcontrol.scenes.campaign import Campaign, CampaignSettings, cases_of, run_campaign
 from dpcontrol.scenes.campaign_store import read_rows
@@ -130,6 +136,35 @@ def test_an_interrupted_campaign_goes_on_where_it_was(
     assert len(begun) == 5
     assert read_rows(file)[0] == undisturbed
     assert not parts.exists()
+
+
+@pytest.mark.parametrize("loop", [{"path": "ticks"}, {"hold": "nearest"}, {"estimator": "ukf"}, {"dropout": 0.01}])
+def test_runs_that_go_one_by_one_are_kept_a_few_at_a_time(turn: Itinerary, loop: dict[str, Any]) -> None:
+    settings = CampaignSettings(runs=100, path=loop.pop("path", "compiled"))
+    cases = cases_of(turn, fixed=loop, over={})
+    assert max(len(job.seeds) for job in campaign_module._jobs(make_plan(turn), cases, settings)) <= 25
+    (whole,) = campaign_module._jobs(make_plan(turn), cases_of(turn, fixed={}, over={}), CampaignSettings(runs=100))
+    assert len(whole.seeds) == 100
+
+
+def test_an_interrupt_ends_the_workers_at_once_and_in_silence(turn: Itinerary, tmp_path: Path) -> None:
+    call = [PROGRAM, "campaign", "outer-turn", "--runs", "400", "--path", "ticks"]
+    child = subprocess.Popen(
+        [*call, "--workers", "2", "--out", str(tmp_path / "stopped.parquet")],
+        stderr=subprocess.PIPE, text=True, start_new_session=True,
+    )  # fmt: skip
+    try:
+        while child.poll() is None and len(psutil.Process(child.pid).children()) < 3:
+            time.sleep(0.01)
+        # As a terminal does: all processes of the group at once, workers that have hardly begun too.
+        os.killpg(child.pid, signal.SIGINT)
+        said = child.communicate(timeout=30)[1]
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)
+    assert child.returncode == 130, said
+    assert "interrupted; what was finished is kept" in said
+    assert "Traceback" not in said
 
 
 @pytest.mark.slow
