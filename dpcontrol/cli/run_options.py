@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 import click
 
 RUN_OPTIONS: dict[str, tuple[type, str]] = {
-    "controller": (str, "Kind of controller: tvlqr, adaptive, ogy, feedforward."),
+    "controller": (str, "Kind of controller: tvlqr, adaptive, ogy, ogy-classic, lqr, feedforward."),
     "keep": (str, "What keeps the stops of a walk planned with keep: none, ogy, ogy-classic, tvlqr."),
     "hold": (str, "Where tracking is lost hold the nearest orbit or equilibrium: nearest; or none."),
     "estimator": (str, "Kind of estimator: ekf, ukf, ekf-filterpy."),
@@ -30,7 +30,7 @@ RUN_OPTIONS: dict[str, tuple[type, str]] = {
     "jerk": (float, "Limit of the drive, m/s³."),
     "command_noise": (float, "Standard deviation of noise on the command, m/s²."),
     "response": (float, "Share of a command that the drive gives."),
-    "travel": (float, "The cart's greatest distance from the centre, m; the plan's own by default."),
+    "travel": (float, "The cart's greatest distance from the centre, m; the plan's own by default, or with 0."),
     "pushes": (int, "Number of random blows on the arms."),
     "push_impulse": (float, "Their greatest impulse, N m s."),
     "knocks": (int, "Number of random blows on the cart."),
