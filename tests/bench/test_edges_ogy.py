@@ -9,7 +9,6 @@ import pytest
 from dpcontrol.bench.edges_ogy import (
     LIMIT,
     Task,
-    counts_border,
     foretold_limit,
     holds,
     largest_linear_pulse,
@@ -85,12 +84,16 @@ def test_one_section_a_period_is_lost_at_any_real_resolution_and_the_loop_says_s
     assert "tracking lost" in lost.says or "cart at its stop" in lost.says
 
 
-def test_counts_end_where_they_are_foretold_told_by_authority():
-    found = counts_border(orbit(), 4, seeds=5, ratio=1.5)
-    assert found.off is not None
-    assert found.off < 0.25
-    # Filters average, where zeros within a count are small: authority goes by about the cube root of the counts.
-    assert 2 < found.power < 4
+@pytest.mark.parametrize("sections", [4, 16])
+def test_encoders_of_more_counts_than_foretold_hold_and_of_fewer_are_lost(sections):
+    periods = 6.0 / orbit().orbit.period
+    grid = np.geomspace(50, 50_000, 60)
+    half = grid[np.argmax([room(orbit(), law(sections), c).survives(LIMIT, periods) > 0.5 for c in grid])]
+    # Authority goes by about the cube root of the counts, and readings that repeat are no noise: 2 is a quarter of it.
+    near, far = (holds(orbit(), law(sections), counts=c, seeds=10) for c in (2 * half, half / 3))
+    assert near.works, near.says
+    assert not far.works
+    assert "lost" in far.says
 
 
 def test_nothing_is_foretold_where_pulses_leave_the_linear_range():
