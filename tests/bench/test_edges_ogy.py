@@ -6,17 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from dpcontrol.bench.edges_ogy import (
-    LIMIT,
-    Task,
-    foretold_limit,
-    holds,
-    largest_linear_pulse,
-    limit_border,
-    room,
-    task,
-    unknown,
-)
+from dpcontrol.bench.edges_ogy import foretold_limit, holds, limit_border
+from dpcontrol.bench.ogy_borders import LIMIT, Task, largest_linear_pulse, room, task, unknown
 from dpcontrol.control.ogy import OgyController
 
 COUNTS = 40_000.0
