@@ -106,7 +106,9 @@ def _foretold(probability: Callable[[float], float], low: float, high: float) ->
 def counts_border(one: Task, sections: int, *, seeds: int = SEEDS, ratio: float = 1.2) -> Border:
     """Return the fewest counts per turn with which `sections` pulses a period hold the orbit."""
     controller, periods = one.controller(sections), SECONDS / one.orbit.period
-    predicted = _foretold(lambda counts: room(one, controller, counts).survives(LIMIT, periods), FEWEST, MOST)
+    predicted = None
+    if largest_linear_pulse(one, controller) > LIMIT:
+        predicted = _foretold(lambda counts: room(one, controller, counts).survives(LIMIT, periods), FEWEST, MOST)
     middle = predicted or sqrt(FEWEST * MOST)
     return find_border(
         lambda counts: holds(one, controller, counts=counts, seeds=seeds), x=sections, line=f"k = {sections}",

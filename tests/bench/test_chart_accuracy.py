@@ -122,7 +122,7 @@ def test_a_method_that_cannot_fly_is_listed_with_its_reason(work):
 
 def test_ticks_of_the_plant_are_at_rounding_and_of_the_model_below_an_encoder_count():
     alone, together = ticks.tick_panels(load_model("lab").arms, quick=True)
-    plant, model = (next(p for p in alone.defaults if p.method.startswith(m)) for m in ("Taylor", "RK4"))
+    plant, model = (next(p for p in alone.defaults if p.method.startswith(m)) for m in ("DOP853", "RK4"))
     (many,) = together.defaults
     assert plant.error < 1e-15
     assert many.error < 1e-14

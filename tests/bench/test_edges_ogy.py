@@ -6,7 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from dpcontrol.bench.edges_ogy import foretold_limit, holds, limit_border
+from dpcontrol.bench.edges_ogy import counts_border, foretold_limit, holds, limit_border
 from dpcontrol.bench.ogy_borders import LIMIT, Task, largest_linear_pulse, room, task, unknown
 from dpcontrol.control.ogy import OgyController
 
@@ -89,6 +89,7 @@ def test_encoders_of_more_counts_than_foretold_hold_and_of_fewer_are_lost(sectio
 
 def test_nothing_is_foretold_where_pulses_leave_the_linear_range():
     assert largest_linear_pulse(orbit(), law(16)) > 5 > 1.1 > largest_linear_pulse(orbit(), law(2))
-    found = limit_border(orbit(), 1, seeds=1)
-    assert found.predicted is None
-    assert "lost" in found.says
+    assert largest_linear_pulse(orbit(), law(1)) < LIMIT
+    for found in (limit_border(orbit(), 1, seeds=1), counts_border(orbit(), 1, seeds=1)):
+        assert found.predicted is None
+        assert "lost" in found.says

@@ -14,7 +14,7 @@ RATIOS = {
         ("trajectory of a tube", "DOP853 of scipy, 1e-12", "Taylor, 8 at once, rounding"),
         ("trajectory of a tube", "CVODES, 1e-12", "Taylor, 8 at once, rounding"),
         ("chaotic swing", "LSODA of scipy, 1e-12", "Taylor, rounding"),
-        ("a tick", "DOP853 of scipy, 1e-10", "Taylor, plant"),
+        ("a tick", "DOP853 of scipy, 1e-10", "DOP853 step, compiled, 1 step"),
     ),
     "connections": (("8 connections", "chord, 0.025", "chosen, 1e-4, 100, 0.05, 3e-7"),),
     "transcription": (("one even mesh: error", "radau-7, 50 ms, fatrop", "radau-7, 50 ms"),),
