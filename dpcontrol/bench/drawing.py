@@ -3,6 +3,7 @@
 from typing import Any
 
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
 from dpcontrol.bench.chart import Chart, Panel
 from dpcontrol.review.style import FAINT, INK, LIMIT
@@ -12,6 +13,8 @@ COLOURS = ("#1f6fb4", "#d9640d", "#2c8a4b", "#8a4fa3", "#9a6b15", "#c2185b", "#0
 FLOOR = 1e-17
 """Where an error of exactly zero is drawn."""
 WIDTH, HEIGHT = 6.4, 5.6
+_FEW, _MANY = 6.0, 100.0
+"""Ranges of a logarithmic axis: below the first 1, 2, 5 are too few labels, from the second on powers are enough."""
 
 
 def draw(chart: Chart) -> Figure:
@@ -67,4 +70,20 @@ def _panel(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) -> None:
     axis.set_ylabel(panel.y_label)
     axis.grid(True, which="major", color=FAINT, linewidth=0.5)
     axis.margins(0.12, 0.08)
+    _readable_ticks(axis.xaxis)
+    if panel.log_y:
+        _readable_ticks(axis.yaxis)
     axis.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+
+
+def _readable_ticks(axis: Any) -> None:
+    """Keep labels of a logarithmic axis apart: powers of ten; 1, 2, 5 where it holds few; else a few round numbers."""
+    low, high = axis.get_view_interval()
+    axis.set_minor_formatter(NullFormatter())
+    if high / low >= _MANY:
+        return
+    few = high / low < _FEW
+    axis.set_major_locator(MaxNLocator(4, min_n_ticks=2) if few else LogLocator(subs=(1.0, 2.0, 5.0)))
+    if few:
+        axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))
