@@ -36,14 +36,14 @@ FEWEST, MOST = 50.0, 4e8
 """Counts per turn: from the coarsest encoders to none that there is."""
 COUNTS = 40_000.0
 THEORY = "what the filter does not know grows by Λ between sections, past what a pulse can bring back"
-_NEARBY = (0.9, 0.95, 1.0, 1.05, 1.1)
-"""Shares of a number of counts that are tried for it."""
+_NEARBY = {False: (0.95, 1.05), True: (0.9, 0.95, 1.0, 1.05, 1.1)}
+"""Shares of a number of counts that are tried for it, by whether there are at least ten seeds."""
 
 
 def chart(quick: bool, progress: Progress) -> EdgeChart:
     """Return the chart; quick: fewer sections and seeds."""
     one = task()
-    sections, seeds, ratio = (QUICK_SECTIONS, 5, 1.5) if quick else (SECTIONS, SEEDS, 1.2)
+    sections, seeds, ratio = (QUICK_SECTIONS, 8, 1.5) if quick else (SECTIONS, SEEDS, 1.2)
     weak, counted = [], []
     for j, k in enumerate(sections):
         progress(f"edges of OGY, largest pulse, k = {k}", 0.5 * j / len(sections))
@@ -77,7 +77,8 @@ def holds(one: Task, controller: OgyController, *, counts: float, seeds: int) ->
     """Return whether at least half of the runs hold the orbit, else what ended the first that did not."""
     # Readings of an orbit repeat from period to period: one number of counts, or zeros all alike, have their own luck.
     runs = []
-    for share, some in zip(_NEARBY, np.array_split(np.arange(seeds), len(_NEARBY)), strict=True):
+    shares = _NEARBY[seeds >= 10]
+    for share, some in zip(shares, np.array_split(np.arange(seeds), len(shares)), strict=True):
         sensors = replace(encoders(share * counts), zero_error=np.pi / counts)
         settings = LoopSettings(seed=0, rate=RATE, sensors=sensors, estimator=ESTIMATOR, initial_error=1e-5)
         if len(some):
