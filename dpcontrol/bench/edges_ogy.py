@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 
 SEEDS = 20
 SECTIONS = (1, 2, 3, 4, 8, 16)
-QUICK_SECTIONS = (4, 16)
+QUICK_SECTIONS = (8,)
 FEWEST, MOST = 50.0, 4e8
 """Counts per turn: from the coarsest encoders to none that there is."""
 COUNTS = 40_000.0
