@@ -41,10 +41,14 @@ class Table:
         if key in self._values:
             return self._values[key]
         if default is MISSING:
-            close = difflib.get_close_matches(key, [k for k in self._values if k not in self._taken], n=1)
-            hint = f"; did you mean it by {close[0]!r}?" if close else ""
-            raise InputError(f"{self.where()} the key {key!r} is missing{hint}")
+            raise InputError(f"{self.where()} the key {key!r} is missing{self.misspelt(key)}")
         return default
+
+    def misspelt(self, key: str) -> str:
+        """Return "; did you mean it by …?" where `key` is missing and one much like it was not taken, else ""."""
+        others = [] if key in self._values else [k for k in self._values if k not in self._taken]
+        close = difflib.get_close_matches(key, others, n=1)
+        return f"; did you mean it by {close[0]!r}?" if close else ""
 
     def text(self, key: str, default: Any = MISSING, *, allowed: Iterable[str] | None = None) -> str:
         """Return a string, one of `allowed` if given."""

@@ -131,7 +131,7 @@ def _walk(table: Table, saddles: list[str]) -> tuple[tuple[str, ...], tuple[int,
     if repeat == 1 and len(wraps) != len(walk) - 1:
         raise InputError(
             f"{table.where('wraps')} = {list(wraps)}: a walk of {len(walk)} symbols has {len(walk) - 1} interior "
-            "stops; give one whole number for each"
+            f"stops; give one whole number for each{table.misspelt('wraps')}"
         )
     if repeat == 1:
         return *expanded(symbols, wraps), repeat
@@ -144,6 +144,7 @@ def _walk(table: Table, saddles: list[str]) -> tuple[tuple[str, ...], tuple[int,
         raise InputError(
             f"{table.where('wraps')} = {list(wraps)}: a walk of {len(walk)} symbols that is repeated has {len(walk)} "
             "stops, the last from its last symbol back to its first; give one whole number for each"
+            f"{table.misspelt('wraps')}"
         )
     walk, wraps = expanded(symbols, wraps)
     return walk * repeat, (wraps * repeat)[:-1], repeat

@@ -210,6 +210,17 @@ def test_a_wrong_value_in_a_model_is_named(
     assert files(tmp_path) == {"mine.toml"}
 
 
+def test_a_misspelt_key_that_has_a_default_is_named_where_its_absence_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text('energy = 0.2\nwalk = ["down-up +", "down-up -"]\nwrapps = [1]\n')
+    refused(
+        "plan", "mine.toml", naming="has 1 interior stops; give one whole number for each; did you mean it by 'wrapps'?"
+    )
+    assert files(tmp_path) == {"mine.toml"}
+
+
 @pytest.mark.parametrize(
     ("key", "value", "naming"),
     [
