@@ -6,12 +6,13 @@ largest scaled component between its state on the section and the true one; a se
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.bench.chart import Chart, Missing, Panel, Point
-from dpcontrol.bench.measure import timed
+from dpcontrol.bench.measure import timed, timed_in_turns
 from dpcontrol.dynamics.extended import ExtendedPropagator, extended
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import Progress
@@ -73,10 +74,15 @@ def orbit_panel(*, quick: bool) -> Panel:
     settings = [("step of the continuation", f"{s:g}", replace(base, step=s)) for s in steps]
     settings += [("tolerance", f"{t:.0e}", replace(base, tolerance=t)) for t in (1e-4, 1e-7, 1e-10)]
     missing = []
-    for method, label, chosen in settings:
-        run = timed(
-            lambda chosen=chosen: lyapunov_orbit(system, "down-up", energy=ENERGY, settings=chosen), _repeats(quick)
-        )
+    runs = timed_in_turns(
+        {
+            (method, label): partial(lyapunov_orbit, system, "down-up", energy=ENERGY, settings=chosen)
+            for method, label, chosen in settings
+        },
+        15 if quick else 45,
+        worth=lambda orbit: orbit.converged,
+    )
+    for (method, label, chosen), run in zip(settings, runs.values(), strict=True):
         if not run.result.converged:
             missing.append(Missing(method, label, run.result.status))
             continue
@@ -131,32 +137,27 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], *, quick: bool) 
     points: list[Point] = []
     missing: list[Missing] = []
     start_up: dict[str, float] = {}
-    for method, label, settings in cases[::2] if quick else cases:
 
-        def search(settings: ConnectionSettings = settings) -> ConnectionSearch:
-            return find_connections(orbit, orbit, settings=settings)
+    def searched(settings: ConnectionSettings) -> list[Array]:
+        return [c.state for c in find_connections(orbit, orbit, settings=settings).connections]
 
-        run = timed(search, _repeats(quick), most=0.5 if quick else 2.0)
-        error = worst(orbit, [c.state for c in run.result.connections], truths)
-        if len(run.result.connections) < expected or not np.isfinite(error):
-            missing.append(Missing(method, label, f"{len(run.result.connections)} of {expected} found"))
-            continue
-        points.append(Point(method, label, run.seconds, error))
-        start_up[method] = max(start_up.get(method, 0.0), run.start_up)
-    run = timed(lambda: find_connections(orbit, orbit), _repeats(quick), most=0.5 if quick else 2.0)
-    points.append(
-        Point("chosen", "1e-4, 100, 0.05, 3e-7", run.seconds,
-              worst(orbit, [c.state for c in run.result.connections], truths), default=True)
-    )  # fmt: skip
-    for distance in (1e-3, 1e-4, 1e-6):
-        flights = timed(
-            lambda distance=distance: _two_flights(orbit, distance), _repeats(quick), most=0.5 if quick else 2.0
-        )
-        error = worst(orbit, flights.result, truths)
-        if np.isfinite(error):
-            points.append(Point("two flights", f"{distance:.0e}", flights.seconds, error))
+    default = "chosen", "1e-4, 100, 0.05, 3e-7"
+    ways = {(method, label): partial(searched, s) for method, label, s in (cases[::2] if quick else cases)}
+    ways[default] = partial(searched, base)
+    ways |= {("two flights", f"{d:.0e}"): partial(_two_flights, orbit, d) for d in (1e-3, 1e-4, 1e-6)}
+    runs = timed_in_turns(ways, 3 if quick else 7, most=0.5 if quick else 2.0)
+    for (method, label), run in runs.items():
+        error = worst(orbit, run.result, truths)
+        if method == "two flights":
+            lost = "" if np.isfinite(error) else "a connection is not among those met"
         else:
-            missing.append(Missing("two flights", f"{distance:.0e}", "a connection is not among those met"))
+            whole = len(run.result) >= expected and np.isfinite(error)
+            lost = "" if whole else f"{len(run.result)} of {expected} found"
+            start_up[method] = max(start_up.get(method, 0.0), run.start_up)
+        if lost:
+            missing.append(Missing(method, label, lost))
+        else:
+            points.append(Point(method, label, run.seconds, error, default=(method, label) == default))
     return Panel(
         f"{expected} connections of down-up with itself", "time, s", "error of the worst, scaled", tuple(points),
         start_up, tuple(missing),
@@ -183,7 +184,7 @@ def outside_panel(*, quick: bool) -> Panel:
         first, second = (lyapunov_orbit(system, name, energy=THREE_BODY_ENERGY) for name in ("L1", "L2"))
         return find_connections(first, second, hits=(2, 2))
 
-    run = timed(ours, _repeats(quick), most=0.5 if quick else 4.0)
+    run = timed(ours, 3 if quick else 7, most=0.5 if quick else 4.0)
     gap = max(c.residual for c in run.result.connections)
     note = "ratios stored by tests/benchmarks/test_against_hiten.py: of a fresh process; gap at least"
     points = (
@@ -192,7 +193,3 @@ def outside_panel(*, quick: bool) -> Panel:
     )
     title = "L1 to L2 of three bodies, with the orbits"
     return Panel(title, "time, s", "gap where the pieces meet", points, {"dpcontrol": run.start_up})
-
-
-def _repeats(quick: bool) -> int:
-    return 3 if quick else 7

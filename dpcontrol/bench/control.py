@@ -13,8 +13,7 @@ import numpy as np
 from dpcontrol.bench.chart import Chart, Missing, Panel, Point
 from dpcontrol.bench.control_trials import LARGE, SMALL, Outcome, Task, held, outcome, tick_of
 from dpcontrol.bench.estimator_trials import noise_of
-from dpcontrol.bench.measure import timed
-from dpcontrol.bench.side_by_side import timed_in_turns
+from dpcontrol.bench.measure import timed, timed_in_turns
 from dpcontrol.control.adaptive import AdaptiveSettings, adaptive_controller
 from dpcontrol.control.compiled_ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings

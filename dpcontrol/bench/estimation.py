@@ -15,7 +15,7 @@ from dpcontrol.bench.estimator_trials import (
     one_step,
     swing,
 )
-from dpcontrol.bench.side_by_side import timed_in_turns
+from dpcontrol.bench.measure import timed_in_turns
 from dpcontrol.control.compiled_ekf import CompiledEkf
 from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterpyEkfSettings, UkfSettings

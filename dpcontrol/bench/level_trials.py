@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.side_by_side import timed_in_turns
+from dpcontrol.bench.measure import timed_in_turns
 from dpcontrol.dynamics.arm_chain import Level, equations_of
 from dpcontrol.dynamics.drive_level import PlantLevel, PlantParameters, plant_step
 from dpcontrol.dynamics.fixed_step import compiled_step

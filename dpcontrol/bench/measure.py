@@ -1,21 +1,26 @@
 """Times of repeated work: processor time of this process on one core, the first call apart.
 
 Processor time leaves out what other programs take of a busy machine. Work shorter than the clock's grain is repeated
-within one measurement. The median of the repeats counts.
+within one measurement. The median of the repeats counts. What is to be compared is measured in turns, so that a machine
+that slows down for a while slows all of it.
 """
 
 import os
 import statistics
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from math import inf
 from typing import Generic, TypeVar
 
 T = TypeVar("T")
+Key = TypeVar("Key", bound=Hashable)
 
 GRAIN = 2e-3
 """s: what one measurement takes at least."""
+_FIRST_GUESS = 20
+"""Calls from which the time of one short call is guessed."""
 
 
 @dataclass(frozen=True)
@@ -33,34 +38,89 @@ def timed(
     *,
     grain: float = GRAIN,
     most: float = 2.0,
-    starts_up: bool = True,
     clock: Callable[[], float] = time.process_time,
 ) -> Timed[T]:
     """Call `function` once, then in `repeats` measurements of at least `grain` s each.
 
-    most: s after which no further measurement is begun; slow work has little noise. starts_up: False for work that
-    compiles nothing, whose first call counts like the others.
+    most: s after which no further measurement is begun; slow work has little noise.
     clock: seconds; `time.perf_counter` for work that waits (files, other processes).
     """
-    began = clock()
-    result = function()
-    first = clock() - began
-    if not starts_up and first >= most:
-        return Timed(first, 0.0, result)
-    began = clock()
-    function()
-    spent = clock() - began
-    calls = max(1, round(grain / spent)) if spent > 0 else 1000
-    # A call as long as all the repeats need not be made once more.
-    measured = [spent] if calls == 1 else []
-    ends = began + most
-    while len(measured) < repeats and not (measured and clock() > ends):
-        began = clock()
+    return timed_in_turns({None: function}, repeats, grain=grain, most=most, least=1, clock=clock)[None]
+
+
+def timed_in_turns(
+    functions: Mapping[Key, Callable[[], T]],
+    rounds: int = 15,
+    *,
+    grain: float = GRAIN,
+    most: float = inf,
+    least: int = 3,
+    worth: Callable[[T], bool] = lambda _: True,
+    starts_up: bool = True,
+    clock: Callable[[], float] = time.process_time,
+) -> dict[Key, Timed[T]]:
+    """Call each function once, then measure all of them once in each of `rounds`, for at least `grain` s each.
+
+    most: s of a function's own after which it is measured no more, if it was `least` times. worth: says of a first
+    result whether its time is of interest; else the first call's is all there is. starts_up: False for work that
+    compiles nothing, whose first call counts like the others.
+    """
+    clocks = {key: _Clock(function, grain, clock) for key, function in functions.items()}
+    for own in clocks.values():
+        own.start(worth=worth, starts_up=starts_up)
+    for number in range(1, rounds + 1):
+        for own in clocks.values():
+            if own.going and len(own.found) < number and (own.spent < most or len(own.found) < least):
+                own.measure()
+    return {key: own.timed() for key, own in clocks.items()}
+
+
+class _Clock(Generic[T]):
+    """The measurements of one function."""
+
+    def __init__(self, function: Callable[[], T], grain: float, clock: Callable[[], float]) -> None:
+        self._function, self._grain, self._clock = function, grain, clock
+        self._calls = 1
+        self.found: list[float] = []
+        self.spent = 0.0
+        self.going = True
+
+    def start(self, *, worth: Callable[[T], bool], starts_up: bool) -> None:
+        """Make the first call, and find how many calls make a measurement."""
+        began = self._clock()
+        self._result = self._function()
+        self._first = self._clock() - began
+        self.going = worth(self._result)
+        if not self.going:
+            return
+        if not starts_up and self._first >= self._grain:
+            self._keep(self._first)
+            return
+        once = self._each(1)
+        if once >= self._grain:
+            self._keep(once)
+            return
+        once = self._each(_FIRST_GUESS)
+        self._calls = max(1, round(self._grain / once)) if once > 0 else 1000
+
+    def measure(self) -> None:
+        """Take one measurement."""
+        self._keep(self._each(self._calls))
+
+    def timed(self) -> Timed[T]:
+        """Return what was found."""
+        seconds = statistics.median(self.found) if self.found else self._first
+        return Timed(seconds, max(self._first - seconds, 0.0), self._result)
+
+    def _keep(self, seconds: float) -> None:
+        self.found.append(seconds)
+        self.spent += seconds * self._calls
+
+    def _each(self, calls: int) -> float:
+        began = self._clock()
         for _ in range(calls):
-            function()
-        measured.append((clock() - began) / calls)
-    seconds = statistics.median(measured)
-    return Timed(seconds, max(first - seconds, 0.0), result)
+            self._function()
+        return (self._clock() - began) / calls
 
 
 @contextmanager

@@ -6,7 +6,7 @@ the largest change of H over the flight's end states, over the energy scale.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any
 
 import casadi as ca
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from dpcontrol.bench.chart import Chart, Missing, Panel, Point
-from dpcontrol.bench.measure import timed
+from dpcontrol.bench.measure import timed_in_turns
 from dpcontrol.bench.schemes import Stepper, buffered_rate, runge_kutta_4, symplectic_gauss
 from dpcontrol.bench.ticks import tick_panels
 from dpcontrol.dynamics.extended import ExtendedPropagator, extended
@@ -147,18 +147,25 @@ def measured(
     tried: list[Candidate], work: Work, *, quick: bool
 ) -> tuple[tuple[Point, ...], Mapping[str, float], tuple[Missing, ...]]:
     """Fly each candidate; return its point, its method's longest start-up, and what could not be flown."""
-    points, start_up, missing = [], {}, []
-    for c in tried:
+
+    def flown(fly: Callable[[], Array]) -> Array | str:
         try:
-            run = timed(c.fly, 3 if quick else 7, most=0.1 if quick else 1.0)
+            arrived = fly()
         except (ArithmeticError, RuntimeError, GoalMissed) as failure:
-            missing.append(Missing(c.method, c.setting, str(failure).splitlines()[0][:200]))
+            return str(failure).splitlines()[0][:200]
+        return arrived if np.isfinite(arrived).all() else "its step is too long: the state became infinite"
+
+    points, start_up, missing = [], {}, []
+    runs = timed_in_turns(
+        {k: partial(flown, c.fly) for k, c in enumerate(tried)}, 5 if quick else 9, most=0.1 if quick else 1.0,
+        worth=lambda arrived: not isinstance(arrived, str),
+    )  # fmt: skip
+    for c, run in zip(tried, runs.values(), strict=True):
+        if isinstance(run.result, str):
+            missing.append(Missing(c.method, c.setting, run.result))
             continue
         start_up[c.method] = max(start_up.get(c.method, 0.0), run.start_up)
         error, drift = work.error(run.result), work.drift(run.result)
-        if not np.isfinite(error + drift):
-            missing.append(Missing(c.method, c.setting, "its step is too long: the state became infinite"))
-            continue
         points.append(
             Point(c.method, c.setting, run.seconds / c.take, error, default=c.default, others={"drift": drift})
         )

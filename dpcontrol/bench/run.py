@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,9 +10,10 @@ from typing import Any
 from dpcontrol.bench.machine import machine, versions
 from dpcontrol.bench.measure import one_core
 from dpcontrol.bench.page import Page
-from dpcontrol.bench.registry import CHARTS, check_names
+from dpcontrol.bench.registry import CHARTS, GROUPS, check_names
 from dpcontrol.foundation.checkout import commit
 from dpcontrol.foundation.files import Progress, no_progress, part_of, whole_file, write_whole
+from dpcontrol.foundation.processes import in_processes, processors
 
 
 @dataclass(frozen=True)
@@ -25,27 +26,63 @@ class Drawn:
     seconds: float
 
 
+@dataclass(frozen=True)
+class Order:
+    """A chart to be drawn: its name, where to, and what all charts of one drawing were made on and with."""
+
+    name: str
+    folder: Path
+    quick: bool
+    made_with: Mapping[str, Any]
+
+
 def draw_charts(
     names: Sequence[str], folder: Path, *, quick: bool = False, progress: Progress = no_progress
 ) -> tuple[Drawn, ...]:
-    """Make charts (all where `names` is empty) one after the other in this process, on one core.
+    """Make charts (all where `names` is empty).
+
+    Those with times are made first, one after the other in this process, on one core, the others idle. Maps of failure
+    hold none: as many are drawn at once as there are cores.
 
     Raises:
         InputError: an unknown name, or a folder that cannot be written to.
+        GoalMissed: processes that draw maps died again and again.
     """
     chosen = check_names(tuple(names))
     # Asked before the work, so that a checkout that is edited meanwhile does not mislead.
     made_with = {"quick": quick, "machine": machine(), "versions": versions(), "commit": commit()}
-    drawn = []
-    for k, name in enumerate(chosen):
+    maps = [name for name in chosen if name in GROUPS["edges"]]
+    together = len(maps) if len(maps) > 1 and processors() > 1 else 0
+    alone = [name for name in chosen if not together or name not in maps]
+    drawn: dict[str, Drawn] = {}
+    for k, name in enumerate(alone):
         progress(name, k / len(chosen))
-        began = time.perf_counter()
         with one_core():
-            chart = CHARTS[name](quick, part_of(progress, k / len(chosen), (k + 1) / len(chosen)))
-        seconds = time.perf_counter() - began
-        picture, data = save(chart, folder, made_with=made_with, seconds=seconds)
-        drawn.append(Drawn(chart, picture, data, seconds))
-    return tuple(drawn)
+            part = part_of(progress, k / len(chosen), (k + 1) / len(chosen))
+            drawn[name] = draw_chart(Order(name, folder, quick, made_with), part)
+    if together:
+        orders = [Order(name, folder, quick, made_with) for name in maps]
+        progress(f"{together} maps of failure", len(alone) / len(chosen))
+        for done in _at_once(orders):
+            drawn[done.chart.name] = done
+            left = ", ".join(name for name in maps if name not in drawn)
+            progress(f"maps left: {left}" if left else "maps", len(drawn) / len(chosen))
+    return tuple(drawn[name] for name in chosen)
+
+
+def draw_chart(order: Order, progress: Progress = no_progress) -> Drawn:
+    """Make one chart and save it."""
+    began = time.perf_counter()
+    chart = CHARTS[order.name](order.quick, progress)
+    seconds = time.perf_counter() - began
+    picture, data = save(chart, order.folder, made_with=order.made_with, seconds=seconds)
+    return Drawn(chart, picture, data, seconds)
+
+
+def _at_once(orders: Sequence[Order]) -> Iterator[Drawn]:
+    remedy = "Charts that were done are saved: name those that are missing"
+    for _, done in in_processes(draw_chart, orders, min(processors(), len(orders)), remedy=remedy):
+        yield done
 
 
 def save(chart: Page, folder: Path, *, made_with: Mapping[str, Any], seconds: float) -> tuple[Path, Path]:

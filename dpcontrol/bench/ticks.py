@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from dpcontrol.bench.chart import Panel, Point
-from dpcontrol.bench.measure import timed
+from dpcontrol.bench.measure import timed_in_turns
 from dpcontrol.bench.schemes import Stepper, runge_kutta_4
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.dynamics.arm_chain import Level, equations_of
@@ -98,8 +98,8 @@ def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Panel, Panel]
             tried.append((label, setting, each(after), flown))
             tried.append((f"{label}, {COUNT} at once", setting, after_all, flown))
     points, start_up = [], {}
-    for method, setting, function, default in tried:
-        run = timed(function, 5 if quick else 9)
+    runs = timed_in_turns({k: function for k, (_, _, function, _) in enumerate(tried)}, 9 if quick else 25)
+    for (method, setting, _, default), run in zip(tried, runs.values(), strict=True):
         error = float(np.abs((run.result - truth) / scale).max())
         start_up[method] = max(start_up.get(method, 0.0), run.start_up)
         points.append(Point(method, setting, run.seconds / len(states), error, default=default))

@@ -4,13 +4,15 @@ One crossing between two orbits is transcribed and solved, from the same first g
 between nodes; the cost is told by its distance from the finest transcription's. Time holds the building of the program.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.bench.chart import Chart, Missing, Panel, Point
-from dpcontrol.bench.measure import timed
+from dpcontrol.bench.measure import timed_in_turns
 from dpcontrol.bench.outside import by_rockit, has_rockit
 from dpcontrol.dynamics.arm_chain import Level, equations_of
 from dpcontrol.foundation.errors import GoalMissed
@@ -101,11 +103,17 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     errors: list[Point] = []
     costs: list[Point] = []
     missing: list[Missing] = []
-    for k, (name, interval, solver) in enumerate(cases):
-        progress(f"transcription: {name}, {solver}", 0.1 + 0.8 * k / len(cases))
+
+    def solved_by(case: tuple[str, float, str]) -> Solved:
+        progress(f"transcription: {case[0]}, {case[2]}", 0.1)
+        return transcribed(problem, *case)
+
+    runs = timed_in_turns(
+        {case: partial(solved_by, case) for case in cases}, 5, most=1.0 if quick else 4.0,
+        least=2 if quick else 3, worth=lambda solved: solved.succeeded, starts_up=False,
+    )  # fmt: skip
+    for (name, interval, solver), run in runs.items():
         label = f"{1e3 * interval:g} ms{'' if solver == 'ipopt' else ', ' + solver}"
-        most = 0.1 if quick else 4.0
-        run = timed(lambda case=(name, interval, solver): transcribed(problem, *case), 3, most=most, starts_up=False)
         solved = run.result
         if not solved.succeeded:
             missing.append(Missing(name, label, solved.outcome))
@@ -143,10 +151,13 @@ def refined_panel(problem: ReferenceProblem, *, quick: bool) -> Panel:
     if not quick:
         cases.append(replace(chosen, solver="fatrop"))
     points, missing = [], []
-    for settings in cases:
+    runs = timed_in_turns(
+        {settings: partial(find_reference, problem, settings) for settings in cases}, 5,
+        most=1.0 if quick else 4.0, least=2 if quick else 3, worth=lambda found: found.converged, starts_up=False,
+    )  # fmt: skip
+    for settings, run in runs.items():
         label = f"{1e3 * settings.interval:g} ms{'' if settings.solver == 'ipopt' else ', ' + settings.solver}"
         label += "" if settings.tolerance == chosen.tolerance else f", to {settings.tolerance:.0e}"
-        run = timed(lambda s=settings: find_reference(problem, s), 3, most=0.1 if quick else 4.0, starts_up=False)
         if not run.result.converged:
             missing.append(Missing(settings.method, label, run.result.status))
             continue
@@ -174,21 +185,29 @@ def outside_panel(problem: ReferenceProblem, *, quick: bool) -> Panel:
     def away(times: Array, states: Array) -> float:
         return float(np.abs((states - finest.state(times)) / scale).max())
 
-    points, missing = [], []
     dense = np.linspace(0.0, STRETCH, 101)
-    for tolerance in (1e-4, 1e-6) if quick else (1e-3, 1e-4, 1e-6, 1e-8):
-        mine = replace(settings, tolerance=tolerance)
-        run = timed(lambda mine=mine: find_reference(short, mine), 3, most=0.2 if quick else 2.0, starts_up=False)
-        error = away(dense, run.result.state(dense))
-        default = tolerance == ReferenceSettings().tolerance
-        points.append(Point(settings.method, f"to {tolerance:.0e}", run.seconds, error, default=default))
+
+    def by_us(tolerance: float) -> tuple[Array, Array]:
+        return dense, find_reference(short, replace(settings, tolerance=tolerance)).state(dense)
+
+    points, missing = [], []
+    ways: dict[tuple[str, str], Callable[[], tuple[Array, Array]]] = {
+        (settings.method, f"to {tolerance:.0e}"): partial(by_us, tolerance)
+        for tolerance in ((1e-4, 1e-6) if quick else (1e-3, 1e-4, 1e-6, 1e-8))
+    }
+    default = settings.method, f"to {ReferenceSettings().tolerance:.0e}"
     if has_rockit():
-        for intervals in (25,) if quick else (25, 50, 100, 200):
-            theirs = timed(
-                lambda n=intervals: by_rockit(short, settings, n), 3, most=0.2 if quick else 2.0, starts_up=False
-            )
-            points.append(Point("rockit", f"{intervals} intervals", theirs.seconds, away(*theirs.result), outside=True))
-    else:
+        ways |= {
+            ("rockit", f"{n} intervals"): partial(by_rockit, short, settings, n)
+            for n in ((25,) if quick else (25, 50, 100, 200))
+        }
+    runs = timed_in_turns(ways, 5, most=0.5 if quick else 2.0, least=2 if quick else 3, starts_up=False)
+    for (method, label), run in runs.items():
+        points.append(
+            Point(method, label, run.seconds, away(*run.result), default=(method, label) == default,
+                  outside=method == "rockit")
+        )  # fmt: skip
+    if not has_rockit():
         missing.append(Missing("rockit", "", "not installed: pip install rockit-meco"))
     return Panel(
         f"the first {STRETCH:g} s, free of the guess", "time, s", "error of the states, scaled", tuple(points), {},

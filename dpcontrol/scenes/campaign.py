@@ -15,13 +15,14 @@ from typing import Any
 import dpcontrol
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import Progress, no_progress, part_of
+from dpcontrol.foundation.processes import processors
 from dpcontrol.lab.batch import can_batch
 from dpcontrol.lab.statistics import Pairing, Share, paired, wilson
 from dpcontrol.scenes.campaign_jobs import Case, Job, Row
 from dpcontrol.scenes.campaign_store import Parts, write_rows
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.scenes.plan import Plan, make_plan
-from dpcontrol.scenes.workers import default_workers, run_locally, run_on_cluster
+from dpcontrol.scenes.workers import run_locally, run_on_cluster
 
 PATHS = ("compiled", "ticks")
 MOST_RUNS = 1_000_000
@@ -136,7 +137,7 @@ def run_campaign(
         if settings.scheduler:
             finished = run_on_cluster(left, settings.scheduler)
         else:
-            finished = run_locally(left, settings.workers or default_workers())
+            finished = run_locally(left, settings.workers or processors())
         for job, rows in finished:
             kept[job.key] = [{**row, **_numbers(job.case)} for row in rows]
             parts.keep(job.key, kept[job.key])

@@ -4,7 +4,6 @@ import json
 import math
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from command_line import dpcontrol
 
 from dpcontrol.bench import registry
 from dpcontrol.bench.chart import ALLOWED, Chart, Panel, Point
-from dpcontrol.bench.measure import timed
 from dpcontrol.bench.run import draw_charts
 
 READING = ("first", "second", "third")
@@ -82,43 +80,11 @@ def test_a_chart_without_a_default_is_refused():
         Chart("c", "t", READING, "nothing", (panel(*points_of([(1, 1)])),))
 
 
-def test_start_up_is_told_apart_from_repeated_time():
-    clock = [0.0]
-    calls = []
-
-    def work():
-        calls.append(1)
-        # The first call compiles for 5 s; each takes 1 s, one in between 9 s.
-        clock[0] += {1: 6.0, 3: 9.0}.get(len(calls), 1.0)
-        return len(calls)
-
-    found = timed(work, 5, most=100.0, clock=lambda: clock[0])
-    assert (found.seconds, found.start_up, found.result) == (1.0, 5.0, 1)
-
-
-def test_slow_work_is_not_repeated_beyond_the_time_it_may_take():
-    clock, calls = [0.0], []
-
-    def work():
-        calls.append(1)
-        clock[0] += 3.0
-
-    assert timed(work, 50, most=5.0, clock=lambda: clock[0]).seconds == 3.0
-    assert len(calls) == 3
-
-
 def test_errors_below_the_floor_count_as_equal():
     points = points_of([(1, 3e-16), (2, 1e-16)], default={1})
     assert panel(*points).front == tuple(points)
     assert panel(*points, floor=1e-14).front == (points[0],)
     assert panel(*points, floor=1e-14, why="a reason").complaints() != ()
-
-
-def test_work_shorter_than_the_clocks_grain_is_repeated_within_a_measurement():
-    calls = []
-    found = timed(lambda: calls.append(1), 3, grain=1e-3)
-    assert len(calls) > 300
-    assert 0 < found.seconds < 1e-4
 
 
 @pytest.fixture
@@ -188,6 +154,9 @@ def test_an_unknown_chart_is_refused_with_the_known_ones(tmp_path):
     assert not (tmp_path / "none").exists()
 
 
-def test_the_clock_of_other_programs_does_not_count():
-    found = timed(lambda: time.sleep(0.02), 1)
-    assert found.seconds < 0.01
+def test_maps_are_drawn_at_once_and_come_back_in_the_order_they_were_asked_for(tmp_path):
+    asked = ["edges-walks", "edges-propagation"]
+    drawn = draw_charts(asked, tmp_path, quick=True)
+    assert [d.chart.name for d in drawn] == asked
+    assert all(d.picture.read_bytes().startswith(b"\x89PNG") for d in drawn)
+    assert [json.loads(d.data.read_text())["name"] for d in drawn] == asked

@@ -18,6 +18,7 @@ from command_line import PROGRAM
 from scipy.stats import norm
 
 from dpcontrol.control.tracking import TvlqrSettings
+from dpcontrol.foundation import processes
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.lab.statistics import paired, wilson
 from dpcontrol.scenes import campaign as campaign_module
@@ -194,11 +195,11 @@ def test_processes_that_always_die_are_given_up_with_a_reason(
         def __init__(self, *_: Any, **__: Any) -> None: ...
 
         def submit(self, *_: Any) -> Any:
-            raise workers.BrokenProcessPool
+            raise processes.BrokenProcessPool
 
         def shutdown(self, **_: Any) -> None: ...
 
-    monkeypatch.setattr(workers, "ProcessPoolExecutor", Dying)
+    monkeypatch.setattr(processes, "ProcessPoolExecutor", Dying)
     with pytest.raises(GoalMissed, match="workers died 4 times, with 3 jobs undone"):
         campaign(turn, tmp_path / "never.parquet", workers=2)
     assert not (tmp_path / "never.parquet").exists()

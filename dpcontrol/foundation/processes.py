@@ -1,0 +1,88 @@
+"""Work done in several processes of this machine; finished pieces come back in any order.
+
+A process that dies takes its piece along; processes are made anew and the piece is done again.
+"""
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import TypeVar
+
+from dpcontrol.foundation.errors import GoalMissed
+
+Piece = TypeVar("Piece")
+Done = TypeVar("Done")
+
+ATTEMPTS = 4
+"""How often a piece is begun before its processes' deaths count as its own fault."""
+
+
+def processors() -> int:
+    """Return the number of processors this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def in_processes(
+    function: Callable[[Piece], Done], pieces: Sequence[Piece], workers: int, *, remedy: str
+) -> Iterator[tuple[Piece, Done]]:
+    """Yield each piece with what `function`, a module's own, returns of it, from `workers` processes.
+
+    In this process, one after the other, where one worker or one piece is all there is. Where the caller is interrupted
+    or takes no more, processes under way are ended.
+
+    Raises:
+        GoalMissed: a piece's process died again and again; `remedy` ends the sentence.
+    """
+    if workers == 1 or len(pieces) == 1:
+        for piece in pieces:
+            yield piece, function(piece)
+        return
+    left = list(range(len(pieces)))
+    for _ in range(ATTEMPTS):
+        done: set[int] = set()
+        others = set(multiprocessing.active_children())
+        # Forked processes would share heyoka's and casadi's threads in an unknown state.
+        pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+        try:
+            with _deaf():
+                running = {pool.submit(function, pieces[k]): k for k in left}
+            while running:
+                finished, _ = wait(running, return_when=FIRST_COMPLETED)
+                for future in finished:
+                    k = running.pop(future)
+                    result = future.result()
+                    done.add(k)
+                    yield pieces[k], result
+            return
+        except BrokenProcessPool:
+            left = [k for k in left if k not in done]
+        except BaseException:
+            for worker in set(multiprocessing.active_children()) - others:
+                worker.terminate()
+            raise
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+    raise GoalMissed(f"workers died {ATTEMPTS} times, with {len(left)} jobs undone; is there enough memory? {remedy}")
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Let Ctrl-C wait; processes that are started meanwhile never hear it: it is for the one that started them."""
+    heard: list[int] = []
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    # Another thread may still be given the signal, and the main one would leave a process half started.
+    in_main = threading.current_thread() is threading.main_thread()
+    handler = signal.signal(signal.SIGINT, lambda number, _: heard.append(number)) if in_main else None
+    try:
+        yield
+    finally:
+        if in_main:
+            signal.signal(signal.SIGINT, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    if heard:
+        signal.raise_signal(signal.SIGINT)
