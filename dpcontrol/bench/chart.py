@@ -69,7 +69,7 @@ class Panel:
 
     start_up: seconds that each method needs once (compiling, building) before its times count; floor: smaller errors
     are rounding and count as equal. judged: False for a second view of work that another
-    panel judges.
+    panel judges. timed: False where x is no time.
     """
 
     title: str
@@ -82,6 +82,7 @@ class Panel:
     log_y: bool = True
     floor: float = 0.0
     judged: bool = True
+    timed: bool = True
 
     def _error(self, point: Point) -> float:
         return max(point.error, self.floor)

@@ -175,6 +175,7 @@ def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Panel
             if p.method.startswith("OGY")
         ),
         why="more sections see an error earlier, and then push less",
+        timed=False,
     )
     return error, failures, spending
 
@@ -204,6 +205,7 @@ def _hold(weights: tuple[float, ...], seeds: int) -> Panel:
     return Panel(
         "Both arms up: LQR", "rms of the feedback, m/s²", "rms error of the angles, rad", points, start_up,
         tuple(missing), "the same weights as TVLQR's, so that a hold goes over into a motion without a jump",
+        timed=False,
     )  # fmt: skip
 
 

@@ -77,7 +77,7 @@ def chart(quick: bool, progress: Progress) -> Chart:
         Panel("Size, of what outlives a kill", TIME, "bytes per tick", _points(alive, lambda t: t.size),
               missing=tuple(lost), why=_WHY),
         Panel("Chunks and compression of our blocks", "bytes per tick", "mean loss, s",
-              _points(blocks, lambda t: t.loss, across=lambda t: t.size), why=_WHY),
+              _points(blocks, lambda t: t.loss, across=lambda t: t.size), why=_WHY, timed=False),
     )  # fmt: skip
     return Chart(
         name="logging",

@@ -1,12 +1,15 @@
-"""A chart drawn again, held against an earlier drawing: methods keep their order on each front.
+"""A chart drawn again, held against an earlier drawing: methods keep their order on each front, defaults their worth.
 
 Two times that differ by less than `TIED` are a tie: either may come first, and a point that stands off a front by no
 more may be on it in one drawing and not in the other. Everything else must be as it was.
+
+A default's time is compared in units of the drawing's own yardstick, work of other packages only, so that drawings of
+different machines can be held against each other.
 """
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
+from dataclasses import dataclass, fields, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -17,18 +20,32 @@ from dpcontrol.foundation.errors import InputError
 TIED = ALLOWED
 """Share by which two times may differ and count as equal: what is off a front by no more may be a default, too."""
 
+SLOWER = 2.0
+"""Times what it took that a default may take: machines and their loads differ by less."""
+WORSE = 3.0
+"""Times its earlier error that its error may be: rounding differs by less from build to build."""
+
 _POINT = {f.name for f in fields(Point)}
 
 
-def earlier_fronts(folder: Path, name: str) -> tuple[Panel, ...]:
-    """Return the panels of a chart as an earlier drawing in `folder` has them.
+@dataclass(frozen=True)
+class Drawing:
+    """The panels of a chart, and the seconds that the yardstick took beside it."""
+
+    panels: tuple[Panel, ...]
+    yardstick: float
+
+
+def earlier_drawing(folder: Path, name: str) -> Drawing:
+    """Return a chart as an earlier drawing in `folder` has it.
 
     Raises:
         InputError: there is no earlier drawing, or it is not one.
     """
     file = Path(folder) / f"{name}.json"
     try:
-        return tuple(_panel(panel) for panel in json.loads(file.read_text(encoding="utf-8"))["panels"])
+        document = json.loads(file.read_text(encoding="utf-8"))
+        return Drawing(tuple(_panel(panel) for panel in document["panels"]), float(document["yardstick"]))
     except OSError as error:
         raise InputError(
             f"no earlier drawing {file}: {error.strerror or error}; draw it with --out {folder}"
@@ -38,10 +55,10 @@ def earlier_fronts(folder: Path, name: str) -> tuple[Panel, ...]:
 
 
 def _panel(document: Mapping[str, Any]) -> Panel:
-    points = tuple(Point(**{name: p[name] for name in _POINT}) for p in document["points"])
+    points = tuple(Point(**{name: value for name, value in p.items() if name in _POINT}) for p in document["points"])
     return Panel(
         document["title"], document["x_label"], document["y_label"], points, floor=document["floor"],
-        judged=document["judged"],
+        judged=document["judged"], timed=document["timed"],
     )  # fmt: skip
 
 
@@ -54,6 +71,24 @@ def changes(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
             found.append(f"{panel.title}: not in the earlier drawing")
         else:
             found += [f"{panel.title}: {text}" for text in _changes(known[panel.title], panel)]
+    return tuple(found)
+
+
+def losses(before: Drawing, after: Drawing) -> tuple[str, ...]:
+    """Return a sentence for each default that became slower or less accurate than its namesake was."""
+    known = {panel.title: {p.name: p for p in panel.points} for panel in before.panels}
+    found = []
+    for panel in after.panels:
+        for p in panel.defaults:
+            was = known.get(panel.title, {}).get(p.name)
+            if was is None:
+                continue
+            unit = after.yardstick / before.yardstick if panel.timed else 1.0
+            if p.seconds > SLOWER * unit * was.seconds:
+                times = p.seconds / (unit * was.seconds)
+                found.append(f"{panel.title}: {p.name} takes {times:.2g} times what it took ({panel.x_label})")
+            if max(p.error, panel.floor) > WORSE * max(was.error, panel.floor):
+                found.append(f"{panel.title}: {p.name} errs by {p.error:.2g}, and did by {was.error:.2g}")
     return tuple(found)
 
 

@@ -27,8 +27,9 @@ Maps of where a method stops working, found by bisection, beside where theory ha
 {_listed(GROUPS["edges"])}
 
 All are drawn where none is named. What is not as it should be, a default off its front or a border that is not where it
-is foretold, is in the status; with --strict it makes the exit code 1. --against compares the order on each front with
-that of an earlier drawing; times within a fifth of each other are a tie.
+is foretold, is in the status; with --strict it makes the exit code 1. --against compares with an earlier drawing: the
+order on each front, times within a fifth of each other being a tie, and what each default takes, twice as much being
+slower, and errs by.
 """
 
 
@@ -45,7 +46,7 @@ that of an earlier drawing; times within a fifth of each other are a tie.
 @click.option(
     "--against",
     type=click.Path(file_okay=False, path_type=Path),
-    help="Folder of an earlier drawing, to compare the order on each front with.",
+    help="Folder of an earlier drawing, to compare fronts and defaults with.",
 )
 @click.option("--strict", is_flag=True, help="Exit with 1 where a chart has a complaint.")
 @json_option
@@ -55,23 +56,26 @@ def command(
 ) -> None:
     """Draw the charts, print their fronts and borders."""
     from dpcontrol.bench.chart import Chart
-    from dpcontrol.bench.redrawn import changes, earlier_fronts
+    from dpcontrol.bench.redrawn import Drawing, changes, earlier_drawing, losses
     from dpcontrol.bench.registry import check_names
     from dpcontrol.bench.run import draw_charts
 
     # Read before the work: the folder may be the one that is drawn to.
     charts = [name for name in check_names(names) if name not in GROUPS["edges"]]
-    earlier = {} if against is None else {name: earlier_fronts(against, name) for name in charts}
+    earlier = {} if against is None else {name: earlier_drawing(against, name) for name in charts}
     with progress_bar("bench") as progress:
         drawn = draw_charts(names, out, quick=quick, progress=progress)
     complaints = [text for d in drawn for text in d.chart.complaints]
     status = f"{len(drawn)} charts drawn; " + ("; ".join(complaints) or "every default stands where it may")
     if against is not None:
-        changed = [
-            text for d in drawn if isinstance(d.chart, Chart) for text in changes(earlier[d.chart.name], d.chart.panels)
+        again = [
+            (earlier[d.chart.name], Drawing(d.chart.panels, d.yardstick)) for d in drawn if isinstance(d.chart, Chart)
         ]
+        changed = [text for before, after in again for text in changes(before.panels, after.panels)]
+        lost = [text for before, after in again for text in losses(before, after)]
         status += "; " + ("; ".join(changed) or f"the order on each front is that in {against}")
-        complaints += changed
+        status += "; " + ("; ".join(lost) or "no default became slower or less accurate")
+        complaints += changed + lost
     if as_json:
         files = [{"file": str(d.picture), "data": str(d.data), "seconds": d.seconds} for d in drawn]
         charts = [{**d.chart.document(), **file} for d, file in zip(drawn, files, strict=True)]

@@ -56,7 +56,7 @@ class OrbitCurve:
         """Return (phase, scaled distance) of the orbit's point nearest to a state (N,)."""
         system = self.orbit.system
         # The nearest sample, by the Euclidean norm, and the nearest point by the largest component are not far apart.
-        phase, reach = float(self._tree.query(self._embedded(state[None]))[1][0]) / SAMPLES, 3 / SAMPLES
+        phase, reach = float(np.ravel(self._tree.query(self._embedded(state[None]))[1])[0]) / SAMPLES, 3 / SAMPLES
         grid = np.linspace(-1.0, 1.0, 33)
         distances = np.empty(33)
         while reach > 1e-13:

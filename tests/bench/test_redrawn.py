@@ -4,7 +4,7 @@ import pytest
 from command_line import dpcontrol
 
 from dpcontrol.bench.chart import Panel, Point
-from dpcontrol.bench.redrawn import TIED, changes
+from dpcontrol.bench.redrawn import TIED, Drawing, changes, losses
 
 
 def panel(*pairs, stored=()):
@@ -48,6 +48,28 @@ def test_a_tie_is_a_fifth(slower, told):
 def test_what_was_measured_in_one_drawing_only_has_no_order():
     assert changes([panel((1.0, 1e-3))], [panel((1.0, 1e-3), (0.1, 1e-9))]) == ()
     assert changes([], [FIRST]) == ("panel: not in the earlier drawing",)
+
+
+def default(seconds, error, *, yardstick=1.0, **more):
+    points = (Point("ours", "", seconds, error, default=True), Point("theirs", "", 1.0, 1.0))
+    return Drawing((Panel("panel", "time, s", "error", points, **more),), yardstick)
+
+
+def test_a_default_that_became_slower_or_less_accurate_is_told():
+    before = default(1.0, 1e-9)
+    assert losses(before, default(1.9, 2.9e-9)) == ()
+    assert losses(before, default(2.1, 1e-9)) == ("panel: ours takes 2.1 times what it took (time, s)",)
+    assert losses(before, default(1.0, 3.1e-9)) == ("panel: ours errs by 3.1e-09, and did by 1e-09",)
+    assert losses(default(1.0, 1e-16, floor=1e-14), default(1.0, 9e-15, floor=1e-14)) == ()
+
+
+def test_a_machine_on_which_all_work_takes_longer_makes_nothing_slower_but_what_is_no_time():
+    before = default(1.0, 1e-9)
+    assert losses(before, default(5.0, 1e-9, yardstick=5.0)) == ()
+    assert losses(before, default(1.0, 1e-9, yardstick=0.2)) == ("panel: ours takes 5 times what it took (time, s)",)
+    assert losses(default(1.0, 1e-9, timed=False), default(5.0, 1e-9, yardstick=5.0, timed=False)) == (
+        "panel: ours takes 5 times what it took (time, s)",
+    )
 
 
 def test_an_earlier_drawing_that_is_none_is_refused_before_any_work(tmp_path):
