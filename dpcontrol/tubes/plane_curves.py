@@ -6,6 +6,9 @@ from scipy.spatial import KDTree
 
 Array = NDArray[np.float64]
 
+_BLOCK = 32
+"""Segments of the first curve at a time: compared only with those of the second that their box meets."""
+
 
 def polyline_crossings(first: Array, second: Array) -> list[tuple[float, float]]:
     """Return (i + s, j + t) where segment i of `first` (K, 2) crosses segment j of `second` (L, 2).
@@ -14,17 +17,23 @@ def polyline_crossings(first: Array, second: Array) -> list[tuple[float, float]]
     """
     a, b = first[:-1], second[:-1]
     da, db = np.diff(first, axis=0), np.diff(second, axis=0)
+    low, high = np.minimum(b, second[1:]), np.maximum(b, second[1:])
+    # Wider than rounding can move a crossing.
+    margin = 1e-9 * max(float(np.abs(first).max(initial=0.0)), float(np.abs(second).max(initial=0.0)))
     found: list[tuple[float, float]] = []
-    block = max(1, 2_000_000 // max(len(b), 1))
-    for start in range(0, len(a), block):
-        part = slice(start, start + block)
-        cross = da[part, None, 0] * db[None, :, 1] - da[part, None, 1] * db[None, :, 0]
-        gap = b[None, :, :] - a[part, None, :]
+    for start in range(0, len(a), _BLOCK):
+        part = slice(start, start + _BLOCK)
+        box = first[start : start + _BLOCK + 1]
+        near = np.flatnonzero(((low <= box.max(axis=0) + margin) & (high >= box.min(axis=0) - margin)).all(axis=1))
+        if not near.size:
+            continue
+        cross = da[part, None, 0] * db[None, near, 1] - da[part, None, 1] * db[None, near, 0]
+        gap = b[None, near, :] - a[part, None, :]
         with np.errstate(divide="ignore", invalid="ignore"):
-            s = (gap[..., 0] * db[None, :, 1] - gap[..., 1] * db[None, :, 0]) / cross
+            s = (gap[..., 0] * db[None, near, 1] - gap[..., 1] * db[None, near, 0]) / cross
             t = (gap[..., 0] * da[part, None, 1] - gap[..., 1] * da[part, None, 0]) / cross
         hits = (cross != 0) & (s >= 0) & (s < 1) & (t >= 0) & (t < 1)
-        found += [(start + i + float(s[i, j]), j + float(t[i, j])) for i, j in np.argwhere(hits)]
+        found += [(start + i + float(s[i, j]), int(near[j]) + float(t[i, j])) for i, j in np.argwhere(hits)]
     return found
 
 
