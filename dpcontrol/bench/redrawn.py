@@ -8,7 +8,7 @@ different machines can be held against each other.
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from itertools import combinations
 from pathlib import Path
@@ -76,20 +76,37 @@ def changes(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
 
 def losses(before: Drawing, after: Drawing) -> tuple[str, ...]:
     """Return a sentence for each default that became slower or less accurate than its namesake was."""
-    known = {panel.title: {p.name: p for p in panel.points} for panel in before.panels}
+    return slower(before, after) + less_accurate(before.panels, after.panels)
+
+
+def slower(before: Drawing, after: Drawing) -> tuple[str, ...]:
+    """Return a sentence for each default that takes more of what its panel has along x than its namesake did."""
     found = []
-    for panel in after.panels:
-        for p in panel.defaults:
-            was = known.get(panel.title, {}).get(p.name)
-            if was is None:
-                continue
-            unit = after.yardstick / before.yardstick if panel.timed else 1.0
-            if p.seconds > SLOWER * unit * was.seconds:
-                times = p.seconds / (unit * was.seconds)
-                found.append(f"{panel.title}: {p.name} takes {times:.2g} times what it took ({panel.x_label})")
-            if max(p.error, panel.floor) > WORSE * max(was.error, panel.floor):
-                found.append(f"{panel.title}: {p.name} errs by {p.error:.2g}, and did by {was.error:.2g}")
+    for panel, was, now in _defaults(before.panels, after.panels):
+        unit = after.yardstick / before.yardstick if panel.timed else 1.0
+        times = now.seconds / (unit * was.seconds)
+        if times > SLOWER:
+            found.append(f"{panel.title}: {now.name} takes {times:.2g} times what it took ({panel.x_label})")
     return tuple(found)
+
+
+def less_accurate(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
+    """Return a sentence for each default that errs by more than its namesake did."""
+    return tuple(
+        f"{panel.title}: {now.name} errs by {now.error:.2g}, and did by {was.error:.2g}"
+        for panel, was, now in _defaults(before, after)
+        if max(now.error, panel.floor) > WORSE * max(was.error, panel.floor)
+    )
+
+
+def _defaults(before: Sequence[Panel], after: Sequence[Panel]) -> Iterator[tuple[Panel, Point, Point]]:
+    """Yield each panel with a default of it and what that was before."""
+    known = {panel.title: {p.name: p for p in panel.points} for panel in before}
+    for panel in after:
+        for now in panel.defaults:
+            was = known.get(panel.title, {}).get(now.name)
+            if was is not None:
+                yield panel, was, now
 
 
 def _changes(before: Panel, after: Panel) -> list[str]:

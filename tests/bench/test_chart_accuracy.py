@@ -1,21 +1,29 @@
-"""The charts' accuracy, without their times: schemes keep their orders, truths are true, what fails is named.
+"""The charts' accuracy, without their times: no default lost digits, schemes keep their orders, truths are true.
 
 Run with every change, so that a method that loses digits is noticed; times are held by tests/benchmarks.
 """
+
+import importlib
+from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dpcontrol.bench import connections, propagation, ticks, transcription
+from dpcontrol.bench import connections, level_trials, propagation, ticks, transcription
 from dpcontrol.bench.chart import Point
+from dpcontrol.bench.measure import Timed
+from dpcontrol.bench.redrawn import earlier_drawing, less_accurate
+from dpcontrol.bench.registry import CHARTS, GROUPS
 from dpcontrol.bench.schemes import Stepper, buffered_rate, runge_kutta_4, symplectic_gauss
 from dpcontrol.dynamics.extended import ExtendedPropagator
 from dpcontrol.dynamics.fixed_step import fixed_step
 from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.foundation.files import no_progress
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
+STORED = Path(__file__).parents[1] / "benchmarks" / "charts"
 START = np.array([[0.9, 1.4, 0.5, -1.0]])
 SECONDS = 1.0
 ORDER_SLACK = 0.35  # the next term of the error's expansion, at these steps
@@ -158,6 +166,21 @@ def test_a_build_without_extended_reals_is_told(system, monkeypatch):
     monkeypatch.setattr(ExtendedPropagator, "flow", refused)
     with pytest.raises(GoalMissed, match="113-bit"):
         propagation.work_of(system, START, SECONDS)
+
+
+@pytest.mark.parametrize("name", [name for name in CHARTS if name not in GROUPS["edges"]])
+def test_no_default_of_a_quick_chart_errs_by_more_than_it_did(name, monkeypatch):
+    def once(functions, *_, **__):
+        return {key: Timed(1.0, 0.0, function()) for key, function in functions.items()}
+
+    module = importlib.import_module(f"dpcontrol.bench.{name}")
+    for holder in (module, ticks, level_trials):
+        if hasattr(holder, "timed_in_turns"):
+            monkeypatch.setattr(holder, "timed_in_turns", once)
+    before, after = earlier_drawing(STORED, name).panels, CHARTS[name](True, no_progress).parts
+    assert {panel.title for panel in after} == {panel.title for panel in before}
+    assert {p.name for panel in after for p in panel.defaults} <= {p.name for panel in before for p in panel.points}
+    assert less_accurate(before, after) == ()
 
 
 def test_points_may_be_at_zero_error_but_not_undefined():

@@ -1,13 +1,14 @@
 """One program, solved by rockit too: costs and states agree.
 
-Needs DPCONTROL_ROCKIT_PYTHON: an interpreter whose environment has rockit-meco. rockit holds its input over an
-interval, so its optimum comes near this project's as the square of the interval; two of its meshes tell the rest.
+rockit holds its input over an interval, so its optimum comes near this project's as the square of the interval; two of
+its meshes tell the rest. DPCONTROL_ROCKIT_PYTHON: another interpreter that has rockit-meco.
 """
 
 import json
 import os
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -20,14 +21,14 @@ from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSett
 
 pytestmark = pytest.mark.benchmark
 
-PYTHON = os.environ.get("DPCONTROL_ROCKIT_PYTHON", "")
+PYTHON = os.environ.get("DPCONTROL_ROCKIT_PYTHON", sys.executable if find_spec("rockit") else "")
 SCRIPT = Path(__file__).parent / "rockit_swing.py"
 SECONDS = 0.5
 SAME_COST = 1e-3
 SAME_STATES = 1e-4
 
 
-@pytest.mark.skipif(not PYTHON, reason="set DPCONTROL_ROCKIT_PYTHON to a Python that has rockit-meco")
+@pytest.mark.skipif(not PYTHON, reason="pip install 'dpcontrol[bench]', or set DPCONTROL_ROCKIT_PYTHON")
 def test_rockit_finds_the_same_cost_and_states():
     orbit = orbit_stretch(SECONDS)
     problem = ReferenceProblem(arm_chain_equations(2, Level.CART), LAB.base(), orbit.guess, SECONDS)
