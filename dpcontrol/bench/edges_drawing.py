@@ -10,6 +10,10 @@ from dpcontrol.bench.edges import EdgeChart, EdgeMap
 from dpcontrol.review.style import INK, LIMIT, REFERENCE, STABLE
 
 WIDTH, HEIGHT = 6.6, 5.4
+_FOR_LEGEND = 0.3
+"""Share of the diagram's height that is kept free above what it shows."""
+_MANY = 1e3
+"""Ratio of a diagram's ends from which on powers of ten are labels enough."""
 
 
 def draw(chart: EdgeChart) -> Figure:
@@ -56,19 +60,22 @@ def _map(axis: Any, one: EdgeMap) -> None:
     places = sorted({b.x for b in one.borders})
     axis.set_xticks(places, [_label(one, x) for x in places], fontsize=8, rotation=20 if _named(one) else 0)
     axis.xaxis.set_minor_locator(NullLocator())
+    axis.margins(0.12, 0.08)
+    low, high = axis.get_ylim()
+    axis.set_ylim(low, high * (high / low) ** _FOR_LEGEND)
     # Most borders span less than a decade: its parts are labelled too.
-    axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high / low < _MANY else (1.0,)))
     axis.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:.3g}"))
     axis.yaxis.set_minor_formatter(NullFormatter())
     axis.set_title(one.title, fontsize=10, color=INK)
     axis.set_xlabel(one.x_label)
     axis.set_ylabel(one.y_label)
-    axis.margins(0.12, 0.2)
-    axis.legend(fontsize=7, loc="best", framealpha=0.85)
+    axis.legend(fontsize=7, loc="upper left", framealpha=0.85)
 
 
 def _named(one: EdgeMap) -> bool:
-    return not one.log_x
+    """Say whether the places of the lines are their order only."""
+    return not one.log_x and [b.x for b in one.borders] == list(range(len(one.borders)))
 
 
 def _label(one: EdgeMap, x: float) -> str:
