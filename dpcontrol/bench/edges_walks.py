@@ -6,8 +6,9 @@ much smaller than
 
     floor = ½ ulp(rate) λ^(1/s)
 
-whose constant depends on the luck of roundings, so that it is a bound and no prediction. One that shoots over a whole
-stop, s below one, would be lost after a single wrap.
+whose constant depends on the luck of roundings, so that it is a bound and no prediction. The same walk is solved at
+energies a billionth apart, which draw their roundings anew: at a border half of them converge. One that shoots over a
+whole stop, s below one, would be lost after a single wrap.
 
 Source: Stoer & Bulirsch, Introduction to Numerical Analysis, 3rd ed., section 7.3.5.
 """
@@ -31,19 +32,22 @@ WRAPS = (0, 1, 2, 4, 8)
 QUICK_WRAPS = (1, 4)
 SPACINGS = (1, 2, 3, 4, 8)
 QUICK_SPACINGS = (1, 4)
+APART = 1e-9
+"""Between two energies, as a share: more than rounding, and nothing to the orbits."""
+DRAWS, QUICK_DRAWS = 7, 3
 
 
 def chart(quick: bool, progress: Progress) -> EdgeChart:
     """Return the chart; quick: fewer wraps and spacings."""
-    walk = round_trip()
+    walks = tuple(round_trip(ENERGY * (1 + k * APART)) for k in range(QUICK_DRAWS if quick else DRAWS))
     wraps, spacings = (QUICK_WRAPS, QUICK_SPACINGS) if quick else (WRAPS, SPACINGS)
     by_spacing, by_wraps = [], []
     for k, segments in enumerate(spacings):
         progress(f"edges of shadowing, {segments} nodes a period", 0.5 * k / len(spacings))
-        by_spacing.append(tolerance_border(walk, segments=segments, wraps=2, x=segments))
+        by_spacing.append(tolerance_border(walks, segments=segments, wraps=2, x=segments))
     for k, count in enumerate(wraps):
         progress(f"edges of shadowing, {count} wraps", 0.5 + 0.5 * k / len(wraps))
-        by_wraps.append(tolerance_border(walk, segments=1, wraps=count, x=count))
+        by_wraps.append(tolerance_border(walks, segments=1, wraps=count, x=count))
     return EdgeChart(
         name="edges-walks",
         title=f"Where shadowing ends: Down-Up to Up-Down and back at {ENERGY:g} J",
@@ -55,17 +59,17 @@ def chart(quick: bool, progress: Progress) -> EdgeChart:
         ),
         reading=(
             "The smallest gap between pieces of orbit that Newton's method can reach: what rounding leaves.",
-            "Left: it falls as nodes come nearer together. Right: more wraps make it no worse.",
+            "Left: it falls as nodes come nearer together. Right: many wraps are as good as none; one is worse.",
             "Rounding that grows by λ^(1/s) from node to node sets the scale; its constant is luck: none foretold.",
         ),
         chosen="Eight nodes in a period and a tolerance of 1e-11, three orders above what rounding leaves.",
     )  # fmt: skip
 
 
-def round_trip() -> tuple[Connection, ...]:
+def round_trip(energy: float = ENERGY) -> tuple[Connection, ...]:
     """Return the lab's first crossing from Down-Up to Up-Down and the first one back."""
     system = load_model("lab").system
-    edges = find_edges(system, ENERGY, pairs=[("down-up", "up-down"), ("up-down", "down-up")])
+    edges = find_edges(system, energy, pairs=[("down-up", "up-down"), ("up-down", "down-up")])
     return edges.between("down-up", "up-down")[0], edges.between("up-down", "down-up")[0]
 
 
@@ -78,14 +82,17 @@ def rounding_floor(walk: Sequence[Connection], *, segments: int) -> float:
     return 0.5 * math.ulp(fastest) * growth ** (1 / segments)
 
 
-def tolerance_border(walk: Sequence[Connection], *, segments: int, wraps: int, x: float) -> Border:
-    """Return the smallest tolerance at which a walk's orbit is found with `segments` nodes a period."""
+def tolerance_border(walks: Sequence[Sequence[Connection]], *, segments: int, wraps: int, x: float) -> Border:
+    """Return the smallest tolerance at which half of the walks' orbits are found with `segments` nodes a period."""
 
     def probe(tolerance: float) -> Answer:
         settings = ShadowingSettings(segments, newton=NewtonSettings(tolerance=tolerance))
-        orbit = shadow(walk, wraps=[wraps], settings=settings)
-        return Answer(orbit.converged, "" if orbit.converged else orbit.status)
+        orbits = [shadow(walk, wraps=[wraps], settings=settings) for walk in walks]
+        missed = [orbit.status for orbit in orbits if not orbit.converged]
+        if 2 * len(missed) <= len(walks):
+            return Answer(True)
+        return Answer(False, f"{len(missed)} of {len(walks)} not converged; {missed[0]}")
 
-    floor = rounding_floor(walk, segments=segments)
+    floor = rounding_floor(walks[0], segments=segments)
     line = f"{wraps} wraps, {segments} nodes"
     return find_border(probe, x=x, line=line, near=100 * floor, far=floor / 20, ratio=1.3)

@@ -2,12 +2,12 @@
 
 from functools import cache
 
-from dpcontrol.bench.edges_walks import round_trip, rounding_floor, tolerance_border
+from dpcontrol.bench.edges_walks import APART, ENERGY, round_trip, rounding_floor, tolerance_border
 
 
 @cache
 def border(segments: int, wraps: int):
-    return tolerance_border(round_trip(), segments=segments, wraps=wraps, x=1.0)
+    return tolerance_border([round_trip(), round_trip(ENERGY * (1 + APART))], segments=segments, wraps=wraps, x=1.0)
 
 
 def test_nodes_nearer_together_reach_smaller_gaps():
@@ -27,6 +27,6 @@ def test_many_wraps_are_as_good_as_few():
 
 def test_too_small_a_tolerance_is_named_with_the_symbol_and_the_remedy():
     says = border(1, 4).says
-    assert says.startswith("symbol ")
+    assert says.startswith("2 of 2 not converged; symbol ")
     assert "not converged: gap" in says
     assert "nodes nearer together" in says
