@@ -1,33 +1,29 @@
-"""What is foretold of OGY without a run: how large pulses and how fine encoders keep an orbit.
+"""What pulses can do against an orbit's unstable direction, and the orbit, encoders and filter OGY's borders are for.
 
 An error grows by Λ_j, about λ^(1/k), from one of k sections to the next. Along the unstable direction w_j,
 
-    ν_{j+1} = Λ_j ν_j + β_j p_j,    |p_j| ≤ limit:      |ν_j| ≤ c_j = (c_{j+1} + |β_j| limit) / Λ_j
+    ν_{j+1} = Λ_j ν_j + β_j p_j,    |p_j| ≤ limit:      |ν_j| ≤ c_j limit,    c_j = (c_{j+1} + |β_j|) / Λ_j
 
-can still be brought back, nothing larger. What the encoders leave unknown, the filter's errors e along the orbit, is
-answered as if it were there: ξ_{j+1} = (A - BK) ξ_j - BK e_j is normal along w_j, of a mean that the encoders' zeros
-give for all of a run and of variance s_j². The border is foretold without one run where |ν| < c at every section is as
-likely as not, over all zeros within a count.
+can still be brought back, nothing larger. A flight from there departs from its linear map by about κ_j (c_j limit)²:
+where that is more than c_{j+1} limit, nothing linear tells what becomes of it.
 
 Source: Ott, Grebogi & Yorke, Controlling chaos, Physical Review Letters 64 (1990), 1196, for noise against the largest
 pulse; Hu & Lin, Control Systems with Actuator Saturation (2001), chapter 2, for c.
 """
 
 from dataclasses import dataclass
-from math import sqrt
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import erf
 
-from dpcontrol.control.compiled_ekf import EkfProgram
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.ogy import OgyController, OgySettings, ogy_controller
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.lab.loop import sampled_model
 from dpcontrol.lab.sensors import SensorSettings
-from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
+from dpcontrol.references.sustained import SectionMap, SustainedOrbit, sustained_orbit
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
@@ -39,24 +35,24 @@ LIMIT = 0.5
 """m/s²: small, so that authority ends before the linear range does."""
 ESTIMATOR = EkfSettings(augment=())
 """As the shipped itineraries keep orbits; zeros being estimated would ask for a third more of the pulses at k = 16."""
-LINEAR = 0.3
-"""rad: a sine is its angle to 1.5 % up to here. Where pulses move an arm by more, nothing is foretold."""
-_PERIODS = 3
-_NODES = 7
+_SETTLE = 40
+_PROBE = 0.25
+"""Of what pulses of LIMIT can bring back: from where flights are compared with their linear maps."""
 
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """An orbit to be held, the arms that are believed and simulated alike, and the model between ticks."""
+    """An orbit to be held for `seconds`, the arms that are believed and simulated alike, and their model."""
 
     orbit: SustainedOrbit
     arms: ArmChainParameters
     model: SampledModel
+    seconds: float = SECONDS
 
     def controller(self, sections: int, limit: float = LIMIT) -> OgyController:
         """Return the law by `sections` pulses a period, of at most `limit` m/s²; it learns nothing."""
         settings = OgySettings(sections=sections, pulse_limit=limit, parameter_error=0.0)
-        return ogy_controller(self.orbit, self.model, settings, seconds=SECONDS)
+        return ogy_controller(self.orbit, self.model, settings, seconds=self.seconds)
 
 
 def task(saddle: str = "down-up", energy: float = -0.07) -> Task:
@@ -67,153 +63,97 @@ def task(saddle: str = "down-up", energy: float = -0.07) -> Task:
 
 
 def encoders(counts: float) -> SensorSettings:
-    """Return encoders of so many counts per turn; the cart's is fine."""
-    return SensorSettings(counts=max(round(counts), 1), cart_resolution=1e-6)
-
-
-def unknown(one: Task, counts: float) -> tuple[Array, Array, Array]:
-    """Return Σ (K, N, N), the covariance of the filter's true errors e at each tick of a period, Φ (K, N, N) and
-    E (K, N, n), their mean for each encoder's zero.
-
-    e_i = Φ_i e_{i-1} + what the reading adds. The filter's gain is its answer to a reading, tick by tick; the errors
-    are those of encoders of `counts` alone, of whose zeros the filter knows nothing.
-    """
-    noise = encoders(counts).covariance(one.arms.count)
-    program = EkfProgram(one.model, ESTIMATOR)
-    arms, n = one.arms.count, one.model.dimension
-    lanes = program.inputs(noise, runs=arms + 2)
-    out, where = np.empty((program.step.size_out, arms + 2)), program.slices
-    count = round(one.orbit.period / one.model.period)
-    step = one.orbit.period / count
-    times = np.arange(count + 1) * step
-    states, inputs = one.orbit.state(times[:-1]), one.orbit.input(times[:-1] + step / 2)
-    matrices, _ = one.model.linearised(states, inputs)
-    position = one.model.position_indices
-    memory = program.first(states[0])
-    # Outer arms carry the zeros of all joints within.
-    shown = np.vstack([np.tril(np.ones((arms, arms))), np.zeros((1, arms))])
-    sigma, mean = np.diag(np.square(ESTIMATOR.first_sigmas(arms)[:n])), np.zeros((n, arms))
-    kept = []
-    sizes = np.sqrt(np.diag(noise))
-    for k in range(1, _PERIODS * count + 1):
-        here = states[k % count]
-        memory[:n] = states[(k - 1) % count]
-        lanes[where["memory"]] = memory[:, None]
-        lanes[where["command"]] = inputs[(k - 1) % count]
-        lanes[where["measured"]] = here[position, None]
-        # Each reading is nudged by its own noise: the estimate is linear in it.
-        for j in range(arms + 1):
-            lanes[where["measured"].start + j, j + 1] += sizes[j]
-        program.step(lanes, out)
-        gain = (out[:n, 1:] - out[:n, :1]) / sizes
-        memory = out[program.out["memory"], 0].copy()
-        moved = matrices[(k - 1) % count]
-        rest = moved - gain @ moved[position]
-        sigma, mean = rest @ sigma @ rest.T + gain @ noise @ gain.T, rest @ mean + gain @ shown
-        kept.append((sigma, rest, mean))
-    # From a phase-0 tick on, a period long.
-    sigmas, steps, means = (np.array(part) for part in zip(*kept[-count - 1 : -1], strict=True))
-    return sigmas, steps, means
+    """Return encoders of so many counts per turn, their zeros anywhere within a count; the cart's is fine."""
+    whole = max(round(counts), 1)
+    return SensorSettings(counts=whole, cart_resolution=1e-6, zero_error=np.pi / whole)
 
 
 @dataclass(frozen=True, eq=False)
-class Room:
-    """Along the unstable direction at each of k sections: the range c_j that pulses of 1 m/s² can bring back, the
-    standard deviation s_j of what the encoders do to it, and its mean for each encoder's zero at half a count (k, n).
+class Sections:
+    """An orbit's k sections to first order: their maps, and along the unstable direction what grows and what pulses do.
+
+    growths Λ (k,), reaches β (k,) for 1 m/s², directions w (k, N) of unit length; ranges c (k,): what pulses of
+    1 m/s² can bring back.
     """
 
-    ranges: Array
-    spreads: Array
-    shifts: Array
+    task: Task
+    maps: tuple[SectionMap, ...]
+    growths: Array
+    reaches: Array
+    directions: Array
 
-    @property
-    def margins(self) -> Array:
-        """c_j over the root mean square of all that the encoders do (k,); zeros lie anywhere within a count."""
-        return self.ranges / np.sqrt(self.spreads**2 + np.square(self.shifts).sum(axis=1) / 3)
+    @cached_property
+    def ranges(self) -> Array:
+        """Return c (k,)."""
+        out, ahead = np.zeros(len(self.maps)), 0.0
+        for j in reversed(list(range(len(out))) * _SETTLE):
+            ahead = (ahead + abs(self.reaches[j])) / self.growths[j]
+            out[j] = ahead
+        return out
 
-    def survives(self, limit: float, periods: float) -> float:
-        """Return the probability that a run of so many periods holds with pulses of up to `limit` m/s².
+    @cached_property
+    def largest_linear_pulse(self) -> float:
+        """Return the limit of the pulses, m/s², up to which flights between the sections are linear.
 
-        A run has its zeros from its beginning to its end; over runs they lie anywhere within a count.
+        There κ_j (c_j limit)² is c_{j+1} limit, at the section where this comes first.
         """
-        zeros, shares = np.polynomial.legendre.leggauss(_NODES)
-        grid = np.stack(np.meshgrid(*[zeros] * self.shifts.shape[1]), axis=0).reshape(self.shifts.shape[1], -1)
-        weights = np.prod(np.meshgrid(*[shares / 2] * self.shifts.shape[1]), axis=0).ravel()
-        means, reach, size = self.shifts @ grid, limit * self.ranges[:, None], sqrt(2) * self.spreads[:, None]
-        each = np.maximum(erf((reach - means) / size) + erf((reach + means) / size), 0.0) / 2
-        return float(weights @ np.prod(each, axis=0) ** periods)
+        begins = self._unstable_states()
+        size = _PROBE * LIMIT * self.ranges
+        least = np.inf
+        for j, onward in enumerate(np.roll(self.ranges, -1)):
+            ends = [self._flown(j, sign * size[j] * begins[j]) for sign in (-1.0, 0.0, 1.0)]
+            if not np.isfinite(ends).all():
+                return 0.0
+            bent = abs(ends[0] + ends[2] - 2 * ends[1]) / 2 / size[j] ** 2
+            least = min(least, float(onward / (bent * self.ranges[j] ** 2)))
+        return least
+
+    def _unstable_states(self) -> Array:
+        """Return states (k, N) on the sections, from which only the unstable direction grows, with w · state = 1."""
+        product = np.eye(len(self.directions[0]))
+        for one in self.maps:
+            product = one.matrix @ product
+        values, right = np.linalg.eig(product)
+        x = np.real(right[:, np.argmax(np.abs(values))])
+        out = []
+        for one, w in zip(self.maps, self.directions, strict=True):
+            out.append(x / (w @ x))
+            x = one.matrix @ out[-1]
+        return np.array(out)
+
+    def _flown(self, j: int, away: Array) -> float:
+        """Return ν where the model crosses the next section, begun off section j by `away` (N,), without a pulse.
+
+        Not a number where it does not come there in half a flight more.
+        """
+        one, model, orbit = self.maps[j], self.task.model, self.task.orbit
+        ticks = int(1.5 * one.duration / model.period)
+        inputs = orbit.input(one.start.time + (np.arange(ticks) + 0.5) * model.period)
+        x, end = one.start.state + away, one.end
+        late = float(end.lateness(x))
+        for i, u in enumerate(inputs.tolist()):
+            following = model.step(x, u)
+            after = float(end.lateness(following))
+            if 2 * (i + 1) * model.period > one.duration and late < 0.0 <= after:
+                crossing = x + (following - x) * late / (late - after)
+                return float(self.directions[(j + 1) % len(self.maps)] @ (crossing - end.state))
+            x, late = following, after
+        return float("nan")
 
 
-def room(one: Task, controller: OgyController, counts: float) -> Room:
-    """Return what pulses can bring back of what encoders of `counts` do."""
-    a, b = _maps(one, controller)
-    growths, reaches, directions = _unstable(a, b)
-    ranges, ahead = np.zeros(len(a)), 0.0
-    for j in reversed(list(range(len(a))) * 40):
-        ahead = (ahead + abs(reaches[j])) / growths[j]
-        ranges[j] = ahead
-    covariances, means = spreads(one, controller, counts)
-    along = np.sqrt(np.einsum("ki,kij,kj->k", directions, covariances, directions))
-    return Room(ranges, along, np.einsum("ki,kij->kj", directions, means) * np.pi / counts)
-
-
-def largest_linear_pulse(one: Task, controller: OgyController) -> float:
-    """Return the pulse in m/s² that moves an arm from one section to the next by as much as is still linear."""
-    _, b = _maps(one, controller)
-    return LINEAR / float(np.abs(b[:, : one.arms.count]).max())
-
-
-def _maps(one: Task, controller: OgyController) -> tuple[Array, Array]:
-    maps = one.orbit.section_maps(len(controller.times))
-    return np.array([m.matrix for m in maps]), np.array([m.response for m in maps])
-
-
-def spreads(one: Task, controller: OgyController, counts: float) -> tuple[Array, Array]:
-    """Return what the encoders do to the state at each section: Ξ (k, N, N), its covariance, and X (k, N, n), its mean
-    for each encoder's zero.
-    """
-    k = len(controller.times)
-    maps = one.orbit.section_maps(k)
-    a, b = _maps(one, controller)
-    sigmas, steps, means = unknown(one, counts)
-    ticks = np.rint(controller.times / one.orbit.period * len(sigmas)).astype(int) % len(sigmas)
-    n = a.shape[-1]
-    lasting = [_over(steps, ticks[j], ticks[(j + 1) % k]) for j in range(k)]
-    spread, common, found = np.zeros((n, n)), np.zeros((n, n)), np.zeros((k, n, n))
-    mean, shifts = np.zeros((n, means.shape[-1])), np.zeros((k, n, means.shape[-1]))
-    for j in list(range(k)) * 60:
-        found[j], shifts[j] = spread, mean
-        closed = a[j] - np.outer(b[j], controller.gains[j])
-        answer = -np.outer(b[j], controller.gains[j] @ maps[j].start.projection)
-        error, both = sigmas[ticks[j]], closed @ common
-        spread = closed @ spread @ closed.T + answer @ error @ answer.T + both @ answer.T + (both @ answer.T).T
-        mean = closed @ mean + answer @ means[ticks[j]]
-        # What a filter errs by lasts longer than from one section to the next where these are near together.
-        common = (both + answer @ error) @ lasting[j].T
-    return found, shifts
-
-
-def _over(steps: Array, begin: int, end: int) -> Array:
-    """Return the product of the steps after tick `begin` up to tick `end`, round the period."""
-    out = np.eye(steps.shape[-1])
-    for i in range(begin + 1, begin + 1 + ((end - begin - 1) % len(steps) + 1)):
-        out = steps[i % len(steps)] @ out
-    return out
-
-
-def _unstable(a: Array, b: Array) -> tuple[Array, Array, Array]:
-    """Return Λ (k,), β (k,) and w (k, N) of unit length with w_{j+1} A_j = Λ_j w_j, β_j = w_{j+1} · B_j."""
-    k = len(a)
-    product = np.eye(a.shape[-1])
-    for one in a:
-        product = one @ product
+def sections_of(one: Task, count: int) -> Sections:
+    """Return the orbit's sections: w_{j+1} A_j = Λ_j w_j, β_j = w_{j+1} · B_j."""
+    maps = one.orbit.section_maps(count)
+    product = np.eye(len(maps[0].response))
+    for each in maps:
+        product = each.matrix @ product
     values, left = np.linalg.eig(product.T)
     w = np.real(left[:, np.argmax(np.abs(values))])
-    directions, growths, reaches = np.zeros((k, len(w))), np.zeros(k), np.zeros(k)
+    directions, growths, reaches = np.zeros((count, len(w))), np.zeros(count), np.zeros(count)
     w = w / np.linalg.norm(w)
-    for j in reversed(range(k)):
-        before = w @ a[j]
-        growths[j], reaches[j] = np.linalg.norm(before), w @ b[j]
+    for j in reversed(range(count)):
+        before = w @ maps[j].matrix
+        growths[j], reaches[j] = np.linalg.norm(before), w @ maps[j].response
         w = before / growths[j]
         directions[j] = w
-    return growths, reaches, directions
+    return Sections(one, maps, growths, reaches, directions)
