@@ -5,11 +5,10 @@ values' logarithms would be
 
     log border = log y_0 - ½ log r + Σ_i (1 - h_i) log r,       error² = log² r Σ_i h_i (1 - h_i) / (runs - 1)
 
-with h = 0 below the ladder and 1 above.
-It needs no share that rises at every rung, and takes all runs into account, where a search for the rung at which half
-hold ends at whichever of several it comes upon.
+with h = 0 below the ladder and 1 above. It needs no share that rises at every rung, and takes all runs into account,
+where a search for the rung at which half hold ends at whichever of several it comes upon.
 
-Source: Spearman-Kärber's estimate; Finney, Statistical Method in Biological Assay, 3rd ed. (1978), section 18.6.
+Source: Spearman-Kärber's estimate; Finney, Statistical Method in Biological Assay, 3rd ed. (1978).
 """
 
 from collections.abc import Callable, Mapping

@@ -7,10 +7,11 @@
 
 Rounding is no white noise here. It repeats with the orbit from period to period, so that what survives one survives
 most; and where an arm moves whole counts in a tick at a section, readings err alike for several ticks, so that more
-counts can be worse. It is carried out, for zeros spread evenly within a count, with the pulses' limit; there is no
-plant, no nonlinearity, no filter at work and no lab's loop, hence no run.
+counts can be worse. So these recursions are iterated for as long as a run lasts, for zeros spread evenly within a count
+and with pulses cut at their limit. That is no run: there is no plant, nothing nonlinear but rounding and limit, and no
+lab's loop; the filter gives its gains along the orbit.
 
-Source: Widrow & Kollár, Quantization Noise (2008), chapter 20, for rounding in feedback; Roberts, The unreasonable
+Source: Widrow & Kollár, Quantization Noise (2008), for rounding in feedback; Roberts, The unreasonable
 effectiveness of quasirandom sequences (2018), for the lattice.
 """
 
