@@ -111,7 +111,8 @@ def buffered_rate(equations: Equations, parameters: Array) -> Callable[[float, A
     buffer.set_arg(0, memoryview(x.data))
     buffer.set_arg(1, memoryview(p.data))
     buffer.set_res(0, memoryview(out.data))
-    keep = (function, buffer)
+    # The run points into the buffer and the arrays but owns none of them: they must live as long as it does.
+    keep = (function, buffer, p)
 
     def rate(_: float, state: Array, keep: object = keep) -> Array:
         x[:] = state

@@ -48,6 +48,13 @@ def test_the_truth_agrees_with_scipy(system, work):
     assert work.error(run.y[:, -1][None]) < DOP853
 
 
+def test_the_rate_given_to_scipy_keeps_its_parameters(system):
+    rate = buffered_rate(system.equations, system.parameters)
+    others = [np.full(len(system.parameters), np.nan) for _ in range(1000)]
+    assert rate(0.0, START[0]) == pytest.approx(system.numeric.rate(START[0]), rel=1e-14)
+    assert len(others) == 1000
+
+
 @pytest.mark.parametrize(
     ("function", "order", "step"),
     [
