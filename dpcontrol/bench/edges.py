@@ -2,13 +2,11 @@
 
 On each line of a map one quantity y is varied between a value that works and one that does not. The border lies at
 
-    measured = √(near · far),    far / near ≤ ratio,    off = max(measured / predicted, predicted / measured)^(1/p) - 1
+    measured = √(near · far),    far / near ≤ ratio,    off = max(measured / predicted, predicted / measured) - 1
 
-where p is 1, or the power by which y answers to what theory is about: of a border at which authority goes as the square
-root of y, theory that has authority to 25 % has y to 56 % only.
-
-A border agrees where `off` is at most a quarter, or the prediction lies between near and far. What the product itself
-says on the far side is kept with the border: a failure that nobody reports is a complaint.
+A border agrees where `off` is at most a quarter, or the prediction lies between near and far. Where chance decides,
+near and far may be found otherwise: by a standard error to either side of a mean. What the product itself says on the
+far side is kept with the border: a failure that nobody reports is a complaint.
 
 Source: for bisection on a yes-or-no answer, Press et al., Numerical Recipes, 3rd ed., section 9.1.
 """
@@ -57,7 +55,6 @@ class Border:
 
     x: the line's place; line: its name; near, far: the last value that works and the first that does not, None where
     the range tried has none; predicted: by theory, None where there is none; says: what the product says at `far`.
-    power: by which y answers to what theory is about.
     """
 
     x: float
@@ -67,7 +64,6 @@ class Border:
     predicted: float | None
     says: str
     trials: tuple[Trial, ...]
-    power: float = 1.0
 
     @property
     def measured(self) -> float | None:
@@ -81,7 +77,7 @@ class Border:
             return None
         if min(self.near, self.far) <= self.predicted <= max(self.near, self.far):
             return 0.0
-        return max(self.measured / self.predicted, self.predicted / self.measured) ** (1 / self.power) - 1
+        return max(self.measured / self.predicted, self.predicted / self.measured) - 1
 
     def document(self) -> dict[str, Any]:
         """Return the border in JSON's terms."""
@@ -98,12 +94,10 @@ def find_border(
     predicted: float | None = None,
     ratio: float = 1.1,
     unit: float = 0.0,
-    power: float = 1.0,
 ) -> Border:
     """Return the border between `near`, which is to work, and `far`, which is not; both positive, either may be larger.
 
     ratio: how near together its sides are brought; unit: only whole numbers of it are tried, down to neighbours.
-    power: see `Border`.
     """
     trials: list[Trial] = []
     near, far = (max(round(y / unit), 1) * unit if unit else y for y in (near, far))
@@ -114,7 +108,7 @@ def find_border(
         return answer.works
 
     def done(says: str, good: float | None, bad: float | None) -> Border:
-        return Border(x, line, good, bad, predicted, says, tuple(sorted(trials, key=lambda t: t.y)), power)
+        return Border(x, line, good, bad, predicted, says, tuple(sorted(trials, key=lambda t: t.y)))
 
     if not asked(near):
         return done(trials[-1].says, None, near)

@@ -32,12 +32,12 @@ Array = NDArray[np.float64]
 ENERGY = 0.2
 FINEST = ("radau-10", 0.03)
 QUICK = (
-    ("hermite-simpson", 0.01), ("radau-5", 0.02), ("radau-5", 0.03), ("gauss-5", 0.02), ("radau-7", 0.03),
-    ("radau-7", 0.05), ("radau-9", 0.09),
+    ("hermite-simpson", 0.01), ("radau-5", 0.02), ("gauss-5", 0.02), ("radau-7", 0.03), ("radau-7", 0.05),
+    ("radau-9", 0.09),
 )  # fmt: skip
 WHOLE = (
-    ("hermite-simpson", 0.005), ("radau-3", 0.01), ("radau-4", 0.015), ("lobatto-5", 0.02), ("gauss-6", 0.05),
-    ("radau-6", 0.03), ("gauss-7", 0.05), ("lobatto-7", 0.05), ("radau-8", 0.07), ("radau-9", 0.05),
+    ("hermite-simpson", 0.005), ("radau-3", 0.01), ("radau-4", 0.015), ("radau-5", 0.03), ("lobatto-5", 0.02),
+    ("gauss-6", 0.05), ("radau-6", 0.03), ("gauss-7", 0.05), ("lobatto-7", 0.05), ("radau-8", 0.07), ("radau-9", 0.05),
     ("radau-10", 0.12),
 )  # fmt: skip
 STRETCH = 0.5
