@@ -29,7 +29,8 @@ class Point:
     """One method at one setting: what a unit of work costs (s, or the panel's x) and how wrong it is (the panel's y).
 
     default: what the product takes; outside: another package's; stored: measured elsewhere, so it is drawn but takes no
-    part in the front; others: further measures by name, for the JSON; note: a few words for people.
+    part in the front; others: further measures by name, for the JSON; note: a few words for people; yardstick: seconds
+    of the same small work beside it, 0 where it was not measured.
     """
 
     method: str
@@ -41,6 +42,7 @@ class Point:
     stored: bool = False
     note: str = ""
     others: Mapping[str, float] = field(default_factory=dict)
+    yardstick: float = 0.0
 
     def __post_init__(self) -> None:
         numbers = {"seconds": self.seconds, "error": self.error, **self.others}

@@ -87,7 +87,7 @@ def orbit_panel(*, quick: bool) -> Panel:
             missing.append(Missing(method, label, run.result.status))
             continue
         error = float(np.abs((run.result.state - truth) / system.scale).max())
-        points.append(Point(method, label, run.seconds, error, default=chosen == base))
+        points.append(Point(method, label, run.seconds, error, default=chosen == base, yardstick=run.yardstick))
         start_up[method] = max(start_up.get(method, 0.0), run.start_up)
     why = "longer steps find other orbits near the ends of families; one orbit takes milliseconds either way"
     return Panel(
@@ -157,7 +157,8 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], *, quick: bool) 
         if lost:
             missing.append(Missing(method, label, lost))
         else:
-            points.append(Point(method, label, run.seconds, error, default=(method, label) == default))
+            chosen = (method, label) == default
+            points.append(Point(method, label, run.seconds, error, default=chosen, yardstick=run.yardstick))
     return Panel(
         f"{expected} connections of down-up with itself", "time, s", "error of the worst, scaled", tuple(points),
         start_up, tuple(missing),
@@ -188,7 +189,14 @@ def outside_panel(*, quick: bool) -> Panel:
     gap = max(c.residual for c in run.result.connections)
     note = "ratios stored by tests/benchmarks/test_against_hiten.py: of a fresh process; gap at least"
     points = (
-        Point("dpcontrol", f"{len(run.result.connections)} connections", run.seconds, gap, default=True),
+        Point(
+            "dpcontrol",
+            f"{len(run.result.connections)} connections",
+            run.seconds,
+            gap,
+            default=True,
+            yardstick=run.yardstick,
+        ),
         Point("hiten 0.5.4 (stored)", "", run.seconds * SLOWER, gap * WIDER, outside=True, stored=True, note=note),
     )
     title = "L1 to L2 of three bodies, with the orbits"

@@ -6,7 +6,7 @@ The adaptive law needs a filter that estimates the model's errors, so a tick's t
 
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -78,12 +78,22 @@ def chart(quick: bool, progress: Progress) -> Chart:
     )  # fmt: skip
 
 
-def measured(
-    task: Task, made: Made, *, seeds: int
-) -> tuple[list[tuple[str, str, float, Outcome]], list[Missing], dict[str, float]]:
-    """Return (method, setting, seconds, outcome) of those that come through, the rest with reasons, and start-ups."""
+@dataclass(frozen=True)
+class Row:
+    """A controller that comes through: seconds of a tick, filter and law, and of the yardstick beside it."""
+
+    method: str
+    setting: str
+    seconds: float
+    yardstick: float
+    outcome: Outcome
+
+
+def measured(task: Task, made: Made, *, seeds: int) -> tuple[list[Row], list[Missing], dict[str, float]]:
+    """Return those that come through, the rest with reasons, and start-ups."""
     start_up, outcomes = {}, {}
-    steps: dict[tuple[str, str, str], Callable[[], object]] = {}
+    filters: dict[object, Callable[[], object]] = {}
+    laws: dict[object, Callable[[], object]] = {}
     for (method, setting), (make, estimator) in made.items():
         settings = LoopSettings(seed=0, rate=RATE, estimator=estimator)
         model = sampled_model(task.arms, RATE)
@@ -93,14 +103,16 @@ def measured(
         outcomes[method, setting] = outcome(task, controller, settings, seeds=seeds)
         ekf = CompiledEkf(model, estimator, noise=noise_of(task.arms, settings.sensors.counts))
         positions = controller.first_state[model.position_indices]
-        steps[method, setting, "filter"] = partial(ekf.step, ekf.first(controller.first_state), 0.1, positions)
-        steps[method, setting, "law"] = tick_of(controller, extras=len(ekf.extra_names))
-    spent = timed_in_turns(steps)
+        # One filter's time for all that have the same, so that its noise puts none before another.
+        filters[estimator] = partial(ekf.step, ekf.first(controller.first_state), 0.1, positions)
+        laws[method, setting] = tick_of(controller, extras=len(ekf.extra_names))
+    spent = timed_in_turns({**filters, **laws})
     rows, missing = [], []
     for (method, setting), found in outcomes.items():
         if np.isfinite(found.error):
-            seconds = sum(spent[method, setting, part].seconds for part in ("filter", "law"))
-            rows.append((method, setting, seconds, found))
+            law = spent[method, setting]
+            seconds = spent[made[method, setting][1]].seconds + law.seconds
+            rows.append(Row(method, setting, seconds, law.yardstick, found))
         else:
             missing.append(Missing(method, setting, f"none of {seeds} runs came through at {SMALL:.0%} mismatch"))
     return rows, missing, start_up
@@ -113,11 +125,15 @@ def _pair(task: Task, made: Made, *, seeds: int, default: tuple[str, str], why: 
     def points(of: Callable[[Outcome], float]) -> tuple[Point, ...]:
         return tuple(
             Point(
-                method, setting, seconds, of(found), default=(method, setting) == default,
-                note=f"{found.success:.0%} come through, feedback {found.effort:.3f} m/s² rms",
-                others={"success": found.success, "success_small": found.success_small, "effort": found.effort},
+                row.method, row.setting, row.seconds, of(row.outcome), yardstick=row.yardstick,
+                default=(row.method, row.setting) == default,
+                note=f"{row.outcome.success:.0%} come through, feedback {row.outcome.effort:.3f} m/s² rms",
+                others={
+                    "success": row.outcome.success, "success_small": row.outcome.success_small,
+                    "effort": row.outcome.effort,
+                },
             )
-            for method, setting, seconds, found in rows
+            for row in rows
         )  # fmt: skip
 
     return (
@@ -197,11 +213,11 @@ def _hold(weights: tuple[float, ...], seeds: int) -> Panel:
     rows, missing, start_up = measured(task, made, seeds=seeds)
     points = tuple(
         Point(
-            method, setting, found.effort, found.error, default=setting == "effort × 1",
-            note=f"{found.success:.0%} come through at {LARGE:.0%} mismatch",
-            others={"success": found.success, "seconds_per_tick": seconds},
+            row.method, row.setting, row.outcome.effort, row.outcome.error, default=row.setting == "effort × 1",
+            note=f"{row.outcome.success:.0%} come through at {LARGE:.0%} mismatch",
+            others={"success": row.outcome.success, "seconds_per_tick": row.seconds},
         )
-        for method, setting, seconds, found in rows
+        for row in rows
     )  # fmt: skip
     return Panel(
         "Both arms up: LQR", "rms of the feedback, m/s²", "rms error of the angles, rad", points, start_up,

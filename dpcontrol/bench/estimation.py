@@ -15,7 +15,7 @@ from dpcontrol.bench.estimator_trials import (
     one_step,
     swing,
 )
-from dpcontrol.bench.measure import timed_in_turns
+from dpcontrol.bench.measure import Timed, timed_in_turns
 from dpcontrol.control.compiled_ekf import CompiledEkf
 from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterpyEkfSettings, UkfSettings
@@ -93,7 +93,7 @@ def _panel(arms: ArmChainParameters, swings: list[Swing], counts: int, *, quick:
         steps[key] = partial(law.step, rates, measured[0], measured[1])
         trials[key] = derivative_trial(law, swings, counts=counts)
     spent = timed_in_turns(steps)
-    points = [_point(*key, spent[key].seconds, trials[key], default=key == DEFAULT) for key in steps]
+    points = [_point(*key, spent[key], trials[key], default=key == DEFAULT) for key in steps]
     start_up = {", ".join(key): spent[key].start_up for key in compiled}
     return Panel(
         title=f"{counts} counts per turn",
@@ -105,10 +105,12 @@ def _panel(arms: ArmChainParameters, swings: list[Swing], counts: int, *, quick:
     )
 
 
-def _point(method: str, setting: str, seconds: float, trial: Trial, *, default: bool = False) -> Point:
+def _point(method: str, setting: str, spent: Timed[object], trial: Trial, *, default: bool = False) -> Point:
     found = {"nis_inside_95": trial.nis_inside_95, "nees_inside_95": trial.nees_inside_95}
     others = {name: value for name, value in found.items() if value == value}
     note = f"NIS {trial.nis_inside_95:.0%}, NEES {trial.nees_inside_95:.0%} inside" if others else "no covariance"
     # Two programs for the same equations differ by rounding, which shall not decide the front.
     error = float(f"{trial.error:.6g}")
-    return Point(method, setting, seconds, error, default=default, note=note, others=others)
+    return Point(
+        method, setting, spent.seconds, error, default=default, note=note, others=others, yardstick=spent.yardstick
+    )

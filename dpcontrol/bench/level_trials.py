@@ -49,6 +49,7 @@ class LevelMotion:
     level: str
     seconds: float
     start_up: float
+    yardstick: float
     error: float
 
 
@@ -81,7 +82,8 @@ def motions(reference: Reference, arms: ArmChainParameters) -> tuple[LevelMotion
     for level in MOTION_LEVELS:
         away = np.abs((ends[level][: 2 * n] - full[: 2 * n]) / scale).max(axis=0)
         error = max(float(np.sqrt(np.mean(away**2))), _FLOOR)
-        found.append(LevelMotion(level, spent[level].seconds / TICK, spent[level].start_up, error))
+        run = spent[level]
+        found.append(LevelMotion(level, run.seconds / TICK, run.start_up, run.yardstick, error))
     return tuple(found)
 
 

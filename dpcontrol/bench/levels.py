@@ -52,7 +52,9 @@ def _panels(scene: Itinerary, *, seeds: int) -> list[Panel]:
         f"{scene.name}: motion",
         "s per second of motion",
         f"arms' distance from the fullest level after {WINDOW:g} s (scaled)",
-        tuple(Point(m.level, "", m.seconds, m.error, default=m.level == "cart") for m in found[:-1]),
+        tuple(
+            Point(m.level, "", m.seconds, m.error, default=m.level == "cart", yardstick=m.yardstick) for m in found[:-1]
+        ),
         {m.level: m.start_up for m in found},
         (Missing(found[-1].level, "", "the fullest level: what the others are measured by"),),
         why=_WHY,

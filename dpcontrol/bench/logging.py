@@ -6,15 +6,16 @@ formats that are no messages hold the same numbers, and are divided by the same 
 
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from dpcontrol.bench.chart import Chart, Missing, Panel, Point
 from dpcontrol.bench.log_formats import Arrays, Blocks, ByMessage, Format, Lines, Recording, RowGroups
-from dpcontrol.bench.measure import timed
+from dpcontrol.bench.measure import timed_in_turns
 from dpcontrol.foundation.files import Progress
 from dpcontrol.lab.loop import run_loop
 from dpcontrol.logs import LogWriter
@@ -22,7 +23,7 @@ from dpcontrol.logs.by_message import messages_of
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 
-REPEATS = 5
+REPEATS = 9
 KILLS, QUICK_KILLS = 20, 5
 TICKS, QUICK_TICKS = 4000, 1000
 CHUNKS = (0.005, 0.01, 0.02, 0.05, 0.2, 1.0)
@@ -38,10 +39,13 @@ _WHY = (
 
 @dataclass(frozen=True)
 class Tried:
-    """A format's seconds per message, bytes per tick, and the mean and the largest loss at kills, s."""
+    """A format's seconds per message, those of the yardstick beside it, bytes per tick, and the mean and the largest
+    loss at kills, s.
+    """
 
     kind: Format
     seconds: float
+    yardstick: float
     size: float
     loss: float
     largest_loss: float
@@ -58,10 +62,8 @@ def chart(quick: bool, progress: Progress) -> Chart:
     levels = [Blocks(compression=level) for level in (LEVELS[1::2] if quick else LEVELS) if level != 1]
     with tempfile.TemporaryDirectory() as folder:
         run = recording(Path(folder), QUICK_TICKS if quick else TICKS)
-        tried = []
-        for k, kind in enumerate([*ours, *levels, *formats]):
-            progress(f"logging, {kind.method}", k / (len(ours) + len(levels) + len(formats)))
-            tried.append(trial(kind, Path(folder), run, kills=QUICK_KILLS if quick else KILLS))
+        progress("logging, times", 0.1)
+        tried = trials([*ours, *levels, *formats], Path(folder), run, kills=QUICK_KILLS if quick else KILLS)
     blocks = [t for t in tried if isinstance(t.kind, Blocks)]
     seconds = len(run.ticks.times) / run.rate_hz
     alive = [t for t in tried if t.loss < SURVIVES * seconds]
@@ -109,20 +111,25 @@ def recording(folder: Path, ticks: int) -> Recording:
     return Recording(flown, messages_of(path), arms.length, scene.loop.rate)
 
 
-def trial(kind: Format, folder: Path, run: Recording, *, kills: int, seed: int = 5) -> Tried:
-    """Return what a format costs and keeps of a run."""
-    path, count = folder / "run", len(run.ticks.times)
+def trials(kinds: Sequence[Format], folder: Path, run: Recording, *, kills: int, seed: int = 5) -> list[Tried]:
+    """Return what formats cost and keep of a run."""
+    count = len(run.ticks.times)
 
-    def whole() -> None:
+    def whole(kind: Format, path: Path) -> None:
         kind.begin(path, run)
         for first in range(0, count, kind.block):
             kind.add(first, min(first + kind.block, count))
         kind.end()
 
-    spent = timed(whole, REPEATS)
-    size = path.stat().st_size / count
-    lost = losses(kind, path, run, kills=kills, seed=seed)
-    return Tried(kind, spent.seconds / len(run.messages.messages), size, float(np.mean(lost)), max(lost))
+    paths = {k: folder / f"run-{k}" for k in range(len(kinds))}
+    spent = timed_in_turns({k: partial(whole, kind, paths[k]) for k, kind in enumerate(kinds)}, REPEATS)
+    found = []
+    for k, kind in enumerate(kinds):
+        size = paths[k].stat().st_size / count
+        lost = losses(kind, paths[k], run, kills=kills, seed=seed)
+        seconds = spent[k].seconds / len(run.messages.messages)
+        found.append(Tried(kind, seconds, spent[k].yardstick, size, float(np.mean(lost)), max(lost)))
+    return found
 
 
 def losses(kind: Format, path: Path, run: Recording, *, kills: int, seed: int) -> list[float]:
@@ -155,6 +162,7 @@ def _points(
             note=f"{t.largest_loss * 1e3:.0f} ms lost at most, {t.size:.0f} bytes a tick",
             others={"seconds_per_message": t.seconds, "bytes_per_tick": t.size, "mean_loss": t.loss,
                     "largest_loss": t.largest_loss},
+            yardstick=t.yardstick,
         )
         for t in tried
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""What a chart was made on and with: processor, cores, load, versions, and how long the same small work takes there."""
+"""What a chart was made on and with: processor, cores, load, versions."""
 
 import os
 import platform
@@ -6,12 +6,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-from scipy.integrate import solve_ivp
-
 import dpcontrol
-from dpcontrol.bench.measure import timed
 
 PACKAGES = ("numpy", "scipy", "casadi", "heyoka", "filterpy", "control", "mcap", "zstandard", "matplotlib")
 
@@ -30,15 +25,6 @@ def machine() -> dict[str, Any]:
 def versions() -> dict[str, str]:
     """Return the versions of this package and of those it measures; "" for one that is not installed."""
     return {"dpcontrol": dpcontrol.__version__} | {name: _version(name) for name in PACKAGES}
-
-
-def yardstick() -> float:
-    """Return processor seconds of a flight by scipy's DOP853, without anything of this project's."""
-
-    def rate(_: float, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.array([10 * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]])
-
-    return timed(lambda: solve_ivp(rate, (0.0, 2.0), (1.0, 1.0, 1.0), method="DOP853", rtol=1e-8), 7).seconds
 
 
 def _version(name: str) -> str:

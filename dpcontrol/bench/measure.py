@@ -14,6 +14,10 @@ from dataclasses import dataclass
 from math import inf
 from typing import Generic, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
 T = TypeVar("T")
 Key = TypeVar("Key", bound=Hashable)
 
@@ -25,11 +29,16 @@ _FIRST_GUESS = 20
 
 @dataclass(frozen=True)
 class Timed(Generic[T]):
-    """Median seconds of a call, the extra seconds of the first one, and the first one's result."""
+    """Median seconds of a call, the extra seconds of the first one, and the first one's result.
+
+    yardstick: median seconds of work of scipy alone, in the same rounds; what is measured over it tells less of how
+    quick the machine was meanwhile.
+    """
 
     seconds: float
     start_up: float
     result: T
+    yardstick: float = 0.0
 
 
 def timed(
@@ -66,13 +75,28 @@ def timed_in_turns(
     compiles nothing, whose first call counts like the others.
     """
     clocks = {key: _Clock(function, grain, clock) for key, function in functions.items()}
+    beside: list[float] = []
     for own in clocks.values():
         own.start(worth=worth, starts_up=starts_up)
     for number in range(1, rounds + 1):
-        for own in clocks.values():
-            if own.going and len(own.found) < number and (own.spent < most or len(own.found) < least):
+        going = [own for own in clocks.values() if own.going and (own.spent < most or len(own.found) < least)]
+        for own in going:
+            if len(own.found) < number:
                 own.measure()
-    return {key: own.timed() for key, own in clocks.items()}
+        if going or not beside:
+            beside.append(yardstick())
+    return {key: own.timed(statistics.median(beside)) for key, own in clocks.items()}
+
+
+def yardstick() -> float:
+    """Return processor seconds of a flight by scipy's DOP853, without anything of this project's."""
+
+    def rate(_: float, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.array([10 * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]])
+
+    began = time.process_time()
+    solve_ivp(rate, (0.0, 2.0), (1.0, 1.0, 1.0), method="DOP853", rtol=1e-8)
+    return time.process_time() - began
 
 
 class _Clock(Generic[T]):
@@ -107,10 +131,10 @@ class _Clock(Generic[T]):
         """Take one measurement."""
         self._keep(self._each(self._calls))
 
-    def timed(self) -> Timed[T]:
-        """Return what was found."""
+    def timed(self, beside: float) -> Timed[T]:
+        """Return what was found; beside: seconds of the yardstick in the same rounds."""
         seconds = statistics.median(self.found) if self.found else self._first
-        return Timed(seconds, max(self._first - seconds, 0.0), self._result)
+        return Timed(seconds, max(self._first - seconds, 0.0), self._result, beside)
 
     def _keep(self, seconds: float) -> None:
         self.found.append(seconds)

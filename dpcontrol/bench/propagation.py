@@ -167,7 +167,15 @@ def measured(
         start_up[c.method] = max(start_up.get(c.method, 0.0), run.start_up)
         error, drift = work.error(run.result), work.drift(run.result)
         points.append(
-            Point(c.method, c.setting, run.seconds / c.take, error, default=c.default, others={"drift": drift})
+            Point(
+                c.method,
+                c.setting,
+                run.seconds / c.take,
+                error,
+                default=c.default,
+                others={"drift": drift},
+                yardstick=run.yardstick,
+            )
         )
     return tuple(points), start_up, tuple(missing)
 

@@ -3,13 +3,13 @@
 Two times that differ by less than `TIED` are a tie: either may come first, and a point that stands off a front by no
 more may be on it in one drawing and not in the other. Everything else must be as it was.
 
-A default's time is compared in units of the drawing's own yardstick, work of other packages only, so that drawings of
-different machines can be held against each other.
+A default's time is compared in units of a yardstick's beside it, work of other packages only, so that drawings of
+different machines, and of a busy one, can be held against each other.
 """
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -28,24 +28,15 @@ WORSE = 3.0
 _POINT = {f.name for f in fields(Point)}
 
 
-@dataclass(frozen=True)
-class Drawing:
-    """The panels of a chart, and the seconds that the yardstick took beside it."""
-
-    panels: tuple[Panel, ...]
-    yardstick: float
-
-
-def earlier_drawing(folder: Path, name: str) -> Drawing:
-    """Return a chart as an earlier drawing in `folder` has it.
+def earlier_panels(folder: Path, name: str) -> tuple[Panel, ...]:
+    """Return a chart's panels as an earlier drawing in `folder` has them.
 
     Raises:
         InputError: there is no earlier drawing, or it is not one.
     """
     file = Path(folder) / f"{name}.json"
     try:
-        document = json.loads(file.read_text(encoding="utf-8"))
-        return Drawing(tuple(_panel(panel) for panel in document["panels"]), float(document["yardstick"]))
+        return tuple(_panel(panel) for panel in json.loads(file.read_text(encoding="utf-8"))["panels"])
     except OSError as error:
         raise InputError(
             f"no earlier drawing {file}: {error.strerror or error}; draw it with --out {folder}"
@@ -74,16 +65,18 @@ def changes(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def losses(before: Drawing, after: Drawing) -> tuple[str, ...]:
+def losses(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
     """Return a sentence for each default that became slower or less accurate than its namesake was."""
-    return slower(before, after) + less_accurate(before.panels, after.panels)
+    return slower(before, after) + less_accurate(before, after)
 
 
-def slower(before: Drawing, after: Drawing) -> tuple[str, ...]:
+def slower(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
     """Return a sentence for each default that takes more of what its panel has along x than its namesake did."""
     found = []
-    for panel, was, now in _defaults(before.panels, after.panels):
-        unit = after.yardstick / before.yardstick if panel.timed else 1.0
+    for panel, was, now in _defaults(before, after):
+        if panel.timed and not (was.yardstick and now.yardstick):
+            continue
+        unit = now.yardstick / was.yardstick if panel.timed else 1.0
         times = now.seconds / (unit * was.seconds)
         if times > SLOWER:
             found.append(f"{panel.title}: {now.name} takes {times:.2g} times what it took ({panel.x_label})")

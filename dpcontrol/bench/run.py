@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from dpcontrol.bench.machine import machine, versions, yardstick
+from dpcontrol.bench.machine import machine, versions
 from dpcontrol.bench.measure import one_core
 from dpcontrol.bench.page import Page
 from dpcontrol.bench.registry import CHARTS, GROUPS, check_names
@@ -18,13 +18,12 @@ from dpcontrol.foundation.processes import in_processes, processors
 
 @dataclass(frozen=True)
 class Drawn:
-    """A chart that was made, its files, the seconds that it took, and those of the yardstick beside it."""
+    """A chart that was made, its files, and the seconds that it took."""
 
     chart: Page
     picture: Path
     data: Path
     seconds: float
-    yardstick: float
 
 
 @dataclass(frozen=True)
@@ -73,13 +72,11 @@ def draw_charts(
 
 def draw_chart(order: Order, progress: Progress = no_progress) -> Drawn:
     """Make one chart and save it."""
-    began, before = time.perf_counter(), yardstick()
+    began = time.perf_counter()
     chart = CHARTS[order.name](order.quick, progress)
-    unit = (before + yardstick()) / 2
     seconds = time.perf_counter() - began
-    made_with = {**order.made_with, "yardstick": unit}
-    picture, data = save(chart, order.folder, made_with=made_with, seconds=seconds)
-    return Drawn(chart, picture, data, seconds, unit)
+    picture, data = save(chart, order.folder, made_with=order.made_with, seconds=seconds)
+    return Drawn(chart, picture, data, seconds)
 
 
 def _at_once(orders: Sequence[Order]) -> Iterator[Drawn]:

@@ -102,7 +102,8 @@ def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Panel, Panel]
     for (method, setting, _, default), run in zip(tried, runs.values(), strict=True):
         error = float(np.abs((run.result - truth) / scale).max())
         start_up[method] = max(start_up.get(method, 0.0), run.start_up)
-        points.append(Point(method, setting, run.seconds / len(states), error, default=default))
+        seconds = run.seconds / len(states)
+        points.append(Point(method, setting, seconds, error, default=default, yardstick=run.yardstick))
     one_run = tuple(p for p in points if "at once" not in p.method)
     batch_points = tuple(p for p in points if "at once" in p.method)
     label = "time, s per tick"

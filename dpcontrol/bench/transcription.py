@@ -126,7 +126,7 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         )
         seconds = run.seconds / problem.duration
         others = {"cost": solved.cost, "iterations": float(solved.iterations)}
-        errors.append(Point(name, label, seconds, float(error.max()), others=others))
+        errors.append(Point(name, label, seconds, float(error.max()), others=others, yardstick=run.yardstick))
         costs.append(replace(errors[-1], error=abs(solved.cost / finest - 1)))
     label = "time, s per second of motion"
     return (
@@ -165,7 +165,7 @@ def refined_panel(problem: ReferenceProblem, *, quick: bool) -> Panel:
             continue
         points.append(
             Point(settings.method, label, run.seconds / problem.duration, run.result.max_error_between_nodes,
-                  default=settings == chosen)
+                  default=settings == chosen, yardstick=run.yardstick)
         )  # fmt: skip
     return Panel(
         f"mesh refined to {chosen.tolerance:.0e}", "time, s per second of motion", "error between nodes, scaled",
@@ -207,7 +207,7 @@ def outside_panel(problem: ReferenceProblem, *, quick: bool) -> Panel:
     for (method, label), run in runs.items():
         points.append(
             Point(method, label, run.seconds, away(*run.result), default=(method, label) == default,
-                  outside=method == "rockit")
+                  outside=method == "rockit", yardstick=run.yardstick)
         )  # fmt: skip
     if not has_rockit():
         ours = runs[default].seconds

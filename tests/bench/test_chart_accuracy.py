@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from dpcontrol.bench import connections, level_trials, propagation, ticks, transcription
 from dpcontrol.bench.chart import Point
 from dpcontrol.bench.measure import Timed
-from dpcontrol.bench.redrawn import earlier_drawing, less_accurate
+from dpcontrol.bench.redrawn import earlier_panels, less_accurate
 from dpcontrol.bench.registry import CHARTS, GROUPS
 from dpcontrol.bench.schemes import Stepper, buffered_rate, runge_kutta_4, symplectic_gauss
 from dpcontrol.dynamics.extended import ExtendedPropagator
@@ -184,7 +184,7 @@ def test_no_default_of_a_quick_chart_errs_by_more_than_it_did(name, monkeypatch)
     for holder in (module, ticks, level_trials):
         if hasattr(holder, "timed_in_turns"):
             monkeypatch.setattr(holder, "timed_in_turns", once)
-    before, after = earlier_drawing(STORED, name).panels, CHARTS[name](True, no_progress).parts
+    before, after = earlier_panels(STORED, name), CHARTS[name](True, no_progress).parts
     assert {panel.title for panel in after} == {panel.title for panel in before}
     assert {p.name for panel in after for p in panel.defaults} <= {p.name for panel in before for p in panel.points}
     assert less_accurate(before, after) == ()

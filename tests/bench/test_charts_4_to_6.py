@@ -131,11 +131,11 @@ def test_pulses_at_few_sections_are_missing_with_their_reason_and_at_many_a_poin
     rows, missing, _ = measured(task, made, seeds=2)
     assert [(m.method, m.setting) for m in missing] == [("OGY", "2")]
     assert "none of 2 runs came through" in missing[0].reason
-    ((method, setting, seconds, found),) = rows
-    assert (method, setting) == ("OGY", "16")
-    assert seconds > 0
-    assert 0 < found.error < 0.1
-    assert found.success_small == 1
+    (row,) = rows
+    assert (row.method, row.setting) == ("OGY", "16")
+    assert row.seconds > 0
+    assert 0 < row.outcome.error < 0.1
+    assert row.outcome.success_small == 1
 
 
 def test_a_copy_of_the_growing_file_holds_what_a_kill_leaves(tmp_path: Path):

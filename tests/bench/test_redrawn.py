@@ -4,7 +4,7 @@ import pytest
 from command_line import dpcontrol
 
 from dpcontrol.bench.chart import Panel, Point
-from dpcontrol.bench.redrawn import TIED, Drawing, changes, losses
+from dpcontrol.bench.redrawn import TIED, changes, losses
 
 
 def panel(*pairs, stored=()):
@@ -51,8 +51,8 @@ def test_what_was_measured_in_one_drawing_only_has_no_order():
 
 
 def default(seconds, error, *, yardstick=1.0, **more):
-    points = (Point("ours", "", seconds, error, default=True), Point("theirs", "", 1.0, 1.0))
-    return Drawing((Panel("panel", "time, s", "error", points, **more),), yardstick)
+    points = (Point("ours", "", seconds, error, default=True, yardstick=yardstick), Point("theirs", "", 1.0, 1.0))
+    return (Panel("panel", "time, s", "error", points, **more),)
 
 
 def test_a_default_that_became_slower_or_less_accurate_is_told():
@@ -67,6 +67,8 @@ def test_a_machine_on_which_all_work_takes_longer_makes_nothing_slower_but_what_
     before = default(1.0, 1e-9)
     assert losses(before, default(5.0, 1e-9, yardstick=5.0)) == ()
     assert losses(before, default(1.0, 1e-9, yardstick=0.2)) == ("panel: ours takes 5 times what it took (time, s)",)
+    # One of the two was not measured.
+    assert losses(before, default(9.0, 1e-9, yardstick=0.0)) == ()
     assert losses(default(1.0, 1e-9, timed=False), default(5.0, 1e-9, yardstick=5.0, timed=False)) == (
         "panel: ours takes 5 times what it took (time, s)",
     )

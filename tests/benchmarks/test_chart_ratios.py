@@ -1,6 +1,6 @@
 """The charts, held against drawings that were stored: fronts and defaults, accuracy too; what was lost is printed.
 
-Times are in units of a yardstick, work of other packages that is done beside each chart, so that the drawings may be of
+Times are in units of a yardstick, work of scipy done in turns with what is measured, so that the drawings may be of
 another machine. DPCONTROL_STORE_RATIOS=1 replaces what is stored.
 """
 
@@ -11,13 +11,13 @@ from pathlib import Path
 
 import pytest
 
-from dpcontrol.bench.redrawn import Drawing, changes, earlier_drawing, losses
+from dpcontrol.bench.redrawn import changes, earlier_panels, losses
 from dpcontrol.bench.registry import CHARTS, GROUPS
 from dpcontrol.bench.run import draw_charts
 
 STORED = Path(__file__).parent / "charts"
 KEPT = ("title", "x_label", "y_label", "floor", "judged", "timed")
-OF_A_POINT = ("method", "setting", "seconds", "error", "default", "outside", "stored")
+OF_A_POINT = ("method", "setting", "seconds", "error", "default", "outside", "stored", "yardstick")
 
 
 @pytest.mark.benchmark
@@ -27,9 +27,9 @@ def test_defaults_stand_where_they_may_and_are_as_quick_and_accurate_as_they_wer
     if os.environ.get("DPCONTROL_STORE_RATIOS") == "1":
         STORED.mkdir(exist_ok=True)
         (STORED / f"{name}.json").write_text(shortened(json.loads(drawn.data.read_text())))
-    before = earlier_drawing(STORED, name)
-    lost = losses(before, Drawing(drawn.chart.parts, drawn.yardstick))
-    moved = changes(before.panels, drawn.chart.parts)
+    before = earlier_panels(STORED, name)
+    lost = losses(before, drawn.chart.parts)
+    moved = changes(before, drawn.chart.parts)
     with capsys.disabled():
         sys.stdout.write(f"\n{name}: {'; '.join((*drawn.chart.complaints, *lost, *moved)) or 'nothing was lost'}\n")
     assert not lost
@@ -42,6 +42,6 @@ def shortened(document):
         {key: panel[key] for key in KEPT} | {"points": [{key: p[key] for key in OF_A_POINT} for p in panel["points"]]}
         for panel in document["panels"]
     ]
-    head = {key: document[key] for key in ("name", "commit", "quick", "yardstick")}
+    head = {key: document[key] for key in ("name", "commit", "quick")}
     text = json.dumps({**head, "panels": panels}, ensure_ascii=False)
     return text.replace('{"method"', '\n  {"method"').replace('{"title"', '\n {"title"') + "\n"
