@@ -56,23 +56,21 @@ def command(
 ) -> None:
     """Draw the charts, print their fronts and borders."""
     from dpcontrol.bench.chart import Chart
-    from dpcontrol.bench.redrawn import Drawing, changes, earlier_drawing, losses
+    from dpcontrol.bench.redrawn import changes, earlier_panels, losses
     from dpcontrol.bench.registry import check_names
     from dpcontrol.bench.run import draw_charts
 
     # Read before the work: the folder may be the one that is drawn to.
     charts = [name for name in check_names(names) if name not in GROUPS["edges"]]
-    earlier = {} if against is None else {name: earlier_drawing(against, name) for name in charts}
+    earlier = {} if against is None else {name: earlier_panels(against, name) for name in charts}
     with progress_bar("bench") as progress:
         drawn = draw_charts(names, out, quick=quick, progress=progress)
     complaints = [text for d in drawn for text in d.chart.complaints]
     status = f"{len(drawn)} charts drawn; " + ("; ".join(complaints) or "every default stands where it may")
     if against is not None:
-        again = [
-            (earlier[d.chart.name], Drawing(d.chart.panels, d.yardstick)) for d in drawn if isinstance(d.chart, Chart)
-        ]
-        changed = [text for before, after in again for text in changes(before.panels, after.panels)]
-        lost = [text for before, after in again for text in losses(before, after)]
+        fronts = [(earlier[d.chart.name], d.chart.panels) for d in drawn if isinstance(d.chart, Chart)]
+        changed = [text for before, after in fronts for text in changes(before, after)]
+        lost = [text for before, after in fronts for text in losses(before, after)]
         status += "; " + ("; ".join(changed) or f"the order on each front is that in {against}")
         status += "; " + ("; ".join(lost) or "no default became slower or less accurate")
         complaints += changed + lost
