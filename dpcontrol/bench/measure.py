@@ -1,8 +1,12 @@
 """Times of repeated work: processor time of this process on one core, the first call apart.
 
-Processor time leaves out what other programs take of a busy machine. Work shorter than the clock's grain is repeated
-within one measurement. The median of the repeats counts. What is to be compared is measured in turns, so that a machine
-that slows down for a while slows all of it.
+Processor time leaves out what other programs take of a busy machine, but not that a processor is at times half as quick
+as at others, for seconds on end. So what is to be compared is measured in turns, and between the turns a yardstick,
+work of scipy alone. A measurement that took d beside yardsticks of a mean of y counts as
+
+    d ỹ / y,        ỹ the median of all yardsticks
+
+and the median of the repeats counts. Work shorter than the clock's grain is repeated within one measurement.
 """
 
 import os
@@ -25,20 +29,32 @@ GRAIN = 2e-3
 """s: what one measurement takes at least."""
 _FIRST_GUESS = 20
 """Calls from which the time of one short call is guessed."""
+_EVERY = 0.02
+"""s from one yardstick to the next: less than the machine keeps one speed, and many times a yardstick's own time."""
 
 
 @dataclass(frozen=True)
 class Timed(Generic[T]):
     """Median seconds of a call, the extra seconds of the first one, and the first one's result.
 
-    yardstick: median seconds of work of scipy alone, in the same rounds; what is measured over it tells less of how
-    quick the machine was meanwhile.
+    yardstick: median seconds of the yardstick meanwhile.
     """
 
     seconds: float
     start_up: float
     result: T
     yardstick: float = 0.0
+
+
+def yardstick() -> float:
+    """Return processor seconds of a flight by scipy's DOP853, without anything of this project's."""
+
+    def rate(_: float, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.array([10 * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]])
+
+    began = time.process_time()
+    solve_ivp(rate, (0.0, 1.0), (1.0, 1.0, 1.0), method="DOP853", rtol=1e-8)
+    return time.process_time() - began
 
 
 def timed(
@@ -48,13 +64,14 @@ def timed(
     grain: float = GRAIN,
     most: float = 2.0,
     clock: Callable[[], float] = time.process_time,
+    beside: Callable[[], float] = yardstick,
 ) -> Timed[T]:
     """Call `function` once, then in `repeats` measurements of at least `grain` s each.
 
     most: s after which no further measurement is begun; slow work has little noise.
-    clock: seconds; `time.perf_counter` for work that waits (files, other processes).
+    clock: seconds; `time.perf_counter` for work that waits (files, other processes). beside: seconds of the yardstick.
     """
-    return timed_in_turns({None: function}, repeats, grain=grain, most=most, least=1, clock=clock)[None]
+    return timed_in_turns({None: function}, repeats, grain=grain, most=most, least=1, clock=clock, beside=beside)[None]
 
 
 def timed_in_turns(
@@ -67,84 +84,115 @@ def timed_in_turns(
     worth: Callable[[T], bool] = lambda _: True,
     starts_up: bool = True,
     clock: Callable[[], float] = time.process_time,
+    beside: Callable[[], float] = yardstick,
 ) -> dict[Key, Timed[T]]:
     """Call each function once, then measure all of them once in each of `rounds`, for at least `grain` s each.
 
     most: s of a function's own after which it is measured no more, if it was `least` times. worth: says of a first
     result whether its time is of interest; else the first call's is all there is. starts_up: False for work that
-    compiles nothing, whose first call counts like the others.
+    compiles nothing, whose first call counts like the others. beside: seconds of the yardstick.
     """
-    clocks = {key: _Clock(function, grain, clock) for key, function in functions.items()}
-    beside: list[float] = []
-    for own in clocks.values():
+    speed = _Speed(clock, beside)
+    measured = {key: _Measured(function, grain, speed) for key, function in functions.items()}
+    for own in measured.values():
         own.start(worth=worth, starts_up=starts_up)
     for number in range(1, rounds + 1):
-        going = [own for own in clocks.values() if own.going and (own.spent < most or len(own.found) < least)]
-        for own in going:
-            if len(own.found) < number:
+        for own in measured.values():
+            if own.going and own.count < number and (own.spent < most or own.count < least):
                 own.measure()
-        if going or not beside:
-            beside.append(yardstick())
-    return {key: own.timed(statistics.median(beside)) for key, own in clocks.items()}
+    speed.ask(now=True)
+    return {key: own.timed() for key, own in measured.items()}
 
 
-def yardstick() -> float:
-    """Return processor seconds of a flight by scipy's DOP853, without anything of this project's."""
+class _Speed:
+    """How long the yardstick took, over the clock's time."""
 
-    def rate(_: float, x: NDArray[np.float64]) -> NDArray[np.float64]:
-        return np.array([10 * (x[1] - x[0]), x[0] * (28 - x[2]) - x[1], x[0] * x[1] - 8 / 3 * x[2]])
+    def __init__(self, clock: Callable[[], float], beside: Callable[[], float]) -> None:
+        self.clock, self._beside = clock, beside
+        self._when: list[float] = []
+        self._took: list[float] = []
 
-    began = time.process_time()
-    solve_ivp(rate, (0.0, 2.0), (1.0, 1.0, 1.0), method="DOP853", rtol=1e-8)
-    return time.process_time() - began
+    def ask(self, *, now: bool = False) -> None:
+        """Measure the yardstick, if the last one is some time ago."""
+        if now or not self._when or self.clock() - self._when[-1] >= _EVERY:
+            self._took.append(self._beside())
+            self._when.append(self.clock())
+
+    @property
+    def usual(self) -> float:
+        """Median seconds of the yardstick."""
+        return statistics.median(self._took)
+
+    def at(self, begin: float, end: float) -> float:
+        """Return the mean seconds of the yardsticks before and after a stretch of time."""
+        before = int(np.searchsorted(self._when, begin, side="right")) - 1
+        after = int(np.searchsorted(self._when, end, side="left"))
+        return (self._took[max(before, 0)] + self._took[min(after, len(self._took) - 1)]) / 2
 
 
-class _Clock(Generic[T]):
+class _Measured(Generic[T]):
     """The measurements of one function."""
 
-    def __init__(self, function: Callable[[], T], grain: float, clock: Callable[[], float]) -> None:
-        self._function, self._grain, self._clock = function, grain, clock
+    def __init__(self, function: Callable[[], T], grain: float, speed: _Speed) -> None:
+        self._function, self._grain, self._speed = function, grain, speed
         self._calls = 1
-        self.found: list[float] = []
+        self._found: list[tuple[float, float]] = []
         self.spent = 0.0
         self.going = True
 
+    @property
+    def count(self) -> int:
+        """How many measurements there are."""
+        return len(self._found)
+
     def start(self, *, worth: Callable[[T], bool], starts_up: bool) -> None:
         """Make the first call, and find how many calls make a measurement."""
-        began = self._clock()
+        self._speed.ask()
+        begin = self._speed.clock()
         self._result = self._function()
-        self._first = self._clock() - began
+        self._first = begin, self._speed.clock()
+        self._speed.ask()
+        first = self._first[1] - begin
         self.going = worth(self._result)
         if not self.going:
             return
-        if not starts_up and self._first >= self._grain:
-            self._keep(self._first)
+        if not starts_up and first >= self._grain:
+            self._keep(*self._first)
             return
-        once = self._each(1)
-        if once >= self._grain:
-            self._keep(once)
+        begin, end = self._stretch(1)
+        if end - begin >= self._grain:
+            self._keep(begin, end)
             return
-        once = self._each(_FIRST_GUESS)
+        begin, end = self._stretch(_FIRST_GUESS)
+        once = (end - begin) / _FIRST_GUESS
         self._calls = max(1, round(self._grain / once)) if once > 0 else 1000
 
     def measure(self) -> None:
         """Take one measurement."""
-        self._keep(self._each(self._calls))
+        self._keep(*self._stretch(self._calls))
 
-    def timed(self, beside: float) -> Timed[T]:
-        """Return what was found; beside: seconds of the yardstick in the same rounds."""
-        seconds = statistics.median(self.found) if self.found else self._first
-        return Timed(seconds, max(self._first - seconds, 0.0), self._result, beside)
+    def timed(self) -> Timed[T]:
+        """Return what was found."""
+        first = self._corrected(*self._first)
+        found = [self._corrected(begin, end) / self._calls for begin, end in self._found]
+        seconds = statistics.median(found) if found else first
+        return Timed(seconds, max(first - seconds, 0.0), self._result, self._speed.usual)
 
-    def _keep(self, seconds: float) -> None:
-        self.found.append(seconds)
-        self.spent += seconds * self._calls
+    def _corrected(self, begin: float, end: float) -> float:
+        return (end - begin) * self._speed.usual / self._speed.at(begin, end)
 
-    def _each(self, calls: int) -> float:
-        began = self._clock()
+    def _keep(self, begin: float, end: float) -> None:
+        self._found.append((begin, end))
+        self.spent += end - begin
+
+    def _stretch(self, calls: int) -> tuple[float, float]:
+        self._speed.ask()
+        begin = self._speed.clock()
         for _ in range(calls):
             self._function()
-        return (self._clock() - began) / calls
+        end = self._speed.clock()
+        self._speed.ask()
+        return begin, end
 
 
 @contextmanager

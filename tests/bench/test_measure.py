@@ -16,6 +16,13 @@ class Machine:
     def clock(self):
         return self.now
 
+    def yardstick(self):
+        return 1e-3 * self.slowness(len(self.calls))
+
+    @property
+    def own(self):
+        return {"clock": self.clock, "beside": self.yardstick}
+
     def work(self, name, seconds):
         def call():
             self.calls.append(name)
@@ -28,13 +35,13 @@ class Machine:
 def test_start_up_is_told_apart_from_repeated_time():
     # The first call compiles for 5 s; each takes 1 s, one in between 9 s.
     machine = Machine(lambda call: {1: 6.0, 3: 9.0}.get(call, 1.0))
-    found = timed(machine.work("a", 1.0), 5, most=100.0, clock=machine.clock)
+    found = timed(machine.work("a", 1.0), 5, most=100.0, clock=machine.clock, beside=lambda: 1e-3)
     assert (found.seconds, found.start_up, found.result) == (1.0, 5.0, "a")
 
 
 def test_slow_work_is_not_repeated_beyond_the_time_it_may_take():
     machine = Machine()
-    assert timed(machine.work("a", 3.0), 50, most=5.0, clock=machine.clock).seconds == 3.0
+    assert timed(machine.work("a", 3.0), 50, most=5.0, **machine.own).seconds == 3.0
     assert len(machine.calls) == 3
 
 
@@ -49,27 +56,44 @@ def test_the_clock_of_other_programs_does_not_count():
     assert timed(lambda: time.sleep(0.02), 1).seconds < 0.01
 
 
-def test_a_machine_that_becomes_slow_meanwhile_changes_no_order():
-    # Twice as slow in the second half: one after the other, "b" would seem the slower.
-    def slowness(call):
-        return 1.0 if call <= 12 else 2.0
+def slow_in_the_second_half(call):
+    return 1.0 if call <= 12 else 2.0
 
-    machine = Machine(slowness)
-    found = timed_in_turns(
-        {"a": machine.work("a", 1.0), "b": machine.work("b", 0.8)}, 11, starts_up=False, clock=machine.clock
-    )
+
+def test_what_is_compared_takes_turns():
+    machine = Machine(slow_in_the_second_half)
+    works = {"a": machine.work("a", 1.0), "b": machine.work("b", 0.8)}
+    found = timed_in_turns(works, 11, starts_up=False, clock=machine.clock, beside=lambda: 1e-3)
     assert machine.calls == ["a", "b"] * 11
     assert found["b"].seconds / found["a"].seconds == pytest.approx(0.8)
-    other = Machine(slowness)
-    after = [timed(other.work(name, s), 11, most=100.0, clock=other.clock) for name, s in (("a", 1.0), ("b", 0.8))]
-    assert after[1].seconds > after[0].seconds
+
+
+def test_what_is_measured_while_the_machine_is_slow_counts_as_what_it_takes_otherwise():
+    machine = Machine(slow_in_the_second_half)
+    one, other = (timed(machine.work(name, s), 11, most=100.0, **machine.own) for name, s in (("a", 1.0), ("b", 0.8)))
+    # The first is measured while the machine is quick, the other while it is slow.
+    assert other.seconds / other.yardstick == pytest.approx(0.8 * one.seconds / one.yardstick)
+    raw = Machine(slow_in_the_second_half)
+    one, other = (
+        timed(raw.work(name, s), 11, most=100.0, clock=raw.clock, beside=lambda: 1e-3)
+        for name, s in (("a", 1.0), ("b", 0.8))
+    )
+    assert other.seconds > one.seconds
+
+
+def test_a_yardstick_stands_before_and_after_what_it_corrects():
+    # Slow for the third call only, and then for the yardstick too.
+    machine = Machine(lambda call: 3.0 if call == 3 else 1.0)
+    found = timed_in_turns({"a": machine.work("a", 1.0)}, 3, starts_up=False, **machine.own)["a"]
+    assert found.seconds == pytest.approx(1.0)
+    assert found.yardstick == pytest.approx(1e-3)
 
 
 def test_slow_work_leaves_the_turns_early_but_not_before_its_least():
     machine = Machine()
     timed_in_turns(
         {"slow": machine.work("slow", 10.0), "quick": machine.work("quick", 0.5)}, 9, most=3.0, least=3,
-        starts_up=False, clock=machine.clock,
+        starts_up=False, **machine.own,
     )  # fmt: skip
     assert machine.calls.count("slow") == 3
     assert machine.calls.count("quick") == 6
@@ -79,7 +103,7 @@ def test_what_is_of_no_interest_is_called_once():
     machine = Machine()
     found = timed_in_turns(
         {"fails": machine.work("fails", 2.0), "works": machine.work("works", 1.0)}, 4,
-        worth=lambda result: result == "works", clock=machine.clock,
+        worth=lambda result: result == "works", **machine.own,
     )  # fmt: skip
     assert machine.calls.count("fails") == 1
     assert found["fails"].result == "fails"
