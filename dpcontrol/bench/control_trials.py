@@ -50,8 +50,8 @@ class Outcome:
 
 def outcome(task: Task, controller: Controller, settings: LoopSettings, *, seeds: int) -> Outcome:
     """Return what `seeds` runs at each mismatch come to."""
-    small = _runs(task, controller, replace(settings, mismatch=SMALL), seeds)
-    large = _runs(task, controller, replace(settings, mismatch=LARGE), seeds)
+    runs = _runs(task, controller, settings, seeds)
+    small, large = runs[:seeds], runs[seeds:]
     good = [run for run in small if task.judge(run)]
     errors = [_error(run, task.arms.count) for run in good]
     return Outcome(
@@ -67,16 +67,16 @@ def _error(run: BatchRun, n: int) -> float:
 
 
 def _runs(task: Task, controller: Controller, settings: LoopSettings, seeds: int) -> Sequence[BatchRun]:
+    """Return `seeds` runs at the small mismatch, then as many at the large one."""
     settings = replace(settings, initial_error=INITIAL_ERROR)
+    lanes = [(seed, mismatch) for mismatch in (SMALL, LARGE) for seed in range(seeds)]
     if can_batch(settings, controller):
         return run_batch(
-            task.arms, settings=settings, seeds=range(seeds), controller=controller,
-            limits=settings.limits(task.reference),
+            task.arms, settings=settings, seeds=[seed for seed, _ in lanes], mismatches=[m for _, m in lanes],
+            controller=controller, limits=settings.limits(task.reference),
         )  # fmt: skip
-    return [
-        BatchRun.of(run_loop(task.reference, task.arms, settings=replace(settings, seed=k), controller=controller))
-        for k in range(seeds)
-    ]
+    alone = [replace(settings, seed=seed, mismatch=mismatch) for seed, mismatch in lanes]
+    return [BatchRun.of(run_loop(task.reference, task.arms, settings=one, controller=controller)) for one in alone]
 
 
 def held(orbit_angles: Array, *, period: float, near: float = 0.1) -> Judge:

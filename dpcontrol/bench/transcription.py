@@ -32,13 +32,13 @@ Array = NDArray[np.float64]
 ENERGY = 0.2
 FINEST = ("radau-10", 0.03)
 QUICK = (
-    ("hermite-simpson", 0.01), ("radau-5", 0.02), ("gauss-5", 0.02), ("radau-7", 0.03), ("radau-7", 0.05),
+    ("hermite-simpson", 0.01), ("radau-5", 0.02), ("radau-7", 0.03), ("radau-7", 0.05),
     ("radau-9", 0.09),
 )  # fmt: skip
 WHOLE = (
-    ("hermite-simpson", 0.005), ("radau-3", 0.01), ("radau-4", 0.015), ("radau-5", 0.03), ("lobatto-5", 0.02),
-    ("gauss-6", 0.05), ("radau-6", 0.03), ("gauss-7", 0.05), ("lobatto-7", 0.05), ("radau-8", 0.07), ("radau-9", 0.05),
-    ("radau-10", 0.12),
+    ("hermite-simpson", 0.005), ("gauss-5", 0.02), ("radau-3", 0.01), ("radau-4", 0.015), ("radau-5", 0.03),
+    ("lobatto-5", 0.02), ("gauss-6", 0.05), ("radau-6", 0.03), ("gauss-7", 0.05), ("lobatto-7", 0.05),
+    ("radau-8", 0.07), ("radau-9", 0.05), ("radau-10", 0.12),
 )  # fmt: skip
 STRETCH = 0.5
 """s: of the crossing's start, given to the other package too."""
@@ -111,7 +111,7 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         return transcribed(problem, *case)
 
     runs = timed_in_turns(
-        {case: partial(solved_by, case) for case in cases}, 5, most=1.0 if quick else 4.0,
+        {case: partial(solved_by, case) for case in cases}, 9, most=2.0 if quick else 6.0,
         least=2 if quick else 3, worth=lambda solved: solved.succeeded, starts_up=False,
     )  # fmt: skip
     for (name, interval, solver), run in runs.items():
@@ -154,8 +154,8 @@ def refined_panel(problem: ReferenceProblem, *, quick: bool) -> Panel:
         cases.append(replace(chosen, solver="fatrop"))
     points, missing = [], []
     runs = timed_in_turns(
-        {settings: partial(find_reference, problem, settings) for settings in cases}, 5,
-        most=1.0 if quick else 4.0, least=2 if quick else 3, worth=lambda found: found.converged, starts_up=False,
+        {settings: partial(find_reference, problem, settings) for settings in cases}, 9,
+        most=2.0 if quick else 6.0, least=2 if quick else 3, worth=lambda found: found.converged, starts_up=False,
     )  # fmt: skip
     for settings, run in runs.items():
         label = f"{1e3 * settings.interval:g} ms{'' if settings.solver == 'ipopt' else ', ' + settings.solver}"
@@ -203,7 +203,7 @@ def outside_panel(problem: ReferenceProblem, *, quick: bool) -> Panel:
             ("rockit", f"{n} intervals"): partial(by_rockit, short, settings, n)
             for n in ((25,) if quick else (25, 50, 100, 200))
         }
-    runs = timed_in_turns(ways, 5, most=0.5 if quick else 2.0, least=2 if quick else 3, starts_up=False)
+    runs = timed_in_turns(ways, 9, most=1.0 if quick else 3.0, least=2 if quick else 3, starts_up=False)
     for (method, label), run in runs.items():
         points.append(
             Point(method, label, run.seconds, away(*run.result), default=(method, label) == default,

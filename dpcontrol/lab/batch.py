@@ -88,10 +88,12 @@ def run_batch(
     controller: Controller,
     limits: Limits,
     uncertainty: Uncertainty | None = None,
+    mismatches: Sequence[float] | None = None,
 ) -> list[BatchRun]:
     """Run the seeds and return them in their order; `parameters` are the model's, `limits` the cart's in these runs.
 
-    uncertainty: of the model, for settings that draw the plants from it.
+    uncertainty: of the model, for settings that draw the plants from it. mismatches: of each run's plant, in place of
+    the settings' own.
 
     Raises:
         InputError: the settings ask for what `can_batch` refuses.
@@ -101,7 +103,9 @@ def run_batch(
     if not seeds:
         return []
     # Full vectors of the processor only: those left over would be rounded differently, and a run with its company.
-    lanes = [*seeds, *[seeds[-1]] * (-len(seeds) % VECTOR)]
+    own = [settings.mismatch] * len(seeds) if mismatches is None else mismatches
+    lanes = [*zip(seeds, own, strict=True)]
+    lanes += [lanes[-1]] * (-len(lanes) % VECTOR)
     return _Lockstep(parameters, settings, lanes, controller, limits, uncertainty).run()[: len(seeds)]
 
 
@@ -112,23 +116,23 @@ class _Lockstep:
         self,
         parameters: ArmChainParameters,
         settings: LoopSettings,
-        seeds: list[int],
+        lanes: list[tuple[int, float]],
         controller: Controller,
         limits: Limits,
         uncertainty: Uncertainty | None,
     ) -> None:
         self.settings, self.controller, self.limits = settings, controller, limits
-        self.period, self.runs, self.count = 1 / settings.rate, len(seeds), controller.ticks + 1
+        self.period, self.runs, self.count = 1 / settings.rate, len(lanes), controller.ticks + 1
         self.arms = arms = parameters.count
         session: ManySession = _many(controller)(self.runs)
         self.session = session
         draws = [
             draw_bench(
                 parameters, settings.bench, seed=seed, ticks=self.count, period=self.period,
-                mismatch=settings.mismatch, model_uncertainty=settings.model_uncertainty, uncertainty=uncertainty,
+                mismatch=mismatch, model_uncertainty=settings.model_uncertainty, uncertainty=uncertainty,
                 initial_error=settings.initial_error,
             )
-            for seed in seeds
+            for seed, mismatch in lanes
         ]  # fmt: skip
         program = EkfProgram(sampled_model(parameters, settings.rate), settings.estimator)
         self.program = program
