@@ -111,7 +111,7 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         return transcribed(problem, *case)
 
     runs = timed_in_turns(
-        {case: partial(solved_by, case) for case in cases}, 9, most=2.0 if quick else 6.0,
+        {case: partial(solved_by, case) for case in cases}, 9, most=1.2 if quick else 6.0,
         least=2 if quick else 3, worth=lambda solved: solved.succeeded, starts_up=False,
     )  # fmt: skip
     for (name, interval, solver), run in runs.items():
@@ -155,7 +155,7 @@ def refined_panel(problem: ReferenceProblem, *, quick: bool) -> Panel:
     points, missing = [], []
     runs = timed_in_turns(
         {settings: partial(find_reference, problem, settings) for settings in cases}, 9,
-        most=2.0 if quick else 6.0, least=2 if quick else 3, worth=lambda found: found.converged, starts_up=False,
+        most=1.2 if quick else 6.0, least=2 if quick else 3, worth=lambda found: found.converged, starts_up=False,
     )  # fmt: skip
     for settings, run in runs.items():
         label = f"{1e3 * settings.interval:g} ms{'' if settings.solver == 'ipopt' else ', ' + settings.solver}"
@@ -203,7 +203,7 @@ def outside_panel(problem: ReferenceProblem, *, quick: bool) -> Panel:
             ("rockit", f"{n} intervals"): partial(by_rockit, short, settings, n)
             for n in ((25,) if quick else (25, 50, 100, 200))
         }
-    runs = timed_in_turns(ways, 9, most=1.0 if quick else 3.0, least=2 if quick else 3, starts_up=False)
+    runs = timed_in_turns(ways, 9, most=0.6 if quick else 3.0, least=2 if quick else 3, starts_up=False)
     for (method, label), run in runs.items():
         points.append(
             Point(method, label, run.seconds, away(*run.result), default=(method, label) == default,
