@@ -73,7 +73,8 @@ def chart(quick: bool, progress: Progress) -> Chart:
         ),
         chosen=(
             "TVLQR by time for references: the fastest that comes through, with the least effort. The adaptive law "
-            "where the model is in doubt: a third more time, three times the feedback, fewer failures. OGY at k = 16."
+            "where the model is in doubt: a third more time, one and a half times the feedback, half the error. OGY at "
+            "k = 16."
         ),
     )  # fmt: skip
 
