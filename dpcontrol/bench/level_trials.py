@@ -77,7 +77,7 @@ def motions(reference: Reference, arms: ArmChainParameters) -> tuple[LevelMotion
     scale = np.array([ANGLE_SCALE] * n + [RATE_SCALE] * n)[:, None]
     full = ends[PLANT_LEVELS[-1]]
     start, command = first[:, 0], float(inputs[0, 0])
-    spent = timed_in_turns({level: _tick(level, arms, start, command) for level in MOTION_LEVELS})
+    spent = timed_in_turns({level: _tick(level, arms, start, command) for level in MOTION_LEVELS}, 61)
     found = []
     for level in MOTION_LEVELS:
         away = np.abs((ends[level][: 2 * n] - full[: 2 * n]) / scale).max(axis=0)

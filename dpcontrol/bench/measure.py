@@ -79,7 +79,7 @@ def timed(
 
 def timed_in_turns(
     functions: Mapping[Key, Callable[[], T]],
-    rounds: int = 15,
+    rounds: int = 31,
     *,
     grain: float = GRAIN,
     most: float = inf,
