@@ -148,7 +148,7 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], *, quick: bool) 
     ways = {(method, label): partial(searched, s) for method, label, s in cases}
     ways[default] = partial(searched, base)
     ways |= {("two flights", f"{d:.0e}"): partial(_two_flights, orbit, d) for d in (1e-3, 1e-4, 1e-6)}
-    runs = timed_in_turns(ways, 9 if quick else 15, most=2.0 if quick else 6.0)
+    runs = timed_in_turns(ways, 9 if quick else 15, most=1.2 if quick else 6.0)
     for (method, label), run in runs.items():
         error = worst(orbit, run.result, truths)
         if method == "two flights":
