@@ -15,7 +15,7 @@ from dpcontrol.bench.chart import Chart, Missing, Panel, Point
 from dpcontrol.bench.measure import timed, timed_in_turns
 from dpcontrol.dynamics.extended import ExtendedPropagator, extended
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.foundation.files import Progress
+from dpcontrol.foundation.files import Progress, part_of
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections
 from dpcontrol.tubes.cut import CutSettings, tube_cut
@@ -39,12 +39,12 @@ def chart(quick: bool, progress: Progress) -> Chart:
     """Return the chart of orbits and connections."""
     system = load_model("lab").system
     progress("connections: orbits", 0.0)
-    orbits = orbit_panel(quick=quick)
+    orbits = orbit_panel(part_of(progress, 0.0, 0.2), quick=quick)
     progress("connections: truth in 113 bits", 0.2)
     orbit = lyapunov_orbit(system, "down-up", energy=ENERGY)
     truths = true_states(orbit, count=1 if quick else 3)
     progress("connections: searches", 0.4)
-    searches = search_panel(orbit, truths, quick=quick)
+    searches = search_panel(orbit, truths, part_of(progress, 0.4, 0.9), quick=quick)
     progress("connections: three bodies", 0.9)
     return Chart(
         name="connections",
@@ -62,7 +62,7 @@ def chart(quick: bool, progress: Progress) -> Chart:
     )
 
 
-def orbit_panel(*, quick: bool) -> Panel:
+def orbit_panel(progress: Progress, *, quick: bool) -> Panel:
     """Return the diagram of Lyapunov orbits: continuation step and tolerance against error."""
     system = load_model("lab").system
     exact = ExtendedPropagator(system.equations, system.parameters)
@@ -82,6 +82,7 @@ def orbit_panel(*, quick: bool) -> Panel:
         },
         15 if quick else 45,
         worth=lambda orbit: orbit.converged,
+        progress=progress,
     )
     for (method, label, chosen), run in zip(settings, runs.values(), strict=True):
         if not run.result.converged:
@@ -127,7 +128,7 @@ def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]
     return max(errors) if errors and max(errors) < 0.01 else float("inf")
 
 
-def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], *, quick: bool) -> Panel:
+def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progress, *, quick: bool) -> Panel:
     """Return the diagram of searches: distance of the seeds, first phases, chord, tolerance."""
     base = ConnectionSettings()
     expected = len(find_connections(orbit, orbit).connections)
@@ -148,7 +149,7 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], *, quick: bool) 
     ways = {(method, label): partial(searched, s) for method, label, s in cases}
     ways[default] = partial(searched, base)
     ways |= {("two flights", f"{d:.0e}"): partial(_two_flights, orbit, d) for d in (1e-3, 1e-4, 1e-6)}
-    runs = timed_in_turns(ways, 9 if quick else 15, most=1.2 if quick else 6.0)
+    runs = timed_in_turns(ways, 9 if quick else 15, most=1.2 if quick else 6.0, progress=progress)
     for (method, label), run in runs.items():
         error = worst(orbit, run.result, truths)
         if method == "two flights":

@@ -16,7 +16,7 @@ import numpy as np
 from dpcontrol.bench.chart import Chart, Missing, Panel, Point
 from dpcontrol.bench.log_formats import Arrays, Blocks, ByMessage, Format, Lines, Recording, RowGroups
 from dpcontrol.bench.measure import timed_in_turns
-from dpcontrol.foundation.files import Progress
+from dpcontrol.foundation.files import Progress, part_of
 from dpcontrol.lab.loop import run_loop
 from dpcontrol.logs import LogWriter
 from dpcontrol.logs.by_message import messages_of
@@ -62,8 +62,8 @@ def chart(quick: bool, progress: Progress) -> Chart:
     levels = [Blocks(compression=level) for level in (LEVELS[1::2] if quick else LEVELS) if level != 1]
     with tempfile.TemporaryDirectory() as folder:
         run = recording(Path(folder), QUICK_TICKS if quick else TICKS)
-        progress("logging, times", 0.1)
-        tried = trials([*ours, *levels, *formats], Path(folder), run, kills=QUICK_KILLS if quick else KILLS)
+        kills = QUICK_KILLS if quick else KILLS
+        tried = trials([*ours, *levels, *formats], Path(folder), run, kills=kills, progress=progress)
     blocks = [t for t in tried if isinstance(t.kind, Blocks)]
     seconds = len(run.ticks.times) / run.rate_hz
     alive = [t for t in tried if t.loss < SURVIVES * seconds]
@@ -111,7 +111,9 @@ def recording(folder: Path, ticks: int) -> Recording:
     return Recording(flown, messages_of(path), arms.length, scene.loop.rate)
 
 
-def trials(kinds: Sequence[Format], folder: Path, run: Recording, *, kills: int, seed: int = 5) -> list[Tried]:
+def trials(
+    kinds: Sequence[Format], folder: Path, run: Recording, *, kills: int, seed: int = 5, progress: Progress
+) -> list[Tried]:
     """Return what formats cost and keep of a run."""
     count = len(run.ticks.times)
 
@@ -122,9 +124,11 @@ def trials(kinds: Sequence[Format], folder: Path, run: Recording, *, kills: int,
         kind.end()
 
     paths = {k: folder / f"run-{k}" for k in range(len(kinds))}
-    spent = timed_in_turns({k: partial(whole, kind, paths[k]) for k, kind in enumerate(kinds)}, REPEATS)
+    spent = timed_in_turns({k: partial(whole, kind, paths[k]) for k, kind in enumerate(kinds)}, REPEATS,
+                           progress=part_of(progress, 0.0, 0.6))  # fmt: skip
     found = []
     for k, kind in enumerate(kinds):
+        progress(f"kills, {kind.method}", 0.6 + 0.4 * k / len(kinds))
         size = paths[k].stat().st_size / count
         lost = losses(kind, paths[k], run, kills=kills, seed=seed)
         seconds = spent[k].seconds / len(run.messages.messages)

@@ -23,6 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
+from dpcontrol.foundation.files import Progress, no_progress
+
 T = TypeVar("T")
 Key = TypeVar("Key", bound=Hashable)
 
@@ -88,18 +90,22 @@ def timed_in_turns(
     starts_up: bool = True,
     clock: Callable[[], float] = time.process_time,
     beside: Callable[[], float] = yardstick,
+    progress: Progress = no_progress,
 ) -> dict[Key, Timed[T]]:
     """Call each function once, then measure all of them once in each of `rounds`, for at least `grain` s each.
 
     most: s of a function's own after which it is measured no more, if it was `least` times. worth: says of a first
     result whether its time is of interest; else the first call's is all there is. starts_up: False for work that
-    compiles nothing, whose first call counts like the others. beside: seconds of the yardstick.
+    compiles nothing, whose first call counts like the others. beside: seconds of the yardstick. progress: told of each
+    first call and of each round.
     """
     speed = _Speed(clock, beside)
     measured = {key: _Measured(function, grain, speed) for key, function in functions.items()}
-    for own in measured.values():
+    for k, own in enumerate(measured.values()):
+        progress(f"first call {k + 1} of {len(measured)}", k / len(measured) / (rounds + 1))
         own.start(worth=worth, starts_up=starts_up)
     for number in range(1, rounds + 1):
+        progress(f"round {number} of {rounds}", number / (rounds + 1))
         for own in measured.values():
             if own.going and own.count < number and (own.spent < most or own.count < least):
                 own.measure()

@@ -11,6 +11,7 @@ Source: Ott, Grebogi & Yorke, Controlling chaos, Physical Review Letters 64 (199
 pulse; Hu & Lin, Control Systems with Actuator Saturation (2001), chapter 2, for c.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -110,10 +111,7 @@ class Sections:
 
     def _unstable_states(self) -> Array:
         """Return states (k, N) on the sections, from which only the unstable direction grows, with w · state = 1."""
-        product = np.eye(len(self.directions[0]))
-        for one in self.maps:
-            product = one.matrix @ product
-        values, right = np.linalg.eig(product)
+        values, right = np.linalg.eig(_round(self.maps))
         x = np.real(right[:, np.argmax(np.abs(values))])
         out = []
         for one, w in zip(self.maps, self.directions, strict=True):
@@ -144,10 +142,7 @@ class Sections:
 def sections_of(one: Task, count: int) -> Sections:
     """Return the orbit's sections: w_{j+1} A_j = Λ_j w_j, β_j = w_{j+1} · B_j."""
     maps = one.orbit.section_maps(count)
-    product = np.eye(len(maps[0].response))
-    for each in maps:
-        product = each.matrix @ product
-    values, left = np.linalg.eig(product.T)
+    values, left = np.linalg.eig(_round(maps).T)
     w = np.real(left[:, np.argmax(np.abs(values))])
     directions, growths, reaches = np.zeros((count, len(w))), np.zeros(count), np.zeros(count)
     w = w / np.linalg.norm(w)
@@ -157,3 +152,11 @@ def sections_of(one: Task, count: int) -> Sections:
         w = before / growths[j]
         directions[j] = w
     return Sections(one, maps, growths, reaches, directions)
+
+
+def _round(maps: Sequence[SectionMap]) -> Array:
+    """Return the linear map (N, N) once round the orbit, from its first section back to it."""
+    product = np.eye(len(maps[0].response))
+    for one in maps:
+        product = one.matrix @ product
+    return product

@@ -16,7 +16,7 @@ from dpcontrol.bench.flights import Candidate, Work, candidates, work_of
 from dpcontrol.bench.measure import timed_in_turns
 from dpcontrol.bench.ticks import tick_panels
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.foundation.files import Progress
+from dpcontrol.foundation.files import Progress, no_progress, part_of
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.lyapunov import lyapunov_orbit
 from dpcontrol.tubes.manifold import UnstableManifold
@@ -46,7 +46,10 @@ def chart(quick: bool, progress: Progress) -> Chart:
     panels = []
     for k, (title, work) in enumerate((("trajectory of a tube, {:.2f} s", tube), ("chaotic swing, {:.0f} s", swing))):
         progress(f"propagation: {title.split(',')[0]}", 0.2 + 0.3 * k)
-        panels += _panels(title.format(work.duration), work, batches=k == 0, quick=quick)
+        panels += _panels(
+            title.format(work.duration), work, part_of(progress, 0.2 + 0.3 * k, 0.5 + 0.3 * k), batches=k == 0,
+            quick=quick,
+        )  # fmt: skip
     progress("propagation: tick", 0.8)
     panels = [panels[0], panels[2], panels[3], *tick_panels(model.arms, quick=quick)]
     return Chart(
@@ -66,9 +69,11 @@ def chart(quick: bool, progress: Progress) -> Chart:
     )
 
 
-def _panels(title: str, work: Work, *, batches: bool, quick: bool) -> list[Panel]:
+def _panels(title: str, work: Work, progress: Progress, *, batches: bool, quick: bool) -> list[Panel]:
     """Return the diagrams of error and of energy drift, from the same flights."""
-    points, start_up, missing = measured(candidates(work, batches=batches, quick=quick), work, quick=quick)
+    points, start_up, missing = measured(
+        candidates(work, batches=batches, quick=quick), work, quick=quick, progress=progress
+    )
     label = "time, s per trajectory"
     drifts = tuple(replace(p, error=p.others["drift"]) for p in points)
     return [
@@ -87,7 +92,7 @@ def _panels(title: str, work: Work, *, batches: bool, quick: bool) -> list[Panel
 
 
 def measured(
-    tried: list[Candidate], work: Work, *, quick: bool
+    tried: list[Candidate], work: Work, *, quick: bool, progress: Progress = no_progress
 ) -> tuple[tuple[Point, ...], Mapping[str, float], tuple[Missing, ...]]:
     """Fly each candidate; return its point, its method's longest start-up, and what could not be flown."""
 
@@ -101,7 +106,7 @@ def measured(
     points, start_up, missing = [], {}, []
     runs = timed_in_turns(
         {k: partial(flown, c.fly) for k, c in enumerate(tried)}, 5 if quick else 9, most=0.1 if quick else 1.0,
-        worth=lambda arrived: not isinstance(arrived, str),
+        worth=lambda arrived: not isinstance(arrived, str), progress=progress,
     )  # fmt: skip
     for c, run in zip(tried, runs.values(), strict=True):
         if isinstance(run.result, str):

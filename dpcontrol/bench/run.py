@@ -57,8 +57,8 @@ def draw_charts(
     drawn: dict[str, Drawn] = {}
     for k, name in enumerate(alone):
         progress(name, k / len(chosen))
+        part = part_of(_named(name, progress), k / len(chosen), (k + 1) / len(chosen))
         with one_core():
-            part = part_of(progress, k / len(chosen), (k + 1) / len(chosen))
             drawn[name] = draw_chart(Order(name, folder, quick, made_with), part)
     if together:
         orders = [Order(name, folder, quick, made_with) for name in maps]
@@ -68,6 +68,11 @@ def draw_charts(
             left = ", ".join(name for name in maps if name not in drawn)
             progress(f"maps left: {left}" if left else "maps", len(drawn) / len(chosen))
     return tuple(drawn[name] for name in chosen)
+
+
+def _named(name: str, progress: Progress) -> Progress:
+    """Return a progress whose words begin with a chart's name."""
+    return lambda what, done: progress(what if what.startswith(name) else f"{name}: {what}", done)
 
 
 def draw_chart(order: Order, progress: Progress = no_progress) -> Drawn:

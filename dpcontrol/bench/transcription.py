@@ -16,7 +16,7 @@ from dpcontrol.bench.measure import timed_in_turns
 from dpcontrol.bench.outside import by_rockit, has_rockit
 from dpcontrol.dynamics.arm_chain import Level, equations_of
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.foundation.files import Progress
+from dpcontrol.foundation.files import Progress, part_of
 from dpcontrol.itineraries.wraps import WalkSolver
 from dpcontrol.references.errors import error_between_nodes, interval_propagator
 from dpcontrol.references.find import find_reference
@@ -54,9 +54,9 @@ def chart(quick: bool, progress: Progress) -> Chart:
         name="transcription",
         title="Transcription: time against error between nodes, and against cost",
         panels=(
-            *method_panels(problem, progress, quick=quick),
-            refined_panel(problem, quick=quick),
-            outside_panel(problem, quick=quick),
+            *method_panels(problem, part_of(progress, 0.05, 0.6), quick=quick),
+            refined_panel(problem, part_of(progress, 0.6, 0.85), quick=quick),
+            outside_panel(problem, part_of(progress, 0.85, 1.0), quick=quick),
         ),
         reading=(
             "A mark is a method with its points on intervals of one length, built and solved once from one guess.",
@@ -105,14 +105,9 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     errors: list[Point] = []
     costs: list[Point] = []
     missing: list[Missing] = []
-
-    def solved_by(case: tuple[str, float, str]) -> Solved:
-        progress(f"transcription: {case[0]}, {case[2]}", 0.1)
-        return transcribed(problem, *case)
-
     runs = timed_in_turns(
-        {case: partial(solved_by, case) for case in cases}, 9, most=1.2 if quick else 6.0,
-        least=2 if quick else 3, worth=lambda solved: solved.succeeded, starts_up=False,
+        {case: partial(transcribed, problem, *case) for case in cases}, 9, most=1.2 if quick else 6.0,
+        least=2 if quick else 3, worth=lambda solved: solved.succeeded, starts_up=False, progress=progress,
     )  # fmt: skip
     for (name, interval, solver), run in runs.items():
         label = f"{1e3 * interval:g} ms{'' if solver == 'ipopt' else ', ' + solver}"
@@ -136,7 +131,7 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     )  # fmt: skip
 
 
-def refined_panel(problem: ReferenceProblem, *, quick: bool) -> Panel:
+def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> Panel:
     """Return the diagram of whole searches, the mesh refined until the error between nodes is small enough."""
     chosen = ReferenceSettings()
     starts = (("radau-5", 0.02), ("radau-7", 0.05), ("radau-9", 0.09))
@@ -156,6 +151,7 @@ def refined_panel(problem: ReferenceProblem, *, quick: bool) -> Panel:
     runs = timed_in_turns(
         {settings: partial(find_reference, problem, settings) for settings in cases}, 9,
         most=1.2 if quick else 6.0, least=2 if quick else 3, worth=lambda found: found.converged, starts_up=False,
+        progress=progress,
     )  # fmt: skip
     for settings, run in runs.items():
         label = f"{1e3 * settings.interval:g} ms{'' if settings.solver == 'ipopt' else ', ' + settings.solver}"
@@ -175,7 +171,7 @@ def refined_panel(problem: ReferenceProblem, *, quick: bool) -> Panel:
     )  # fmt: skip
 
 
-def outside_panel(problem: ReferenceProblem, *, quick: bool) -> Panel:
+def outside_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> Panel:
     """Return the diagram of the crossing's start without weight on the guess, solved by rockit too if installed."""
     short = replace(problem, duration=STRETCH)
     settings = ReferenceSettings(pendulum_weight=0.0)
@@ -203,7 +199,8 @@ def outside_panel(problem: ReferenceProblem, *, quick: bool) -> Panel:
             ("rockit", f"{n} intervals"): partial(by_rockit, short, settings, n)
             for n in ((25,) if quick else (25, 50, 100, 200))
         }
-    runs = timed_in_turns(ways, 9, most=0.6 if quick else 3.0, least=2 if quick else 3, starts_up=False)
+    runs = timed_in_turns(ways, 9, most=0.6 if quick else 3.0, least=2 if quick else 3, starts_up=False,
+                          progress=progress)  # fmt: skip
     for (method, label), run in runs.items():
         points.append(
             Point(method, label, run.seconds, away(*run.result), default=(method, label) == default,

@@ -105,3 +105,17 @@ def test_what_is_of_no_interest_is_called_once():
     assert machine.calls.count("fails") == 1
     assert found["fails"].result == "fails"
     assert machine.calls.count("works") == 5
+
+
+def test_progress_rises_from_first_calls_through_the_rounds():
+    machine, told = Machine(), []
+    works = {name: machine.work(name, 1.0) for name in "ab"}
+    timed_in_turns(works, 3, progress=lambda what, done: told.append((what, done)), **machine.own)
+    assert [what for what, _ in told] == [
+        "first call 1 of 2",
+        "first call 2 of 2",
+        *(f"round {k} of 3" for k in (1, 2, 3)),
+    ]
+    shares = [done for _, done in told]
+    assert shares == sorted(shares)
+    assert 0 <= shares[0] < shares[-1] < 1
