@@ -15,7 +15,7 @@ from dpcontrol.bench.chart import Chart, Missing, Panel, Point
 from dpcontrol.bench.measure import timed, timed_in_turns
 from dpcontrol.dynamics.extended import ExtendedPropagator, extended
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.foundation.files import Progress, part_of
+from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections
 from dpcontrol.tubes.cut import CutSettings, tube_cut

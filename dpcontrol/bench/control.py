@@ -24,7 +24,7 @@ from dpcontrol.control.ogy import ClassicOgySettings, OgySettings, ogy_controlle
 from dpcontrol.control.periodic import orbit_controller
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings, tracking_controller
-from dpcontrol.foundation.files import Progress
+from dpcontrol.foundation.progress import Progress
 from dpcontrol.lab.batch import BatchRun
 from dpcontrol.lab.loop import LoopSettings, sampled_model
 from dpcontrol.references.joining import still

@@ -23,7 +23,7 @@ from dpcontrol.control.compiled_ekf import CompiledEkf
 from dpcontrol.control.hold import HoldSettings, hold_controller
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.dynamics.parameters import ArmChainParameters
-from dpcontrol.foundation.files import Progress
+from dpcontrol.foundation.progress import Progress
 from dpcontrol.lab.batch import BatchRun, run_batch
 from dpcontrol.lab.draw import draw_bench
 from dpcontrol.lab.drive import DriveSettings

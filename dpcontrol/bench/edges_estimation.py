@@ -22,7 +22,7 @@ from dpcontrol.control.hold import HoldSettings, hold_controller
 from dpcontrol.control.periodic import orbit_controller
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.parameters import ArmChainParameters
-from dpcontrol.foundation.files import Progress
+from dpcontrol.foundation.progress import Progress
 from dpcontrol.lab.loop import LoopSettings, run_loop, sampled_model
 from dpcontrol.lab.result import Ending
 from dpcontrol.lab.sensors import SensorSettings

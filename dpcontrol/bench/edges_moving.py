@@ -27,7 +27,7 @@ from dpcontrol.control.interface import Estimate
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.control.tracking import TrackingController, TvlqrSettings, tracking_controller
 from dpcontrol.dynamics.parameters import ArmChainParameters
-from dpcontrol.foundation.files import Progress
+from dpcontrol.foundation.progress import Progress
 from dpcontrol.lab.batch import BatchRun, run_batch
 from dpcontrol.lab.draw import draw_bench
 from dpcontrol.lab.drive import DriveSettings

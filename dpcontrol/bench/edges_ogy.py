@@ -13,7 +13,7 @@ from dpcontrol.bench.ogy_borders import ESTIMATOR, LIMIT, RATE, Task, encoders, 
 from dpcontrol.bench.ogy_ladder import NEARLY, Ladder
 from dpcontrol.bench.ogy_readings import LANES, Foresight, foresight, spread
 from dpcontrol.control.ogy import OgyController
-from dpcontrol.foundation.files import Progress
+from dpcontrol.foundation.progress import Progress
 from dpcontrol.lab.batch import run_batch
 from dpcontrol.lab.draw import draw_bench
 from dpcontrol.lab.loop import LoopSettings

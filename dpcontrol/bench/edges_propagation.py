@@ -24,7 +24,7 @@ from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
 from dpcontrol.dynamics.drive_level import PlantParameters, longest_step
 from dpcontrol.dynamics.fixed_step import compiled_step
 from dpcontrol.dynamics.parameters import ArmChainParameters
-from dpcontrol.foundation.files import Progress
+from dpcontrol.foundation.progress import Progress
 from dpcontrol.scenes.model import load_model
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border
 from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
-from dpcontrol.foundation.files import Progress
+from dpcontrol.foundation.progress import Progress
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings

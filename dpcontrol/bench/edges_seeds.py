@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, Trial, find_border
 from dpcontrol.bench.seed_rounding import ANEW, DEFAULT, Chances, Searches
-from dpcontrol.foundation.files import Progress
+from dpcontrol.foundation.progress import Progress
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections
 from dpcontrol.tubes.intersections import ConnectionSettings

@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border
-from dpcontrol.foundation.files import Progress
+from dpcontrol.foundation.progress import Progress
 from dpcontrol.itineraries.edges import find_edges
 from dpcontrol.itineraries.shadowing import shadow
 from dpcontrol.itineraries.shooting import NewtonSettings

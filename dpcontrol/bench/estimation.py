@@ -22,7 +22,7 @@ from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings,
 from dpcontrol.control.sampled import SampledModel
 from dpcontrol.dynamics.arm_chain import Level, equations_of
 from dpcontrol.dynamics.parameters import ArmChainParameters
-from dpcontrol.foundation.files import Progress
+from dpcontrol.foundation.progress import Progress
 from dpcontrol.scenes.model import load_model
 
 MISMATCH = 0.02

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from dpcontrol.bench.chart import Chart, Missing, Panel, Point
 from dpcontrol.bench.level_trials import CART_MASS, LAG, WINDOW, LevelMotion, gather, motions
-from dpcontrol.foundation.files import Progress
+from dpcontrol.foundation.progress import Progress
 from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
 from dpcontrol.scenes.levels import PLANT_LEVELS, REFERENCE_LEVELS, Evidence, LevelRuns
 from dpcontrol.scenes.plan import Plan

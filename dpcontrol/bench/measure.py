@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 
 T = TypeVar("T")
 Key = TypeVar("Key", bound=Hashable)

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 from dpcontrol.bench.page import Page
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress
+from dpcontrol.foundation.progress import Progress
 
 Drawer = Callable[[bool, Progress], Page]
 """(quick, progress) -> chart: `quick` takes less of the same work, so that the order on the front stays."""

@@ -12,8 +12,9 @@ from dpcontrol.bench.measure import one_core
 from dpcontrol.bench.page import Page
 from dpcontrol.bench.registry import CHARTS, GROUPS, check_names
 from dpcontrol.foundation.checkout import commit
-from dpcontrol.foundation.files import Progress, no_progress, part_of, whole_file, write_whole
+from dpcontrol.foundation.files import whole_file, write_whole
 from dpcontrol.foundation.processes import in_processes, processors
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
 
 
 @dataclass(frozen=True)

@@ -16,7 +16,7 @@ from dpcontrol.bench.measure import timed_in_turns
 from dpcontrol.bench.outside import by_rockit, has_rockit
 from dpcontrol.dynamics.arm_chain import Level, equations_of
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.foundation.files import Progress, part_of
+from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.itineraries.wraps import WalkSolver
 from dpcontrol.references.errors import error_between_nodes, interval_propagator
 from dpcontrol.references.find import find_reference

@@ -13,7 +13,7 @@ import click
 import numpy as np
 
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import Progress
+from dpcontrol.foundation.progress import Progress
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print one JSON document on stdout.")
 

@@ -3,7 +3,7 @@
 import hashlib
 import os
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -77,20 +77,3 @@ def content_hash(*parts: str | bytes) -> str:
         digest.update(len(data).to_bytes(8, "little"))
         digest.update(data)
     return digest.hexdigest()[:16]
-
-
-Progress = Callable[[str, float], None]
-"""Called with what is being done and how much of it is done (0 to 1)."""
-
-
-def no_progress(what: str, done: float) -> None:
-    """Ignore progress."""
-
-
-def part_of(progress: Progress, low: float, high: float) -> Progress:
-    """Return a progress that reports into the part of another from `low` to `high`."""
-
-    def report(what: str, done: float) -> None:
-        progress(what, low + (high - low) * done)
-
-    return report

@@ -10,7 +10,7 @@ import networkx as nx
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.itineraries.rotating import is_rotating, rotating_connections, rotating_named
 from dpcontrol.itineraries.walk import Symbol
 from dpcontrol.tubes.connection import Connection

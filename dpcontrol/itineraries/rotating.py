@@ -13,7 +13,7 @@ from dataclasses import replace
 from dpcontrol.dynamics.section import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.tubes.connections import ConnectionSearch
 from dpcontrol.tubes.lap_connections import find_lap_connections, grown_crossing, own_crossings
 from dpcontrol.tubes.lyapunov import LyapunovOrbit

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.interface import Action, Controller, Estimate, Estimator, Mode, Session
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.lab.command_path import CommandPath
 from dpcontrol.lab.result import Ending, LoopSink, Ticks
 from dpcontrol.lab.rig import Reading, Rig

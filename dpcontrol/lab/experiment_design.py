@@ -21,7 +21,7 @@ from dpcontrol.control.swings import Swings
 from dpcontrol.dynamics.base_ratios import base_ratios, ratio_names
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
 

@@ -19,7 +19,7 @@ from dpcontrol.control.swings import Swings
 from dpcontrol.dynamics.base_ratios import base_ratios, inertial_count, nearest_arms, ratio_names, unit_name, with_laws
 from dpcontrol.dynamics.parameters import ArmChainParameters, Friction
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.lab.identification_statistics import covariance_at_bounds, undetermined_of
 from dpcontrol.lab.recordings import Recording
 from dpcontrol.lab.swing_segments import Segment, cut_into_swings

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.arm_chain import Level, equations_of
 from dpcontrol.dynamics.fixed_step import compiled_step
 from dpcontrol.dynamics.parameters import ArmChainParameters
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 
 Array = NDArray[np.float64]
 

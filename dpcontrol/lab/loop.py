@@ -19,7 +19,7 @@ from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.dynamics.uncertain_arms import Uncertainty
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.tables import suggest
 from dpcontrol.lab.bench import BenchSettings
 from dpcontrol.lab.command_path import CommandPath

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dpcontrol.control.swing_fit import FitSettings, fit_swings
 from dpcontrol.control.swings import Swings
 from dpcontrol.dynamics.base_ratios import inertial_count
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.lab.identification import Identification
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from dpcontrol.dynamics.arm_chain import Level, equations_of
 from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.lab.cart_motion import CartMotion
 from dpcontrol.lab.initial_states import first_guess
 from dpcontrol.lab.recordings import Recording

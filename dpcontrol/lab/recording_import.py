@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.lab.matlab_files import column, find, numbers, read_matlab
 from dpcontrol.lab.recording_checks import Samples, checked_repairs, sound_segments
 from dpcontrol.lab.recording_mapping import Mapping, load_mapping

@@ -21,7 +21,7 @@ from dpcontrol.control.estimation import ESTIMATORS
 from dpcontrol.control.estimator_settings import EstimatorSettings
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, no_progress, part_of
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.tables import suggest
 from dpcontrol.lab.cart_motion import CartMotion, cart_motion
 from dpcontrol.lab.initial_states import CartDrive, FittedPath, FreeMotion, fit_initial_states

@@ -16,7 +16,8 @@ from itertools import count, pairwise
 from pathlib import Path
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, checked_other_file, no_progress, part_of, whole_file
+from dpcontrol.foundation.files import checked_other_file, whole_file
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import McapFile
 from dpcontrol.logs.decoding import described_layout

@@ -19,7 +19,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 from numpy.typing import NDArray
 
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import ChunkMessages
 from dpcontrol.logs.sealed import unsealed

@@ -26,7 +26,7 @@ from dpcontrol.dynamics.arm_chain import Level, equations_of
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.linear_flow import LinearFlow, eigenvalues_of_both, products
 from dpcontrol.references.problem import Ends, Limits, ReferenceProblem, ReferenceSettings, state_scale

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.references.errors import largest_values
 from dpcontrol.references.find import find_reference, wanting
 from dpcontrol.references.method import Method, method_named

@@ -7,7 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from dpcontrol.foundation.files import Progress, no_progress, whole_file
+from dpcontrol.foundation.files import whole_file
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.lab.experiment_design import Design
 from dpcontrol.lab.identification import Identification
 from dpcontrol.lab.profiles import Profile, profiles

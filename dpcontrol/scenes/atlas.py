@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, content_hash, no_progress
+from dpcontrol.foundation.files import content_hash
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.itineraries.atlas import Atlas, AtlasKind, AtlasPoint
 from dpcontrol.scenes.atlas_file import load_atlas, save_atlas
 from dpcontrol.scenes.atlas_records import (

@@ -3,7 +3,8 @@
 import json
 from dataclasses import asdict
 
-from dpcontrol.foundation.files import Progress, content_hash, no_progress, write_whole
+from dpcontrol.foundation.files import content_hash, write_whole
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.scenes.cache import cache_folder, code_hash
 from dpcontrol.scenes.model import Model
 from dpcontrol.tubes.bifurcations import find_bifurcations

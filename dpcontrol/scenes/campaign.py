@@ -14,8 +14,8 @@ from typing import Any
 
 import dpcontrol
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import Progress, no_progress, part_of
 from dpcontrol.foundation.processes import processors
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.lab.batch import can_batch
 from dpcontrol.lab.statistics import Pairing, Share, paired, wilson
 from dpcontrol.scenes.campaign_jobs import Case, Job, Row

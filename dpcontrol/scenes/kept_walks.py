@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.phase import whole_turns
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.foundation.files import Progress, no_progress, part_of
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.itineraries.shadowing import ShadowingOrbit
 from dpcontrol.itineraries.tiling import phase_gap
 from dpcontrol.itineraries.wraps import WalkSolver

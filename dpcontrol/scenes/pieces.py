@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.arm_chain import Level, equations_of
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.foundation.files import Progress, no_progress, part_of
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.itineraries.shadowing import ShadowingOrbit
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.joining import still

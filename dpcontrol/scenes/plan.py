@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import Progress, content_hash, no_progress, part_of
+from dpcontrol.foundation.files import content_hash
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.itineraries.edges import find_edges, saddles_with_tubes
 from dpcontrol.itineraries.shadowing import ShadowingOrbit
 from dpcontrol.itineraries.walk import parse_walk

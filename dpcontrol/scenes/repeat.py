@@ -15,7 +15,8 @@ from typing import Any, get_args, get_origin, get_type_hints
 import dpcontrol
 from dpcontrol.control.estimation import ESTIMATORS
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, checked_other_file, no_progress
+from dpcontrol.foundation.files import checked_other_file
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.lab.loop import LoopSettings
 from dpcontrol.logs import Comparison, RunLog, compare_messages, read_log
 from dpcontrol.references.archive import load_reference

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from dpcontrol.control.interface import Controller
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.lab.bench_recipe import BenchRecipe
 from dpcontrol.lab.control_loop import ControlLoop
 from dpcontrol.lab.deadlines import Deadlines, real_time_priority, without_collecting

@@ -8,7 +8,8 @@ from pathlib import Path
 import dpcontrol
 from dpcontrol.foundation.checkout import commit
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.foundation.files import Progress, content_hash, no_progress
+from dpcontrol.foundation.files import content_hash
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.lab.log_sink import LogSink
 from dpcontrol.lab.loop import run_loop
 from dpcontrol.logs import LogWriter, read_log

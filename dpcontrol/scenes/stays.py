@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.references.joining import joined, still
 from dpcontrol.references.method import method_named
 from dpcontrol.references.reference import Reference

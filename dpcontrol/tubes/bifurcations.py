@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.tubes.equilibria import equilibrium
 from dpcontrol.tubes.links import Link
 from dpcontrol.tubes.sweep import Sweep

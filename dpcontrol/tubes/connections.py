@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.tubes.connecting_orbit import Anchor, ConnectingOrbit, ManifoldEnd, solve_connecting_orbit
 from dpcontrol.tubes.connection import Connection, described_connection, mirrored
 from dpcontrol.tubes.cut import Cut, OpenEnd, section_points, tube_cut

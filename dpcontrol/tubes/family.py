@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.tubes.family_curve import SLOPE, FamilyCurve, FamilyPoint
 from dpcontrol.tubes.family_end import SIZE, FamilyEnd, family_end, lost
 from dpcontrol.tubes.lyapunov import LyapunovOrbit, described_orbit

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.tubes.cut import Cut, section_points
 from dpcontrol.tubes.lyapunov import LyapunovOrbit
 from dpcontrol.tubes.manifold import UnstableManifold

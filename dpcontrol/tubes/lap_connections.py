@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.section import Section
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.tubes.connecting_orbit import ConnectingOrbit
 from dpcontrol.tubes.connection import Connection, connection_name
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.tubes.family_curve import SLOPE, FamilyCurve, FamilyPoint
 from dpcontrol.tubes.family_end import LINGERS, nearest_equilibrium
 from dpcontrol.tubes.rotating import RotatingOrbit, described, half_turn, kind_of, section_trace

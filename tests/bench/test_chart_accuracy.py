@@ -19,7 +19,7 @@ from dpcontrol.bench.schemes import Stepper, buffered_rate, runge_kutta_4, sympl
 from dpcontrol.dynamics.extended import ExtendedPropagator
 from dpcontrol.dynamics.fixed_step import fixed_step
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.foundation.files import no_progress
+from dpcontrol.foundation.progress import no_progress
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.lyapunov import lyapunov_orbit
 

@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
-from dpcontrol.foundation.files import part_of
+from dpcontrol.foundation.progress import part_of
 from dpcontrol.review import style
 from dpcontrol.review.figures.page import Gallery, Page, angle_axis, new_figure, quiet, saddle_colour
 from dpcontrol.tubes.branch_diagram import BranchDiagram

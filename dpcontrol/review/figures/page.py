@@ -11,7 +11,7 @@ from matplotlib.ticker import FuncFormatter, MultipleLocator
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.files import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.itineraries.atlas import Atlas
 from dpcontrol.review import style
 from dpcontrol.tubes.branch_diagram import BranchDiagram

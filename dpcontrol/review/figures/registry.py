@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import Progress, no_progress, part_of, whole_file, write_whole
+from dpcontrol.foundation.files import whole_file, write_whole
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.review.figures import (
     branches,
     families,
