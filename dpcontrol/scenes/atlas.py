@@ -82,7 +82,7 @@ def atlas_key(model: Model, energy: float, settings: AtlasSettings) -> str:
     """Return the content that an atlas depends on, as 16 hexadecimal digits."""
     content = {
         "format": FORMAT,
-        "code": code_hash(),
+        "code": code_hash(__name__),
         "model": model.name,
         "parameters": model.system.parameters.tolist(),
         "system": type(model.parameters).__name__,

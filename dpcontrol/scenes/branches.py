@@ -35,7 +35,7 @@ def make_branches(
     energies = energies or (LOWEST, HIGHEST if source == target else HIGHEST_BETWEEN)
     content = {
         "format": FORMAT,
-        "code": code_hash(),
+        "code": code_hash(__name__),
         "parameters": model.system.parameters.tolist(),
         "system": type(model.parameters).__name__,
         "saddles": [source, target],

@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 import dpcontrol
 from dpcontrol.foundation.files import content_hash
-from dpcontrol.scenes.cache import code_hash
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.scenes.pieces import Goal, Piece
 from dpcontrol.tubes.connections import Connection
@@ -156,7 +155,6 @@ def notes_of(
 def _made_from(itinerary: Itinerary) -> dict[str, Any]:
     return {
         "program": f"dpcontrol {dpcontrol.__version__}",
-        "code": code_hash(),
         "scene": itinerary.text,
         "scene_hash": content_hash(itinerary.text),
         "model": itinerary.model.text,

@@ -58,7 +58,7 @@ def plan_key(itinerary: Itinerary) -> str:
     """Return the content that a plan depends on, as 16 hexadecimal digits."""
     content = {
         "format": FORMAT,
-        "code": code_hash(),
+        "code": code_hash(__name__),
         "parameters": asdict(itinerary.model.arms),
         "name": itinerary.name,
         "title": itinerary.title,
@@ -100,7 +100,7 @@ def make_plan(itinerary: Itinerary, *, progress: Progress = no_progress, fresh: 
         pieces = solve_pieces(itinerary, goals, progress=part_of(progress, 0.4, 1.0))
         reference, begins = joined([piece.reference for piece in pieces])
         notes, arrays = plan_notes(itinerary, pieces, begins)
-    notes["plan"] = plan_key(itinerary)
+    notes |= {"plan": plan_key(itinerary), "made_from": {**notes["made_from"], "code": code_hash(__name__)}}
     reference = replace(reference, notes={**reference.notes, **notes}, extra={**reference.extra, **arrays})
     if reference.converged:
         save_reference(file, reference)

@@ -1,16 +1,21 @@
 """Plans kept by content: found again, and never taken for another's."""
 
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import read_log
 from dpcontrol.references.archive import load_reference, save_reference
 from dpcontrol.review.score import score
+from dpcontrol.scenes import plan as planning
+from dpcontrol.scenes.cache import code_hash, module_sources
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan, plan_key
 from dpcontrol.scenes.run import run_plan
@@ -40,6 +45,49 @@ def test_a_changed_title_or_limit_asks_for_another_plan() -> None:
     assert plan_key(replace(scene, title="Another")) != plan_key(scene)
     assert plan_key(replace(scene, limits=replace(scene.limits, position=0.3))) != plan_key(scene)
     assert plan_key(scene.with_run(seed=5, mismatch=0.1)) == plan_key(scene)
+
+
+PLANS = planning.__name__
+MADE_BY = sorted({name.rsplit(".", 1)[0] for name in module_sources(PLANS)} - {"dpcontrol"})
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the package, to edit."""
+    folder = tmp_path_factory.mktemp("edited") / "dpcontrol"
+    shutil.copytree(Path(dpcontrol.__file__).parent, folder, ignore=shutil.ignore_patterns("__pycache__"))
+    return folder
+
+
+@pytest.mark.parametrize("package", MADE_BY)
+def test_an_edit_to_a_package_that_makes_plans_asks_for_new_plans(package: str, copy: Path) -> None:
+    names = [name for name in module_sources(PLANS) if name.rsplit(".", 1)[0] == package]
+    file = copy.joinpath(*names[-1].split(".")[1:]).with_suffix(".py")
+    text = file.read_text()
+    file.write_text(text.replace("return ", "return  ", 1) + "\n_EDITED = 1\n")
+    try:
+        code_hash.cache_clear()
+        assert code_hash(PLANS, copy) != code_hash(PLANS)
+    finally:
+        file.write_text(text)
+    code_hash.cache_clear()
+    assert code_hash(PLANS, copy) == code_hash(PLANS)
+
+
+def test_all_code_that_a_plan_runs_through_counts(tmp_path: Path) -> None:
+    """What an interpreter imports of this package by planning is among what is hashed, but for empty packages."""
+    script = f"import sys, {PLANS}; print(*(n for n in sys.modules if n.startswith('dpcontrol.')))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    hashed = module_sources(PLANS)
+    for name in set(done.stdout.split()) - set(hashed):
+        file = Path(dpcontrol.__file__).parent.joinpath(*name.split(".")[1:], "__init__.py")
+        assert len(file.read_text().splitlines()) <= 1, f"{name} is not hashed"
+
+
+def test_an_edit_to_the_command_line_keeps_the_plans(copy: Path) -> None:
+    (copy / "cli" / "plan.py").write_text("")
+    code_hash.cache_clear()
+    assert code_hash(PLANS, copy) == code_hash(PLANS)
 
 
 @pytest.mark.parametrize("lost", ["stops", "symbols", "orbits", "saddles", "wraps", "title"])
