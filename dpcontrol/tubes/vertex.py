@@ -18,7 +18,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.tubes.lyapunov import LyapunovOrbit
 from dpcontrol.tubes.manifold import Frame, UnstableManifold
@@ -169,61 +168,26 @@ def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None, segments: 
     first = system.propagator.sample(orbit.state, times[: half + 1])
     # γ(1 - φ) = R γ(φ) + a whole turn.
     second = (first[:-1][::-1] - rest) @ mirror.T + rest + winding * system.turn_lengths
-    large = complex(orbit.floquet_multipliers[0])
-    return hyperbolic_orbit(
-        system,
-        name or default,
-        energy=orbit.energy,
-        multiplier=float(large.real),
-        mirror=mirror,
-        rest=rest,
-        winding=winding,
-        times=times,
-        states=np.vstack([first, second]),
-        residual=orbit.residual,
-        newton_residual=orbit.newton_residual,
-        status=orbit.status,
-    )
-
-
-def hyperbolic_orbit(
-    system: System,
-    name: str,
-    *,
-    energy: float,
-    multiplier: float,
-    mirror: Array,
-    rest: Array,
-    winding: Array,
-    times: Array,
-    states: Array,
-    residual: float,
-    newton_residual: float,
-    status: str,
-) -> HyperbolicOrbit:
-    """Return a vertex from its nodes, the first of which lies on the mirror.
-
-    times (M + 1,) s from 0 to the period; states (M + 1, N); multiplier: λ. mirror (N, N), rest (N,) and winding (N,)
-    as in HyperbolicOrbit; energy in the system's unit.
-    """
+    states = np.vstack([first, second])
     _, stms = system.segments.flows_with_stm(states[:-1], np.diff(times))
-    monodromy = np.eye(system.dimension)
+    monodromy = np.eye(2 * n)
     for stm in stms:
         monodromy = stm @ monodromy
-    neutral = [1.0] * (system.dimension - 2)
+    multiplier = float(complex(orbit.floquet_multipliers[0]).real)
+    neutral = [1.0] * (2 * n - 2)
     return HyperbolicOrbit(
         system=system,
-        saddle=name,
+        saddle=name or default,
         family=0,
-        energy=energy,
+        energy=orbit.energy,
         state=states[0],
-        period=float(times[-1]),
+        period=orbit.period,
         floquet_multipliers=np.array([multiplier, *neutral, 1 / multiplier], dtype=complex),
         monodromy=monodromy,
-        residual=residual,
-        newton_residual=newton_residual,
+        residual=orbit.residual,
+        newton_residual=orbit.newton_residual,
         converged=True,
-        status=status,
+        status=orbit.status,
         mirror=mirror,
         rest=rest,
         winding=winding,

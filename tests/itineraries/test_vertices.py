@@ -6,13 +6,8 @@ import pytest
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.itineraries.grow import as_connection
 from dpcontrol.itineraries.shadowing import shadow
-from dpcontrol.itineraries.vertices import closed_vertex
-from dpcontrol.itineraries.walk import choose, parse_symbol
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.tubes.cut import CutSettings
-from dpcontrol.tubes.intersections import ConnectionSettings
-from dpcontrol.tubes.lap_connections import find_lap_connections, own_crossings
+from dpcontrol.tubes.lap_connections import find_lap_connections
 from dpcontrol.tubes.lyapunov import lyapunov_orbit
 from dpcontrol.tubes.orbit_curve import OrbitCurve
 from dpcontrol.tubes.rotating import rotating_orbits
@@ -57,18 +52,6 @@ def into(rotating, lyapunov, section):
     return find_lap_connections(lyapunov, rotating, section=section)
 
 
-@pytest.fixture(scope="module")
-def turns(system):
-    found = find_connections(*orbits_between(system, "down-up", "down-up", -0.07)).connections
-    return {sense: choose(parse_symbol(f"down-up {sense}", ["down-up"]), found) for sense in "+-"}
-
-
-@pytest.fixture(scope="module")
-def whirl(turns):
-    """A turn again and again, without a wobble between: λ = 9e7."""
-    return closed_vertex(shadow([turns["+"]], wraps=[0], periodic=True), name="whirl")
-
-
 def test_a_negative_multiplier_makes_the_manifold_one_sided(system, rotating):
     manifold = local_manifold(rotating)
     assert manifold.exponent == pytest.approx(np.log(-MULTIPLIER), abs=1e-12)
@@ -81,9 +64,8 @@ def test_a_negative_multiplier_makes_the_manifold_one_sided(system, rotating):
     assert np.abs(matrix @ frame.vectors[0] - MULTIPLIER * frame.vectors[0]).max() < FLOWN
 
 
-@pytest.mark.parametrize("name", ["rotating", "whirl"])
-def test_the_frame_moves_with_the_flow_and_is_mirrored(system, request, name):
-    orbit = request.getfixturevalue(name)
+def test_the_frame_moves_with_the_flow_and_is_mirrored(system, rotating):
+    orbit = rotating
     manifold = local_manifold(orbit)
     phases = np.linspace(-0.6, 1.6, 23)
     frame = manifold.frame(phases)
@@ -198,41 +180,7 @@ def test_a_walk_may_start_and_end_at_the_rotating_orbit(rotating, into, out):
     assert np.abs(apart).max() < FLOWN
 
 
-def test_a_closed_shadowing_orbit_is_a_vertex(system, turns, whirl, section):
-    closed = shadow([turns["+"]], wraps=[0], periodic=True)
-    assert closed.certificate is not None
-    assert closed.certificate.multipliers is not None
-    manifold = local_manifold(whirl)
-    assert manifold.exponent == pytest.approx(closed.certificate.multipliers.log_unstable, abs=1e-9)
-    assert whirl.period == closed.duration
-    assert whirl.whole_turns.tolist() == [0, 1, 0, 0]
-    assert own_crossings(whirl, section) == 1
-    forth_and_back = closed_vertex(shadow([turns["+"], turns["-"]], wraps=[0, 0], periodic=True), name="swing")
-    assert forth_and_back.whole_turns.tolist() == [0, 0, 0, 0]
-    assert own_crossings(forth_and_back, section) == 2
-    image = forth_and_back.mirror @ (forth_and_back.state - forth_and_back.rest) + forth_and_back.rest
-    assert np.abs(image - forth_and_back.state).max() < 1e-14
-
-
-def test_walks_leave_a_closed_shadowing_orbit(turns, whirl, section):
-    home = turns["+"].source
-    coarse = ConnectionSettings(cut=CutSettings(chord=0.5), newton_iterations=6)
-    leaving = find_lap_connections(whirl, home, section=section, settings=coarse).connections
-    assert leaving
-    assert all(c.residual < RESIDUAL for c in leaving)
-    leave = max(leaving, key=lambda c: c.time_out)
-    orbit = shadow([leave, turns["-"]], wraps=[2])
-    assert orbit.converged
-    assert orbit.residual < RESIDUAL
-    assert orbit.wraps_realised == (2,)
-    # Before it leaves, it turns with the whirl: a turn a period.
-    start = orbit.orbit.states[0]
-    assert OrbitCurve(whirl).nearest(start)[1] < 1e-7
-    before = orbit.orbit.sample(np.array([orbit.orbit.times[0] - whirl.period]))[0]
-    assert start[1] - before[1] == pytest.approx(2 * np.pi, abs=1e-5)
-
-
-def test_orbits_without_tubes_are_refused(system, turns, lyapunov, rotating, section):
+def test_orbits_without_tubes_are_refused(system, lyapunov, rotating, section):
     elliptic = next(o for o in rotating_orbits(system, 1, 0.2) if o.kind == "elliptic")
     with pytest.raises(InputError, match=r"is elliptic .* only hyperbolic orbits have tubes"):
         rotating_vertex(elliptic)
@@ -240,14 +188,3 @@ def test_orbits_without_tubes_are_refused(system, turns, lyapunov, rotating, sec
         find_lap_connections(lyapunov, lyapunov, section=section)
     with pytest.raises(InputError, match="must be 1 or more"):
         find_lap_connections(lyapunov, rotating, section=section, crossings=[0])
-    with pytest.raises(InputError, match="is an edge of the graph"):
-        closed_vertex(shadow([turns["+"]]), name="open")
-
-
-def test_orbits_without_a_mirror_are_refused(turns):
-    found = find_connections(turns["+"].source, turns["+"].target).connections
-    lopsided = next(c for c in found if not c.symmetric)
-    closed = shadow([turns["+"], lopsided], wraps=[1, 1], periodic=True)
-    assert closed.converged
-    with pytest.raises(InputError, match="is not its own mirror image"):
-        closed_vertex(closed, name="lopsided")
