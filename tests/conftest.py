@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import pytest
 from shadowing_stand_in import LAB, StandIn, high_crossing, low_turn
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference

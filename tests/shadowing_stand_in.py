@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations
 from dpcontrol.dynamics.equations import NumericEquations
-from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.dynamics.propagator import Propagator
 
 Array = NDArray[np.float64]

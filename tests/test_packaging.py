@@ -63,7 +63,7 @@ def test_the_wheel_carries_every_module_its_tables_and_nothing_of_the_tests(whee
         names = {n for n in archive.namelist() if not n.startswith("dpcontrol/data/") and ".dist-info/" not in n}
     package = {file for end in ("*.py", "*.toml") for file in (ROOT / "dpcontrol").rglob(end)}
     assert names == {str(file.relative_to(ROOT)) for file in package}
-    assert "dpcontrol/lab/mappings/multi-arm.toml" in names
+    assert "dpcontrol/recordings/mappings/multi-arm.toml" in names
 
 
 def test_the_wheel_declares_the_console_script_and_the_dependencies(wheel: Path) -> None:

@@ -7,9 +7,9 @@ import time
 from pathlib import Path
 
 from dpcontrol.cli.main import main
-from dpcontrol.lab import loop
-from dpcontrol.lab.rig import Reading
 from dpcontrol.logs import read_log, recover
+from dpcontrol.loop import loop
+from dpcontrol.loop.rig import Reading
 
 
 class TellingRig(loop.SimulatedRig):

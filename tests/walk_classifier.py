@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.spatial import cKDTree
 
-from dpcontrol.dynamics.section import Section
+from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.itineraries.shadowing import ShadowingOrbit
 from dpcontrol.tubes.connection import Connection
+from dpcontrol.walks.shadowing import ShadowingOrbit
 
 Array = NDArray[np.float64]
 Sampler = Callable[[Array], Array]

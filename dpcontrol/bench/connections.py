@@ -16,14 +16,14 @@ from dpcontrol.bench.measure import timed, timed_in_turns
 from dpcontrol.dynamics.extended import ExtendedPropagator, extended
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, part_of
+from dpcontrol.orbits.lyapunov import ContinuationSettings, LyapunovOrbit, lyapunov_orbit
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections
 from dpcontrol.tubes.cut import CutSettings, tube_cut
 from dpcontrol.tubes.extended import refine_connection
 from dpcontrol.tubes.extended_orbit import RefinementSettings, refine_orbit
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
-from dpcontrol.tubes.lyapunov import ContinuationSettings, LyapunovOrbit, lyapunov_orbit
-from dpcontrol.tubes.vertex import local_manifold
+from dpcontrol.tubes.orbit_curve import local_manifold
 
 Array = NDArray[np.float64]
 

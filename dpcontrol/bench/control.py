@@ -16,27 +16,26 @@ from dpcontrol.bench.control_trials import LARGE, SMALL, Outcome, Task, held, ou
 from dpcontrol.bench.estimator_trials import noise_of
 from dpcontrol.bench.measure import timed_in_turns
 from dpcontrol.control.adaptive import AdaptiveSettings, adaptive_controller
-from dpcontrol.control.compiled_ekf import CompiledEkf
+from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings
-from dpcontrol.control.hold import HoldSettings, hold_controller
 from dpcontrol.control.interface import Controller
+from dpcontrol.control.lqr import HoldSettings, hold_controller
+from dpcontrol.control.model import SampledModel
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings, ogy_controller
 from dpcontrol.control.periodic import orbit_controller
-from dpcontrol.control.sampled import SampledModel
 from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings, tracking_controller
 from dpcontrol.foundation.progress import Progress
-from dpcontrol.lab.batch import BatchRun
-from dpcontrol.lab.loop import LoopSettings, sampled_model
-from dpcontrol.references.joining import still
+from dpcontrol.loop.batch import BatchRun
+from dpcontrol.loop.loop import LoopSettings, sampled_model
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits
-from dpcontrol.references.reference import Reference
+from dpcontrol.references.reference import Reference, still
 from dpcontrol.references.sustained import sustained_orbit
 from dpcontrol.review.score import Flown, verdict_on
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.model import load_model
 from dpcontrol.scenes.plan import make_plan
-from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
 RATE = 1000.0
 TICKS = "s per tick, filter and law"

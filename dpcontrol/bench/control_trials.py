@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.interface import Action, Controller
-from dpcontrol.dynamics.parameters import ArmChainParameters
-from dpcontrol.lab.batch import BatchRun, can_batch, run_batch
-from dpcontrol.lab.loop import LoopSettings, run_loop
-from dpcontrol.lab.result import Ending
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.loop.batch import BatchRun, can_batch, run_batch
+from dpcontrol.loop.loop import LoopSettings, run_loop
+from dpcontrol.loop.result import Ending
 from dpcontrol.references.reference import Reference
 
 Array = NDArray[np.float64]

@@ -19,16 +19,16 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border
-from dpcontrol.control.compiled_ekf import CompiledEkf
-from dpcontrol.control.hold import HoldSettings, hold_controller
-from dpcontrol.control.sampled import SampledModel
-from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.control.ekf import CompiledEkf
+from dpcontrol.control.lqr import HoldSettings, hold_controller
+from dpcontrol.control.model import SampledModel
+from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.progress import Progress
-from dpcontrol.lab.batch import BatchRun, run_batch
-from dpcontrol.lab.draw import draw_bench
-from dpcontrol.lab.drive import DriveSettings
-from dpcontrol.lab.loop import LoopSettings, sampled_model
-from dpcontrol.lab.result import Ending
+from dpcontrol.loop.batch import BatchRun, run_batch
+from dpcontrol.loop.bench import DriveSettings
+from dpcontrol.loop.draw import draw_bench
+from dpcontrol.loop.loop import LoopSettings, sampled_model
+from dpcontrol.loop.result import Ending
 from dpcontrol.references.problem import Limits
 from dpcontrol.scenes.model import load_model
 

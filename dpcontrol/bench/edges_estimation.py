@@ -18,20 +18,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border
-from dpcontrol.control.hold import HoldSettings, hold_controller
+from dpcontrol.control.lqr import HoldSettings, hold_controller
 from dpcontrol.control.periodic import orbit_controller
 from dpcontrol.control.tracking import TvlqrSettings
-from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.progress import Progress
-from dpcontrol.lab.loop import LoopSettings, run_loop, sampled_model
-from dpcontrol.lab.result import Ending
-from dpcontrol.lab.sensors import SensorSettings
-from dpcontrol.references.joining import still
+from dpcontrol.loop.bench import SensorSettings
+from dpcontrol.loop.loop import LoopSettings, run_loop, sampled_model
+from dpcontrol.loop.result import Ending
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits
+from dpcontrol.references.reference import still
 from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
 Array = NDArray[np.float64]
 

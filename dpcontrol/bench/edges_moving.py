@@ -22,17 +22,17 @@ from numpy.typing import NDArray
 
 from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border
 from dpcontrol.bench.edges_control import ROOM
-from dpcontrol.control.compiled_ekf import CompiledEkf
+from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.interface import Estimate
-from dpcontrol.control.sampled import SampledModel
+from dpcontrol.control.model import SampledModel
 from dpcontrol.control.tracking import TrackingController, TvlqrSettings, tracking_controller
-from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.progress import Progress
-from dpcontrol.lab.batch import BatchRun, run_batch
-from dpcontrol.lab.draw import draw_bench
-from dpcontrol.lab.drive import DriveSettings
-from dpcontrol.lab.loop import LoopSettings, sampled_model
-from dpcontrol.lab.result import Ending
+from dpcontrol.loop.batch import BatchRun, run_batch
+from dpcontrol.loop.bench import DriveSettings
+from dpcontrol.loop.draw import draw_bench
+from dpcontrol.loop.loop import LoopSettings, sampled_model
+from dpcontrol.loop.result import Ending
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
 from dpcontrol.scenes.itinerary import load_itinerary

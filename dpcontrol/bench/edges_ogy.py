@@ -14,10 +14,10 @@ from dpcontrol.bench.ogy_ladder import NEARLY, Ladder
 from dpcontrol.bench.ogy_readings import LANES, Foresight, foresight, spread
 from dpcontrol.control.ogy import OgyController
 from dpcontrol.foundation.progress import Progress
-from dpcontrol.lab.batch import run_batch
-from dpcontrol.lab.draw import draw_bench
-from dpcontrol.lab.loop import LoopSettings
-from dpcontrol.lab.result import Ending
+from dpcontrol.loop.batch import run_batch
+from dpcontrol.loop.draw import draw_bench
+from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.loop.result import Ending
 from dpcontrol.references.problem import Limits
 
 Array = NDArray[np.float64]

@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
 from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border
-from dpcontrol.control.sampled import SampledModel
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
-from dpcontrol.dynamics.drive_level import PlantParameters, longest_step
-from dpcontrol.dynamics.fixed_step import compiled_step
-from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.control.model import SampledModel
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations
+from dpcontrol.dynamics.compiled import compiled_step
+from dpcontrol.dynamics.plant import PlantParameters, longest_step
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.scenes.model import load_model
 
@@ -170,11 +169,11 @@ def step_border(
 def _run_at(arms: ArmChainParameters) -> Callable[[float, str], str]:
     """Return what a run says whose period is as long as the step, arms held at the equilibrium."""
     from dpcontrol.bench.edges_control import INITIAL_ERROR, ROOM
-    from dpcontrol.control.hold import HoldSettings, hold_controller
+    from dpcontrol.control.lqr import HoldSettings, hold_controller
     from dpcontrol.foundation.errors import GoalMissed, InputError
-    from dpcontrol.lab.batch import run_batch
-    from dpcontrol.lab.loop import LoopSettings, sampled_model
-    from dpcontrol.lab.result import Ending
+    from dpcontrol.loop.batch import run_batch
+    from dpcontrol.loop.loop import LoopSettings, sampled_model
+    from dpcontrol.loop.result import Ending
     from dpcontrol.references.problem import Limits
 
     def says(h: float, saddle: str) -> str:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, Trial, find_border
 from dpcontrol.bench.seed_rounding import ANEW, DEFAULT, Chances, Searches
 from dpcontrol.foundation.progress import Progress
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections
 from dpcontrol.tubes.intersections import ConnectionSettings
-from dpcontrol.tubes.lyapunov import LyapunovOrbit, lyapunov_orbit
 
 Array = NDArray[np.float64]
 

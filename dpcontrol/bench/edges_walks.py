@@ -20,12 +20,11 @@ import numpy as np
 
 from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border
 from dpcontrol.foundation.progress import Progress
-from dpcontrol.itineraries.edges import find_edges
-from dpcontrol.itineraries.shadowing import shadow
-from dpcontrol.itineraries.shooting import NewtonSettings
-from dpcontrol.itineraries.tiling import ShadowingSettings
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connection import Connection
+from dpcontrol.walks.edges import find_edges
+from dpcontrol.walks.shadowing import ShadowingSettings, shadow
+from dpcontrol.walks.shooting import NewtonSettings
 
 ENERGY = 0.2
 WRAPS = (0, 1, 2, 4, 8)

@@ -16,12 +16,11 @@ from dpcontrol.bench.estimator_trials import (
     swing,
 )
 from dpcontrol.bench.measure import Timed, timed_in_turns
-from dpcontrol.control.compiled_ekf import CompiledEkf
+from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterpyEkfSettings, UkfSettings
-from dpcontrol.control.sampled import SampledModel
-from dpcontrol.dynamics.arm_chain import Level, equations_of
-from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.control.model import SampledModel
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.scenes.model import load_model
 

@@ -15,10 +15,9 @@ from numpy.typing import NDArray
 from dpcontrol.bench.derivative_filter import DerivativeFilter
 from dpcontrol.control.consistency import nees, share_inside
 from dpcontrol.control.interface import Estimate, Estimator
-from dpcontrol.control.sampled import SampledModel
-from dpcontrol.dynamics.arm_chain import Level, equations_of
-from dpcontrol.dynamics.parameters import ArmChainParameters
-from dpcontrol.lab.sensors import SensorSettings
+from dpcontrol.control.model import SampledModel
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
+from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
 
 Array = NDArray[np.float64]

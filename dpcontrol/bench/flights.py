@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from dpcontrol.bench.schemes import Stepper, buffered_rate, runge_kutta_4, symplectic_gauss
+from dpcontrol.dynamics.compiled import fixed_step
 from dpcontrol.dynamics.extended import ExtendedPropagator, extended
-from dpcontrol.dynamics.fixed_step import fixed_step
-from dpcontrol.dynamics.propagator import Propagator
-from dpcontrol.dynamics.segments import SegmentPropagator
+from dpcontrol.dynamics.propagator import Propagator, SegmentPropagator
 from dpcontrol.dynamics.system import System
 
 Array = NDArray[np.float64]

@@ -15,17 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.bench.measure import timed_in_turns
-from dpcontrol.dynamics.arm_chain import Level, equations_of
-from dpcontrol.dynamics.drive_level import PlantLevel, PlantParameters, plant_step
-from dpcontrol.dynamics.fixed_step import compiled_step
-from dpcontrol.dynamics.parameters import ArmChainParameters
-from dpcontrol.lab.loop import LoopSettings
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
+from dpcontrol.dynamics.compiled import compiled_step
+from dpcontrol.dynamics.plant import PlantLevel, PlantParameters, plant_step
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
 from dpcontrol.references.reference import Reference
-from dpcontrol.scenes.campaign_jobs import Case, Job, run_job
-from dpcontrol.scenes.itinerary import Itinerary
+from dpcontrol.scenes.campaign import Case, Job, run_job
+from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart
 from dpcontrol.scenes.levels import PLANT_LEVELS, REFERENCE_LEVELS, Evidence, LevelRuns, motion_key
-from dpcontrol.scenes.parts import HoldPart, OrbitPart, WalkPart
 from dpcontrol.scenes.plan import Plan, make_plan
 
 Array = NDArray[np.float64]

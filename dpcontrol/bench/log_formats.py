@@ -19,9 +19,9 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.lab.result import Ticks
 from dpcontrol.logs import LogWriter, recover
 from dpcontrol.logs.by_message import Messages, MessageWriter, ticks_left
+from dpcontrol.loop.result import Ticks
 
 Array = NDArray[np.float64]
 

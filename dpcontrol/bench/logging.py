@@ -17,9 +17,9 @@ from dpcontrol.bench.chart import Chart, Missing, Panel, Point
 from dpcontrol.bench.log_formats import Arrays, Blocks, ByMessage, Format, Lines, Recording, RowGroups
 from dpcontrol.bench.measure import timed_in_turns
 from dpcontrol.foundation.progress import Progress, part_of
-from dpcontrol.lab.loop import run_loop
 from dpcontrol.logs import LogWriter
 from dpcontrol.logs.by_message import messages_of
+from dpcontrol.loop.loop import run_loop
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 

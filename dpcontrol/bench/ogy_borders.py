@@ -19,14 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.model import SampledModel
 from dpcontrol.control.ogy import OgyController, OgySettings, ogy_controller
-from dpcontrol.control.sampled import SampledModel
-from dpcontrol.dynamics.parameters import ArmChainParameters
-from dpcontrol.lab.loop import sampled_model
-from dpcontrol.lab.sensors import SensorSettings
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.loop.bench import SensorSettings
+from dpcontrol.loop.loop import sampled_model
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.sustained import SectionMap, SustainedOrbit, sustained_orbit
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dpcontrol.bench.ogy_borders import ESTIMATOR, Sections, Task, encoders
-from dpcontrol.control.compiled_ekf import EkfProgram
+from dpcontrol.control.ekf import EkfProgram
 from dpcontrol.control.ogy import OgyController
 
 Array = NDArray[np.float64]

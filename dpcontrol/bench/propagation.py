@@ -17,8 +17,8 @@ from dpcontrol.bench.measure import timed_in_turns
 from dpcontrol.bench.ticks import tick_panels
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.lyapunov import lyapunov_orbit
 from dpcontrol.tubes.manifold import UnstableManifold
 
 Array = NDArray[np.float64]

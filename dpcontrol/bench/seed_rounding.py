@@ -27,11 +27,11 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.tubes.cut import Cut, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, Intersection, TubeSide, balanced, intersect_cuts
-from dpcontrol.tubes.lyapunov import LyapunovOrbit
 from dpcontrol.tubes.manifold import UnstableManifold
-from dpcontrol.tubes.vertex import local_manifold
+from dpcontrol.tubes.orbit_curve import local_manifold
 
 Array = NDArray[np.float64]
 

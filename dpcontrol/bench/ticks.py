@@ -15,12 +15,11 @@ from scipy.integrate import solve_ivp
 from dpcontrol.bench.chart import Panel, Point
 from dpcontrol.bench.measure import timed_in_turns
 from dpcontrol.bench.schemes import Stepper, runge_kutta_4
-from dpcontrol.control.sampled import SampledModel
-from dpcontrol.dynamics.arm_chain import Level, equations_of
+from dpcontrol.control.model import SampledModel
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
+from dpcontrol.dynamics.compiled import fixed_step
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.dynamics.extended import ExtendedPropagator, extended
-from dpcontrol.dynamics.fixed_step import fixed_step
-from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
 from dpcontrol.references.problem import Limits, state_scale
 

@@ -14,18 +14,17 @@ from numpy.typing import NDArray
 from dpcontrol.bench.chart import Chart, Missing, Panel, Point
 from dpcontrol.bench.measure import timed_in_turns
 from dpcontrol.bench.outside import by_rockit, has_rockit
-from dpcontrol.dynamics.arm_chain import Level, equations_of
+from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, part_of
-from dpcontrol.itineraries.wraps import WalkSolver
-from dpcontrol.references.errors import error_between_nodes, interval_propagator
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings, state_scale
-from dpcontrol.references.trajectory import Solved, first_trajectory
+from dpcontrol.references.trajectory import Solved, error_between_nodes, first_trajectory, interval_propagator
 from dpcontrol.references.transcription import solve
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
+from dpcontrol.walks.shadowing import WalkSolver
 
 Array = NDArray[np.float64]
 

@@ -19,8 +19,8 @@ from dpcontrol.cli.output import (
 from dpcontrol.foundation.errors import GoalMissed
 
 if TYPE_CHECKING:
-    from dpcontrol.itineraries.atlas import Atlas
     from dpcontrol.scenes.atlas import FoundAtlas
+    from dpcontrol.walks.atlas import Atlas
 
 
 @click.command("atlas", epilog="Example:  dpcontrol atlas lab --energy 0.2      then: dpcontrol review FILE")
@@ -67,7 +67,7 @@ def command(
 
 
 def _document(found: "FoundAtlas", file: Path) -> dict[str, Any]:
-    from dpcontrol.itineraries.atlas import connection_document, orbit_document, rotating_document
+    from dpcontrol.walks.atlas import connection_document, orbit_document, rotating_document
 
     atlas = found.atlas
     return {

@@ -30,9 +30,9 @@ def command(
     of hits changes. Every change of the count is explained by such events, or reported.
     Where trajectories scatter before they arrive, connections accumulate without end: counts are lower bounds there.
     """
+    from dpcontrol.bifurcations.bifurcations import find_bifurcations
+    from dpcontrol.bifurcations.sweep import SweepSettings
     from dpcontrol.scenes.model import load_model
-    from dpcontrol.tubes.bifurcations import find_bifurcations
-    from dpcontrol.tubes.sweep_steps import SweepSettings
 
     system = load_model(model).system
     with progress_bar("bifurcations") as progress:

@@ -12,7 +12,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.tables import suggest
 
 if TYPE_CHECKING:
-    from dpcontrol.lab.statistics import Share
+    from dpcontrol.foundation.statistics import Share
     from dpcontrol.scenes.campaign import Campaign, CaseResult
     from dpcontrol.scenes.standard import StandardScore
 

@@ -83,12 +83,12 @@ def command(
     On another --section other connections come first: homoclinics that pass by the other saddle's side cross "aligned"
     and cross back, and so are found there at --hits 1,2.
     """
-    from dpcontrol.itineraries.atlas import connection_document
     from dpcontrol.scenes.model import load_model
     from dpcontrol.tubes.connection import searched_at
     from dpcontrol.tubes.connections import find_connections, orbits_between
     from dpcontrol.tubes.cut import CutSettings
     from dpcontrol.tubes.intersections import ConnectionSettings
+    from dpcontrol.walks.atlas import connection_document
 
     if precision == "extended" and name is None:
         raise InputError("--precision extended refines one connection: give its --name as `dpcontrol connect` lists it")
@@ -166,8 +166,8 @@ def _named(search: "ConnectionSearch", name: str) -> "Connection":
 
 def _extended(model: "Model", connection: "Connection", energy: Decimal, as_json: bool) -> None:
     """Refine and print one connection in extended precision."""
-    from dpcontrol.itineraries.atlas import connection_document
     from dpcontrol.tubes.extended import refine_connection
+    from dpcontrol.walks.atlas import connection_document
 
     with progress_bar("refining in 113-bit arithmetic"):
         refined = refine_connection(connection, energy=energy, parameters=model.exact_parameters)

@@ -16,7 +16,7 @@ from dpcontrol.cli.output import (
 )
 
 if TYPE_CHECKING:
-    from dpcontrol.lab.identification import Identification
+    from dpcontrol.identification.identify import Identification
 
 
 @click.command(
@@ -52,10 +52,9 @@ def command(
         return
     if not logs:
         raise click.UsageError("give at least one log that `dpcontrol import` wrote")
-    from dpcontrol.lab.identification import IdentificationSettings, identify
-    from dpcontrol.lab.recordings import load_recording
-    from dpcontrol.scenes.model import load_model
-    from dpcontrol.scenes.model_file import write_model
+    from dpcontrol.identification.identify import IdentificationSettings, identify
+    from dpcontrol.recordings.recording import load_recording
+    from dpcontrol.scenes.model import load_model, write_model
 
     start = load_model(model)
     recordings = [load_recording(path) for path in logs]
@@ -145,7 +144,7 @@ def _show(found: "Identification", target: Path) -> None:
 
 def _design(model: str, logs: tuple[Path, ...], picture: Path | None, as_json: bool) -> None:
     """Show which experiments tell most."""
-    from dpcontrol.lab.experiment_design import design_experiments
+    from dpcontrol.identification.design import design_experiments
     from dpcontrol.scenes.model import load_model
 
     if logs:

@@ -8,7 +8,7 @@ import click
 from dpcontrol.cli.output import json_option, print_json, progress_bar, reports_failure
 
 if TYPE_CHECKING:
-    from dpcontrol.lab.recordings import Recording
+    from dpcontrol.recordings.recording import Recording
 
 
 @click.command("import", epilog="Example:  dpcontrol import swing.csv --mapping my-rig.toml --repair nan,gaps")
@@ -43,8 +43,8 @@ def command(
     With --simulated the truth is known: to try `identify` and `replay` on.
     """
     from dpcontrol.foundation.files import checked_other_file
-    from dpcontrol.lab.recording_import import import_recording
-    from dpcontrol.lab.recordings import write_recording
+    from dpcontrol.recordings.importing import import_recording
+    from dpcontrol.recordings.recording import write_recording
 
     if (file is None) == (simulated is None):
         raise click.UsageError("give a FILE, or a model to swing with --simulated")
@@ -95,7 +95,7 @@ def command(
 
 
 def _swings(model: str, *, swings: int, seconds: float, seed: int) -> "Recording":
-    from dpcontrol.lab.simulated_recording import random_swings
+    from dpcontrol.recordings.simulated import random_swings
     from dpcontrol.scenes.model import load_model
 
     loaded = load_model(model)

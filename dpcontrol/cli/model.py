@@ -14,8 +14,8 @@ from dpcontrol.cli.output import json_option, print_json, print_table, reports_f
 @reports_failure
 def command(*, model: str, as_json: bool) -> None:
     """Show a model's parameters with units, and its equilibria (frictionless, pivot at rest)."""
+    from dpcontrol.orbits.equilibria import equilibria
     from dpcontrol.scenes.model import load_model
-    from dpcontrol.tubes.equilibria import equilibria
 
     loaded = load_model(model)
     points = equilibria(loaded.system)

@@ -131,8 +131,8 @@ def _rotating(
 
 
 def _orbit(system: "System", saddle: str, energy: float, family: int, as_json: bool) -> None:
-    from dpcontrol.itineraries.atlas import orbit_document
-    from dpcontrol.tubes.lyapunov import lyapunov_orbit
+    from dpcontrol.orbits.lyapunov import lyapunov_orbit
+    from dpcontrol.walks.atlas import orbit_document
 
     orbit = lyapunov_orbit(system, saddle, energy=energy, family=family)
     if not orbit.converged:
@@ -150,8 +150,8 @@ def _orbit(system: "System", saddle: str, energy: float, family: int, as_json: b
 def _family(
     system: "System", saddle: str, energies: tuple[float, float], family: int, picture: Path | None, as_json: bool
 ) -> None:
-    from dpcontrol.itineraries.atlas import orbit_document
-    from dpcontrol.tubes.family import lyapunov_family
+    from dpcontrol.orbits.family import lyapunov_family
+    from dpcontrol.walks.atlas import orbit_document
 
     with progress_bar(f"family of {saddle}") as progress:
         found = lyapunov_family(system, saddle, energies=energies, family=family, progress=progress)

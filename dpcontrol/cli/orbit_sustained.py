@@ -28,8 +28,8 @@ def show_sustained(
         InputError: no such orbit, or a picture that cannot be written.
         GoalMissed: it was not found; the message says why.
     """
+    from dpcontrol.orbits.lyapunov import lyapunov_orbit
     from dpcontrol.references.sustained import sustained_orbit
-    from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
     arms = model.arms
     lyapunov = lyapunov_orbit(model.system, saddle, energy=energy, family=family)

@@ -24,10 +24,10 @@ _ORIGIN = ("program", "code", "scene_hash", "model_hash")
 def command(*, file: Path, picture: Path | None, as_json: bool) -> None:
     """Show a reference: what it does, its use of the cart's limits, its effort, mesh and error, what it was made from.
 
-    FILE is a .npz as `dpcontrol plan --out` writes it; its layout is told in dpcontrol.references.archive, and numpy
+    FILE is a .npz as `dpcontrol plan --out` writes it; its layout is told in dpcontrol.references.reference, and numpy
     alone reads it. The error between nodes is measured anew.
     """
-    from dpcontrol.references.archive import load_reference
+    from dpcontrol.references.reference import load_reference
     from dpcontrol.references.summary import summarised
 
     if picture is not None:

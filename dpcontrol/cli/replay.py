@@ -42,9 +42,8 @@ def command(
     or its recorded motion is the model's input. Encoder zeros that the model's file tells are taken off.
     """
     from dpcontrol.foundation.files import checked_other_file
-    from dpcontrol.lab.recordings import load_recording
-    from dpcontrol.lab.replay import ReplaySettings, filter_settings, replay_recording
-    from dpcontrol.lab.replay_log import write_replay
+    from dpcontrol.identification.replay import ReplaySettings, filter_settings, replay_recording, write_replay
+    from dpcontrol.recordings.recording import load_recording
     from dpcontrol.scenes.model import load_model
 
     target = out or Path("logs") / f"{log.stem}-replay.mcap"

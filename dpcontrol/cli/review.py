@@ -72,7 +72,7 @@ Writers = tuple[Callable[[Path], None], Callable[[Path], "Picture"]]
 
 def _writers(file: Path) -> Writers:
     from dpcontrol.review.of_reference import is_reference
-    from dpcontrol.scenes.atlas_file import is_atlas
+    from dpcontrol.scenes.atlas import is_atlas
 
     if is_reference(file):
         return _reference_writers(file)
@@ -142,7 +142,7 @@ def _reference_writers(file: Path) -> Writers:
 
 
 def _atlas_writers(file: Path) -> Writers:
-    from dpcontrol.scenes.atlas_file import load_atlas
+    from dpcontrol.scenes.atlas import load_atlas
 
     atlas = load_atlas(file)
 

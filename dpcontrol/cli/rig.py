@@ -26,9 +26,9 @@ def command(
     """Start an example bench: the itinerary's arms and cart, simulated in real time, spoken to over UDP.
 
     Prints its address, for `dpcontrol run ITINERARY --rig ADDRESS`, and serves one run after the other until Ctrl-C.
-    The arms start where the itinerary does. The packets are described in dpcontrol/lab/udp_packets.py.
+    The arms start where the itinerary does. The packets are described in dpcontrol/rig/packets.py.
     """
-    from dpcontrol.lab.udp_bench import BenchServerSettings, UdpBench
+    from dpcontrol.rig.bench import BenchServerSettings, UdpBench
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.plan import make_plan
     from dpcontrol.scenes.rig_run import bench_recipe

@@ -12,7 +12,7 @@ from dpcontrol.foundation.errors import GoalMissed
 
 if TYPE_CHECKING:
     from dpcontrol.dynamics.system import System
-    from dpcontrol.tubes.rotating import RotatingOrbit
+    from dpcontrol.orbits.rotating import RotatingOrbit
 
 ARMS = {"inner": 1, "outer": 2}
 
@@ -23,7 +23,7 @@ def show_orbits(system: "System", arm: str, energy: float, *, as_json: bool) -> 
     Raises:
         GoalMissed: the scan finds none.
     """
-    from dpcontrol.itineraries.atlas import rotating_document
+    from dpcontrol.walks.atlas import rotating_document
 
     orbits = _orbits(system, arm, energy)
     if as_json:
@@ -48,8 +48,8 @@ def show_families(
         InputError: the bounds do not enclose the energy, or the picture cannot be written.
         GoalMissed: the scan finds no orbit, or a family could not be followed to an end.
     """
-    from dpcontrol.itineraries.atlas import rotating_document
-    from dpcontrol.tubes.rotating_family import rotating_families
+    from dpcontrol.orbits.rotating import rotating_families
+    from dpcontrol.walks.atlas import rotating_document
 
     with progress_bar("families of rotating orbits") as progress:
         families = rotating_families(_orbits(system, arm, energy), energies, progress=progress)
@@ -102,7 +102,7 @@ _COLUMNS = ("energy (J)", "period (s)", "stability", "multipliers", "state (rad,
 
 
 def _orbits(system: "System", arm: str, energy: float) -> "tuple[RotatingOrbit, ...]":
-    from dpcontrol.tubes.rotating import rotating_orbits
+    from dpcontrol.orbits.rotating import rotating_orbits
 
     orbits = rotating_orbits(system, ARMS[arm], energy)
     if not orbits:

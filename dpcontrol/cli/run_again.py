@@ -19,7 +19,7 @@ def repeat(source: Path, out: Path | None, *, as_json: bool) -> None:
         InputError: the log cannot be repeated, or other options ask for another run.
         GoalMissed: a message differs, or the run was not completed.
     """
-    from dpcontrol.scenes.repeat import repeat_run, repeated_log
+    from dpcontrol.scenes.run import repeat_run, repeated_log
 
     context = click.get_current_context()
     asked = {p.name: p for p in context.command.params if p.name not in _ALLOWED}

@@ -21,9 +21,9 @@ from dpcontrol.cli.walk_output import print_answer, show_graph, show_walks
 from dpcontrol.foundation.errors import GoalMissed, InputError
 
 if TYPE_CHECKING:
-    from dpcontrol.itineraries.edges import Edges
     from dpcontrol.scenes.model import Model
     from dpcontrol.scenes.walks import WalkAnswer, WalkRequest
+    from dpcontrol.walks.edges import Edges
 
 REFINED = 4
 """Walks that --precision extended may refine."""
@@ -123,12 +123,12 @@ def command(
     orbit: "down-up > outer-rotating" (also inner-rotating, outer-rotating-back, outer-rotating-2: faster ones first),
     where a wrap is a turn.
     """
-    from dpcontrol.itineraries.edges import find_edges
-    from dpcontrol.itineraries.walk import parse_walk
-    from dpcontrol.itineraries.walks import resolve, vertex_names, ways
-    from dpcontrol.itineraries.walks import through as shortest
     from dpcontrol.scenes.model import load_model
     from dpcontrol.scenes.walks import drawn_requests, request
+    from dpcontrol.walks.edges import find_edges
+    from dpcontrol.walks.symbols import parse_walk
+    from dpcontrol.walks.walks import resolve, vertex_names, ways
+    from dpcontrol.walks.walks import through as shortest
 
     choices = {"-s": symbols, "--through": through, "--length": length, "--random": count}
     chosen = [name for name, given in choices.items() if given]
@@ -185,8 +185,8 @@ def _listed(
     extra: int,
     leads: tuple[int, int],
 ) -> "list[WalkRequest]":
-    from dpcontrol.itineraries.walks import all_walks, count_walks, is_closed
     from dpcontrol.scenes.walks import request
+    from dpcontrol.walks.walks import all_walks, count_walks, is_closed
 
     total = count_walks(edges, length, source=source, target=target)
     if total > LISTED:
@@ -209,8 +209,8 @@ def _solve(
     as_json: bool,
 ) -> None:
     """Solve, keep, draw and print walks; refine them where their energy is given exactly."""
-    from dpcontrol.itineraries.wraps import WalkSolver
     from dpcontrol.scenes.walks import refined_answer, save_walk, solved, walk_document
+    from dpcontrol.walks.shadowing import WalkSolver
 
     solver = WalkSolver(edges.connections)
     answers: list[WalkAnswer] = []
@@ -258,7 +258,7 @@ def _solve(
 
 def _drawn(answer: "WalkAnswer", picture: Path, model: "Model") -> bool:
     """Draw the orbit of a walk; return whether there was one to draw."""
-    from dpcontrol.dynamics.parameters import ArmChainParameters
+    from dpcontrol.dynamics.chain import ArmChainParameters
     from dpcontrol.review.walk_figure import write_walk_figure
 
     if answer.orbit is None or not answer.converged:

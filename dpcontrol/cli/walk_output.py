@@ -8,13 +8,13 @@ import click
 from dpcontrol.cli.output import print_json, print_table
 
 if TYPE_CHECKING:
-    from dpcontrol.itineraries.edges import Edges
     from dpcontrol.scenes.walks import WalkAnswer, WalkRequest
+    from dpcontrol.walks.edges import Edges
 
 
 def show_graph(edges: "Edges", as_json: bool) -> None:
     """Print the connections of an energy, and how many walks they allow."""
-    from dpcontrol.itineraries.walks import count_walks
+    from dpcontrol.walks.walks import count_walks
 
     counts = {str(k): count_walks(edges, k) for k in range(1, 9)}
     if as_json:

@@ -20,12 +20,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.ekf_equations import FilterEquations
+from dpcontrol.control.ekf import FilterEquations
 from dpcontrol.control.estimator_settings import Augment, FilterSettings, extra_names
 from dpcontrol.control.interface import Action, Mode
-from dpcontrol.control.sampled import SampledModel
+from dpcontrol.control.lqr import ClosingWeights
+from dpcontrol.control.model import SampledModel
 from dpcontrol.control.tracking import FeedforwardSettings, terminal_cost, tracking_controller
-from dpcontrol.control.weights import ClosingWeights
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.references.reference import Reference

@@ -3,10 +3,10 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.compiled_ekf import CompiledEkf
+from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterpyEkfSettings, UkfSettings
 from dpcontrol.control.interface import Estimator
-from dpcontrol.control.sampled import SampledModel
+from dpcontrol.control.model import SampledModel
 from dpcontrol.control.ukf import FilterpyEkf, Ukf
 
 ESTIMATORS: dict[str, type[EstimatorSettings]] = {

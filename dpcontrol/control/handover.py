@@ -12,13 +12,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.hold import HoldController
 from dpcontrol.control.interface import Action, Session
+from dpcontrol.control.lqr import HoldController
 from dpcontrol.control.ogy import OgyController, OgySession
 from dpcontrol.control.periodic import OrbitController, OrbitSession
 from dpcontrol.control.phase import whole_turns
-from dpcontrol.control.phase_tracking import PhaseController
-from dpcontrol.control.tracking import TrackingController
+from dpcontrol.control.tracking import PhaseController, TrackingController
 from dpcontrol.foundation.errors import GoalMissed, InputError
 
 Array = NDArray[np.float64]

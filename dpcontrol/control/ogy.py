@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.interface import Action, Mode
+from dpcontrol.control.lqr import QuadraticWeights
+from dpcontrol.control.model import SampledModel
 from dpcontrol.control.periodic import check_orbit
 from dpcontrol.control.phase import PhaseTable, phase_table
-from dpcontrol.control.sampled import SampledModel
 from dpcontrol.control.section_law import Learning, classic_gains, learning, section_gains
-from dpcontrol.control.weights import QuadraticWeights
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.sustained import SustainedOrbit
 

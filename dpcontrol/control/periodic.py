@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.interface import Action, Mode
+from dpcontrol.control.model import SampledModel
 from dpcontrol.control.phase import PhaseTable, phase_table
-from dpcontrol.control.sampled import SampledModel
 from dpcontrol.control.tracking import TvlqrSettings, riccati_gains
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE

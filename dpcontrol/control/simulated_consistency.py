@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.compiled_ekf import EkfProgram
 from dpcontrol.control.consistency import nees, share_inside
-from dpcontrol.control.ekf_equations import unpacked
+from dpcontrol.control.ekf import EkfProgram, unpacked
 from dpcontrol.dynamics.compiled import Compiled
 
 Array = NDArray[np.float64]

@@ -12,11 +12,9 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations
 from dpcontrol.dynamics.equations import Equations, NumericEquations
-from dpcontrol.dynamics.parameters import ArmChainParameters
-from dpcontrol.dynamics.propagator import Propagator, Section
-from dpcontrol.dynamics.segments import SegmentPropagator
+from dpcontrol.dynamics.propagator import Propagator, Section, SegmentPropagator
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.tables import suggest
 

@@ -4,9 +4,8 @@ from dpcontrol.control.interface import Mode
 from dpcontrol.logs.compare import Comparison, compare_messages
 from dpcontrol.logs.layout import LEVELS, control_fields, joint_names
 from dpcontrol.logs.partial import partials_of
-from dpcontrol.logs.reader import Event, RunLog, read_log
+from dpcontrol.logs.reader import Event, LogSummary, RunLog, read_log, summarise
 from dpcontrol.logs.recovery import Recovery, recover
-from dpcontrol.logs.summary import LogSummary, summarise
 from dpcontrol.logs.writer import LogWriter
 
 __all__ = [

@@ -7,8 +7,15 @@ from itertools import pairwise
 from pathlib import Path
 
 from dpcontrol.logs import layout
-from dpcontrol.logs.decoding import batches, check_channels, tick_layout_of
-from dpcontrol.logs.verified import MALFORMED, VerifiedFile, damaged, open_verified
+from dpcontrol.logs.verified import (
+    MALFORMED,
+    VerifiedFile,
+    batches,
+    check_channels,
+    damaged,
+    open_verified,
+    tick_layout_of,
+)
 
 _HEAD = struct.Struct("<BQHIQ")
 

@@ -7,28 +7,183 @@ one rate in a log: what comes at a lower one is an event, or logged again with e
 Ticks are collected as rows of numbers and turned into messages some twenty milliseconds at a time, so that a run
 that is killed loses no more than that. The file grows as `NAME.mcap.partial` and gets its name when complete and on
 the disk.
+
+Ticks of a log that are not yet written: rows of numbers, checked as they come.
+
+What stands in a log before its first tick: the layout, and the arms' descriptions for viewers.
+
+Both depend on what a tick holds, which is known from the first tick on (`layout.TickLayout`).
 """
 
+import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
+from importlib.metadata import version
 from io import FileIO
 from pathlib import Path
 from types import TracebackType
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_target
-from dpcontrol.logs import cdr, layout
-from dpcontrol.logs.blocks import ChunkEncoder, Note
+from dpcontrol.logs import cdr, layout, urdf
+from dpcontrol.logs.blocks import REFERENCE_PREFIX, ChunkEncoder, Note, TickRows
 from dpcontrol.logs.container import COMPRESSION, McapFile
-from dpcontrol.logs.opening import descriptions, layout_record
-from dpcontrol.logs.partial import moved_away, open_partial, sync_folder
-from dpcontrol.logs.sealed import sealed
-from dpcontrol.logs.tick_buffer import Row, TickBuffer
+from dpcontrol.logs.partial import moved_away, open_partial, sealed, sync_folder
+
+Row = NDArray[np.float64]
+Parts = Sequence[Row | None]
+"""Rates, estimate, reference, truth and control, in the order of `layout.PARTS`; None for what a tick has not."""
+
+
+class TickBuffer:
+    """Room for `size` ticks of a layout with all its parts; which of them a log has, its first tick decides."""
+
+    def __init__(self, tick: layout.TickLayout, *, rows: int) -> None:
+        self.size, self.filled, self.last = rows, 0, 0.0
+        self._time = np.zeros(rows)
+        self._measured = np.zeros((rows, len(tick.names)))
+        self._parts = tuple(np.zeros((rows, width)) for width in tick.widths.values())
+        self._widths = tuple(tick.widths.values())
+        self._given: tuple[bool, ...] | None = None
+
+    @property
+    def full(self) -> bool:
+        """Whether no further tick has room."""
+        return self.filled == self.size
+
+    @property
+    def first(self) -> float:
+        """The time of the first tick in s; 0 where there is none."""
+        return float(self._time[0]) if self.filled else 0.0
+
+    @property
+    def parts(self) -> frozenset[str]:
+        """Which of `layout.PARTS` the log has."""
+        given = self._given or (False,) * len(layout.PARTS)
+        return frozenset(part for part, has in zip(layout.PARTS, given, strict=True) if has)
+
+    @property
+    def _wanted(self) -> str:
+        joints, size, _, _, width = self._widths
+        return (
+            f"a tick needs measured and rates ({joints},), estimate, reference and truth ({size},), control ({width},)"
+        )
+
+    def put(self, time_s: float, measured: Row, parts: Parts) -> None:
+        """Take one tick.
+
+        Raises:
+            ValueError: an array of another length, a time before the last, or a part in some ticks only.
+        """
+        self._decide(parts)
+        if not time_s >= self.last:
+            raise ValueError(f"tick at {time_s} s after one at {self.last} s")
+        row = self.filled
+        if len(measured) != self._measured.shape[1]:
+            raise ValueError(self._wanted)
+        self._measured[row] = measured
+        for room, part, width in zip(self._parts, parts, self._widths, strict=True):
+            if part is not None:
+                if len(part) != width:
+                    raise ValueError(self._wanted)
+                room[row] = part
+        self._time[row] = self.last = time_s
+        self.filled = row + 1
+
+    def checked(self, times: Row, measured: Row, parts: Parts) -> list[tuple[Row, Row]]:
+        """Return rooms with the rows (K, …) that go into each.
+
+        Raises:
+            ValueError: rows of another shape, times that decrease, or a part in some ticks only.
+        """
+        pairs = [(self._measured, measured)]
+        pairs += [(room, part) for room, part in zip(self._parts, parts, strict=True) if part is not None]
+        for room, rows in pairs:
+            if np.shape(rows) != (len(times), room.shape[1]):
+                raise ValueError(f"expected rows of shape {(len(times), room.shape[1])}, got {np.shape(rows)}")
+        if len(times) and not (times[0] >= self.last and (np.diff(times) >= 0).all()):
+            raise ValueError("the times of ticks must not decrease")
+        self._decide(parts)
+        return pairs
+
+    def put_rows(self, times: Row, pairs: list[tuple[Row, Row]], *, since: int) -> int:
+        """Take rows from `since` on, as many as have room; return how many."""
+        count = min(self.size - self.filled, len(times) - since)
+        into, rows = slice(self.filled, self.filled + count), slice(since, since + count)
+        self._time[into] = times[rows]
+        for room, given in pairs:
+            room[into] = given[rows]
+        self.filled += count
+        self.last = float(times[since + count - 1])
+        return count
+
+    def taken(self, parts: frozenset[str]) -> TickRows:
+        """Return the ticks with these parts; views, good until the next tick comes."""
+        count = self.filled
+        return TickRows(
+            time_ns=np.rint(self._time[:count] * 1e9).astype(np.int64),
+            measured=self._measured[:count],
+            parts={part: room[:count] for part, room in zip(layout.PARTS, self._parts, strict=True) if part in parts},
+        )
+
+    def clear(self) -> None:
+        """Make room; the ticks have been written."""
+        self.filled = 0
+
+    def _decide(self, parts: Parts) -> None:
+        given = tuple(part is not None for part in parts)
+        if given == self._given:
+            return
+        if self._given is not None:
+            names = (part for part, a, b in zip(layout.PARTS, given, self._given, strict=True) if a != b)
+            raise ValueError(f"{', '.join(names)} must be given in every tick of a run or in none")
+        self._given = given
+
+
+Limits = tuple[float, float, float] | None
+
+
+def layout_record(
+    tick: layout.TickLayout,
+    arm_lengths: Sequence[float],
+    *,
+    rate_hz: float,
+    limits: Limits,
+    attachments: Collection[str],
+) -> dict[str, str]:
+    """Return the metadata by which a log is read: arms' lengths in m, rate in Hz, limits, parts of a tick."""
+    return {
+        "format": layout.FORMAT,
+        "arm_lengths": " ".join(repr(length) for length in arm_lengths),
+        "has_cart": "1" if tick.has_cart else "0",
+        "rate_hz": repr(rate_hz),
+        "limits": " ".join(repr(float(limit)) for limit in limits or ()),
+        "parts": " ".join(part for part in layout.PARTS if part in tick.parts),
+        "attachments": json.dumps(list(attachments)),
+        "program": f"dpcontrol {version('dpcontrol')}",
+    }
+
+
+def descriptions(tick: layout.TickLayout, arm_lengths: Sequence[float], *, limits: Limits, time_ns: int) -> list[Note]:
+    """Return the URDF of the arms, and of the reference's ghost where a tick has a reference, as messages."""
+    notes: list[Note] = []
+    for topic in (topic for topic in tick.channels if topic in layout.LATCHED):
+        ghost = topic == layout.GHOST
+        text = urdf.robot_description(
+            arm_lengths,
+            has_cart=tick.has_cart,
+            limits=limits,
+            prefix=REFERENCE_PREFIX if ghost else "",
+            ghost=ghost,
+        )
+        notes.insert(0, Note(row=0, topic=topic, time_ns=time_ns, content=cdr.string(text)))
+    return notes
+
 
 CHUNK_SECONDS = 0.02
 """Of a chunk: what a run that is killed loses at most, and a tick."""

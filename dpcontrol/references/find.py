@@ -5,40 +5,213 @@ Then intervals whose error between nodes exceeds the tolerance are split, and a 
 between nodes is tightened by as much, until neither is needed. Where the search fails, or ends at another motion than
 the guess's, friction is raised step by step; where that fails too, the status says what stands in the way.
 Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7.
+
+Friction raised step by step: each solution starts the next, from no friction, where the guess is a solution itself.
+
+Steps are halved where one fails. How far it comes is an answer too: what share of the friction can be made up for.
+Source: Nocedal & Wright, Numerical Optimization, 2nd ed., section 11.3, for continuation.
+
+Why a reference was not found, in words, and what would help: limits, friction, authority, or the guess itself.
+
+The reference of a scene without friction and cart: the shadowing orbit itself, as polynomials on a mesh.
 """
 
-from dataclasses import replace
+import time
+from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.references.diagnosis import (
-    FARTHEST,
-    another_motion,
-    friction_text,
-    guess_misses_its_ends,
-    has_authority,
-    limits_passed,
-    wanting,
-    without_limits,
+from dpcontrol.references.method import Method, interpolation_matrix, method_named
+from dpcontrol.references.problem import (
+    ANGLE_SCALE,
+    LIMIT_UNITS,
+    RATE_SCALE,
+    Limits,
+    ReferenceProblem,
+    ReferenceSettings,
+    state_scale,
 )
-from dpcontrol.references.errors import (
+from dpcontrol.references.reference import Reference
+from dpcontrol.references.trajectory import (
     DENSE,
+    Solved,
+    Trajectory,
     away_from_guess,
     error_between_nodes,
+    first_trajectory,
     interval_propagator,
     largest_values,
+    where_largest,
 )
-from dpcontrol.references.homotopy import Raised, raise_friction
-from dpcontrol.references.method import Method, interpolation_matrix, method_named
-from dpcontrol.references.problem import LIMIT_UNITS, Limits, ReferenceProblem, ReferenceSettings, state_scale
-from dpcontrol.references.reference import Reference
-from dpcontrol.references.trajectory import Solved, Trajectory, first_trajectory
 from dpcontrol.references.transcription import solve
 
 Array = NDArray[np.float64]
+
+STEP = 0.25
+LEAST_STEP = 1 / 32
+_ROUNDING = 1e-12
+ITERATIONS = 40
+"""Of the solver in a step: next to a solution it takes ten or so."""
+
+
+@dataclass(frozen=True)
+class Raised:
+    """The last solution and the share of the friction it makes up for; not-a-number: none even without friction.
+
+    iterations and seconds are those of all steps.
+    """
+
+    solved: Solved | None
+    share: float
+    iterations: int
+    seconds: float
+
+
+def friction_parameters(problem: ReferenceProblem) -> NDArray[np.bool_]:
+    """Tell which parameters (p,) act on arms whose cart does not push, though the energy does not know them."""
+    e = problem.equations
+    slopes = ca.Function("slopes", [e.state, e.inputs, e.parameters], [ca.jacobian(e.rate, e.parameters)])
+    # The cart stands still: terms in its velocity cancel but for rounding.
+    anywhere = np.append(np.sqrt(np.arange(2.0, e.dimension)), [0.0, 0.0])
+    effect = np.abs(np.array(ca.densify(slopes(anywhere, 0.0, problem.parameters)))).max(0)
+    acts = effect > _ROUNDING * effect.max()
+    return acts & ~np.array(ca.which_depends(e.hamiltonian, e.parameters, 1, False), dtype=bool)
+
+
+def raise_friction(
+    problem: ReferenceProblem,
+    method: Method,
+    *,
+    settings: ReferenceSettings,
+    first: Trajectory,
+    limits: Limits,
+    farthest: float,
+) -> Raised:
+    """Solve with shares of the friction from none to all, never further than `farthest` (scaled) from the guess."""
+    friction = friction_parameters(problem)
+    reached, step, kept = np.nan, STEP, None
+    iterations, seconds = 0, 0.0
+    quick = replace(settings, iterations=min(settings.iterations, ITERATIONS))
+    while not reached >= 1.0 and step >= LEAST_STEP:
+        share = 0.0 if kept is None else min(1.0, reached + step)
+        parameters = np.where(friction, share * problem.parameters, problem.parameters)
+        solved = solve(
+            replace(problem, parameters=parameters), method, settings=quick,
+            first=first if kept is None else kept.trajectory, limits=limits, warm=kept is not None,
+        )  # fmt: skip
+        iterations, seconds = iterations + solved.iterations, seconds + solved.seconds
+        if solved.succeeded and away_from_guess(problem, solved.trajectory, method=method)[0] <= farthest:
+            reached, kept = share, solved
+        elif kept is None:
+            break
+        else:
+            step /= 2
+    return Raised(kept, reached, iterations, seconds)
+
+
+FARTHEST = 0.45
+"""How far (scaled) a reference may pass from the guess within a third of a second before it is another motion.
+
+Outer turn at -0.07 J and crossing at 0.2 J: 0.37 at the most that friction did to the itinerary itself (15 times the
+arms' own); from 0.55 where the search ended at another motion, and 1.8 from straight lines."""
+UNLIMITED = Limits(1e3, 1e3, 1e5)
+_NO_AUTHORITY = 1e-9
+
+
+def without_limits(
+    problem: ReferenceProblem, method: Method, *, settings: ReferenceSettings, first: Trajectory
+) -> Solved:
+    """Solve the same program with limits that nothing reaches."""
+    return solve(problem, method, settings=settings, first=first, limits=UNLIMITED)
+
+
+def has_authority(problem: ReferenceProblem, times: Array) -> bool:
+    """Tell whether the cart's acceleration moves any arm, along the guess at `times` (K,)."""
+    e, n = problem.equations, problem.pendulum_dimension // 2
+    effect = ca.Function("effect", [e.state, e.inputs, e.parameters], [ca.jacobian(e.rate[n : 2 * n], e.inputs)])
+    states = np.hstack([problem.guess_at(times), np.zeros((len(times), 2))])
+    found = np.array(effect.map(len(times))(states.T, 0.0, problem.parameters))
+    return bool(np.abs(found).max() > _NO_AUTHORITY)
+
+
+def limits_passed(problem: ReferenceProblem, method: Method, trajectory: Trajectory) -> str:
+    """Say which of the problem's limits a motion without limits passes, by how much and when; empty if none."""
+    largest = largest_values(trajectory, method=method, limits=problem.limits)
+    passed = [
+        f"cart {name} of {largest[name]:.4g} {LIMIT_UNITS[name]} where {bound:.4g} is allowed (at t = "
+        f"{where_largest(trajectory, name, method=method):.2f} s)"
+        for name, bound in problem.limits.named().items()
+        if largest[name] > bound
+    ]
+    if not passed:
+        return ""
+    return (
+        f"without limits it takes a {' and a '.join(passed)}; limits that wide are enough: widen them, or choose a "
+        "gentler itinerary"
+    )
+
+
+def wanting(problem: ReferenceProblem, method: Method, *, settings: ReferenceSettings, first: Trajectory) -> str:
+    """Say what stands in the way where nothing was found: the cart's authority, limits, or the guess."""
+    if not has_authority(problem, first.mesh):
+        return "the cart's acceleration moves no arm, so nothing makes up for friction; check the arms' parameters"
+    free = without_limits(problem, method, settings=settings, first=first)
+    if not free.succeeded:
+        return (
+            "without limits it finds nothing either: check that the guess is an orbit of the same arms, or "
+            "lower the friction"
+        )
+    return limits_passed(problem, method, free.trajectory) or (
+        "the limits are not the reason, for without them the same motion is found; use shorter intervals"
+    )
+
+
+def friction_text(raised: Raised) -> str:
+    """Say how much of the friction could be made up for."""
+    if np.isnan(raised.share):
+        return (
+            "even without friction and limits the guess leads to no motion near it: check that it is an orbit of the "
+            "same arms"
+        )
+    return (
+        f"friction is out of reach: {raised.share:.0%} of it can be made up for within the limits; lower the friction, "
+        "widen the limits or choose a gentler itinerary"
+    )
+
+
+def guess_misses_its_ends(problem: ReferenceProblem) -> str:
+    """Say where the guess is far from the states that the reference is to start and end in; empty if it is not."""
+    nz, ends = problem.pendulum_dimension, problem.ends
+    scale = state_scale(problem.equations.dimension, problem.limits)[:nz]
+    first, last = problem.guess_at(np.array([0.0, problem.duration]))
+    gaps = []
+    for where, given, guessed in (("starts", ends.start, first), ("ends", ends.end, last)):
+        if given is not None:
+            gaps.append((where, given[:nz] - guessed))
+    if ends.closing is not None:
+        gaps.append(("closes", ends.closing[:nz] - (last - first)))
+    for where, gap in gaps:
+        away = float(np.nanmax(np.abs(gap) / scale, initial=0.0))
+        if away > FARTHEST:
+            return (
+                f"the guess {where} {away:.2f} (scaled) from where the reference is to: an orbit integrated for "
+                "several periods leaves itself, so tile one period instead"
+            )
+    return ""
+
+
+def another_motion(away: float, when: float) -> str:
+    """Say that what was found is not what was asked for."""
+    return (
+        f"no reference near the guess: what was found passes {away:.2f} from it at t = {when:.2f} s (scaled by "
+        f"{ANGLE_SCALE:.3g} rad and {RATE_SCALE:g} rad/s; up to {FARTHEST:g} is the same motion), so it is another "
+        "motion than the itinerary's; check that the guess is an orbit of the same arms, or lower the friction"
+    )
+
 
 LIMIT_SLACK = 1e-10
 """How far a limit may be passed between nodes: rounding of the polynomials, a tenth of what is promised."""
@@ -247,4 +420,50 @@ def find_reference(
         "ask for less, or allow more rounds",
         converged=False,
         error=worst,
+    )
+
+
+AIMED = 0.8
+
+
+def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Reference:
+    """Return the guess of `problem` as a reference with the cart at rest; its parameters must be frictionless.
+
+    The mesh is refined until the polynomials are within the tolerance of a motion; where they cannot be, because the
+    guess is none, the status says so.
+    """
+    began = time.perf_counter()
+    method = method_named(settings.method)
+    mesh, propagator = first_mesh(problem, settings, method=method), interval_propagator(problem, method)
+    rounds = 0
+    while True:
+        trajectory = first_trajectory(problem, method, mesh)
+        errors = error_between_nodes(problem, trajectory, method=method, propagator=propagator)
+        worst, rounds = float(errors.max()), rounds + 1
+        if worst <= AIMED * settings.tolerance or rounds == settings.rounds:
+            break
+        mesh = split_mesh(mesh, errors, tolerance=settings.tolerance, order=len(method.points))
+    converged = worst <= settings.tolerance
+    status = f"the shadowing orbit itself; error between nodes {worst:.1e} on {len(errors)} intervals"
+    if not converged:
+        status = (
+            f"not converged: the guess is {worst:.1e} from a frictionless motion where {settings.tolerance:.1e} is "
+            'asked; check that it is an orbit of the same arms, or use level "cart"'
+        )
+    return Reference(
+        mesh=trajectory.mesh,
+        method=method,
+        states=trajectory.states,
+        inputs=trajectory.inputs,
+        limits=problem.limits,
+        status=status,
+        converged=converged,
+        max_error_between_nodes=worst,
+        constraint_violation=0.0,
+        max_cart_position=0.0,
+        max_cart_velocity=0.0,
+        max_cart_acceleration=0.0,
+        rms_cart_acceleration=0.0,
+        iterations=0,
+        solve_seconds=time.perf_counter() - began,
     )

@@ -18,7 +18,6 @@ from scipy.integrate import DOP853
 
 from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.references.errors import interval_propagator, power_coefficients
 from dpcontrol.references.method import Method, interpolation_matrix
 from dpcontrol.references.problem import (
     ANGLE_SCALE,
@@ -27,8 +26,14 @@ from dpcontrol.references.problem import (
     ReferenceSettings,
     state_scale,
 )
-from dpcontrol.references.solvers import solver_options
-from dpcontrol.references.trajectory import Solved, Trajectory, first_trajectory
+from dpcontrol.references.trajectory import (
+    Solved,
+    Trajectory,
+    first_trajectory,
+    interval_propagator,
+    power_coefficients,
+)
+from dpcontrol.references.transcription import solver_options
 
 Array = NDArray[np.float64]
 

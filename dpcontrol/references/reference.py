@@ -2,18 +2,42 @@
 
 State: the polynomial of degree K through the interval's start and its K points. Input: of degree K - 1 through the
 points. Both are evaluated in barycentric form (Berrut & Trefethen, SIAM Review 46 (2004), eq. 4.2).
+
+References one after the other, as one: pieces that end where the next begins.
+
+References on disk: one .npz file, readable with numpy alone (`numpy.load(path)`).
+
+Keys, all float64 unless said otherwise:
+
+    header   JSON text (a 0-d string array): {"format": "dpcontrol-reference", "version": 2, "method": "radau-5",
+             "status": text, "converged": bool, "limits": {"position", "velocity", "acceleration"},
+             "numbers": {the result's figures by name}, "notes": {what the caller stored}}
+    mesh     (N+1,)        interval ends, s
+    points   (K,)          collocation points of an interval scaled to 0 … 1
+    support  (K+1,)        where the states are given on it (version 1: 0 and the points)
+    states   (N, K+1, nx)  at the support: angles, rates, cart position, cart velocity
+    inputs   (N, K, nu)    at the points: cart acceleration, m/s²
+    extra_*  any shape     arrays the caller stored, by name
+
+The state on an interval is the polynomial through its K+1 values, the input the one through its K values.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpcontrol.references.method import Method, interpolation_matrix
-from dpcontrol.references.problem import Limits
+from dpcontrol.foundation.archives import archive
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import whole_file
+from dpcontrol.references.method import Method, interpolation_matrix, method_named
+from dpcontrol.references.problem import Limits, state_scale
 
 Array = NDArray[np.float64]
 
@@ -81,3 +105,172 @@ class Reference:
     def input(self, times: ArrayLike) -> Array:
         """Return inputs (…, nu) at `times` (…) s; times outside count as the nearest end."""
         return self._evaluate(times, self.method.points, self.inputs)
+
+
+def still(state: Array, seconds: float, *, method: Method, limits: Limits, interval: float) -> Reference:
+    """Return the reference that stays at an equilibrium (N,), without input."""
+    count = max(1, int(np.ceil(seconds / interval)))
+    shape = (count, len(method.support), len(state))
+    return Reference(
+        mesh=np.linspace(0.0, seconds, count + 1),
+        method=method,
+        states=np.broadcast_to(np.asarray(state, dtype=float), shape).copy(),
+        inputs=np.zeros((count, len(method.points), 1)),
+        limits=limits,
+        status=f"at rest for {seconds:g} s",
+        converged=True,
+        max_error_between_nodes=0.0,
+        constraint_violation=0.0,
+        max_cart_position=float(abs(state[-2])),
+        max_cart_velocity=0.0,
+        max_cart_acceleration=0.0,
+        rms_cart_acceleration=0.0,
+        iterations=0,
+        solve_seconds=0.0,
+    )
+
+
+def joined(pieces: Sequence[Reference]) -> tuple[Reference, Array]:
+    """Return pieces as one reference, and the times (P + 1,) at which they begin and the last ends.
+
+    All have one method. A jump from one to the next counts as a constraint violation; their inputs may jump.
+
+    Raises:
+        ValueError: no pieces, or pieces of different methods.
+    """
+    if not pieces or len({piece.method.name for piece in pieces}) > 1:
+        raise ValueError("pieces of one method are joined, one at least")
+    first, limits = pieces[0], pieces[0].limits
+    if len(pieces) == 1:
+        return first, np.array([0.0, first.duration])
+    scale = state_scale(first.states.shape[-1], limits)
+    begins = np.concatenate([[0.0], np.cumsum([piece.duration for piece in pieces])])
+    meshes = [piece.mesh - piece.mesh[0] + begin for piece, begin in zip(pieces, begins[:-1], strict=True)]
+    mesh = np.concatenate([*(m[:-1] for m in meshes), meshes[-1][-1:]])
+    jumps = [
+        float(np.max(np.abs(before.state(before.mesh[-1]) - after.state(after.mesh[0])) / scale))
+        for before, after in pairwise(pieces)
+    ]
+    lengths = np.diff(begins)
+    square = sum(piece.rms_cart_acceleration**2 * length for piece, length in zip(pieces, lengths, strict=True))
+    bad = [piece for piece in pieces if not piece.converged]
+    error = max(piece.max_error_between_nodes for piece in pieces)
+    count = len(mesh) - 1
+    status = bad[0].status if bad else (
+        f"converged in {sum(piece.iterations for piece in pieces)} iterations; error between nodes {error:.1e} on "
+        f"{count} intervals of {len(pieces)} pieces"
+    )  # fmt: skip
+    together = replace(
+        first,
+        mesh=mesh,
+        states=np.concatenate([piece.states for piece in pieces]),
+        inputs=np.concatenate([piece.inputs for piece in pieces]),
+        status=status,
+        converged=not bad,
+        max_error_between_nodes=error,
+        constraint_violation=max([*jumps, *(piece.constraint_violation for piece in pieces)]),
+        max_cart_position=max(piece.max_cart_position for piece in pieces),
+        max_cart_velocity=max(piece.max_cart_velocity for piece in pieces),
+        max_cart_acceleration=max(piece.max_cart_acceleration for piece in pieces),
+        rms_cart_acceleration=float(np.sqrt(square / lengths.sum())),
+        iterations=sum(piece.iterations for piece in pieces),
+        solve_seconds=sum(piece.solve_seconds for piece in pieces),
+    )
+    return together, begins
+
+
+FORMAT = "dpcontrol-reference"
+VERSION = 2
+READ = (1, 2)
+"""Versions that are read."""
+_EXTRA = "extra_"
+_NUMBERS = (
+    "max_error_between_nodes",
+    "constraint_violation",
+    "max_cart_position",
+    "max_cart_velocity",
+    "max_cart_acceleration",
+    "rms_cart_acceleration",
+    "iterations",
+    "solve_seconds",
+)
+
+
+def save_reference(path: Path, reference: Reference) -> None:
+    """Write `reference` to `path` (whole, or not at all) in the layout above.
+
+    Raises:
+        InputError: the file cannot be written, or the notes are not JSON.
+    """
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "method": reference.method.name,
+        "status": reference.status,
+        "converged": reference.converged,
+        "limits": reference.limits.named(),
+        # JSON has no infinity: null stands for a figure that was not measured.
+        "numbers": {name: value if np.isfinite(value := getattr(reference, name)) else None for name in _NUMBERS},
+        "notes": dict(reference.notes),
+    }
+    try:
+        text = json.dumps(header, allow_nan=False)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"cannot write {path}: the notes are not plain JSON ({error})") from error
+    arrays: dict[str, Any] = {_EXTRA + name: array for name, array in reference.extra.items()}
+    with whole_file(Path(path), suffix=".npz") as temporary:
+        np.savez(
+            temporary,
+            header=np.array(text),
+            mesh=reference.mesh,
+            points=reference.method.points,
+            support=reference.method.support,
+            states=reference.states,
+            inputs=reference.inputs,
+            **arrays,
+        )
+
+
+def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
+    """Make a reference of a file's parts; any of the raised errors means that the file is not one."""
+    if header["format"] != FORMAT:
+        raise ValueError(f"its format is {header['format']!r}")
+    if header["version"] not in READ:
+        raise ValueError(f"its version is {header['version']!r}, this program reads {' and '.join(map(str, READ))}")
+    method = method_named(header["method"])
+    mesh, states, inputs = (np.asarray(arrays[k], dtype=float) for k in ("mesh", "states", "inputs"))
+    intervals, count = len(mesh) - 1, len(method.points)
+    if not np.allclose(arrays["points"], method.points, rtol=0, atol=1e-12):
+        raise ValueError(f"its points are not those of {method.name}")
+    if "support" in arrays and not np.allclose(arrays["support"], method.support, rtol=0, atol=1e-12):
+        raise ValueError(f"its states are not given where {method.name} has them")
+    if intervals < 1 or not (np.diff(mesh) > 0).all():
+        raise ValueError("its mesh does not rise")
+    if states.shape[:2] != (intervals, count + 1) or inputs.shape[:2] != (intervals, count):
+        raise ValueError(f"states {states.shape} and inputs {inputs.shape} do not fit its mesh")
+    if states.ndim != 3 or inputs.ndim != 3 or not (np.isfinite(states).all() and np.isfinite(inputs).all()):
+        raise ValueError("its states or inputs are not finite")
+    numbers: dict[str, Any] = {k: np.inf if header["numbers"][k] is None else header["numbers"][k] for k in _NUMBERS}
+    return Reference(
+        mesh=mesh,
+        method=method,
+        states=states,
+        inputs=inputs,
+        limits=Limits(**header["limits"]),
+        status=str(header["status"]),
+        converged=bool(header["converged"]),
+        extra=MappingProxyType({k[len(_EXTRA) :]: v for k, v in arrays.items() if k.startswith(_EXTRA)}),
+        notes=MappingProxyType(dict(header["notes"])),
+        **numbers,
+    )
+
+
+def load_reference(path: Path | IO[bytes]) -> Reference:
+    """Read what `save_reference` wrote, from a path or an open binary file.
+
+    Raises:
+        InputError: there is no such file, or it is damaged or not a reference; says which.
+    """
+    making = {"make": "plan the itinerary first", "again": "plan again"}
+    with archive(path, what="a reference", **making) as (header, arrays):
+        return _checked(header, arrays)

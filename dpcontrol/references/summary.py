@@ -1,7 +1,7 @@
 """What there is to say of a reference: its use of each limit, its effort, and its error anew on every interval.
 
 The error between nodes and the energy need the arms that it was made for, which a plan's notes carry: `made_from`,
-whose `parameters` are those of `dpcontrol.dynamics.parameters.ArmChainParameters` by name.
+whose `parameters` are those of `dpcontrol.dynamics.chain.ArmChainParameters` by name.
 """
 
 from collections.abc import Mapping
@@ -11,15 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.arm_chain import Level, equations_of
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.equations import NumericEquations
-from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.references.errors import DENSE, error_between_nodes, largest_values
 from dpcontrol.references.method import differentiation_matrix, interpolation_matrix
 from dpcontrol.references.problem import LIMIT_UNITS, ReferenceProblem
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.trajectory import Trajectory
+from dpcontrol.references.trajectory import DENSE, Trajectory, error_between_nodes, largest_values
 
 Array = NDArray[np.float64]
 

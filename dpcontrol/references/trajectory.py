@@ -2,6 +2,14 @@
 
 An interval of length h from t_i has its states at t_i + h σ_k, its input at t_i + h τ_k; σ and τ: the method's support
 and points. Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.5.
+
+How wrong a transcribed trajectory is between its nodes, and how far it passes a limit there.
+
+Error: a propagator at machine precision restarts at each interval's start under the interval's own input
+polynomial; the largest scaled difference from the state's polynomial on a dense grid counts. Limits: the extrema
+of the polynomials of cart position, velocity and acceleration, from the roots of their derivatives. And how far from
+its guess a solution lies, which tells an itinerary from another motion.
+Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7.
 """
 
 from dataclasses import dataclass
@@ -9,8 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.references.method import Method
-from dpcontrol.references.problem import ReferenceProblem
+from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
+from dpcontrol.references.method import Method, differentiation_matrix, interpolation_matrix
+from dpcontrol.references.problem import Limits, ReferenceProblem, state_scale
 
 Array = NDArray[np.float64]
 
@@ -56,3 +65,120 @@ def first_trajectory(problem: ReferenceProblem, method: Method, mesh: Array) -> 
         states[..., problem.pendulum_dimension :] = problem.cart_guess(times.ravel())[:, :2].reshape(*times.shape, 2)
         inputs[..., 0] = problem.cart_guess(input_times.ravel())[:, 2].reshape(input_times.shape)
     return Trajectory(mesh, states, inputs)
+
+
+DENSE = 21
+"""Places per interval where the error is looked at: four per piece between the nodes of five points."""
+LATENESS = 0.3
+_LOOK = 0.005
+"""Seconds by which a reference may be late on its guess, or early, and steps in which it is looked for."""
+
+
+def power_coefficients(points: Array, values: Array) -> Array:
+    """Return coefficients (…, K) in powers of τ of the polynomials through `values` (…, K) at `points` (K,)."""
+    powers = points[:, None] ** np.arange(len(points))
+    return np.asarray(np.einsum("pk,...k->...p", np.linalg.inv(powers), values), dtype=np.float64)
+
+
+def error_between_nodes(
+    problem: ReferenceProblem,
+    trajectory: Trajectory,
+    *,
+    method: Method,
+    propagator: PolynomialInputPropagator | None = None,
+) -> Array:
+    """Return the largest scaled error in each interval, (N,); infinite where the propagation fails.
+
+    propagator: one of the problem's equations with inputs of degree K - 1, to spare its compilation.
+    """
+    if propagator is None:
+        propagator = interval_propagator(problem, method)
+    scale = state_scale(problem.equations.dimension, problem.limits)
+    tau = np.linspace(0.0, 1.0, DENSE)
+    lengths = np.diff(trajectory.mesh)
+    dense = np.einsum("dk,ikn->idn", interpolation_matrix(method.support, tau), trajectory.states)
+    coefficients = power_coefficients(method.points, trajectory.inputs[..., 0])
+    coefficients = coefficients / lengths[:, None] ** np.arange(len(method.points))
+    errors = np.full(len(lengths), np.inf)
+    for i, length in enumerate(lengths):
+        try:
+            exact = propagator.sample(dense[i, 0], coefficients[i], tau * length)
+        except ArithmeticError:
+            continue
+        errors[i] = np.abs((exact - dense[i]) / scale).max()
+    return np.where(np.isfinite(errors), errors, np.inf)
+
+
+def interval_propagator(problem: ReferenceProblem, method: Method) -> PolynomialInputPropagator:
+    """Return the propagator for intervals of `method`, compiled when first used."""
+    return PolynomialInputPropagator(problem.equations, problem.parameters, degree=len(method.points) - 1)
+
+
+def largest_on_intervals(points: Array, values: Array, *, above: float) -> float:
+    """Return the largest |polynomial| on 0 ≤ τ ≤ 1 over all intervals, exactly where it exceeds `above`.
+
+    values (N, K) at `points` (K,).
+    """
+    tau = np.linspace(0.0, 1.0, DENSE)
+    sampled = np.abs(values @ interpolation_matrix(points, tau).T).max(1)
+    largest = float(sampled.max())
+    for i in np.flatnonzero(sampled > above):
+        curve = np.polynomial.Polynomial(power_coefficients(points, values[i]))
+        roots = curve.deriv().roots()
+        inside = roots.real[(abs(roots.imag) < 1e-9) & (roots.real > 0) & (roots.real < 1)]
+        if inside.size:
+            largest = max(largest, float(np.abs(curve(inside)).max()))
+    return largest
+
+
+def away_from_guess(problem: ReferenceProblem, trajectory: Trajectory, *, method: Method) -> tuple[float, float]:
+    """Return how far (scaled) the pendulum passes from the guess, and when, s.
+
+    At each time the nearest of the guess's states within LATENESS before and after counts: friction makes late.
+    """
+    mesh, nz = trajectory.mesh, problem.pendulum_dimension
+    factor = problem.duration / (mesh[-1] - mesh[0])
+    times = np.linspace(0.0, problem.duration, max(2, int(np.ceil(problem.duration / _LOOK)) + 1))
+    at = mesh[0] + times / factor
+    index = np.clip(np.searchsorted(mesh, at, side="right") - 1, 0, len(mesh) - 2)
+    rows = interpolation_matrix(method.support, (at - mesh[index]) / np.diff(mesh)[index])
+    scale = state_scale(problem.equations.dimension, problem.limits)[:nz]
+    found = np.einsum("mk,mkn->mn", rows, trajectory.states[index])[:, :nz] / scale
+    guess = problem.guess_at(times) / scale
+    nearest = np.full(len(times), np.inf)
+    most = min(round(LATENESS / _LOOK), len(times) - 1)
+    for lag in range(-most, most + 1):
+        here = slice(max(0, lag), len(times) + min(0, lag))
+        there = slice(max(0, -lag), len(times) + min(0, -lag))
+        nearest[here] = np.minimum(nearest[here], np.abs(found[here] - guess[there]).max(1))
+    worst = int(nearest.argmax())
+    return float(nearest[worst]), float(at[worst])
+
+
+def _limited_curves(trajectory: Trajectory, *, method: Method) -> dict[str, tuple[Array, Array]]:
+    """Return the places in an interval and the values (N, …) there of each quantity that a limit may bind."""
+    inputs = trajectory.inputs[..., 0]
+    slopes = inputs @ differentiation_matrix(method.points).T / np.diff(trajectory.mesh)[:, None]
+    return {
+        "position": (method.support, trajectory.states[..., -2]),
+        "velocity": (method.support, trajectory.states[..., -1]),
+        "acceleration": (method.points, inputs),
+        "jerk": (method.points, slopes),
+    }
+
+
+def where_largest(trajectory: Trajectory, name: str, *, method: Method) -> float:
+    """Return the time, s, at which the limited quantity of that name is largest on the dense grid."""
+    points, values = _limited_curves(trajectory, method=method)[name]
+    tau = np.linspace(0.0, 1.0, DENSE)
+    sampled = np.abs(values @ interpolation_matrix(points, tau).T)
+    interval, place = np.unravel_index(int(sampled.argmax()), sampled.shape)
+    mesh = trajectory.mesh
+    return float(mesh[interval] + tau[place] * (mesh[interval + 1] - mesh[interval]))
+
+
+def largest_values(trajectory: Trajectory, *, method: Method, limits: Limits) -> dict[str, float]:
+    """Return the largest size of each limited quantity of the cart, between nodes too."""
+    curves, bounds = _limited_curves(trajectory, method=method), limits.named()
+    # A curve that stays below nine tenths of its bound on the dense grid does not pass it in between.
+    return {name: largest_on_intervals(*curves[name], above=0.9 * bound) for name, bound in bounds.items()}

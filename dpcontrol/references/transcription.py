@@ -5,6 +5,17 @@
 The interval is one casadi function, mapped over the mesh; variables are scaled by `state_scale` and ordered by stage,
 an interval's start, its inner values, its inputs: what a structure-exploiting solver needs, and a sparse one does not
 mind. Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., ch. 4.
+
+Derivatives of a transcribed program, assembled from those of one interval.
+
+casadi would find the Jacobian of the whole program by colouring: some forty sweeps over all intervals for each. One
+interval's Jacobian and Hessian are small symbolic matrices; mapped over the mesh and scattered into the program's
+sparse ones they are built, and evaluated, several times faster.
+
+Solvers of the nonlinear programs, by name, with the options that serve references.
+
+Sources: Wächter & Biegler, Mathematical Programming 106 (2006), for IPOPT; Vanroye, Sathya, De Schutter & Decré,
+FATROP: a fast constrained optimal control problem solver (2023).
 """
 
 import time
@@ -15,7 +26,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.references.derivatives import interval_derivatives
 from dpcontrol.references.method import Method, differentiation_matrix, interpolation_matrix
 from dpcontrol.references.problem import (
     ANGLE_SCALE,
@@ -25,10 +35,116 @@ from dpcontrol.references.problem import (
     ReferenceSettings,
     state_scale,
 )
-from dpcontrol.references.solvers import solver_options
 from dpcontrol.references.trajectory import Solved, Trajectory
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+
+
+def interval_derivatives(
+    interval: ca.Function, *, columns: Indices, lengths: Array, guess: Array, size: int
+) -> dict[str, Any]:
+    """Return the options grad_f, jac_g and hess_lag of `casadi.nlpsol`, and the program's own x, f and g.
+
+    interval: (v, length, guess) -> (constraints, cost) of one interval, SX. columns (nv, N): where each interval's v
+    lies among the program's `size` variables; the last block of v may be shared with the next interval's first.
+    guess (ng, N); lengths (N,). Constraints are ordered by interval.
+    """
+    nv, intervals = columns.shape
+    v, length = ca.SX.sym("v", nv), ca.SX.sym("length")
+    aim = ca.SX.sym("aim", guess.shape[0])
+    constraints, cost = interval(v, length, aim)
+    rows = constraints.shape[0]
+    weight, multipliers = ca.SX.sym("weight"), ca.SX.sym("multipliers", rows)
+    jacobian = ca.jacobian(constraints, v)
+    hessian = ca.triu(ca.hessian(weight * cost + ca.dot(multipliers, constraints), v)[0])
+    inputs = [v, length, aim]
+    one_jacobian = ca.Function("j", inputs, [constraints, jacobian.nz[:]], {"cse": True})
+    one_gradient = ca.Function("d", inputs, [cost, ca.densify(ca.gradient(cost, v))], {"cse": True})
+    one_hessian = ca.Function("h", [*inputs, weight, multipliers], [hessian.nz[:]], {"cse": True})
+
+    x, p = ca.MX.sym("x", size), ca.MX.sym("p", 0)
+    gathered = ca.reshape(x[columns.T.ravel().tolist()], nv, intervals)
+    fixed = [gathered, ca.DM(lengths).T, ca.DM(guess)]
+    g, entries = one_jacobian.map(intervals)(*fixed)
+    f, slopes = one_gradient.map(intervals)(*fixed)
+    # Triplets of all intervals, interval by interval, in the order of the entries.
+    local_row, local_col = (np.array(part) for part in jacobian.sparsity().get_triplet())
+    stage = np.arange(intervals)
+    jacobian_rows = (local_row[:, None] + rows * stage).T.ravel()
+    jacobian_columns = columns[local_col].T.ravel()
+    full_jacobian = _scattered(ca.vec(entries), jacobian_rows, jacobian_columns, (rows * intervals, size))
+    gradient = _scattered(ca.vec(slopes), columns.T.ravel(), np.zeros(nv * intervals, dtype=np.intp), (size, 1))
+
+    sigma, lam = ca.MX.sym("sigma"), ca.MX.sym("lam", rows * intervals)
+    weights = ca.repmat(sigma, 1, intervals)
+    curvatures = one_hessian.map(intervals)(*fixed, weights, ca.reshape(lam, rows, intervals))
+    local_row, local_col = (np.array(part) for part in hessian.sparsity().get_triplet())
+    one, other = columns[local_row].T.ravel(), columns[local_col].T.ravel()
+    # Columns need not rise within v; the upper triangle is wanted.
+    full_hessian = _scattered(ca.vec(curvatures), np.minimum(one, other), np.maximum(one, other), (size, size))
+    total, flat = ca.sum2(f), ca.vec(g)
+    return {
+        "program": {"x": x, "f": total, "g": flat, "p": p},
+        "options": {
+            "grad_f": ca.Function("nlp_grad_f", [x, p], [total, ca.densify(gradient)], ["x", "p"], ["f", "grad:f:x"]),
+            "jac_g": ca.Function("nlp_jac_g", [x, p], [flat, full_jacobian], ["x", "p"], ["g", "jac:g:x"]),
+            "hess_lag": ca.Function(
+                "nlp_hess_l", [x, p, sigma, lam], [full_hessian], ["x", "p", "lam:f", "lam:g"], ["triu:hess:gamma:x:x"]
+            ),
+        },
+    }
+
+
+def _scattered(values: ca.MX, rows: Indices, columns: Indices, shape: tuple[int, int]) -> ca.MX:
+    """Return the sparse matrix with `values` (K,) at (rows, columns) (K,), those at the same place added."""
+    place = columns * shape[0] + rows
+    order = np.argsort(place, kind="stable")
+    first = np.concatenate([[True], np.diff(place[order]) != 0])
+    unique = place[order][first]
+    sparsity = ca.Sparsity.triplet(*shape, (unique % shape[0]).tolist(), (unique // shape[0]).tolist())
+    slot = np.cumsum(first) - 1
+    if first.all():
+        return ca.MX(sparsity, values[order.tolist()])
+    # One column for each value: a product with zeros and ones adds what falls together.
+    gather = ca.Sparsity.triplet(len(unique), len(place), slot.tolist(), order.tolist())
+    return ca.MX(sparsity, ca.mtimes(ca.DM(gather, 1.0), values))
+
+
+Structure = tuple[list[int], list[int], list[int], list[bool]]
+
+
+def solver_options(settings: ReferenceSettings, structure: Structure | None, *, warm: bool = False) -> dict[str, Any]:
+    """Return casadi's options; structure: (states, inputs, constraints by stage, which are equal) for fatrop.
+
+    warm: the search starts from a solution on another mesh, so a barrier far from it would only lead away.
+    """
+    shared: dict[str, Any] = {"print_time": False, "error_on_fail": False}
+    if structure is not None:
+        states, inputs, constraints, equal = structure
+        return {
+            **shared,
+            "structure_detection": "manual",
+            "N": len(states) - 1,
+            "nx": states,
+            "nu": inputs,
+            "ng": constraints,
+            "equality": equal,
+            "fatrop.print_level": 0,
+            "fatrop.max_iter": settings.iterations,
+            "fatrop.tolerance": 1e-8,
+        }
+    return {
+        **shared,
+        "ipopt.print_level": 0,
+        "ipopt.sb": "yes",
+        "ipopt.max_iter": settings.iterations,
+        "ipopt.tol": 1e-8,
+        "ipopt.constr_viol_tol": 1e-10,
+        # IPOPT would otherwise widen every bound by 1e-8 before it starts.
+        "ipopt.bound_relax_factor": 0.0,
+        "ipopt.mu_init": 1e-6 if warm else 0.1,
+    }
 
 
 def interval_function(problem: ReferenceProblem, method: Method, settings: ReferenceSettings) -> ca.Function:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.references.errors import largest_values
 from dpcontrol.references.find import find_reference, wanting
 from dpcontrol.references.method import Method, method_named
 from dpcontrol.references.problem import (
@@ -29,7 +28,7 @@ from dpcontrol.references.problem import (
     ReferenceSettings,
 )
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.trajectory import Trajectory, first_trajectory
+from dpcontrol.references.trajectory import Trajectory, first_trajectory, largest_values
 from dpcontrol.references.transcription import solve
 
 Array = NDArray[np.float64]

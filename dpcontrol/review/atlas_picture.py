@@ -6,12 +6,12 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from dpcontrol.foundation.files import whole_file
-from dpcontrol.itineraries.atlas import Atlas
 from dpcontrol.review.figures.cuts import connections_of, draw_cuts
 from dpcontrol.review.figures.page import STABLE, UNSTABLE, new_figure, saddle_colour
 from dpcontrol.review.figures.space import CUT, FLIGHT, draw_space
 from dpcontrol.review.picture import Picture
 from dpcontrol.review.viewer import picture_of
+from dpcontrol.walks.atlas import Atlas
 
 
 def write_atlas_picture(atlas: Atlas, path: Path | str) -> Picture:

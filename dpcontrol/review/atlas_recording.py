@@ -13,11 +13,11 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.files import whole_file
-from dpcontrol.itineraries.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, section_axes
 from dpcontrol.review import style
 from dpcontrol.review.figures.cuts import colours, connections_of, stable_direction
 from dpcontrol.review.figures.page import saddle_colour, wrapped_runs
 from dpcontrol.review.recorded_planes import Box, reading_lines
+from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, section_axes
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.lab.statistics import Share, wilson
+from dpcontrol.foundation.statistics import Share, wilson
 
 _WHAT = ("itinerary", "controller", "estimator")
 _KIND, _LEVEL = "kind", "level"

@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
-from dpcontrol.lab.statistics import Share
+from dpcontrol.foundation.statistics import Share
 from dpcontrol.review import style
 from dpcontrol.review.campaign import CampaignSummary
 from dpcontrol.review.figures.page import new_figure, quiet

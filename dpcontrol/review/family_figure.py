@@ -11,8 +11,8 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from dpcontrol.foundation.files import whole_file
+from dpcontrol.orbits.family import LyapunovFamily
 from dpcontrol.review import style
-from dpcontrol.tubes.family import LyapunovFamily
 
 _DRAWN = 24  # orbits in the plane: more run into each other
 _POINTS = 300

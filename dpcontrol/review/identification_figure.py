@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.lab.experiment_design import Design
-from dpcontrol.lab.identification import Identification
-from dpcontrol.lab.profiles import Profile, profiles
+from dpcontrol.identification.design import Design
+from dpcontrol.identification.identify import Identification, Profile, profiles
 from dpcontrol.review.figures.page import new_figure, quiet
 
 Array = NDArray[np.float64]

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.review import style
-from dpcontrol.tubes.interior import Returns, TubeInterior
-from dpcontrol.tubes.outlines import Outline
+from dpcontrol.tubes.interior import Outline, Returns, TubeInterior
 
 Array = NDArray[np.float64]
 

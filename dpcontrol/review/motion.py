@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.lab.recordings import REPLAYED
 from dpcontrol.logs import Mode, RunLog
 from dpcontrol.logs.reader import Event
+from dpcontrol.recordings.recording import REPLAYED
 from dpcontrol.references.reference import Reference
 
 Array = NDArray[np.float64]

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.system import System, pendulum_system
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.lab.recordings import SUMMARY
 from dpcontrol.logs import RunLog
+from dpcontrol.recordings.recording import SUMMARY
 from dpcontrol.references.reference import Reference
 from dpcontrol.review.context import OrbitCurve, ReviewContext, Stay
 from dpcontrol.review.run_tubes import tubes_of

@@ -9,7 +9,7 @@ import numpy as np
 
 from dpcontrol.dynamics.system import pendulum_system
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.references.archive import FORMAT, load_reference
+from dpcontrol.references.reference import FORMAT, load_reference
 from dpcontrol.references.summary import ReferenceSummary, summarised
 from dpcontrol.review.context import ReviewContext
 from dpcontrol.review.motion import Motion, motion_of_reference

@@ -12,10 +12,9 @@ from matplotlib.ticker import SymmetricalLogLocator
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.files import whole_file
+from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
 from dpcontrol.review import style
 from dpcontrol.review.figures.page import angle_axis, new_figure, quiet
-from dpcontrol.tubes.rotating import RotatingOrbit
-from dpcontrol.tubes.rotating_family import RotatingFamily
 
 KINDS = {"elliptic": "#1e7a3c", "hyperbolic": "#b3261e", "inverse hyperbolic": "#d9640d", "parabolic": "#5b6470"}
 _SHAPES = 3

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.section import Section
+from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.review.context import TubeCurve
-from dpcontrol.tubes.lyapunov import lyapunov_orbit
 from dpcontrol.tubes.manifold import UnstableManifold
 
 Array = NDArray[np.float64]

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from dpcontrol.control.consistency import chi_square_band
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog
-from dpcontrol.references.archive import load_reference
-from dpcontrol.references.reference import Reference
+from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.review.last_orbit import NEAR_LAST_ORBIT, far_from_orbit
 from dpcontrol.review.stops import REST, Visit, decode_run, orbit_index
 

@@ -7,10 +7,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dpcontrol.foundation.files import whole_file
-from dpcontrol.itineraries.shadowing import ShadowingOrbit
 from dpcontrol.review import style, walk_panels, walk_space
 from dpcontrol.review.figures.page import new_figure
 from dpcontrol.review.walk_story import WalkStory, symbol_words
+from dpcontrol.walks.shadowing import ShadowingOrbit
 
 _WIDTH = 16.0
 _BODY = 7.6  # inches below the film at least

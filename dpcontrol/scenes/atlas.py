@@ -1,46 +1,414 @@
 """The atlas of an energy: orbits of all saddles, each tube cut once, all kinds of connection; kept by content.
 
 Of two opposite kinds (a → b, b → a) one is searched, the other is its image under time reversal.
+
+Orbits, cuts and connections of a search as the plain records of an atlas.
+
+Atlases on disk: one .npz file, readable with numpy alone (`numpy.load(path)`), without pickles.
+
+Keys; arrays are float64 unless said otherwise. K-th orbit, cut, piece and connection, counted from 0:
+
+    header   JSON text (a 0-d string array), numbers with all their digits, null for what is not finite:
+             {"format": "dpcontrol-atlas", "version": 2, "model", "title", "energy" (J), "status", "seconds",
+              "points": [{name, state, energy, kind}], "absent": [[saddle, reason]],
+              "sections": [{name, normal, position, momentum, offset, period, side}],
+              "orbits": [{saddle, family, energy, period, state, floquet_multipliers: [[re, im]], residual, status}],
+              "rotating_orbits": [{arm, winding, energy, period, state, floquet_multipliers, trace, kind, residual,
+                                   status}],
+              "cuts": [{saddle, section (index), hit, trajectories, resolved, status, open_ends,
+                        pieces: [{branch, direction, closed}]}],
+              "kinds": [{source, target, section, hits, count, failed, complete, open_ends, by_reversal, status}],
+              "connections": [{name, source, target, section (index), state, point, winding, sense, symmetric,
+                               residual, transversality_angle (degrees), hits, time_out, time_in (s), phase_out,
+                               phase_in}]}
+    periods  (N,)      2π for angles, inf otherwise;   reverser (N, N): turns unstable tubes into stable ones
+    orbit_K_samples, rotating_orbit_K_samples     (M, N)  one period, equally spaced phases from 0
+    cut_K_strands                          (B, M, N)  trajectories of the unstable tube, seed to section
+    cut_K_strand_branches (int64), cut_K_strand_phases    (B,)
+    cut_K_piece_J_phases, _times           (P,)    of the seeds; s of flight
+    cut_K_piece_J_points, _stable_points   (P, 2)  (q, p/p₀) of the unstable tube, and of the stable one
+    cut_K_piece_J_states                   (P, N)
+    connection_K_times (F,), _states (F, N)             the flight; time 0 is at the section
+    connection_K_node_times (L,), _nodes (L, N)         the nodes of the multiple shooting
+
+States are angles, then rates (rad, rad/s), or positions and velocities.
 """
 
 import json
+import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.archives import archive
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import content_hash
+from dpcontrol.foundation.files import content_hash, whole_file
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.itineraries.atlas import Atlas, AtlasKind, AtlasPoint
-from dpcontrol.scenes.atlas_file import load_atlas, save_atlas
-from dpcontrol.scenes.atlas_records import (
-    atlas_status,
-    connection_record,
-    cut_record,
-    orbit_record,
-    rotating_record,
-    with_kind,
-)
+from dpcontrol.orbits.equilibria import Equilibrium, equilibria
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
+from dpcontrol.orbits.rotating import RotatingOrbit, can_rotate, rotating_orbits
 from dpcontrol.scenes.cache import cache_folder, code_hash
 from dpcontrol.scenes.model import Model
-from dpcontrol.tubes.connections import ConnectionSearch, find_connections
-from dpcontrol.tubes.cut import Cut, tube_cut
-from dpcontrol.tubes.equilibria import Equilibrium, equilibria
+from dpcontrol.tubes.connection import Connection
+from dpcontrol.tubes.connections import ConnectionSearch, can_be_reversed, find_connections, reversed_search
+from dpcontrol.tubes.cut import Cut, Piece, section_points, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings
-from dpcontrol.tubes.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.tubes.manifold import UnstableManifold
-from dpcontrol.tubes.reversal import can_be_reversed, reversed_search
-from dpcontrol.tubes.rotating import can_rotate, rotating_orbits
+from dpcontrol.walks.atlas import (
+    Atlas,
+    AtlasConnection,
+    AtlasCut,
+    AtlasKind,
+    AtlasOrbit,
+    AtlasPiece,
+    AtlasPoint,
+    AtlasRotatingOrbit,
+    rotating_document,
+)
 
 Array = NDArray[np.float64]
 
-FORMAT = 2
+_ORBIT_SAMPLES = 256
+_FLIGHT_SAMPLES = 400
+_DENSE = 4
+"""Times as many instants are flown as are kept."""
+
+
+def orbit_record(orbit: LyapunovOrbit) -> AtlasOrbit:
+    """Return the record of an orbit, sampled at 256 equally spaced phases."""
+    return AtlasOrbit(
+        saddle=orbit.saddle,
+        family=orbit.family,
+        energy=orbit.energy,
+        period=orbit.period,
+        state=orbit.state,
+        floquet_multipliers=orbit.floquet_multipliers,
+        residual=orbit.residual,
+        status=orbit.status,
+        samples=UnstableManifold(orbit).frame(np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES).states,
+    )
+
+
+def rotating_record(orbit: RotatingOrbit) -> AtlasRotatingOrbit:
+    """Return the record of a rotating orbit, sampled at 256 equally spaced phases."""
+    phases = np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES
+    return AtlasRotatingOrbit(
+        **rotating_document(orbit), samples=orbit.system.propagator.sample(orbit.state, phases * orbit.period)
+    )
+
+
+def cut_record(manifold: UnstableManifold, cut: Cut, strands: int, instants: int) -> AtlasCut:
+    """Return the record of a cut with `strands` trajectories of each branch, each at `instants` instants."""
+    flown = [strand for branch in (1, -1) for strand in _strands(manifold, cut, branch, strands, instants)]
+    size = manifold.orbit.system.dimension
+    return AtlasCut(
+        saddle=manifold.orbit.saddle,
+        section=cut.section,
+        hit=cut.hit,
+        pieces=tuple(_piece(manifold, cut, piece) for piece in cut.pieces),
+        open_ends=tuple((end.branch, end.phase_interval, end.reason) for end in cut.open_ends),
+        trajectories=cut.trajectories,
+        resolved=cut.resolved,
+        status=cut.status,
+        strands=np.array([states for _, _, states in flown]).reshape(-1, instants, size),
+        strand_branches=np.array([branch for branch, _, _ in flown], dtype=np.int64),
+        strand_phases=np.array([phase for _, phase, _ in flown], dtype=float),
+    )
+
+
+def _strands(
+    manifold: UnstableManifold, cut: Cut, branch: int, count: int, instants: int
+) -> list[tuple[int, float, Array]]:
+    """Return (branch, phase, states) of trajectories that reach the section, spread evenly over the phases."""
+    pieces = [piece for piece in cut.pieces if piece.branch == branch]
+    if not pieces:
+        return []
+    phases = np.concatenate([piece.phases for piece in pieces])
+    times = np.concatenate([piece.times for piece in pieces])
+    nearest = [int(np.argmin(np.abs((phases - k / count + 0.5) % 1 - 0.5))) for k in range(count)]
+    chosen = list(dict.fromkeys(nearest))
+    seeds, _ = manifold.seeds(phases[chosen], branch)
+    system, flown = manifold.orbit.system, []
+    for seed, k in zip(seeds, chosen, strict=True):
+        dense = np.linspace(0.0, times[k], _DENSE * instants)
+        states = system.propagator.sample(seed, dense)
+        flown.append((branch, float(phases[k] % 1), states[_evenly(system, dense, states, instants)]))
+    return flown
+
+
+def _evenly(system: System, times: Array, states: Array, count: int) -> NDArray[np.int64]:
+    """Return `count` of the indices of samples, spread evenly over half the time and half the scaled path."""
+    path = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(states / system.scale, axis=0), axis=1))]
+    along = (times - times[0]) / (times[-1] - times[0]) + path / path[-1]
+    return np.rint(np.interp(np.linspace(0.0, along[-1], count), along, np.arange(len(times)))).astype(np.int64)
+
+
+def _piece(manifold: UnstableManifold, cut: Cut, piece: Piece) -> AtlasPiece:
+    system, centre = manifold.orbit.system, manifold.orbit.centre
+    turned = (piece.states - centre) @ system.reversers[0].T + centre
+    return AtlasPiece(
+        branch=piece.branch,
+        direction=piece.direction,
+        closed=piece.closed,
+        phases=piece.phases,
+        points=piece.points,
+        stable_points=section_points(system, cut.section, turned),
+        states=piece.states,
+        times=piece.times,
+    )
+
+
+def connection_record(connection: Connection) -> AtlasConnection:
+    """Return the record of a connection with its flight."""
+    orbit = connection.orbit
+    system: System = orbit.system
+    begin, end = float(orbit.times[0]), float(orbit.times[-1])
+    # A flight that never comes within the distance that counts as joined is shown whole.
+    if np.isfinite(connection.time_out):
+        begin = max(begin, -connection.time_out - connection.source.period)
+    if np.isfinite(connection.time_in):
+        end = min(end, connection.time_in + connection.target.period)
+    dense = np.linspace(begin, end, _DENSE * _FLIGHT_SAMPLES)
+    flown = orbit.sample(dense)
+    kept = np.unique(_evenly(system, dense, flown, _FLIGHT_SAMPLES))
+    return AtlasConnection(
+        name=connection.name,
+        source=connection.source.saddle,
+        target=connection.target.saddle,
+        section=connection.section,
+        state=connection.state,
+        point=section_points(system, connection.section, connection.state),
+        winding=connection.winding,
+        sense=connection.sense,
+        symmetric=connection.symmetric,
+        residual=connection.residual,
+        transversality_angle=connection.transversality_angle,
+        hits=connection.hits,
+        time_out=connection.time_out,
+        time_in=connection.time_in,
+        phase_out=connection.phase_out,
+        phase_in=connection.phase_in,
+        times=dense[kept],
+        states=flown[kept],
+        node_times=orbit.times,
+        nodes=orbit.states,
+    )
+
+
+def with_kind(search: ConnectionSearch, *, by_reversal: bool) -> tuple[ConnectionSearch, AtlasKind]:
+    """Return a search and how it ended."""
+    source, target = search.source.saddle, search.target.saddle
+    return search, AtlasKind(
+        source=source,
+        target=target,
+        section=search.cuts[0].section.name,
+        hits=(search.cuts[0].hit, search.cuts[1].hit),
+        count=len(search.connections),
+        failed=search.failed,
+        complete=search.complete,
+        open_ends=tuple((tube, end.branch, end.phase_interval, end.reason) for tube, end in search.open_ends),
+        by_reversal=by_reversal,
+        status=search.status,
+    )
+
+
+def atlas_status(
+    orbits: list[LyapunovOrbit], absent: list[tuple[str, str]], kinds: tuple[AtlasKind, ...], system: System
+) -> str:
+    """Return one sentence on what there is, what is not, and what may be hidden."""
+    count = sum(kind.count for kind in kinds)
+    parts = [f"{len(orbits)} orbits, {count} connections of {len({(k.source, k.target) for k in kinds})} kinds"]
+    if not system.sections:
+        parts.append(f"{system.name} has no sections on which connections are sought")
+    later = {(k.source, k.target): k.hits for k in kinds if k.count and k.hits != (1, 1)}
+    empty = {(k.source, k.target) for k in kinds if not k.count and k.hits == (1, 1)}
+    for (source, target), hits in later.items():
+        if (source, target) in empty:
+            parts.append(f"{source} → {target} is empty at first hits and has its first connections at {list(hits)}")
+    parts += [f"{k.source} → {k.target} has none at {list(k.hits)}" for k in kinds
+              if not k.count and (k.source, k.target) not in later]  # fmt: skip
+    incomplete = [k for k in kinds if not k.complete]
+    if incomplete:
+        names = ", ".join(f"{k.source} → {k.target} at {list(k.hits)}" for k in incomplete)
+        parts.append(f"cuts are open or crossings failed in {names}, so connections at these hits may be missing")
+    elif kinds:
+        parts.append("all cuts are closed and resolved, so none of these hits is missing down to the cuts' chord")
+    parts += [reason for _, reason in absent]
+    return "; ".join(parts)
+
+
+FORMAT = "dpcontrol-atlas"
+VERSION = 2
+_IN_HEADER = ("state", "point")
+"""Short arrays that stand in the header; the others are arrays of their own."""
+
+Arrays = dict[str, NDArray[Any]]
+
+
+def save_atlas(path: Path, atlas: Atlas) -> None:
+    """Write `atlas` to `path` (whole, or not at all) in the layout above.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    arrays: Arrays = {"periods": atlas.periods, "reverser": atlas.reverser}
+    sections = list(dict.fromkeys([*(c.section for c in atlas.cuts), *(c.section for c in atlas.connections)]))
+    header: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "model": atlas.model,
+        "title": atlas.title,
+        "energy": atlas.energy,
+        "status": atlas.status,
+        "seconds": dict(atlas.seconds),
+        "absent": atlas.absent,
+        "points": [_split(point, "", arrays, sections) for point in atlas.points],
+        "sections": [_split(section, "", arrays, sections) for section in sections],
+        "orbits": [_split(orbit, f"orbit_{k}_", arrays, sections) for k, orbit in enumerate(atlas.orbits)],
+        "rotating_orbits": [
+            _split(orbit, f"rotating_orbit_{k}_", arrays, sections) for k, orbit in enumerate(atlas.rotating_orbits)
+        ],
+        "cuts": [_split(cut, f"cut_{k}_", arrays, sections) for k, cut in enumerate(atlas.cuts)],
+        "kinds": [_split(kind, "", arrays, sections) for kind in atlas.kinds],
+        "connections": [
+            _split(connection, f"connection_{k}_", arrays, sections) for k, connection in enumerate(atlas.connections)
+        ],
+    }
+    text = json.dumps(_plain(header), allow_nan=False)
+    with whole_file(Path(path), suffix=".npz") as temporary:
+        np.savez(temporary, header=np.array(text), **arrays)  # type: ignore[arg-type]
+
+
+def _split(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -> dict[str, Any]:
+    """Return a record's entry in the header; its arrays go into `arrays` under `prefix` and their names."""
+    entry: dict[str, Any] = {}
+    for part in fields(record):
+        value = getattr(record, part.name)
+        if isinstance(value, Section):
+            entry[part.name] = sections.index(value)
+        elif part.name == "pieces":
+            entry["pieces"] = [
+                _split(piece, f"{prefix}piece_{k}_", arrays, sections) for k, piece in enumerate(record.pieces)
+            ]
+        elif isinstance(value, np.ndarray) and part.name not in _IN_HEADER and not np.iscomplexobj(value):
+            arrays[prefix + part.name] = value
+        else:
+            entry[part.name] = value
+    return entry
+
+
+def _plain(value: Any) -> Any:
+    """Return `value` in JSON's terms: arrays as lists, complex numbers as [re, im], what is not finite as null."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, complex):
+        return [value.real, value.imag]
+    if isinstance(value, float):
+        return float(value) if math.isfinite(value) else None
+    return value
+
+
+def load_atlas(path: Path) -> Atlas:
+    """Read what `save_atlas` wrote.
+
+    Raises:
+        InputError: there is no such file, or it is damaged or not an atlas; says which.
+    """
+    making = {"make": "make one with `dpcontrol atlas MODEL --energy H`", "again": "make it again"}
+    with archive(path, what="an atlas", **making) as (header, arrays):
+        return _atlas(header, arrays)
+
+
+def is_atlas(path: Path) -> bool:
+    """Tell by its first bytes whether a file is a zip archive, as atlases are and logs are not."""
+    try:
+        with Path(path).open("rb") as file:
+            return file.read(4) == b"PK\x03\x04"
+    except OSError:
+        return False
+
+
+def _atlas(header: Any, arrays: Arrays) -> Atlas:
+    """Make an atlas of a file's parts; any of the raised errors means that the file is not one."""
+    if header["format"] != FORMAT:
+        raise ValueError(f"its format is {header['format']!r}")
+    if header["version"] != VERSION:
+        raise ValueError(f"its version is {header['version']!r}, this program reads version {VERSION}")
+    sections = [Section(**{key: _tuples(value) for key, value in entry.items()}) for entry in header["sections"]]
+    size = len(arrays["periods"])
+
+    def record(kind: Any, entry: dict[str, Any], prefix: str) -> Any:
+        values: dict[str, Any] = {}
+        for part in fields(kind):
+            name = part.name
+            if name not in entry:
+                values[name] = _checked(arrays[prefix + name], prefix + name, size)
+            elif name == "section" and isinstance(entry[name], int):
+                values[name] = sections[entry[name]]
+            elif name == "pieces":
+                pieces = enumerate(entry[name])
+                values[name] = tuple(record(AtlasPiece, piece, f"{prefix}piece_{k}_") for k, piece in pieces)
+            elif name in _IN_HEADER:
+                values[name] = np.array(entry[name], dtype=float)
+            elif name == "floquet_multipliers":
+                values[name] = np.array([complex(*pair) for pair in entry[name]])
+            else:
+                values[name] = float("nan") if entry[name] is None else _tuples(entry[name])
+        return kind(**values)
+
+    return Atlas(
+        model=str(header["model"]),
+        title=str(header["title"]),
+        energy=float(header["energy"]),
+        periods=arrays["periods"],
+        reverser=_checked(arrays["reverser"], "reverser", size),
+        points=tuple(record(AtlasPoint, entry, "") for entry in header["points"]),
+        orbits=tuple(record(AtlasOrbit, e, f"orbit_{k}_") for k, e in enumerate(header["orbits"])),
+        rotating_orbits=tuple(
+            record(AtlasRotatingOrbit, e, f"rotating_orbit_{k}_") for k, e in enumerate(header["rotating_orbits"])
+        ),
+        absent=_tuples(header["absent"]),
+        cuts=tuple(record(AtlasCut, e, f"cut_{k}_") for k, e in enumerate(header["cuts"])),
+        kinds=tuple(record(AtlasKind, entry, "") for entry in header["kinds"]),
+        connections=tuple(record(AtlasConnection, e, f"connection_{k}_") for k, e in enumerate(header["connections"])),
+        seconds=dict(header["seconds"]),
+        status=str(header["status"]),
+    )
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
+
+
+_LAST = {"points": 2, "stable_points": 2, "reverser": None, "samples": None, "strands": None, "states": None}
+"""Length of the last axis by the end of an array's name; None: that of the state."""
+
+
+def _checked(array: NDArray[Any], name: str, size: int) -> NDArray[Any]:
+    """Return a finite array whose last axis has the length that its name asks for, or raise ValueError."""
+    if not np.isfinite(array).all():
+        raise ValueError(f"its array {name} is not finite")
+    for ending, last in {**_LAST, "nodes": None}.items():
+        if name == ending or name.endswith("_" + ending):
+            wanted = size if last is None else last
+            if array.ndim < 2 or array.shape[-1] != wanted:
+                raise ValueError(f"its array {name} has shape {array.shape}, the last length must be {wanted}")
+            break
+    return array
+
+
+FORMAT_ATLAS = 2
 """Raised whenever an atlas made by older code must not be taken for one made by this."""
 
 
@@ -81,7 +449,7 @@ class FoundAtlas:
 def atlas_key(model: Model, energy: float, settings: AtlasSettings) -> str:
     """Return the content that an atlas depends on, as 16 hexadecimal digits."""
     content = {
-        "format": FORMAT,
+        "format": FORMAT_ATLAS,
         "code": code_hash(__name__),
         "model": model.name,
         "parameters": model.system.parameters.tolist(),

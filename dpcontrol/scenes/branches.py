@@ -3,13 +3,12 @@
 import json
 from dataclasses import asdict
 
+from dpcontrol.bifurcations.bifurcations import BranchDiagram, branch_diagram, diagram_from, find_bifurcations
+from dpcontrol.bifurcations.sweep import SweepSettings
 from dpcontrol.foundation.files import content_hash, write_whole
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.scenes.cache import cache_folder, code_hash
 from dpcontrol.scenes.model import Model
-from dpcontrol.tubes.bifurcations import find_bifurcations
-from dpcontrol.tubes.branch_diagram import BranchDiagram, branch_diagram, diagram_from
-from dpcontrol.tubes.sweep_steps import SweepSettings
 
 FORMAT = 1
 LOWEST, HIGHEST, HIGHEST_BETWEEN = -0.49, 0.26, 0.236

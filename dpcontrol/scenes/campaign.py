@@ -2,27 +2,370 @@
 
 A case is a controller with values that override the scene's. All cases run the same seeds, so that they can be compared
 in pairs. Jobs of some seeds each go to workers; the table does not depend on how many there are or which of them die.
+
+One job of a campaign: some seeds of one case, run to rows; what a worker anywhere is given and gives back.
+
+A job carries all it needs (reference, parameters, settings), so that a worker needs this package and no files. The same
+job gives the same rows wherever and however often it runs.
+
+Where a campaign's rows live: one tidy Parquet file, and beside it the finished jobs of one that was interrupted.
+
+Every finished job is kept as NAME.parquet.parts/KEY.parquet, whole or absent, its key the hash of all it depends on: a
+campaign that is started again takes what is there and runs the rest. When all jobs are done their rows become one file,
+in the order of the jobs, and the parts are removed.
+
+Where a campaign's jobs run: processes of this machine, or a Dask cluster; finished jobs come back in any order.
+
+A worker that dies takes its job along; the job is run again elsewhere. Local workers are made anew; Dask does that
+itself.
 """
 
+import io
 import itertools
 import json
+import math
+import shutil
+import threading
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import dpcontrol
+from dpcontrol.control.interface import Controller
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.dynamics.ratios import Uncertainty
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.processes import processors
+from dpcontrol.foundation.files import content_hash, whole_file
+from dpcontrol.foundation.processes import ATTEMPTS, in_processes, processors
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.lab.batch import can_batch
-from dpcontrol.lab.statistics import Pairing, Share, paired, wilson
-from dpcontrol.scenes.campaign_jobs import Case, Job, Row
-from dpcontrol.scenes.campaign_store import Parts, write_rows
+from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
+from dpcontrol.loop.batch import BatchRun, can_batch, run_batch
+from dpcontrol.loop.control_loop import Fallback
+from dpcontrol.loop.loop import LoopSettings, loop_controller, loop_fallback, run_loop
+from dpcontrol.loop.result import Ending
+from dpcontrol.references.reference import Reference, load_reference
+from dpcontrol.review.score import Flown, verdict_on
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.scenes.plan import Plan, make_plan
-from dpcontrol.scenes.workers import run_locally, run_on_cluster
+
+Row = dict[str, Any]
+
+COLUMNS: dict[str, str] = {
+    "itinerary": "string",
+    "case": "string",
+    "controller": "string",
+    "estimator": "string",
+    "seed": "int64",
+    "mismatch": "double",
+    "completed": "bool",
+    "symbols_completed": "int32",
+    "symbols_total": "int32",
+    "symbol": "string",
+    "ending": "string",
+    "reason": "string",
+    "simulated_seconds": "double",
+    "rms_tracking_error": "double",
+    "max_cart_position": "double",
+    "rms_cart_acceleration": "double",
+    "rms_feedback": "double",
+    "nis_inside_95": "double",
+    "path": "string",
+    "replays": "bool",
+}
+"""A row's columns and their Arrow types. symbol: the one that was not done, empty if all were; case: what the campaign
+varied, as name=value; replays: whether the loop itself, tick by tick, fails too, asked of the first failures of a job
+only; null where it was not asked. SI units."""
+
+_ONE_AT_A_TIME = threading.Lock()
+"""Compiled code is not to be shared between threads, and a Dask worker may have several."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One combination of what a campaign varies: its label, the values by name, and the loop's settings."""
+
+    label: str
+    values: tuple[tuple[str, float | str], ...]
+    loop: LoopSettings
+
+
+@dataclass(frozen=True)
+class Job:
+    """Seeds of one case. reference: the plan's archive; path: "compiled" (many seeds in lockstep) or "ticks";
+    uncertainty: of the arms, for cases that draw their plants from it; replayed: how many failures in lockstep are run
+    again tick by tick.
+    """
+
+    itinerary: str
+    reference: bytes = field(repr=False)
+    arms: ArmChainParameters
+    case: Case
+    seeds: tuple[int, ...]
+    path: str
+    uncertainty: Uncertainty | None = None
+    replayed: int = 4
+
+    @property
+    def key(self) -> str:
+        """What the rows depend on, as 16 hexadecimal digits."""
+        settings = repr(
+            (self.itinerary, asdict(self.arms), self.case, self.seeds, self.path, self.uncertainty, self.replayed)
+        )
+        return content_hash(self.reference, settings)
+
+
+@lru_cache(maxsize=4)
+def _reference(archive: bytes) -> Reference:
+    return load_reference(io.BytesIO(archive))
+
+
+@lru_cache(maxsize=8)
+def _controller(archive: bytes, arms: ArmChainParameters, loop: LoopSettings) -> Controller:
+    return loop_controller(_reference(archive), arms, loop)
+
+
+@lru_cache(maxsize=8)
+def _fallback(archive: bytes, arms: ArmChainParameters, loop: LoopSettings) -> Fallback | None:
+    return loop_fallback(_reference(archive), arms, loop)
+
+
+def run_job(job: Job) -> list[Row]:
+    """Run a job's seeds and return a row for each, in their order.
+
+    Raises:
+        InputError: the settings do not fit the plan.
+        GoalMissed: no controller can be made for it.
+    """
+    with _ONE_AT_A_TIME:
+        return _rows(job)
+
+
+def _rows(job: Job) -> list[Row]:
+    reference = _reference(job.reference)
+    loop = job.case.loop
+    # By what a controller depends on: cases that differ in the bench share one.
+    decisive = LoopSettings(
+        seed=0, rate=loop.rate, keep=loop.keep, controller=loop.controller, estimator=loop.estimator,
+        supervisor=loop.supervisor,
+    )  # fmt: skip
+    controller = _controller(job.reference, job.arms, decisive)
+    if job.path == "ticks" or not can_batch(loop, controller):
+        fallback = _fallback(job.reference, job.arms, decisive)
+        return [
+            _row(job, reference, seed, _one(job, reference, controller, seed, fallback), path="ticks")
+            for seed in job.seeds
+        ]
+    limits = loop.limits(reference)
+    runs = run_batch(
+        job.arms, settings=loop, seeds=job.seeds, controller=controller, limits=limits, uncertainty=job.uncertainty
+    )
+    rows = [_row(job, reference, seed, run, path="compiled") for seed, run in zip(job.seeds, runs, strict=True)]
+    for row in [row for row in rows if not row["completed"]][: job.replayed]:
+        # What is listed as a failure should be one when its seed is run alone; round-off decides a few.
+        again = _row(job, reference, row["seed"], _one(job, reference, controller, row["seed"]), path="ticks")
+        row["replays"] = not again["completed"]
+    return rows
+
+
+def _one(
+    job: Job, reference: Reference, controller: Controller, seed: int, fallback: Fallback | None = None
+) -> BatchRun:
+    settings = replace(job.case.loop, seed=seed)
+    return BatchRun.of(
+        run_loop(
+            reference,
+            job.arms,
+            settings=settings,
+            controller=controller,
+            fallback=fallback,
+            uncertainty=job.uncertainty,
+        )
+    )
+
+
+def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str) -> Row:
+    ended = "" if run.ending is Ending.FINISHED else run.reason
+    n = reference.states.shape[-1] // 2 - 1
+    loop = job.case.loop
+    limits = loop.limits(reference)
+    flown = Flown(
+        time=run.times,
+        states=run.truth,
+        reference_angles=run.references,
+        applied=run.applied,
+        rate_hz=loop.rate,
+        limits=(limits.position, limits.velocity, limits.acceleration),
+        ended=ended,
+    )
+    verdict = verdict_on(flown, reference)
+    symbols = reference.notes["symbols"]
+    undone = symbols[verdict.symbols]["text"] if verdict.symbols < len(symbols) else ""
+    away = flown.angles - flown.reference_angles
+    return {
+        "itinerary": job.itinerary,
+        "case": job.case.label,
+        "controller": loop.controller.kind,
+        "estimator": loop.estimator.kind,
+        "seed": seed,
+        "mismatch": loop.mismatch,
+        "completed": not verdict.problem,
+        "symbols_completed": verdict.symbols,
+        "symbols_total": len(symbols),
+        "symbol": undone,
+        "ending": run.ending.value,
+        "reason": verdict.problem,
+        "simulated_seconds": float(run.times[-1]),
+        "rms_tracking_error": math.sqrt(float(np.mean(away**2))),
+        "max_cart_position": float(np.abs(run.truth[:, 2 * n]).max()),
+        "rms_cart_acceleration": math.sqrt(float(np.mean(run.applied**2))),
+        "rms_feedback": run.rms_feedback,
+        "nis_inside_95": run.nis_inside_95,
+        "path": path,
+        "replays": True if path == "ticks" else None,
+    }
+
+
+METADATA = b"dpcontrol.campaign"
+"""Key of the file's own metadata: JSON with the settings, version and commit."""
+
+
+def _schema(extra: Sequence[str], metadata: Mapping[str, Any] | None) -> Any:
+    import pyarrow as pa
+
+    kinds = {"string": pa.string(), "int64": pa.int64(), "int32": pa.int32(), "double": pa.float64()}
+    kinds["bool"] = pa.bool_()
+    fields = [pa.field(name, kinds[kind]) for name, kind in COLUMNS.items()]
+    fields += [pa.field(name, pa.float64()) for name in extra]
+    return pa.schema(fields, metadata={METADATA: json.dumps(metadata or {}).encode()})
+
+
+def write_rows(
+    path: Path, rows: Iterable[Row], *, extra: Sequence[str] = (), metadata: Mapping[str, Any] | None = None
+) -> None:
+    """Write rows to a Parquet file, whole or not at all; extra: names of further columns of numbers.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pa.Table.from_pylist(list(rows), schema=_schema(extra, metadata))
+    with whole_file(path, suffix=".parquet") as temporary:
+        pq.write_table(table, temporary, compression="zstd")
+
+
+def read_rows(path: Path) -> tuple[list[Row], dict[str, Any]]:
+    """Return a campaign file's rows, and its metadata.
+
+    Raises:
+        InputError: the file is missing, damaged or no campaign.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        table = pq.read_table(path)
+    except FileNotFoundError as error:
+        raise InputError(f"{path} does not exist; `dpcontrol campaign ITINERARY --out {path}` makes it") from error
+    except (pa.ArrowException, OSError) as error:
+        first = str(error).splitlines()[0]
+        raise InputError(f"{path} cannot be read as Parquet ({first}); run the campaign again") from error
+    missing = [name for name in COLUMNS if name not in table.column_names]
+    if missing:
+        raise InputError(f"{path} is no campaign of dpcontrol: it has no column {missing[0]!r}")
+    metadata = (table.schema.metadata or {}).get(METADATA, b"{}")
+    return table.to_pylist(), json.loads(metadata)
+
+
+class Parts:
+    """The finished jobs of one campaign file."""
+
+    def __init__(self, path: Path, *, extra: Sequence[str]) -> None:
+        self.folder = path.with_name(path.name + ".parts")
+        self._extra = tuple(extra)
+
+    def load(self, key: str) -> list[Row] | None:
+        """Return a finished job's rows; None where there are none, or they are damaged."""
+        file = self.folder / f"{key}.parquet"
+        if not file.is_file():
+            return None
+        try:
+            return read_rows(file)[0]
+        except InputError:
+            return None
+
+    def keep(self, key: str, rows: Sequence[Row]) -> None:
+        """Keep a job's rows.
+
+        Raises:
+            InputError: the folder cannot be written.
+        """
+        write_rows(self.folder / f"{key}.parquet", rows, extra=self._extra)
+
+    def remove(self) -> None:
+        """Remove the folder."""
+        shutil.rmtree(self.folder, ignore_errors=True)
+
+
+ANSWERS_WITHIN = "10s"
+"""How long a cluster may take to answer."""
+
+
+def run_locally(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[Row]]]:
+    """Run jobs in `workers` processes; where the caller is interrupted or takes no more, those under way are ended.
+
+    Raises:
+        InputError, GoalMissed: as `run_job`; the latter also when a job's worker died again and again.
+    """
+    return in_processes(
+        run_job, jobs, workers,
+        remedy="Finished jobs are kept: run the same command again, with fewer --workers",
+    )  # fmt: skip
+
+
+def run_on_cluster(jobs: Sequence[Job], address: str) -> Iterator[tuple[Job, list[Row]]]:
+    """Run jobs on the Dask cluster whose scheduler answers at `address`.
+
+    Raises:
+        InputError: distributed is not installed, nothing answers there, or the cluster has no workers.
+        GoalMissed: a job's workers died again and again.
+    """
+    try:
+        from distributed import Client, KilledWorker, as_completed
+    except ImportError as error:
+        raise InputError(
+            f"--scheduler {address}: the package distributed is not installed; pip install 'dpcontrol[cluster]'"
+        ) from error
+    try:
+        client = Client(address, timeout=ANSWERS_WITHIN)
+    except (OSError, TimeoutError, ValueError) as error:
+        raise InputError(
+            f"--scheduler {address}: no Dask scheduler answers there; start one with `dask scheduler`"
+        ) from error
+    with client:
+        if not client.scheduler_info()["workers"]:
+            raise InputError(
+                f"--scheduler {address}: the cluster has no workers; start one with `dask worker {address}`"
+            )
+        futures = {client.submit(run_job, job, key=f"dpcontrol-{job.key}", retries=ATTEMPTS): job for job in jobs}
+        try:
+            for future in as_completed(futures):
+                try:
+                    rows = future.result()
+                except KilledWorker as error:
+                    raise GoalMissed(
+                        f"the cluster's workers died again and again on one job ({error}); finished jobs are kept"
+                    ) from error
+                yield futures[future], rows
+        finally:
+            client.cancel(list(futures))
+
 
 PATHS = ("compiled", "ticks")
 MOST_RUNS = 1_000_000

@@ -1,19 +1,286 @@
-"""Itinerary files: what to do and how, from TOML to the settings of each stage."""
+"""Itinerary files: what to do and how, from TOML to the settings of each stage.
 
-from dataclasses import dataclass, replace
+What an itinerary consists of: walks, each at one energy, and holds at equilibria; read from its TOML.
+
+Either the file's top level gives one part's keys, or [[parts]] lists several:
+
+    energy, walk, wraps, repeat, lead_in, lead_out      a walk
+    hold = "up-up", seconds = 2.0                       a stay at an equilibrium
+    orbit = "down-up", energy = -0.07, seconds = 60     a stay on a periodic orbit; the only part of its itinerary
+
+A scene's run settings: [run], [controller], [estimator] and [supervisor] of its file, and what overrides them.
+
+In [run] the keys of sensors, drive and disturbances stand side by side, for a user thinks of one bench; [[run.blows]]
+lists blows at given times. The same names serve as overrides: `mismatch = 0.05` in the file is `--mismatch 0.05`.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from dpcontrol.dynamics.uncertain_arms import Uncertainty
+from dpcontrol.control.adaptive import AdaptiveSettings
+from dpcontrol.control.estimation import ESTIMATORS
+from dpcontrol.control.estimator_settings import (
+    AdaptiveEkfSettings,
+    Augment,
+    EkfSettings,
+)
+from dpcontrol.control.lqr import HoldSettings
+from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
+from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings
+from dpcontrol.dynamics.ratios import Uncertainty
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.tables import Table, read_toml
-from dpcontrol.lab.loop import LoopSettings
+from dpcontrol.foundation.tables import Table, read_toml, suggest
+from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings
+from dpcontrol.loop.controllers import KEEPERS, ControllerSettings
+from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.loop.supervisor import SupervisorSettings
+from dpcontrol.orbits.equilibria import equilibria
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
-from dpcontrol.scenes.lookup import find
-from dpcontrol.scenes.model import Model, load_model
-from dpcontrol.scenes.parts import HoldPart, OrbitPart, Part, WalkPart, read_parts
-from dpcontrol.scenes.run_settings import overridden, read_run_settings
+from dpcontrol.scenes.model import Model, find, load_model
+from dpcontrol.walks.edges import saddles_with_tubes
+from dpcontrol.walks.symbols import expanded, parse_walk
+
+
+@dataclass(frozen=True)
+class WalkPart:
+    """A walk at one energy in J; walk and wraps are those of the file done `repeat` times."""
+
+    energy: float
+    walk: tuple[str, ...]
+    wraps: tuple[int, ...]
+    repeat: int
+    lead_in: int
+    lead_out: int
+
+
+@dataclass(frozen=True)
+class HoldPart:
+    """A stay at an equilibrium, s."""
+
+    hold: str
+    seconds: float
+
+
+@dataclass(frozen=True)
+class OrbitPart:
+    """A stay on the sustained orbit about a saddle, energy in J, for about `seconds` s: whole periods."""
+
+    orbit: str
+    energy: float
+    seconds: float
+    family: int
+
+
+Part = WalkPart | HoldPart | OrbitPart
+
+
+def read_parts(table: Table, model: Model) -> tuple[Part, ...]:
+    """Return the parts of an itinerary's file.
+
+    Raises:
+        InputError: a walk, wraps, energy or hold that nothing could save; names file, table, key, value and remedy.
+    """
+    listed = table.tables("parts")
+    if not listed:
+        return (_part(table, model),)
+    for key in ("walk", "energy", "wraps", "hold", "orbit"):
+        if key in table:
+            raise InputError(f"{table.where(key)}: the file lists [[parts]]; the key belongs into one of them")
+    parts = []
+    for one in listed:
+        parts.append(_part(one, model))
+        if isinstance(parts[-1], OrbitPart):
+            raise InputError(f"{one.where('orbit')}: an orbit is kept in an itinerary of its own, without [[parts]]")
+        one.finish()
+    return tuple(parts)
+
+
+def _part(table: Table, model: Model) -> Part:
+    if "hold" in table:
+        return _hold(table, model)
+    if "orbit" in table:
+        return _orbit(table, model)
+    energy = table.number("energy")
+    saddles = saddles_with_tubes(model.system)
+    walk, wraps, repeat = _walk(table, saddles)
+    _check_energy(table, walk, saddles, model, energy)
+    return WalkPart(energy, walk, wraps, repeat, table.integer("lead_in", 2), table.integer("lead_out", 2))
+
+
+def _orbit(table: Table, model: Model) -> OrbitPart:
+    for key in ("walk", "hold"):
+        if key in table:
+            raise InputError(
+                f"{table.where('orbit')}: an itinerary that keeps an orbit has no {key}; remove one of them"
+            )
+    saddles = saddles_with_tubes(model.system)
+    name = table.text("orbit", allowed=saddles)
+    energy, point = table.number("energy"), equilibria(model.system)[name]
+    if energy <= point.energy:
+        raise InputError(
+            f"{table.where('energy')} = {energy!r} J: {name} has Lyapunov orbits only above its own "
+            f"{point.energy!r} J; choose a higher energy"
+        )
+    return OrbitPart(name, energy, _seconds(table, 10.0), table.integer("family", 0))
+
+
+def _seconds(table: Table, default: float) -> float:
+    seconds = table.number("seconds", default)
+    if not 0.5 <= seconds <= 3600:
+        raise InputError(f"{table.where('seconds')} = {seconds!r}: must be 0.5 to 3600 s")
+    return seconds
+
+
+def _hold(table: Table, model: Model) -> HoldPart:
+    if "walk" in table:
+        raise InputError(f"{table.where('hold')}: this part has a walk as well; give each its own [[parts]]")
+    points = equilibria(model.system)
+    name = table.text("hold")
+    if name not in points:
+        raise InputError(f"{table.where('hold')} = {name!r}: {suggest(name, points)}")
+    return HoldPart(name, _seconds(table, 2.0))
+
+
+def _walk(table: Table, saddles: list[str]) -> tuple[tuple[str, ...], tuple[int, ...], int]:
+    """Return the walk and its wraps, grown edges written out, repeated as often as asked, and how often that is.
+
+    Raises:
+        InputError: a walk or wraps that no energy could save; before anything is computed.
+    """
+    walk, wraps, repeat = table.texts("walk"), table.integers("wraps", ()), table.integer("repeat", 1, least=1)
+    try:
+        symbols = parse_walk(walk, saddles)
+    except InputError as error:
+        raise InputError(f"{table.where('walk')}: {error}") from error
+    if repeat == 1 and len(wraps) != len(walk) - 1:
+        raise InputError(
+            f"{table.where('wraps')} = {list(wraps)}: a walk of {len(walk)} symbols has {len(walk) - 1} interior "
+            f"stops; give one whole number for each{table.misspelt('wraps')}"
+        )
+    if repeat == 1:
+        return *expanded(symbols, wraps), repeat
+    if symbols[0].source != symbols[-1].target:
+        raise InputError(
+            f"{table.where('repeat')} = {repeat}: the walk starts at {symbols[0].source} and ends at "
+            f"{symbols[-1].target}; only a walk that ends where it starts can be repeated"
+        )
+    if len(wraps) != len(walk):
+        raise InputError(
+            f"{table.where('wraps')} = {list(wraps)}: a walk of {len(walk)} symbols that is repeated has {len(walk)} "
+            "stops, the last from its last symbol back to its first; give one whole number for each"
+            f"{table.misspelt('wraps')}"
+        )
+    walk, wraps = expanded(symbols, wraps)
+    return walk * repeat, (wraps * repeat)[:-1], repeat
+
+
+def _check_energy(table: Table, walk: tuple[str, ...], saddles: list[str], model: Model, energy: float) -> None:
+    """Refuse an energy at which a saddle of the walk has no orbits."""
+    points = equilibria(model.system)
+    for saddle in {name for s in parse_walk(walk, saddles) for name in (s.source, s.target)}:
+        if energy <= points[saddle].energy:
+            raise InputError(
+                f"{table.where('energy')} = {energy!r} J: {saddle} has Lyapunov orbits only above its own "
+                f"{points[saddle].energy!r} J; choose a higher energy"
+            )
+
+
+CONTROLLERS: Mapping[str, type[ControllerSettings]] = {
+    "tvlqr": TvlqrSettings, "adaptive": AdaptiveSettings, "ogy": OgySettings, "ogy-classic": ClassicOgySettings,
+    "lqr": HoldSettings, "feedforward": FeedforwardSettings,
+}  # fmt: skip
+"""Kinds of controller and what holds the settings of each."""
+_PARTS: Mapping[str, type] = {"sensors": SensorSettings, "drive": DriveSettings, "disturbances": DisturbanceSettings}
+_OWN = ("rate", "initial_error", "mismatch", "model_uncertainty", "travel", "seed")
+_LISTS = ("explicit",)
+
+
+def _part_of_name() -> dict[str, str]:
+    return {f.name: part for part, kind in _PARTS.items() for f in fields(kind) if f.name not in _LISTS}
+
+
+def setting_names() -> tuple[str, ...]:
+    """Return the names that [run] and overrides may use."""
+    return (*(name for name in _OWN if name != "seed"), *_part_of_name())
+
+
+def read_run_settings(run: Table, *, controller: Table, estimator: Table, supervisor: Table) -> LoopSettings:
+    """Return the settings of a scene's runs, with seed 0.
+
+    Raises:
+        InputError: an unknown key or an impossible value; names file, table, key, value and what is allowed.
+    """
+    blows = [table.settings(Push) for table in run.tables("blows")]
+    names, values = _part_of_name(), run.remaining()
+    known = setting_names()
+    parts = {}
+    for part, kind in _PARTS.items():
+        own = {k: v for k, v in values.items() if names.get(k) == part}
+        given = {"explicit": tuple(blows)} if part == "disturbances" else {}
+        parts[part] = Table(own, file=run.file, name=run.name).settings(kind, also=known, **given)
+    rest = Table({k: v for k, v in values.items() if k not in names}, file=run.file, name=run.name)
+    keep = controller.text("keep", "none", allowed=KEEPERS)
+    law = _kind(controller, CONTROLLERS, "tvlqr")
+    if keep != "none" and not isinstance(law, TvlqrSettings):
+        raise InputError(
+            f'{controller.where("keep")} = {keep!r}: what flies between the stops is kind = "tvlqr", not "{law.kind}"'
+        )
+    filters = {**ESTIMATORS, "ekf": AdaptiveEkfSettings} if isinstance(law, AdaptiveSettings) else ESTIMATORS
+    return rest.settings(
+        LoopSettings, also=known, seed=0, keep=keep, controller=law, estimator=_kind(estimator, filters, "ekf"),
+        supervisor=supervisor.settings(SupervisorSettings), **parts,
+    )  # fmt: skip
+
+
+def _kind(table: Table, kinds: Mapping[str, type], default: str) -> Any:
+    return table.settings(kinds[table.text("kind", default, allowed=kinds)])
+
+
+def overridden(loop: LoopSettings, overrides: Mapping[str, Any]) -> LoopSettings:
+    """Return the settings with values replaced by name; None keeps. A controller or estimator is named by its kind.
+
+    A controller that cannot hand over to what keeps the stops follows the whole reference itself.
+
+    Raises:
+        InputError: an unknown name or kind, or an impossible value.
+    """
+    names = _part_of_name()
+    changes: dict[str, dict[str, Any]] = {}
+    own: dict[str, Any] = {}
+    for name, value in overrides.items():
+        if value is None:
+            continue
+        if name in ("controller", "estimator"):
+            kinds: Mapping[str, type] = CONTROLLERS if name == "controller" else ESTIMATORS
+            if value not in kinds:
+                raise InputError(f"{name} = {value!r}: {suggest(str(value), kinds)}")
+            if value != getattr(loop, name).kind:
+                own[name] = kinds[value]()
+        elif name in _OWN or name == "keep":
+            own[name] = value
+        elif name == "hold":
+            own["supervisor"] = replace(loop.supervisor, hold=value)
+        elif name in names:
+            changes.setdefault(names[name], {})[name] = value
+        else:
+            raise InputError(
+                f"{name} = {value!r}: no such run setting; {suggest(name, (*setting_names(), 'keep', 'hold'))}"
+            )
+    law, filters = own.get("controller", loop.controller), own.get("estimator", loop.estimator)
+    knows = Augment.PARAMETERS in filters.augments
+    if isinstance(law, AdaptiveSettings) and isinstance(filters, EkfSettings) and not knows:
+        # What the controller is to count on must be asked for.
+        own["estimator"] = AdaptiveEkfSettings()
+    elif not isinstance(law, AdaptiveSettings) and isinstance(filters, AdaptiveEkfSettings):
+        own["estimator"] = EkfSettings()
+    if not isinstance(law, TvlqrSettings):
+        own.setdefault("keep", "none")
+    own |= {part: replace(getattr(loop, part), **values) for part, values in changes.items()}
+    return replace(loop, **own)
+
 
 ENDS = ("orbit", "rest", "hold")
 """Where an itinerary may start and finish."""

@@ -19,20 +19,16 @@ from numpy.typing import NDArray
 from dpcontrol.control.phase import whole_turns
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.itineraries.shadowing import ShadowingOrbit
-from dpcontrol.itineraries.tiling import phase_gap
-from dpcontrol.itineraries.wraps import WalkSolver
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.references.find import find_reference
-from dpcontrol.references.joining import joined
 from dpcontrol.references.problem import Ends
-from dpcontrol.references.reference import Reference
+from dpcontrol.references.reference import Reference, joined
 from dpcontrol.references.sustained import SustainedOrbit, SustainedSettings, sustained_orbit
-from dpcontrol.scenes.itinerary import Itinerary
+from dpcontrol.scenes.itinerary import Itinerary, WalkPart
 from dpcontrol.scenes.notes import plan_notes
-from dpcontrol.scenes.parts import WalkPart
 from dpcontrol.scenes.pieces import Goal, Piece, cart_problem, walk_goal
 from dpcontrol.tubes.connection import Connection
-from dpcontrol.tubes.lyapunov import LyapunovOrbit
+from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver, phase_gap
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.resources import files
 
-from dpcontrol.dynamics.drive_level import PlantLevel
+from dpcontrol.dynamics.plant import PlantLevel
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.scenes.itinerary import Itinerary
 

@@ -1,6 +1,15 @@
-"""Model files: a pendulum's parameters with their sources, from TOML."""
+"""Model files: a pendulum's parameters with their sources, from TOML.
 
+Where models and itineraries are found: by path, in the working folder, then among those shipped.
+
+An installed wheel carries them in `dpcontrol/data`; a checkout has them beside the package.
+
+Identified arms as a model file: where each number comes from, and how well it is known.
+"""
+
+import difflib
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal
 from fractions import Fraction
@@ -10,13 +19,64 @@ from typing import Any
 
 import numpy as np
 
-from dpcontrol.dynamics.parameters import ArmChainParameters, Friction
+import dpcontrol
+from dpcontrol.dynamics.chain import ArmChainParameters, Friction
+from dpcontrol.dynamics.ratios import Uncertainty, ratio_names, unit_name
 from dpcontrol.dynamics.system import System, pendulum_system
 from dpcontrol.dynamics.three_body import ThreeBodyParameters, three_body_system
-from dpcontrol.dynamics.uncertain_arms import Uncertainty
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.tables import Table, read_toml
-from dpcontrol.scenes.lookup import find
+from dpcontrol.identification.identify import Identification
+
+
+def shipped(kind: str) -> Path:
+    """Return the folder of shipped "models" or "itineraries"."""
+    package = Path(dpcontrol.__file__).parent
+    inside = package / "data" / kind
+    return inside if inside.is_dir() else package.parent / kind
+
+
+def known(kind: str) -> list[str]:
+    """Return the names that can be given without a path."""
+    names: set[str] = set()
+    for folder in (Path(kind), shipped(kind)):
+        # A folder that may not be read names nothing.
+        with suppress(OSError):
+            names |= {file.stem for file in folder.glob("*.toml")}
+    return sorted(names)
+
+
+def _is_file(path: Path) -> bool:
+    """Tell whether there is such a file that may be looked at; a name that no file can have is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def find(kind: str, name: str) -> Path:
+    """Return the TOML file of a model or an itinerary given by name or path.
+
+    Raises:
+        InputError: there is none; lists the known names and the nearest one.
+    """
+    given = Path(name)
+    looks_like_path = given.suffix == ".toml" or given.name != name
+    if looks_like_path:
+        if _is_file(given):
+            return given
+        raise InputError(f"there is no file {name}; give a TOML file or one of: {', '.join(known(kind))}")
+    for folder in (Path(kind), shipped(kind)):
+        file = folder / f"{name}.toml"
+        if _is_file(file):
+            return file
+    names = known(kind)
+    close = difflib.get_close_matches(name, names, n=1)
+    hint = f"did you mean {close[0]!r}? " if close else ""
+    singular = {"models": "model", "itineraries": "itinerary"}[kind]
+    raise InputError(f"there is no {singular} named {name!r}; {hint}known: {', '.join(names)}; a path works too")
+
 
 SYSTEMS = ("arm-chain", "three-body")
 
@@ -149,3 +209,80 @@ def _three_body(table: Table, title: str, text: str, path: Path) -> Model:
         part.finish()
     parameters = primaries.checked(ThreeBodyParameters, mass_ratio=ratio)
     return Model(path.stem, path, title, parameters, {"primaries": source}, text)
+
+
+def model_text(found: Identification, *, title: str, logs: Sequence[str], starting_model: str) -> str:
+    """Return the TOML text of what was identified from `logs`, started at the model of that name."""
+    arms, count = found.arms, len(ratio_names(found.arms))
+    left = np.array([s.rms for s in found.segments if not s.used])
+    # A comment ends with its line, whatever a file is called.
+    of = _plain(f"Identified from {', '.join(logs)}")
+    starting_model = _plain(starting_model)
+    known = np.isfinite(np.diag(found.covariance)[:count])
+    # A file of numbers has no infinity: what the data do not see is not varied.
+    covariance = np.where(np.outer(known, known), found.covariance[:count, :count], 0.0)
+    lines = [
+        f"# {of}, starting at the model {starting_model}.",
+        f"# {len(left)} segments were left out; their rms is {1e3 * np.median(left):.2f} mrad in the median, "
+        f"{1e3 * left.max():.2f} at worst.",
+        "# What the recordings do not determine:",
+        *(f"#   {sentence}" for sentence in found.undetermined),
+        f"title = {_quoted(title)}",
+        'system = "arm-chain"',
+        "",
+        "[arms]   # the nearest to the starting model's with the identified ratios",
+        f"source = {_quoted(f'{of}: only ratios to {unit_name(arms.count)}; the rest as in {starting_model}')}",
+        *(f"{name} = {_numbers(getattr(arms, name))}" for name in ("mass", "centre_of_mass", "length", "inertia")),
+        "",
+        "[gravity]",
+        f"source = {_quoted(f'Taken from the model {starting_model}; recordings on a clamped cart do not tell it')}",
+        f"acceleration = {arms.gravity!r}",
+        "",
+        "[friction]",
+        f"source = {_quoted(f'{of}; laws chosen by the error on segments left out')}",
+        f"viscous = {_numbers(arms.viscous)}   # N m s/rad",
+    ]
+    units = {"coulomb": "N m", "quadratic": "N s²/m², of the air, at each arm's centre of oscillation"}
+    lines += [f"{law} = {_numbers(getattr(arms, law))}   # {units[law]}" for law in arms.friction]
+    if arms.friction:
+        lines.append(f"smoothing = {arms.smoothing!r}   # rad/s")
+    if "zeros" in found.candidates[found.chosen].terms:
+        lines += [
+            "",
+            "[encoders]   # what recorded absolute angles show where the true ones are zero",
+            f"source = {_quoted(of)}",
+            f"zeros = {_numbers(found.zeros.mean(axis=0))}   # rad",
+        ]
+    lines += [
+        "",
+        "[uncertainty]   # covariance of the ratios, row by row; what is not determined is not varied",
+        f"source = {_quoted(f'{of}; residuals taken as alike over blocks')}",
+        "names = [" + ", ".join(_quoted(name) for name in found.names[:count]) + "]",
+        "covariance = [",
+        *("    " + ", ".join(repr(float(v)) for v in row) + "," for row in covariance),
+        "]",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def write_model(found: Identification, path: Path, *, title: str, logs: Sequence[str], starting_model: str) -> Path:
+    """Write what was identified as a model file and return its path.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    write_whole(path, model_text(found, title=title, logs=logs, starting_model=starting_model))
+    return path
+
+
+def _quoted(text: str) -> str:
+    return '"' + _plain(text).replace("\\", "\\\\").replace('"', '\\"') + '"'
+
+
+def _plain(text: str) -> str:
+    return "".join(c if c.isprintable() else " " for c in text)
+
+
+def _numbers(values: Sequence[float] | np.ndarray) -> str:
+    return "[" + ", ".join(repr(float(v)) for v in values) + "]"

@@ -11,21 +11,19 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.arm_chain import Level, equations_of
+from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.itineraries.shadowing import ShadowingOrbit
-from dpcontrol.references.find import find_reference
-from dpcontrol.references.joining import still
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.references.find import find_reference, shadowed
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Ends, Guess, ReferenceProblem
-from dpcontrol.references.reference import Reference
-from dpcontrol.references.shadowed import shadowed
+from dpcontrol.references.reference import Reference, still
 from dpcontrol.references.transfer import find_transfer
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.tubes.connecting_orbit import ConnectingOrbit
-from dpcontrol.tubes.lyapunov import LyapunovOrbit
 from dpcontrol.tubes.orbit_curve import OrbitCurve
+from dpcontrol.walks.shadowing import ShadowingOrbit
 
 Array = NDArray[np.float64]
 

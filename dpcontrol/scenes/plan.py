@@ -13,22 +13,18 @@ from typing import Any
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.itineraries.edges import find_edges, saddles_with_tubes
-from dpcontrol.itineraries.shadowing import ShadowingOrbit
-from dpcontrol.itineraries.walk import parse_walk
-from dpcontrol.itineraries.walks import resolve
-from dpcontrol.itineraries.wraps import WalkSolver
-from dpcontrol.references.archive import load_reference, save_reference
-from dpcontrol.references.joining import joined
-from dpcontrol.references.reference import Reference
+from dpcontrol.references.reference import Reference, joined, load_reference, save_reference
 from dpcontrol.scenes.cache import cache_folder, code_hash
-from dpcontrol.scenes.itinerary import Itinerary
+from dpcontrol.scenes.itinerary import HoldPart, Itinerary, WalkPart
 from dpcontrol.scenes.kept_walks import plan_kept
 from dpcontrol.scenes.notes import plan_notes
-from dpcontrol.scenes.parts import HoldPart, WalkPart
 from dpcontrol.scenes.pieces import REST, REST_AFTER, REST_BEFORE, Goal, solve_pieces, stay_goal, walk_goal
 from dpcontrol.scenes.stays import plan_stay
 from dpcontrol.tubes.connection import Connection
+from dpcontrol.walks.edges import find_edges, saddles_with_tubes
+from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
+from dpcontrol.walks.symbols import parse_walk
+from dpcontrol.walks.walks import resolve
 
 FORMAT = 2
 """Raised whenever the notes change their meaning."""

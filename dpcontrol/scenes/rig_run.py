@@ -1,6 +1,6 @@
 """Run an itinerary on a bench in real time, over UDP: the same loop, the same log, and how the deadlines were kept.
 
-The bench may be any that speaks `dpcontrol.lab.udp_packets`; the example is the simulated one, by its own clock.
+The bench may be any that speaks `dpcontrol.rig.packets`; the example is the simulated one, by its own clock.
 """
 
 from contextlib import ExitStack
@@ -10,19 +10,15 @@ from pathlib import Path
 from dpcontrol.control.interface import Controller
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.lab.bench_recipe import BenchRecipe
-from dpcontrol.lab.control_loop import ControlLoop
-from dpcontrol.lab.deadlines import Deadlines, real_time_priority, without_collecting
-from dpcontrol.lab.log_sink import LogSink
-from dpcontrol.lab.loop import control_loop, loop_controller, loop_fallback, loop_result
-from dpcontrol.lab.rehearsal import rehearse
-from dpcontrol.lab.result import LoopResult
-from dpcontrol.lab.udp_bench import BenchServerSettings
-from dpcontrol.lab.udp_process import BenchProcess
-from dpcontrol.lab.udp_rig import UdpRig, parse_address
 from dpcontrol.logs import read_log
+from dpcontrol.loop.control_loop import ControlLoop, rehearse
+from dpcontrol.loop.loop import control_loop, loop_controller, loop_fallback, loop_result
+from dpcontrol.loop.result import LogSink, LoopResult
+from dpcontrol.loop.simulated import BenchRecipe
 from dpcontrol.references.reference import Reference
 from dpcontrol.review.score import Score, score
+from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
+from dpcontrol.rig.client import Deadlines, UdpRig, parse_address, real_time_priority, without_collecting
 from dpcontrol.scenes.plan import Plan
 from dpcontrol.scenes.run import log_writer
 

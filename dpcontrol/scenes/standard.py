@@ -27,9 +27,8 @@ from typing import Any
 
 import numpy as np
 
-from dpcontrol.lab.statistics import Share, wilson
-from dpcontrol.scenes.campaign import CaseResult, cases_of
-from dpcontrol.scenes.campaign_jobs import Case
+from dpcontrol.foundation.statistics import Share, wilson
+from dpcontrol.scenes.campaign import Case, CaseResult, cases_of
 from dpcontrol.scenes.itinerary import Itinerary
 
 LEVELS = 21

@@ -11,14 +11,12 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.references.joining import joined, still
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.method import method_named
-from dpcontrol.references.reference import Reference
+from dpcontrol.references.reference import Reference, joined, still
 from dpcontrol.references.sustained import SustainedSettings, sustained_orbit
-from dpcontrol.scenes.itinerary import Itinerary
+from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart
 from dpcontrol.scenes.notes import STILL, notes_of
-from dpcontrol.scenes.parts import HoldPart, OrbitPart
-from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
 Array = NDArray[np.float64]
 

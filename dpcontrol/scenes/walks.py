@@ -12,12 +12,11 @@ import numpy as np
 from dpcontrol.dynamics.extended import Exact, digits
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import whole_file
-from dpcontrol.itineraries.edge_names import composed
-from dpcontrol.itineraries.edges import Edges
-from dpcontrol.itineraries.extended import ExtendedShadowing, refine_shadowing
-from dpcontrol.itineraries.shadowing import ShadowingOrbit
-from dpcontrol.itineraries.walks import Walk, is_closed, random_walk
-from dpcontrol.itineraries.wraps import WalkSolver
+from dpcontrol.walks.edges import Edges
+from dpcontrol.walks.extended import ExtendedShadowing, refine_shadowing
+from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
+from dpcontrol.walks.symbols import composed
+from dpcontrol.walks.walks import Walk, is_closed, random_walk
 
 FORMAT = 1
 """Raised whenever the file of a walk's orbit changes its meaning."""

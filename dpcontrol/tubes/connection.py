@@ -12,9 +12,9 @@ from scipy.optimize import root_scalar
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.tubes.connecting_orbit import ConnectingOrbit
 from dpcontrol.tubes.intersections import ConnectionSettings, Intersection
-from dpcontrol.tubes.lyapunov import LyapunovOrbit
 from dpcontrol.tubes.orbit_curve import OrbitCurve
 
 Array = NDArray[np.float64]

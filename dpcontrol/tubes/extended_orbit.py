@@ -1,6 +1,6 @@
 """Lyapunov orbits in 113-bit arithmetic: symmetric shooting again, with residuals in extended precision.
 
-The equations are those of `dpcontrol.tubes.symmetric_shooting`, evaluated in 113 bits at the exact energy; the Jacobian
+The equations are those of `orbits.symmetric_shooting`, evaluated in 113 bits at the exact energy; the Jacobian
 stays in double, so each Newton step leaves about 1e-12 of the residual and no linear algebra is needed beyond double.
 Source: Higham, Accuracy and Stability of Numerical Algorithms (2002), chapter 12 (refinement with extended residuals).
 """
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.extended import Extended, ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.tubes.lyapunov import LyapunovOrbit
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.tubes.lyapunov import LyapunovOrbit
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
 
 Array = NDArray[np.float64]
 

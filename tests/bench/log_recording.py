@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from dpcontrol.bench.log_formats import Format, Recording
-from dpcontrol.lab.result import Ticks
 from dpcontrol.logs import LogWriter, control_fields
 from dpcontrol.logs.by_message import messages_of
+from dpcontrol.loop.result import Ticks
 
 RATE = 1000.0
 LENGTHS = (0.2, 0.3)

@@ -16,12 +16,12 @@ from dpcontrol.bench.measure import Timed
 from dpcontrol.bench.redrawn import earlier_panels, less_accurate
 from dpcontrol.bench.registry import CHARTS, GROUPS
 from dpcontrol.bench.schemes import Stepper, buffered_rate, runge_kutta_4, symplectic_gauss
+from dpcontrol.dynamics.compiled import fixed_step
 from dpcontrol.dynamics.extended import ExtendedPropagator
-from dpcontrol.dynamics.fixed_step import fixed_step
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import no_progress
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
 STORED = Path(__file__).parents[1] / "benchmarks" / "charts"
 START = np.array([[0.9, 1.4, 0.5, -1.0]])

@@ -22,13 +22,13 @@ from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.ogy import OgySettings, ogy_controller
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.lab.batch import BatchRun
-from dpcontrol.lab.loop import sampled_model
-from dpcontrol.lab.result import Ending
 from dpcontrol.logs.by_message import messages_of, ticks_left
+from dpcontrol.loop.batch import BatchRun
+from dpcontrol.loop.loop import sampled_model
+from dpcontrol.loop.result import Ending
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.sustained import sustained_orbit
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
 EXACT = 1e-9  # Of slopes of straight lines: rounding of differences of numbers near one.
 FIRST_ORDER = 0.03  # Of a sampled low pass against the continuous one, at a hundredth of the sampling rate.

@@ -13,12 +13,12 @@ from dpcontrol.bench.edges_control import (
     loop_matrix,
     mismatch_border,
 )
-from dpcontrol.control.hold import HoldSettings, hold_controller
-from dpcontrol.lab.batch import run_batch
-from dpcontrol.lab.draw import draw_bench
-from dpcontrol.lab.drive import DriveSettings
-from dpcontrol.lab.loop import LoopSettings, sampled_model
-from dpcontrol.lab.result import Ending
+from dpcontrol.control.lqr import HoldSettings, hold_controller
+from dpcontrol.loop.batch import run_batch
+from dpcontrol.loop.bench import DriveSettings
+from dpcontrol.loop.draw import draw_bench
+from dpcontrol.loop.loop import LoopSettings, sampled_model
+from dpcontrol.loop.result import Ending
 from dpcontrol.references.problem import Limits
 from dpcontrol.scenes.model import load_model
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from dpcontrol.bench.edges_estimation import MOVED, SADDLE, STILL, arriving, lost_border, stuck_border, told
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.sustained import sustained_orbit
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
 APART = 0.25  # the bar
 LAB = load_model("lab")

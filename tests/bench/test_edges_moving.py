@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpcontrol.bench.edges_moving import ROOM, delay_border, foretold, mismatch_border, path_at
-from dpcontrol.lab.batch import run_batch
-from dpcontrol.lab.draw import draw_bench
-from dpcontrol.lab.drive import DriveSettings
-from dpcontrol.lab.loop import LoopSettings, run_loop
-from dpcontrol.lab.result import Ending
+from dpcontrol.bench.edges_control import ROOM
+from dpcontrol.bench.edges_moving import delay_border, foretold, mismatch_border, path_at
+from dpcontrol.loop.batch import run_batch
+from dpcontrol.loop.bench import DriveSettings
+from dpcontrol.loop.draw import draw_bench
+from dpcontrol.loop.loop import LoopSettings, run_loop
+from dpcontrol.loop.result import Ending
 from dpcontrol.references.problem import Limits
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan

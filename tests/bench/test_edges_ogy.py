@@ -28,7 +28,7 @@ from dpcontrol.bench.edges_ogy import (
 from dpcontrol.bench.ogy_borders import ESTIMATOR, LIMIT, RATE, SECONDS, Sections, Task, encoders, sections_of, task
 from dpcontrol.bench.ogy_ladder import Ladder
 from dpcontrol.bench.ogy_readings import Foresight, foresight, spread
-from dpcontrol.control.compiled_ekf import CompiledEkf
+from dpcontrol.control.ekf import CompiledEkf
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from dpcontrol.bench.edges_propagation import DOP, RK4, foretold_step, model_step, plant_step, stability, step_border
-from dpcontrol.dynamics.drive_level import PlantParameters, longest_step
+from dpcontrol.dynamics.plant import PlantParameters, longest_step
 from dpcontrol.scenes.model import load_model
 
 REAL_AXIS, IMAGINARY_AXIS = 2.785, 2.828  # of Runge-Kutta 4: Hairer & Wanner II, fig. IV.2.1 and the text beside it

@@ -8,10 +8,10 @@ import pytest
 
 from dpcontrol.bench.edges_seeds import SADDLE, asked, default_states, found_all, up_and_down
 from dpcontrol.bench.seed_rounding import DEFAULT, Chances, Searches, cut_from, meetings, places, rounding
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.intersections import ConnectionSettings
-from dpcontrol.tubes.lyapunov import LyapunovOrbit, lyapunov_orbit
-from dpcontrol.tubes.vertex import local_manifold
+from dpcontrol.tubes.orbit_curve import local_manifold
 
 FEW_FLIGHTS = 0.4
 """Relative: three deviations of the scatter of 40 flights over that of 40 others."""

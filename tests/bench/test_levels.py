@@ -8,11 +8,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dpcontrol.bench.level_trials import WINDOW, can_be_conservative, motions, plant_at
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
-from dpcontrol.references.joining import still
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE, Limits
-from dpcontrol.references.reference import Reference
+from dpcontrol.references.reference import Reference, still
 from dpcontrol.scenes import levels
 from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
 from dpcontrol.scenes.levels import (

@@ -13,8 +13,8 @@ import sys
 
 import pytest
 
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
 ENERGY = -1.5175
 AIMED, CLOSER = 60, 1e6

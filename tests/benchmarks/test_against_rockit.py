@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from shadowing_stand_in import LAB, orbit_stretch
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings, state_scale
 

@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import pytest
 
-from dpcontrol.scenes.campaign import CampaignSettings, cases_of
-from dpcontrol.scenes.campaign_jobs import Job, run_job
+from dpcontrol.scenes.campaign import CampaignSettings, Job, cases_of, run_job
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 

@@ -10,11 +10,11 @@ import sys
 
 import pytest
 
+from dpcontrol.bifurcations.bifurcations import find_bifurcations
+from dpcontrol.bifurcations.sweep import SweepSettings
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.bifurcations import find_bifurcations
 from dpcontrol.tubes.cut import CutSettings
 from dpcontrol.tubes.intersections import ConnectionSettings
-from dpcontrol.tubes.sweep_steps import SweepSettings
 
 ENERGIES = 60
 HIGHEST = 0.26  # J

@@ -14,12 +14,12 @@ sys.path.append(str(Path(__file__).parents[1] / "control"))
 sys.path.append(str(Path(__file__).parents[1]))
 from estimator_runs import COUNT, MODEL, NOISE, SWING, estimated, run
 
-from dpcontrol.control.compiled_ekf import CompiledEkf, EkfProgram
 from dpcontrol.control.consistency import Verdict, Watch, WatchSettings
+from dpcontrol.control.ekf import CompiledEkf, EkfProgram
 from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, FilterpyEkfSettings, UkfSettings
 from dpcontrol.control.simulated_consistency import simulated_consistency
-from dpcontrol.lab.sensors import SensorSettings
+from dpcontrol.loop.bench import SensorSettings
 
 pytestmark = pytest.mark.benchmark
 

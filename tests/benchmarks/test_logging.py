@@ -19,10 +19,9 @@ from kills import FIRST, kill_one
 from log_endurance import endure
 from log_samples import sample, write_sample
 
-from dpcontrol.lab.log_sink import LogSink
-from dpcontrol.lab.loop import run_loop
-from dpcontrol.lab.result import NoSink
 from dpcontrol.logs import LogWriter, read_log
+from dpcontrol.loop.loop import run_loop
+from dpcontrol.loop.result import LogSink, NoSink
 from dpcontrol.references.reference import Reference
 from dpcontrol.review.of_log import MODEL_METADATA
 from dpcontrol.scenes.itinerary import load_itinerary

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings
 from dpcontrol.scenes.itinerary import load_itinerary

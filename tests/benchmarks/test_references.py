@@ -14,16 +14,15 @@ import pytest
 sys.path.append(str(Path(__file__).parents[1] / "references"))
 from walk_references import complaints, problem_of, random_references
 
-from dpcontrol.itineraries.edges import find_edges
-from dpcontrol.itineraries.walks import random_walk
-from dpcontrol.itineraries.wraps import WalkSolver
-from dpcontrol.references.errors import error_between_nodes
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import ReferenceSettings
-from dpcontrol.references.trajectory import first_trajectory
+from dpcontrol.references.trajectory import error_between_nodes, first_trajectory
 from dpcontrol.references.transcription import solve
 from dpcontrol.scenes.model import load_model
+from dpcontrol.walks.edges import find_edges
+from dpcontrol.walks.shadowing import WalkSolver
+from dpcontrol.walks.walks import random_walk
 
 pytestmark = pytest.mark.benchmark
 

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from dpcontrol.scenes.campaign import cases_of
-from dpcontrol.scenes.campaign_jobs import Job, run_job
+from dpcontrol.scenes.campaign import Job, cases_of, run_job
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 

@@ -13,8 +13,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dpcontrol.dynamics.extended import ExtendedPropagator, extended, pi_times
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.lyapunov import lyapunov_orbit
 from dpcontrol.tubes.manifold import UnstableManifold
 
 ENERGY = 0.2

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from walk_classifier import WalkClassifier
 
-from dpcontrol.itineraries.edges import find_edges
-from dpcontrol.itineraries.walks import random_walk
-from dpcontrol.itineraries.wraps import WalkSolver
 from dpcontrol.scenes.model import load_model
 from dpcontrol.scenes.walks import drawn_requests, solved
+from dpcontrol.walks.edges import find_edges
+from dpcontrol.walks.shadowing import WalkSolver
+from dpcontrol.walks.walks import random_walk
 
 pytestmark = pytest.mark.benchmark
 

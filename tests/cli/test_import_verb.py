@@ -7,7 +7,7 @@ import pytest
 from bench_recordings import rig_variables, table_columns, write_csv, write_mat
 from command_line import dpcontrol
 
-from dpcontrol.lab.recordings import load_recording
+from dpcontrol.recordings.recording import load_recording
 
 ROUNDING = 1e-12
 

@@ -8,12 +8,12 @@ import pytest
 from command_line import dpcontrol
 from mcap.reader import make_reader
 
-from dpcontrol.dynamics.base_ratios import base_ratios
+from dpcontrol.dynamics.ratios import base_ratios
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.lab.draw import draw_bench
-from dpcontrol.lab.identification import IdentificationSettings, identify
-from dpcontrol.lab.recordings import load_recording
+from dpcontrol.identification.identify import IdentificationSettings, identify
 from dpcontrol.logs import read_log
+from dpcontrol.loop.draw import draw_bench
+from dpcontrol.recordings.recording import load_recording
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.model import load_model
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from command_line import dpcontrol
 
-from dpcontrol.references.archive import load_reference
 from dpcontrol.references.problem import Limits
+from dpcontrol.references.reference import load_reference
 from dpcontrol.references.summary import summarised
 from dpcontrol.review.reference_figure import draw_reference
 

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 from shadowing_stand_in import LAB
 
-from dpcontrol.control.compiled_ekf import CompiledEkf
+from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import Action, Session
-from dpcontrol.control.sampled import SampledModel
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
-from dpcontrol.lab.sensors import SensorSettings
+from dpcontrol.control.model import SampledModel
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
+from dpcontrol.loop.bench import SensorSettings
 
 Array = NDArray[np.float64]
 PERIOD = 1e-3

@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import numpy as np
 from shadowing_stand_in import LAB
 
-from dpcontrol.control.sampled import SampledModel
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
-from dpcontrol.lab.sensors import SensorSettings
+from dpcontrol.control.model import SampledModel
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
+from dpcontrol.loop.bench import SensorSettings
 
 NOISE = SensorSettings().covariance(2)
 EQUATIONS = arm_chain_equations(2, Level.CART)

@@ -13,14 +13,14 @@ from dpcontrol.control.adaptive import (
     preview_gains,
 )
 from dpcontrol.control.estimator_settings import Augment, EkfSettings
-from dpcontrol.control.sampled import SampledModel
+from dpcontrol.control.model import SampledModel
 from dpcontrol.control.tracking import TvlqrSettings, tracking_controller
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.lab.batch import run_batch
-from dpcontrol.lab.drive import DriveSettings
-from dpcontrol.lab.loop import LoopSettings, run_loop
-from dpcontrol.lab.result import Ending, NoSink
+from dpcontrol.loop.batch import run_batch
+from dpcontrol.loop.bench import DriveSettings
+from dpcontrol.loop.loop import LoopSettings, run_loop
+from dpcontrol.loop.result import Ending, NoSink
 from dpcontrol.references.reference import Reference
 
 SOLVED = 1e-7  # Relative, of Riccati solvers on well-scaled matrices.

@@ -5,11 +5,10 @@ import pytest
 from estimator_runs import MODEL, NOISE, SWING, estimated, run
 from shadowing_stand_in import LAB
 
-from dpcontrol.control.compiled_ekf import CompiledEkf
+from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import Augment, EkfSettings, extra_names
-from dpcontrol.control.sampled import SampledModel
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
-from dpcontrol.dynamics.parameters import Friction
+from dpcontrol.control.model import SampledModel
+from dpcontrol.dynamics.chain import Friction, Level, arm_chain_equations
 
 ZERO = 1e-3  # rad, after four seconds of swinging: a hundredth of what harms a run.
 SHARE = 0.01  # Of base parameters, after four seconds.

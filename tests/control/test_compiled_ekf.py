@@ -5,14 +5,13 @@ import pytest
 from shadowing_stand_in import LAB
 from textbook_filter import TextbookFilter
 
-from dpcontrol.control.compiled_ekf import CompiledEkf, checked_noise
-from dpcontrol.control.ekf_equations import packed, unpacked
+from dpcontrol.control.ekf import CompiledEkf, checked_noise, packed, unpacked
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import Estimate
-from dpcontrol.control.sampled import SampledModel
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.control.model import SampledModel
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.lab.sensors import SensorSettings
+from dpcontrol.loop.bench import SensorSettings
 
 ROUNDING = 1e-9  # Of two filters over thousands of ticks, relative to standard deviations; NIS loses most.
 DIGITS = 1e-13  # Relative, of a few ticks against 50 decimal digits.

@@ -4,7 +4,6 @@ from estimator_runs import COUNT, MODEL, NOISE, SWING, Run, run
 from scipy.stats import chi2
 from shadowing_stand_in import LAB
 
-from dpcontrol.control.compiled_ekf import CompiledEkf, EkfProgram
 from dpcontrol.control.consistency import (
     Health,
     Verdict,
@@ -14,10 +13,11 @@ from dpcontrol.control.consistency import (
     nees,
     share_inside,
 )
+from dpcontrol.control.ekf import CompiledEkf, EkfProgram
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.simulated_consistency import simulated_consistency
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.lab.sensors import SensorSettings
+from dpcontrol.loop.bench import SensorSettings
 
 SHARE = 0.02  # About 95 %; the bar for a nominal plant with the noise that is modelled.
 FAULT = 500  # Tick at which sensors fail.

@@ -7,16 +7,16 @@ from bench_stand_in import PERIOD, Flight, fly, model_of, plant_of
 from shadowing_stand_in import LAB, StandIn
 
 from dpcontrol.control.handover import Fly, Keep, NearestKeeper, Program, ProgramSession, program
-from dpcontrol.control.hold import HoldSettings, hold_controller
 from dpcontrol.control.interface import Action
+from dpcontrol.control.lqr import HoldSettings, hold_controller
 from dpcontrol.control.ogy import OgyController, OgySession, OgySettings, ogy_controller
 from dpcontrol.control.periodic import orbit_controller
 from dpcontrol.control.tracking import TrackingController, TvlqrSettings, tracking_controller
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.reference import Reference
 from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
 ON_ORBIT = 0.1  # rad: what a completed period asks for.
 JOIN = 0.06  # Scaled: where a flight with a plant 3 % off may be from the orbit that it comes to.

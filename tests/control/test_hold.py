@@ -5,7 +5,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
 from shadowing_stand_in import LAB
 
-from dpcontrol.control.hold import HoldController, HoldSettings, basin, delay_margin, hold_controller
+from dpcontrol.control.lqr import HoldController, HoldSettings, basin, delay_margin, hold_controller
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.problem import Limits
 

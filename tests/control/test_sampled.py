@@ -3,8 +3,8 @@ import pytest
 from scipy.integrate import solve_ivp
 from shadowing_stand_in import LAB
 
-from dpcontrol.control.sampled import SampledModel
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.control.model import SampledModel
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import InputError
 
 STEP = 1e-7  # Error of one Runge-Kutta step of 1 ms.

@@ -5,17 +5,19 @@ import pytest
 from scipy.linalg import solve_discrete_are
 from shadowing_stand_in import LAB, StandIn
 
-from dpcontrol.control.phase_tracking import PhaseController, PhaseSession, phase_controller
-from dpcontrol.control.sampled import SampledModel
+from dpcontrol.control.model import SampledModel
 from dpcontrol.control.tracking import (
     FeedforwardSettings,
+    PhaseController,
+    PhaseSession,
     TrackingController,
     TvlqrSettings,
+    phase_controller,
     riccati_gains,
     terminal_cost,
     tracking_controller,
 )
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.references.reference import Reference
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from dpcontrol.dynamics.arm_chain import Level, equations_of
-from dpcontrol.dynamics.base_ratios import base_from_ratios, base_ratios, nearest_arms, ratio_names, with_laws
-from dpcontrol.dynamics.parameters import ArmChainParameters, Friction
+from dpcontrol.dynamics.chain import ArmChainParameters, Friction, Level, equations_of
+from dpcontrol.dynamics.ratios import base_from_ratios, base_ratios, nearest_arms, ratio_names, with_laws
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.scenes.model import load_model
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from shadowing_stand_in import LAB
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
-from dpcontrol.dynamics.drive_level import PlantLevel, PlantParameters, after_blow, longest_step, plant_step
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
+from dpcontrol.dynamics.plant import PlantLevel, PlantParameters, after_blow, longest_step, plant_step
 from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
 from dpcontrol.foundation.errors import InputError
 

@@ -5,9 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations, equations_of
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations, equations_of
 from dpcontrol.dynamics.equations import NumericEquations
-from dpcontrol.dynamics.parameters import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.scenes.model import load_model
 

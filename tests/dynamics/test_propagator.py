@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.dynamics.propagator import Propagator, Section
 from dpcontrol.dynamics.taylor import to_heyoka
 from dpcontrol.scenes.model import load_model

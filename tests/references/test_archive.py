@@ -7,8 +7,7 @@ import pytest
 from shadowing_stand_in import StandIn
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.references.archive import load_reference, save_reference
-from dpcontrol.references.reference import Reference
+from dpcontrol.references.reference import Reference, load_reference, save_reference
 
 
 @pytest.fixture

@@ -7,18 +7,15 @@ import pytest
 from scipy.interpolate import CubicHermiteSpline
 from shadowing_stand_in import DOWN_UP_LOW, LAB, OUTER_TURN_LOW, StandIn, orbit_stretch, stitched
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.dynamics.propagator import Propagator
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.references.diagnosis import FARTHEST
-from dpcontrol.references.errors import away_from_guess
-from dpcontrol.references.find import find_reference
-from dpcontrol.references.homotopy import friction_parameters, raise_friction
+from dpcontrol.references.find import FARTHEST, find_reference, friction_parameters, raise_friction
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Ends, Guess, Limits, ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.trajectory import Trajectory, first_trajectory
+from dpcontrol.references.trajectory import Trajectory, away_from_guess, first_trajectory
 from dpcontrol.references.transcription import solve
 
 EQUATIONS = arm_chain_equations(2, Level.CART)

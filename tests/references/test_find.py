@@ -6,14 +6,13 @@ from numpy.polynomial import Polynomial
 from scipy.integrate import solve_ivp
 from shadowing_stand_in import LAB, StandIn, orbit_stretch
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.references.errors import error_between_nodes, largest_on_intervals
 from dpcontrol.references.find import find_reference, on_mesh, split_mesh
 from dpcontrol.references.method import radau
 from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.trajectory import first_trajectory
+from dpcontrol.references.trajectory import error_between_nodes, first_trajectory, largest_on_intervals
 from dpcontrol.references.transcription import solve
 
 TOLERANCE = 1e-6  # The error between nodes that a reference promises, scaled.

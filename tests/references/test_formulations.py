@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from shadowing_stand_in import DOWN_UP_LOW, LAB, orbit_stretch
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.find import find_reference

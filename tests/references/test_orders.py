@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from shadowing_stand_in import LAB, orbit_stretch
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.references.method import Method, method_named
 from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.transcription import interval_function

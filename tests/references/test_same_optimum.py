@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from shadowing_stand_in import LAB, orbit_stretch
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import Method, interpolation_matrix, method_named

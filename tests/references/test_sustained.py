@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dpcontrol.dynamics.parameters import ArmChainParameters
+from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.sustained import SectionMap, SustainedOrbit, SustainedSettings, sustained_orbit
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.lyapunov import lyapunov_orbit
 
 ERROR_BETWEEN_NODES = 1e-9  # What is promised, scaled.
 CLOSURE = 1e-9  # rad, rad/s, m: a solver's tolerance, scaled back.

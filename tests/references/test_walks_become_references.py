@@ -2,9 +2,9 @@
 
 from walk_references import complaints, random_references
 
-from dpcontrol.itineraries.edges import find_edges
 from dpcontrol.references.problem import ReferenceSettings
 from dpcontrol.scenes.model import load_model
+from dpcontrol.walks.edges import find_edges
 
 
 def test_random_itineraries_converge_and_stop_where_their_walks_ask() -> None:

@@ -5,16 +5,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
-from dpcontrol.itineraries.edges import Edges
-from dpcontrol.itineraries.shadowing import ShadowingOrbit
-from dpcontrol.itineraries.walks import random_walk
-from dpcontrol.itineraries.wraps import WalkSolver
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference
 from dpcontrol.review.stops import decode_stops
 from dpcontrol.scenes.model import Model
+from dpcontrol.walks.edges import Edges
+from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
+from dpcontrol.walks.walks import random_walk
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from synthetic_run import ARM_LENGTHS, context_for, synthetic_run, write_log
 
-from dpcontrol.lab.recordings import REPLAYED
 from dpcontrol.logs import LogWriter, read_log, recover
+from dpcontrol.recordings.recording import REPLAYED
 from dpcontrol.review import drawing, series
 from dpcontrol.review.context import ReviewContext
 from dpcontrol.review.motion import motion_of

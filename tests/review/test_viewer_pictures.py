@@ -12,7 +12,6 @@ import pytest
 from matplotlib.image import imread
 from synthetic_run import ARM_LENGTHS, context_for, synthetic_run, write_log
 
-from dpcontrol.itineraries.atlas import Atlas
 from dpcontrol.logs import LogWriter, RunLog, read_log
 from dpcontrol.references.reference import Reference
 from dpcontrol.review import viewer
@@ -25,6 +24,7 @@ from dpcontrol.review.of_log import plan_context, review_context
 from dpcontrol.review.recording import write_motion_recording, write_recording
 from dpcontrol.scenes.atlas import AtlasSettings, make_atlas
 from dpcontrol.scenes.model import load_model
+from dpcontrol.walks.atlas import Atlas
 
 SEEN = 0.02
 """Least share of pixels that differ from the corner's: the viewer without data shows less."""

@@ -10,15 +10,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.itineraries.edges import Edges, find_edges
-from dpcontrol.itineraries.shadowing import ShadowingOrbit
-from dpcontrol.itineraries.walks import random_walk, resolve, through
-from dpcontrol.itineraries.wraps import WalkSolver
 from dpcontrol.review.walk_figure import draw_walk, write_walk_figure
 from dpcontrol.review.walk_panels import FILM_SYMBOLS, film_shape
 from dpcontrol.review.walk_space import LIFTED_TURNS, is_lifted
 from dpcontrol.review.walk_story import NEAR, WalkStory, symbol_text, symbol_words
 from dpcontrol.scenes.model import load_model
+from dpcontrol.walks.edges import Edges, find_edges
+from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
+from dpcontrol.walks.walks import random_walk, resolve, through
 
 LEAST_BYTES = 60_000  # of the page: an empty one of that size takes about 15,000
 LOW, HIGH = -0.07, 0.2

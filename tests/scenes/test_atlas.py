@@ -9,13 +9,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.itineraries.atlas import Atlas
 from dpcontrol.scenes import atlas as atlas_module
-from dpcontrol.scenes.atlas import AtlasSettings, compute_atlas, make_atlas
-from dpcontrol.scenes.atlas_file import load_atlas, save_atlas
+from dpcontrol.scenes.atlas import AtlasSettings, compute_atlas, load_atlas, make_atlas, save_atlas
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.tubes.reversal import can_be_reversed, reversed_search
+from dpcontrol.tubes.connections import can_be_reversed, find_connections, orbits_between, reversed_search
+from dpcontrol.walks.atlas import Atlas
 from tests.command_line import dpcontrol
 from tests.reference_values import CONNECTIONS, LYAPUNOV_ORBITS
 

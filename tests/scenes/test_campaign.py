@@ -20,11 +20,11 @@ from scipy.stats import norm
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.foundation import processes
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.lab.statistics import paired, wilson
+from dpcontrol.foundation.statistics import paired, wilson
+from dpcontrol.scenes import campaign as campaign_jobs
 from dpcontrol.scenes import campaign as campaign_module
-from dpcontrol.scenes import campaign_jobs, workers
-from dpcontrol.scenes.campaign import Campaign, CampaignSettings, cases_of, run_campaign
-from dpcontrol.scenes.campaign_store import read_rows
+from dpcontrol.scenes import campaign as workers
+from dpcontrol.scenes.campaign import Campaign, CampaignSettings, cases_of, read_rows, run_campaign
 from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
 from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.standard import LEVELS, STANDARD, standard_cases, standard_scores

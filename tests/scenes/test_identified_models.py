@@ -6,12 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpcontrol.dynamics.base_ratios import base_ratios
+from dpcontrol.dynamics.ratios import base_ratios
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.lab.identification import Identification, IdentificationSettings, identify
-from dpcontrol.lab.simulated_recording import simulated_recording
-from dpcontrol.scenes.model import load_model
-from dpcontrol.scenes.model_file import write_model
+from dpcontrol.identification.identify import Identification, IdentificationSettings, identify
+from dpcontrol.recordings.simulated import simulated_recording
+from dpcontrol.scenes.model import load_model, write_model
 
 LAB = load_model("lab")
 DRAWS = 400

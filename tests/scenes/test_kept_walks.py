@@ -11,14 +11,14 @@ import pytest
 from command_line import dpcontrol
 
 from dpcontrol.control.handover import Program
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.lab.batch import can_batch
-from dpcontrol.lab.loop import loop_controller
 from dpcontrol.logs import RunLog, read_log
-from dpcontrol.references.errors import power_coefficients
+from dpcontrol.loop.batch import can_batch
+from dpcontrol.loop.loop import loop_controller
 from dpcontrol.references.problem import state_scale
+from dpcontrol.references.trajectory import power_coefficients
 from dpcontrol.review.score import score
 from dpcontrol.review.stops import decode_run
 from dpcontrol.scenes.itinerary import load_itinerary

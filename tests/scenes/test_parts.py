@@ -5,11 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpcontrol.dynamics.arm_chain import Level, arm_chain_equations
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.references.errors import power_coefficients
 from dpcontrol.references.problem import state_scale
+from dpcontrol.references.trajectory import power_coefficients
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.run import run_plan

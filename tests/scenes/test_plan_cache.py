@@ -12,7 +12,7 @@ import pytest
 import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import read_log
-from dpcontrol.references.archive import load_reference, save_reference
+from dpcontrol.references.reference import load_reference, save_reference
 from dpcontrol.review.score import score
 from dpcontrol.scenes import plan as planning
 from dpcontrol.scenes.cache import code_hash, module_sources

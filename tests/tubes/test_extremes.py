@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from dpcontrol.dynamics.system import momentum_scale
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import tube_cut
 from dpcontrol.tubes.extended import refine_connection
-from dpcontrol.tubes.lyapunov import lyapunov_orbit
 from dpcontrol.tubes.manifold import UnstableManifold
 from dpcontrol.tubes.orbit_curve import OrbitCurve
 

@@ -6,13 +6,20 @@ from scipy.integrate import solve_ivp
 
 from dpcontrol.dynamics.system import momentum_scale
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.review.interior_figure import draw_interior, save_interior
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.cut import CutSettings, section_points, tube_cut
-from dpcontrol.tubes.interior import InteriorSettings, tube_interior, turned_around
-from dpcontrol.tubes.lyapunov import lyapunov_orbit
+from dpcontrol.tubes.interior import (
+    InteriorSettings,
+    inside,
+    labels,
+    outlines_of,
+    section_states,
+    tube_interior,
+    turned_around,
+)
 from dpcontrol.tubes.manifold import UnstableManifold
-from dpcontrol.tubes.outlines import inside, labels, outlines_of, section_states
 
 ENERGY = 1e-14  # J: states are solved for, not corrected
 NEAR_CUT = 0.01  # share of points that may lie within a chord's height of a cut, where a polygon cannot tell

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.equilibria import equilibria
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import CutSettings, tube_cut
-from dpcontrol.tubes.equilibria import equilibria
 from dpcontrol.tubes.intersections import ConnectionSettings
-from dpcontrol.tubes.lyapunov import lyapunov_orbit
 from dpcontrol.tubes.manifold import UnstableManifold
 
 ENERGY = -1.5175

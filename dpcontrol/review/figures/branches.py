@@ -5,10 +5,10 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from dpcontrol.bifurcations.bifurcations import BranchDiagram
 from dpcontrol.foundation.progress import part_of
 from dpcontrol.review import style
 from dpcontrol.review.figures.page import Gallery, Page, angle_axis, new_figure, quiet, saddle_colour
-from dpcontrol.tubes.branch_diagram import BranchDiagram
 
 Array = NDArray[np.float64]
 

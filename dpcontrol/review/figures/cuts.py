@@ -6,9 +6,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from dpcontrol.itineraries.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, section_axes
 from dpcontrol.review import style
 from dpcontrol.review.figures.page import FEW, STABLE, UNSTABLE, angle_axis, quiet, wrapped_runs
+from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, section_axes
 
 Array = NDArray[np.float64]
 

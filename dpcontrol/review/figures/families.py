@@ -6,10 +6,10 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 
+from dpcontrol.orbits.equilibria import equilibria
+from dpcontrol.orbits.family import LyapunovFamily, lyapunov_family
 from dpcontrol.review import style
 from dpcontrol.review.figures.page import Gallery, Page, angle_axis, new_figure, quiet, saddle_colour
-from dpcontrol.tubes.equilibria import equilibria
-from dpcontrol.tubes.family import LyapunovFamily, lyapunov_family
 
 _HIGHEST = 0.45
 _SHAPES = 12

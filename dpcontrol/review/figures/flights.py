@@ -4,9 +4,9 @@ import numpy as np
 from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
-from dpcontrol.itineraries.atlas import Atlas, AtlasConnection
 from dpcontrol.review import style
 from dpcontrol.review.figures.page import angle_axis, quiet, saddle_colour
+from dpcontrol.walks.atlas import Atlas, AtlasConnection
 
 Array = NDArray[np.float64]
 

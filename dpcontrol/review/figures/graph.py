@@ -4,10 +4,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, FancyArrowPatch
 
-from dpcontrol.itineraries.atlas import Atlas
-from dpcontrol.itineraries.graph import connection_graph, walks
 from dpcontrol.review import style
 from dpcontrol.review.figures.page import Gallery, Page, new_figure, saddle_colour
+from dpcontrol.walks.atlas import Atlas
+from dpcontrol.walks.graph import connection_graph, walks
 
 ENERGIES = (-0.07, 0.2)
 _RADIUS = 0.45

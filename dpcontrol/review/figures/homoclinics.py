@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from dpcontrol.itineraries.atlas import Atlas, AtlasConnection
 from dpcontrol.review.figures.cuts import colours, draw_cuts, kind_of, one_of_each
 from dpcontrol.review.figures.flights import draw_flight
 from dpcontrol.review.figures.page import Gallery, Page, new_figure
+from dpcontrol.walks.atlas import Atlas, AtlasConnection
 
 _MOST = 5
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from dpcontrol.orbits.equilibria import equilibria
 from dpcontrol.review import style
 from dpcontrol.review.figures.page import Gallery, Page, angle_axis, new_figure, quiet
-from dpcontrol.tubes.equilibria import equilibria
 
 ENERGIES = (-0.3, -0.07, 0.2, 0.55)
 _GRID = 241

@@ -10,11 +10,11 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, MultipleLocator
 from numpy.typing import NDArray
 
+from dpcontrol.bifurcations.bifurcations import BranchDiagram
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.itineraries.atlas import Atlas
 from dpcontrol.review import style
-from dpcontrol.tubes.branch_diagram import BranchDiagram
+from dpcontrol.walks.atlas import Atlas
 
 Array = NDArray[np.float64]
 

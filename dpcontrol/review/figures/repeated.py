@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from dpcontrol.itineraries.atlas import AtlasConnection
 from dpcontrol.review.figures.cuts import colours, draw_cuts, kind_of
 from dpcontrol.review.figures.flights import draw_angles, draw_flight
 from dpcontrol.review.figures.page import Gallery, Page, new_figure
+from dpcontrol.walks.atlas import AtlasConnection
 
 ENERGY = -0.07
 SADDLE = "down-up"

@@ -5,9 +5,9 @@ from collections.abc import Callable
 import numpy as np
 from matplotlib.axes import Axes
 
-from dpcontrol.itineraries.atlas import Atlas, AtlasConnection, AtlasCut
 from dpcontrol.review import style
 from dpcontrol.review.figures.page import STABLE, UNSTABLE, angle_axis, saddle_colour
+from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut
 
 PALE_UNSTABLE, PALE_STABLE, CUT, FLIGHT = "#e39b96", "#9ccbab", "#8a4fa3", "#2b2f33"
 

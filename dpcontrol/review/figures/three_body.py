@@ -4,10 +4,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from dpcontrol.itineraries.atlas import Atlas
 from dpcontrol.review import style
 from dpcontrol.review.figures.cuts import draw_cuts, kind_of
 from dpcontrol.review.figures.page import STABLE, UNSTABLE, Gallery, Page, new_figure, quiet, saddle_colour
+from dpcontrol.walks.atlas import Atlas
 
 ENERGY = -1.5175
 

@@ -1,0 +1,1 @@
+"""Where connections appear, split or change as the energy changes."""

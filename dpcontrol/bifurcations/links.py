@@ -1,0 +1,554 @@
+"""Connections as points of curves in energy: matching without a section.
+
+A connection leaves the seed circle γ(φ_u) ± δ v(φ_u) of its source's unstable manifold and after a time T arrives on
+that of its target's stable manifold, at phase φ_s. With X_u(φ_u, t) the seed flown forward and X_s(φ_s, t) backward,
+
+    F(φ_u, φ_s, T; H) = X_u(φ_u, T/2) - X_s(φ_s, T/2) - whole turns = 0,
+
+four equations of which one (energy) is redundant, for three unknowns at every energy H. No section appears: where the
+connection meets one, how often, and whether it grazes it, makes no difference here. The tangent spaces of the two
+manifolds are spanned by (∂X_u/∂φ_u, f) and (∂X_s/∂φ_s, f); they coincide, and the connection is tangent, where
+
+    σ = det[∂X_u/∂φ_u, -∂X_s/∂φ_s, f, ∇H] = 0        (columns scaled to length one).
+
+A homoclinic that a reverser R carries to itself has its midpoint on Fix R (2 equations for φ, T). There R splits the
+tangent D = ∂X_u/∂φ into D₊ (fixed by R, and across ∇H) and D₋ (turned over, modulo f). σ is a product of a = D₋ and
+b = D₊: at a = 0 two symmetric connections meet, at b = 0 the symmetric one sheds a mirror pair.
+
+Source: Champneys & Kuznetsov, Numerical detection and continuation of codimension-two homoclinic bifurcations (1994);
+Vanderbauwhede & Fiedler (1992) for the reversible case.
+
+Following one connection in energy, round every turn.
+
+The curve F(φ_u, φ_s, T; H) = 0 (module links) is followed by pseudo-arclength: predicted along the null vector of
+[∂F/∂(φ_u, φ_s, T), ∂F/∂H], corrected by Newton's method on the plane across it, so that it may turn back in energy.
+
+How often a connection crosses its section: its flight's heights over the section, extremum by extremum.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.propagator import Section
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, described_orbit, lyapunov_orbit
+from dpcontrol.orbits.symmetric_shooting import SymmetricShooting, symmetric_shooting
+from dpcontrol.tubes.manifold import UnstableManifold
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Link:
+    """A connection from seed to seed: branches (±1, ±1), phases φ_u and φ_s, duration T in s, whole turns (N,)."""
+
+    branches: tuple[int, int]
+    phases: tuple[float, float]
+    duration: float
+    turns: tuple[float, ...]
+
+    @property
+    def unknowns(self) -> Array:
+        """(φ_u, φ_s, T)."""
+        return np.array([*self.phases, self.duration])
+
+    def at(self, unknowns: Array) -> "Link":
+        """Return the link moved to unknowns (3,)."""
+        return replace(self, phases=(float(unknowns[0]), float(unknowns[1])), duration=float(unknowns[2]))
+
+
+@dataclass(frozen=True)
+class Match:
+    """How two tubes meet: gap (N,), scaled; its derivative (N, 3) by (φ_u, φ_s, T); tangency σ; state (N,) midway."""
+
+    gap: Array
+    jacobian: Array
+    tangency: float
+    state: Array
+
+
+@dataclass(frozen=True)
+class MirrorMatch:
+    """How a tube meets a fixed set: miss (n,), scaled; derivative (n, 2) by (φ, T); a, b as in the module's text."""
+
+    miss: Array
+    jacobian: Array
+    fold: float
+    shedding: float
+
+
+def phase_gap(first: float, second: float) -> float:
+    """Return the difference of phases between -½ and ½."""
+    return (first - second + 0.5) % 1.0 - 0.5
+
+
+class LinkProblem:
+    """Matching between the tubes of two saddles at any energy; orbits are kept by energy.
+
+    distance: of the seeds from their orbits, scaled. Systems of two degrees of freedom only.
+    """
+
+    def __init__(self, system: System, source: str, target: str, *, distance: float) -> None:
+        if system.dimension != 4:
+            raise InputError(
+                f"{system.name} has {system.dimension // 2} degrees of freedom: connections are followed in energy "
+                "for two, where tubes are surfaces in a three-dimensional energy level"
+            )
+        self.system, self.source, self.target, self.distance = system, source, target, distance
+        self._shooting: dict[str, SymmetricShooting] = {}
+        self._manifolds: dict[tuple[str, float], UnstableManifold] = {}
+        self._guesses: dict[str, list[tuple[float, Array]]] = {}
+        lengths = np.where(np.isfinite(system.periods), system.periods, 0.0)
+        self.lengths = lengths
+
+    def _orbit(self, saddle: str, energy: float) -> LyapunovOrbit:
+        """Return the orbit at `energy`, by Newton's method from the nearest one that is known."""
+        if saddle not in self._shooting:
+            self._shooting[saddle], _ = symmetric_shooting(self.system, saddle, 0)
+            self._guesses[saddle] = []
+        problem, known = self._shooting[saddle], self._guesses[saddle]
+        floor = float(self.system.numeric.hamiltonian(problem.centre))
+        for near, unknowns in sorted(known, key=lambda g: abs(g[0] - energy))[:1]:
+            # Unknowns grow as the root of the height above the saddle, so a guess from far off is no guess.
+            if not 0.8 < (energy - floor) / (near - floor) < 1.25:
+                continue
+            found, residual = problem.at_energy(unknowns, energy, iterations=10, tolerance=1e-13)
+            if residual < 1e-12:
+                known.append((energy, found))
+                return described_orbit(
+                    problem, found, saddle=saddle, family=0, energy=energy, newton_residual=residual, converged=True,
+                    status=f"converged from the orbit at {near:.9g} J",
+                )  # fmt: skip
+        orbit = lyapunov_orbit(self.system, saddle, energy=energy)
+        if not orbit.converged:
+            raise ArithmeticError(f"the Lyapunov orbit about {saddle} at {energy:.9g} J: {orbit.status}")
+        c = problem.start.T @ (orbit.state - problem.centre)
+        known.append((energy, np.append(c, orbit.period / problem.quarters)))
+        return orbit
+
+    def centre(self, saddle: str) -> Array:
+        """Return the state (N,) of a saddle."""
+        return self.system.equilibrium(saddle)
+
+    def manifold(self, saddle: str, energy: float) -> UnstableManifold:
+        """Return the unstable manifold of a saddle's orbit at `energy`, its vector turned as at the first energy.
+
+        Raises:
+            ArithmeticError: the orbit did not converge.
+            InputError: no orbit exists at that energy.
+        """
+        if (saddle, energy) not in self._manifolds:
+            manifold = UnstableManifold(self._orbit(saddle, energy), self.distance)
+            kept = [m for (name, _), m in self._manifolds.items() if name == saddle]
+            if kept:
+                nearest = min(kept, key=lambda m: abs(m.orbit.energy - energy))
+                scale = self.system.scale**2
+                if float(np.sum(nearest.vector * manifold.vector / scale)) < 0:
+                    # A branch is a side of the orbit; the side may not change its name from energy to energy.
+                    manifold.__dict__["vector"] = -manifold.vector
+            self._manifolds[saddle, energy] = manifold
+        return self._manifolds[saddle, energy]
+
+    def manifolds(self, energy: float) -> tuple[UnstableManifold, UnstableManifold]:
+        """Return source's and target's manifolds; one object where they are the same."""
+        return self.manifold(self.source, energy), self.manifold(self.target, energy)
+
+    def _flown(self, manifold: UnstableManifold, branch: int, phase: float, seconds: float) -> tuple[Array, Array]:
+        """Return the seed's state after `seconds` and its derivative by phase."""
+        seeds, slopes = manifold.seeds(np.array([phase]), branch)
+        state, stm = self.system.propagator.flow_with_stm(seeds[0], seconds)
+        return state, stm @ slopes[0]
+
+    def _turned(self, state: Array, saddle: str) -> Array:
+        centre = self.system.equilibrium(saddle)
+        return self.system.reversers[0] @ (state - centre) + centre
+
+    def match(self, link: Link, energy: float) -> Match:
+        """Fly both tubes to the middle of the connection and compare.
+
+        Raises:
+            ArithmeticError: an orbit did not converge or a state became infinite.
+        """
+        system, scale = self.system, self.system.scale
+        first, second = self.manifolds(energy)
+        half = link.duration / 2
+        xu, du = self._flown(first, link.branches[0], link.phases[0], half)
+        back, ds = self._flown(second, link.branches[1], link.phases[1], half)
+        xs, ds = self._turned(back, self.target), system.reversers[0] @ ds
+        gap = (xu - xs - np.asarray(link.turns) * self.lengths) / scale
+        along = (system.numeric.rate(xu) + system.numeric.rate(xs)) / 2
+        jacobian = np.column_stack([du, -ds, along]) / scale[:, None]
+        columns = np.column_stack([jacobian, system.numeric.gradient(xu) * scale])
+        tangency = float(np.linalg.det(columns / np.linalg.norm(columns, axis=0)))
+        return Match(gap, jacobian, tangency, xu)
+
+    def mirror(self, link: Link, energy: float, which: int) -> MirrorMatch:
+        """Fly the unstable tube to the middle of the connection and compare with the fixed set of reverser `which`."""
+        system, scale = self.system, self.system.scale
+        manifold = self.manifold(self.source, energy)
+        x, slope = self._flown(manifold, link.branches[0], link.phases[0], link.duration / 2)
+        reverser = system.reversers[which]
+        turned_over = (np.eye(4) - reverser) / 2
+        off = turned_over @ (x - manifold.orbit.centre)
+        half = np.where(np.isfinite(system.periods), system.periods / 2, 1.0)
+        off = off - np.where(np.isfinite(system.periods), np.rint(off / half) * half, 0.0)
+        rows = np.linalg.svd(turned_over / scale[:, None])[0][:, :2].T
+        miss = rows @ (off / scale)
+        rate = turned_over @ system.numeric.rate(x)
+        d_minus, f_minus = rows @ (turned_over @ slope / scale), rows @ (rate / scale)
+        basis = np.linalg.svd((np.eye(4) + reverser) / 2 / scale[:, None])[0][:, :2].T
+        d_plus = basis @ (slope / scale)
+        normal = basis @ (system.numeric.gradient(x) * scale)
+        fold = float(d_minus[0] * f_minus[1] - d_minus[1] * f_minus[0]) / float(np.linalg.norm(f_minus))
+        shedding = float(d_plus[0] * normal[1] - d_plus[1] * normal[0]) / float(np.linalg.norm(normal))
+        # Not by (a, b) itself, which all but vanishes where both kinds of event fall together.
+        size = float(np.linalg.norm(slope / scale))
+        return MirrorMatch(miss, np.column_stack([d_minus, f_minus / 2]), fold / size, shedding / size)
+
+    def symmetry(self, link: Link, within: float = 1e-6) -> int | None:
+        """Return which reverser carries the link to itself, None if none does."""
+        for which in range(len(self.system.reversers)):
+            image = self.mirrored(link, which)
+            if image is not None and self.distance_between(link, image) < within:
+                return which
+        return None
+
+    def mirrored(self, link: Link, which: int) -> Link | None:
+        """Return the image of a homoclinic link under a reverser; None between different saddles."""
+        if self.source != self.target:
+            return None
+        if which == 0:
+            return replace(link, branches=link.branches[::-1], phases=link.phases[::-1])
+        half = next(iter(self._manifolds.values())).half_turn
+        assert half is not None
+        sign = int(half[1])
+        branches = (sign * link.branches[1], sign * link.branches[0])
+        return replace(link, branches=branches, phases=(link.phases[1] + 0.5, link.phases[0] + 0.5))
+
+    def distance_between(self, first: Link, second: Link) -> float:
+        """Return how far apart two links are in phases and relative duration; infinite on different branches."""
+        if first.branches != second.branches:
+            return float("inf")
+        gaps = [abs(phase_gap(a, b)) for a, b in zip(first.phases, second.phases, strict=True)]
+        return max(*gaps, abs(first.duration / second.duration - 1))
+
+    def solved(self, link: Link, energy: float, *, iterations: int = 12) -> tuple[Link, Match]:
+        """Solve F = 0 for the link nearest to a guess.
+
+        Raises:
+            ArithmeticError: Newton's method left the neighbourhood or did not converge.
+        """
+        best: tuple[float, Link, Match] | None = None
+        guess = link.unknowns
+        reach = np.array([0.1, 0.1, 0.2 * link.duration])
+        for _ in range(iterations):
+            match = self.match(link, energy)
+            residual = float(np.abs(match.gap).max())
+            if best is None or residual < best[0]:
+                best = (residual, link, match)
+            elif best[0] < 1e-10:
+                break
+            step = np.linalg.lstsq(match.jacobian, match.gap, rcond=1e-13)[0]
+            # Where multipliers are large, rounding keeps the gap from falling, but moves the solution no more.
+            if residual < 1e-8 and np.all(np.abs(step) < 1e-7 * reach):
+                return link, match
+            shrink = min(1.0, 0.3 / float(np.max(np.abs(step) / reach)) if np.any(step) else 1.0)
+            link = link.at(link.unknowns - shrink * step)
+            if np.any(np.abs(link.unknowns - guess) > reach) or link.duration <= 0:
+                break
+        assert best is not None
+        if best[0] > 1e-9:
+            raise ArithmeticError(f"not matched: gap {best[0]:.1e}")
+        return best[1], best[2]
+
+
+_MATCHED = 1e-10  # scaled gap
+_ROUNDED = 1e-8  # scaled gap that rounding alone may leave
+_AT_REST = 1e-7  # of a step of Newton's method, in units of the weights
+
+
+@dataclass(frozen=True)
+class PathPoint:
+    """One solved point of a path: the link, its energy in J, its tangency σ."""
+
+    link: Link
+    energy: float
+    tangency: float
+
+
+@dataclass(frozen=True)
+class Path:
+    """A connection followed in energy. outcome: "reached" the goal, came "back" to the start, or "lost" with a reason.
+
+    turns: indexes of points after which the path turns back in energy.
+    """
+
+    points: tuple[PathPoint, ...]
+    turns: tuple[int, ...]
+    outcome: str
+    reason: str
+
+
+def carry(problem: LinkProblem, point: PathPoint, goal: float, *, smallest: float = 1 / 32) -> PathPoint | None:
+    """Carry a solved connection to energy `goal` where it does not turn on the way, None where it may.
+
+    Each step is predicted along ∂(φ_u, φ_s, T)/∂H and solved at fixed energy; the tangency σ must keep its sign, as it
+    does not across a turn. Cheaper than `follow`, which rounds turns.
+    """
+    way = goal - point.energy
+    done, share, here = 0.0, 1.0, point
+    while done < 1.0:
+        following = min(1.0, done + share)
+        energy = goal if following == 1.0 else point.energy + following * way
+        arrived = _stepped(problem, here, energy)
+        if arrived is None:
+            share /= 2
+            if share < smallest:
+                return None
+            continue
+        here, done = arrived, following
+        share *= 2
+    return here
+
+
+def _stepped(problem: LinkProblem, here: PathPoint, energy: float) -> PathPoint | None:
+    """Return the connection at a nearby energy, None where the prediction was poor or the tangency changed its sign."""
+    try:
+        match = problem.match(here.link, here.energy)
+        by_energy = _energy_slope(problem, here.link, here.energy, 1e-5 * problem.system.energy_scale)
+        slope = -np.linalg.lstsq(match.jacobian, by_energy, rcond=1e-13)[0]
+        guess = here.link.at(here.link.unknowns + slope * (energy - here.energy))
+        link, match = problem.solved(guess, energy)
+    except (ArithmeticError, InputError, np.linalg.LinAlgError):
+        return None
+    moved = np.abs(link.unknowns - guess.unknowns) / np.array([0.02, 0.02, 0.02 * link.duration])
+    if np.any(moved > 1.0) or match.tangency * here.tangency <= 0:
+        return None
+    if problem.symmetry(link) != problem.symmetry(here.link):
+        return None
+    return PathPoint(link, energy, match.tangency)
+
+
+def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps: int = 120) -> Path:
+    """Follow a connection that is solved at energy `start` towards `goal`, round every turn, until it arrives there
+    or comes back."""
+    way = goal - start
+    # Turns are parabolas: over a small stretch of energy phases move as its root.
+    size = 0.05 * min(1.0, float(np.sqrt(100 * abs(way) / problem.system.energy_scale)))
+    weights = np.array([size, size, size * link.duration, abs(way)])
+    points: list[PathPoint] = []
+    turns: list[int] = []
+    try:
+        link, match = problem.solved(link, start)
+        points.append(PathPoint(link, start, match.tangency))
+        symmetry = problem.symmetry(link)
+        tangent = _tangent(problem, link, start, weights, np.array([0.0, 0.0, 0.0, np.sign(way)]))
+        length = 0.25
+        for _ in range(steps):
+            here = np.append(points[-1].link.unknowns, points[-1].energy)
+            arrived = _corrected(problem, link, here + length * tangent * weights, tangent, weights)
+            bent = arrived is not None and _bend(arrived[0] - here, tangent, weights) < 0.9
+            # A first step that ends behind the start has overrun a turn next to it.
+            overrun = arrived is not None and len(points) == 1 and (arrived[0][3] - start) * way <= 0
+            # Next to a pitchfork a long step changes from the pair to the symmetric connection, or back.
+            switched = arrived is not None and problem.symmetry(link.at(arrived[0][:3])) != symmetry
+            if arrived is None or bent or overrun or switched:
+                length /= 2
+                if length < 1e-5:
+                    return _lost(points, turns, problem, "Newton's method fails at the smallest step")
+                continue
+            unknowns, tangency = arrived
+            energy = float(unknowns[3])
+            for bound, outcome in ((goal, "reached"), (start, "back")):
+                if (energy - bound) * (bound - points[-1].energy) >= 0 and points[-1].energy != bound:
+                    share = (bound - points[-1].energy) / (energy - points[-1].energy)
+                    last, match = problem.solved(link.at((here + share * (unknowns - here))[:3]), bound)
+                    points.append(PathPoint(last, bound, match.tangency))
+                    return Path(tuple(points), tuple(turns), outcome, "")
+            following = _tangent(problem, link.at(unknowns[:3]), energy, weights, tangent)
+            if following[3] * tangent[3] < 0:
+                turns.append(len(points) - 1)
+            points.append(PathPoint(link.at(unknowns[:3]), energy, tangency))
+            tangent = following
+            length = min(1.4 * length, 0.5)
+    except (ArithmeticError, InputError, np.linalg.LinAlgError) as error:
+        return _lost(points, turns, problem, str(error))
+    return _lost(points, turns, problem, f"not arrived after {steps} steps")
+
+
+def halfway(problem: LinkProblem, first: PathPoint, second: PathPoint) -> PathPoint | None:
+    """Return the point of a path on the plane halfway between two of its points and across their chord; None where
+    Newton's method does not find it."""
+    start = np.append(first.link.unknowns, first.energy)
+    chord = np.append(second.link.unknowns, second.energy) - start
+    weights = np.maximum(np.abs(chord), 1e-3 * np.array([1.0, 1.0, first.link.duration, problem.system.energy_scale]))
+    tangent = chord / weights / np.linalg.norm(chord / weights)
+    try:
+        arrived = _corrected(problem, first.link, start + chord / 2, tangent, weights)
+    except (ArithmeticError, InputError, np.linalg.LinAlgError):
+        return None
+    if arrived is None:
+        return None
+    return PathPoint(first.link.at(arrived[0][:3]), float(arrived[0][3]), arrived[1])
+
+
+def _lost(points: list[PathPoint], turns: list[int], problem: LinkProblem, why: str) -> Path:
+    if not points:
+        return Path((), (), "lost", f"a connection could not be matched: {why}")
+    last = points[-1]
+    reason = f"a connection with a flight of {last.link.duration:.3g} s could not be followed beyond "
+    return Path(tuple(points), tuple(turns), "lost", reason + f"{last.energy:.9g} J: {why}")
+
+
+def _bend(step: Array, tangent: Array, weights: Array) -> float:
+    scaled = step / weights
+    return float(scaled @ tangent / np.linalg.norm(scaled))
+
+
+def _energy_slope(problem: LinkProblem, link: Link, energy: float, width: float) -> Array:
+    """Return ∂F/∂H (N,) by a central difference; Newton's method needs no more."""
+    difference = problem.match(link, energy + width).gap - problem.match(link, energy - width).gap
+    return difference / (2 * width)
+
+
+def _extended(problem: LinkProblem, link: Link, energy: float, weights: Array) -> tuple[Array, Array, float]:
+    """Return gap (N,), scaled derivative (N, 4) by (φ_u, φ_s, T, H) and σ."""
+    match = problem.match(link, energy)
+    slope = _energy_slope(problem, link, energy, 1e-5 * problem.system.energy_scale)
+    return match.gap, np.column_stack([match.jacobian, slope]) * weights, match.tangency
+
+
+def _tangent(problem: LinkProblem, link: Link, energy: float, weights: Array, heading: Array) -> Array:
+    """Return the unit tangent (4,) of the curve, scaled, along `heading`: the last singular vector."""
+    _, jacobian, _ = _extended(problem, link, energy, weights)
+    tangent = np.linalg.svd(jacobian)[2][-1]
+    return tangent if tangent @ heading >= 0 else -tangent
+
+
+def _corrected(
+    problem: LinkProblem, link: Link, guess: Array, tangent: Array, weights: Array
+) -> tuple[Array, float] | None:
+    """Return (unknowns (4,), σ) of the curve's point on the plane through `guess`, None where it is not found."""
+    unknowns, slope = guess, None
+    for _ in range(8):
+        here = link.at(unknowns[:3])
+        match = problem.match(here, float(unknowns[3]))
+        off = float(tangent @ ((unknowns - guess) / weights))
+        residual = float(np.abs(match.gap).max())
+        if residual < _MATCHED and abs(off) < 1e-8:
+            return unknowns, match.tangency
+        if slope is None:
+            slope = _energy_slope(problem, here, float(unknowns[3]), 1e-5 * problem.system.energy_scale)
+        jacobian = np.vstack([np.column_stack([match.jacobian, slope]) * weights, tangent])
+        step = np.linalg.lstsq(jacobian, -np.append(match.gap, off), rcond=1e-13)[0]
+        length = float(np.linalg.norm(step))
+        if length > 2.0:
+            return None
+        if length < _AT_REST and residual < _ROUNDED and abs(off) < 1e-8:
+            # Where multipliers are large, rounding keeps the gap from falling, but moves the solution no more.
+            return unknowns, match.tangency
+        unknowns = unknowns + step * weights
+    return None
+
+
+_SAMPLES = 300  # of each half of a flight: about twenty to an arm's swing
+
+
+@dataclass(frozen=True)
+class Profile:
+    """How a connection's flight runs over the section's heights.
+
+    times (M,) s from the seed and heights (M,) of its ends and of every extremum between; levels (M - 1,): how many
+    levels each monotonic part crosses; count: crossings in all.
+    """
+
+    times: Array
+    heights: Array
+    levels: tuple[int, ...]
+    count: int
+
+
+def fly_whole(problem: LinkProblem, link: Link, energy: float) -> tuple[Array, Array]:
+    """Return times (M,) s from the seed and states (M, N) of the whole flight, from seed to seed."""
+    first, second = problem.manifolds(energy)
+    half = np.linspace(0.0, link.duration / 2, _SAMPLES + 1)
+    propagator = problem.system.propagator
+    out = propagator.sample(first.seeds(np.array([link.phases[0]]), link.branches[0])[0][0], half)
+    back = propagator.sample(second.seeds(np.array([link.phases[1]]), link.branches[1])[0][0], half)
+    back = (back - problem.centre(problem.target)) @ problem.system.reversers[0].T + problem.centre(problem.target)
+    back = back + np.asarray(link.turns) * problem.lengths
+    return np.concatenate([half, link.duration - half[::-1][1:]]), np.vstack([out, back[::-1][1:]])
+
+
+def profile(problem: LinkProblem, link: Link, energy: float, section: Section) -> Profile:
+    """Count a solved connection's crossings of a section, monotonic part by monotonic part."""
+    system = problem.system
+    times, states = fly_whole(problem, link, energy)
+    normal = np.asarray(section.normal)
+    rates = system.numeric.rate(states) @ normal
+    heights = section.height(states)
+    knots_t, knots_h, levels = [times[0]], [heights[0]], []
+    ends = [0]
+    for k in np.flatnonzero(np.sign(rates[:-1]) * np.sign(rates[1:]) < 0):
+        time, height = _extremum(problem, states[k], times[k], rates[k], rates[k + 1], times[k + 1], normal, section)
+        knots_t.append(time)
+        knots_h.append(height)
+        ends.append(int(k))
+    knots_t.append(times[-1])
+    knots_h.append(heights[-1])
+    ends.append(len(times) - 1)
+    for k in range(len(knots_h) - 1):
+        low, high = sorted((knots_h[k], knots_h[k + 1]))
+        period = section.period
+        crossed = int(np.floor(high / period) - np.floor(low / period)) if period else int(low < 0 <= high)
+        if crossed and section.side is not None:
+            # With a side to it the crossing's own state decides.
+            part = slice(ends[k], ends[k + 1] + 2)
+            at = int(np.argmin(np.abs(heights[part]))) + ends[k]
+            crossed = int(section.admits(states[at]))
+        levels.append(crossed)
+    return Profile(np.array(knots_t), np.array(knots_h), tuple(levels), sum(levels))
+
+
+def crossing_states(problem: LinkProblem, link: Link, energy: float, section: Section) -> Array:
+    """Return the states (C, N) at which a solved connection crosses a section, in order of time, on the lift."""
+    system = problem.system
+    _, states = fly_whole(problem, link, energy)
+    heights = section.height(states)
+    level = np.floor(heights / section.period) if section.period else (heights >= 0).astype(float)
+    crossed = []
+    for k in np.flatnonzero(np.diff(level)):
+        height = max(level[k], level[k + 1]) * section.period if section.period else 0.0
+        x = states[k] + (states[k + 1] - states[k]) * (height - heights[k]) / (heights[k + 1] - heights[k])
+        for _ in range(3):
+            x = system.propagator.flow(
+                x, float((height - section.height(x)) / (system.numeric.rate(x) @ section.normal))
+            )
+        if section.side is None or section.admits(x):
+            crossed.append(x)
+    return np.array(crossed).reshape(-1, system.dimension)
+
+
+def _extremum(
+    problem: LinkProblem,
+    state: Array,
+    start: float,
+    rate: float,
+    next_rate: float,
+    stop: float,
+    normal: Array,
+    section: Section,
+) -> tuple[float, float]:
+    """Return (time, height) of the extremum of the section's height between two samples, by Newton on its rate."""
+    numeric, propagator = problem.system.numeric, problem.system.propagator
+    span = stop - start
+    step = span * rate / (rate - next_rate)
+    x = state
+    for _ in range(4):
+        x = propagator.flow(state, step)
+        f = numeric.rate(x)
+        step = float(np.clip(step - (normal @ f) / (normal @ (numeric.jacobian(x) @ f)), 0.0, span))
+    return start + step, float(section.height(propagator.flow(state, step)))

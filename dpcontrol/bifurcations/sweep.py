@@ -1,0 +1,315 @@
+"""One step of a sweep in energy: search at both ends, follow what they do not share, locate what happened between.
+
+Connections found at one energy are carried to the next by Newton's method; a connection that arrives there with the
+tangency's sign unchanged has met no turn. Those left over on either side are followed round their turns.
+
+What a sweep of connections in energy is asked, and what it answers step by step.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.bifurcations.events import Located, locate_graze, locate_turn
+from dpcontrol.bifurcations.links import Link, LinkProblem, Path, PathPoint, carry, crossing_states, follow, profile
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.tubes.cut import section_points, tube_cut
+from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
+from dpcontrol.tubes.manifold import UnstableManifold
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SweepSettings:
+    """How energies are swept. energies: how many at first; halvings: of an interval that does not add up.
+
+    same: largest difference of phases at which two links are one; closest: energies nearer to a saddle's than this
+    part of the energy scale are left out, tubes being thinner there than their seeds are far.
+    """
+
+    energies: int = 24
+    halvings: int = 3
+    same: float = 1e-4
+    closest: float = 1e-4
+    search: ConnectionSettings = field(default_factory=ConnectionSettings)
+
+
+@dataclass(frozen=True)
+class Found:
+    """Links found at one energy, each solved, one of every two that the symmetry S exchanges."""
+
+    energy: float
+    points: tuple[PathPoint, ...]
+    weight: int
+    complete: bool
+    caveat: str
+
+    @property
+    def count(self) -> int:
+        return self.weight * len(self.points)
+
+
+@dataclass(frozen=True)
+class Change:
+    """An event of one link between two energies and what it adds to the number of links, going up in energy."""
+
+    event: Located
+    gain: int
+    symmetric: bool
+
+
+@dataclass(frozen=True)
+class Run:
+    """A connection followed in energy while it crosses its section as often as asked.
+
+    energies (K,) in J, in order along it; points (K, 2): the first of its crossings, in (q, p/p₀).
+    """
+
+    energies: Array
+    points: Array
+
+
+@dataclass(frozen=True)
+class Interval:
+    """What happened between two energies: the changes, and sentences on what could not be followed or located.
+
+    runs: the connections followed there, carried from end to end or round their turns.
+    """
+
+    changes: tuple[Change, ...]
+    reasons: tuple[str, ...]
+    runs: tuple[Run, ...]
+
+    @property
+    def gain(self) -> int:
+        """How many links the changes add, going up in energy."""
+        return sum(c.gain for c in self.changes)
+
+
+class Sweep:
+    """One sweep's problem and its searches."""
+
+    def __init__(self, system: System, source: str, target: str, crossings: int, settings: SweepSettings) -> None:
+        self.problem = LinkProblem(system, source, target, distance=settings.search.distance)
+        self.section = system.sections[source, target]
+        self.crossings, self.settings = crossings, settings
+        self.same_saddle = source == target
+        self._found: dict[float, Found] = {}
+        self._intervals: dict[tuple[float, float], Interval] = {}
+        self._counts: dict[tuple[Link, float], int] = {}
+
+    def search(self, energy: float) -> Found:
+        """Find the links with the asked number of crossings at one energy; kept, and amended by later finds.
+
+        Where crossings of the cuts do not converge, as next to a graze, the search is repeated with finer cuts; not
+        where cuts scatter, for finer ones are given up sooner and meet less often.
+        """
+        if energy not in self._found:
+            self._found[energy] = self._search(energy)
+        return self._found[energy]
+
+    def _search(self, energy: float) -> Found:
+        try:
+            manifolds = self.problem.manifolds(energy)
+        except (ArithmeticError, InputError) as error:
+            return Found(energy, (), 1, False, str(error))
+        settings = self.settings.search
+        found = Found(energy, (), 1, False, "")
+        for fineness in (1.0, 0.25):
+            cut = replace(settings.cut, chord=fineness * settings.cut.chord)
+            found, resolved = self._searched(energy, manifolds, replace(settings, cut=cut))
+            if found.complete or not resolved:
+                break
+        return found
+
+    def _searched(
+        self, energy: float, manifolds: tuple[UnstableManifold, UnstableManifold], settings: ConnectionSettings
+    ) -> tuple[Found, bool]:
+        """Return what intersecting the cuts finds, and whether they were resolved."""
+        system = self.problem.system
+        # Both tubes fly about equally far.
+        hits = (self.crossings // 2 + 1, self.crossings - self.crossings // 2)
+        unstable = tube_cut(manifolds[0], self.section, hit=hits[0], settings=settings.cut)
+        shared = self.same_saddle and hits[0] == hits[1]
+        stable = unstable if shared else tube_cut(manifolds[1], self.section, hit=hits[1], settings=settings.cut)
+        crossed, failed = intersect_cuts(system, self.section, manifolds, (unstable, stable), settings)
+        points: list[PathPoint] = []
+        caveat = ""
+        for c in crossed:
+            branches = (c.sides[0].branch, c.sides[1].branch)
+            phases = (float(c.phases[0]) % 1.0, float(c.phases[1]) % 1.0)
+            guess = Link(branches, phases, float(sum(c.times)), tuple(float(k) + 0.0 for k in c.turns))
+            try:
+                link, match = self.problem.solved(guess, energy)
+            except ArithmeticError as error:
+                caveat = f"a crossing of the cuts is no connection ({error})"
+                continue
+            if self.among(link, points) is None:
+                points.append(PathPoint(link, energy, match.tangency))
+        if failed:
+            caveat = f"{failed} crossings of the cuts did not converge"
+        for cut in (unstable, stable):
+            if not cut.resolved:
+                caveat = f"{cut.hit}. crossing: {cut.status}"
+        weight = 2 if all(m.branches_are_mirrored for m in manifolds) else 1
+        return Found(energy, tuple(points), weight, not caveat, caveat), unstable.resolved and stable.resolved
+
+    def among(self, link: Link, points: list[PathPoint] | tuple[PathPoint, ...]) -> int | None:
+        """Return the index of the point that is this link, None if none is."""
+        gaps = [self.problem.distance_between(link, p.link) for p in points]
+        if not gaps or min(gaps) > self.settings.same:
+            return None
+        return int(np.argmin(gaps))
+
+    def count(self, point: PathPoint) -> int:
+        """Return how often a solved link crosses the section."""
+        key = (point.link, point.energy)
+        if key not in self._counts:
+            self._counts[key] = profile(self.problem, point.link, point.energy, self.section).count
+        return self._counts[key]
+
+    def place(self, event: Located) -> Array:
+        """Return (q, p/p₀), (2,), where an event's connection crosses the section; of an artefact, where it touches."""
+        system = self.problem.system
+        if event.kind == "section-artefact":
+            return section_points(system, self.section, event.state)
+        states = crossing_states(self.problem, event.link, event.energy, self.section)
+        return section_points(system, self.section, states[0]) if len(states) else np.full(2, np.nan)
+
+    def _runs(self, points: Sequence[PathPoint]) -> list[Run]:
+        """Return where a connection, followed through points, crosses the section, for points that cross as asked."""
+        runs: list[list[tuple[float, Array]]] = [[]]
+        for point in points:
+            if self.count(point) != self.crossings:
+                runs.append([])
+                continue
+            states = crossing_states(self.problem, point.link, point.energy, self.section)
+            if len(states):
+                place = section_points(self.problem.system, self.section, states[0])
+                runs[-1].append((point.energy, place))
+        return [Run(np.array([e for e, _ in run]), np.array([x for _, x in run])) for run in runs if len(run) > 1]
+
+    def between(self, low: float, high: float) -> Interval:
+        """Explain what two neighbouring searches do not share; kept until one of them is amended."""
+        before, after = self.search(low), self.search(high)
+        if (low, high) not in self._intervals:
+            interval, missed = self._changes(before, after)
+            amended = [self._amend(e, [p for p in missed if p.energy == e]) for e in sorted({p.energy for p in missed})]
+            if any(amended):
+                return self.between(low, high)
+            if missed:
+                reason = f"continuation meets {len(missed)} connections that the searches do not find"
+                interval = replace(interval, reasons=(*interval.reasons, reason))
+            self._intervals[low, high] = interval
+        return self._intervals[low, high]
+
+    def explained(self, low: float, high: float) -> bool:
+        """Whether the interval was explained since its searches were last amended."""
+        return (low, high) in self._intervals
+
+    def _amend(self, energy: float, missed: list[PathPoint]) -> bool:
+        """Add connections that continuation met and the search had not seen, with their mirror images; say if any."""
+        points = list(self._found[energy].points)
+        before = len(points)
+        for point in missed:
+            images = [self.problem.mirrored(point.link, k) for k in range(len(self.problem.system.reversers))]
+            for link in [point.link, *(i for i in images if i is not None)]:
+                known_branch = any(link.branches[0] == p.link.branches[0] for p in [*points, point])
+                if known_branch and self.among(link, points) is None:
+                    points.append(PathPoint(link, energy, point.tangency))
+        self._found[energy] = replace(self._found[energy], points=tuple(points))
+        self._intervals = {k: v for k, v in self._intervals.items() if energy not in k}
+        return len(points) > before
+
+    def _changes(self, before: Found, after: Found) -> tuple[Interval, list[PathPoint]]:
+        """Follow what two neighbouring searches do not share.
+
+        Returns what happened, and connections that the searches should have found.
+        """
+        runs: list[Run] = []
+        missed: list[PathPoint] = []
+        lost, born = set(range(len(before.points))), set(range(len(after.points)))
+        for k, point in enumerate(before.points):
+            arrived = carry(self.problem, point, after.energy)
+            match = None if arrived is None else self.among(arrived.link, after.points)
+            if match is not None and match in born:
+                lost.discard(k)
+                born.discard(match)
+                runs += self._runs((point, after.points[match]))
+            elif arrived is not None and match is None and self.count(arrived) == self.crossings:
+                # It met no turn and crosses as often as asked: the search has not seen it.
+                lost.discard(k)
+                missed.append(arrived)
+        changes: list[Change] = []
+        reasons: list[str] = []
+        for left, start, goal in ((lost, before, after), (born, after, before)):
+            while left:
+                k = min(left)
+                left.discard(k)
+                path = follow(self.problem, start.points[k].link, start.energy, goal.energy)
+                if path.outcome == "lost":
+                    reasons.append(path.reason)
+                    continue
+                end = path.points[-1]
+                arrived = self.among(end.link, (goal if path.outcome == "reached" else start).points)
+                if path.outcome == "back" and arrived is not None:
+                    left.discard(arrived)
+                elif path.outcome == "reached" and arrived is not None and goal is after:
+                    born.discard(arrived)
+                elif arrived is None and self.count(end) == self.crossings:
+                    missed.append(end)
+                self._along(path, changes, reasons)
+                runs += self._runs(path.points)
+        return Interval(tuple(self._distinct(changes)), tuple(reasons), tuple(runs)), missed
+
+    def _along(self, path: Path, changes: list[Change], reasons: list[str]) -> None:
+        """Add the turns and touches along a path."""
+        points = path.points
+        counts = [self.count(p) for p in points]
+        for k in range(len(points) - 1):
+            if k in path.turns:
+                event = locate_turn(self.problem, path, k)
+                if event is None:
+                    reasons.append(f"a turn in energy near {points[k].energy:.9g} J could not be located")
+                    continue
+                if counts[k] != counts[k + 1]:
+                    reasons.append(f"a touch of the section next to the turn at {event.energy:.9g} J")
+                # The partners lie on the side from which the path came.
+                up = points[k].energy > event.energy or (
+                    points[k].energy == event.energy and points[k - 1].energy > event.energy
+                )
+                if counts[k] == self.crossings:
+                    changes.append(Change(event, 2 if up else -2, self.problem.symmetry(event.link) is not None))
+            elif counts[k] != counts[k + 1]:
+                touches = locate_graze(self.problem, self.section, points[k], points[k + 1])
+                gain = (counts[k + 1] == self.crossings) - (counts[k] == self.crossings)
+                if gain and not touches:
+                    reasons.append(
+                        f"crossings change from {counts[k]} to {counts[k + 1]} between {points[k].energy:.9g} and "
+                        f"{points[k + 1].energy:.9g} J without a located touch"
+                    )
+                elif gain:
+                    rising = 1 if points[k + 1].energy > points[k].energy else -1
+                    # Of several touches, the one on the side of the asked count changed it.
+                    near_end = points[k + 1].energy if gain > 0 else points[k].energy
+                    event = min(touches, key=lambda t: abs(t.energy - near_end))
+                    symmetric = self.problem.symmetry(event.link) is not None
+                    changes.append(Change(event, gain * rising, symmetric))
+
+    def _distinct(self, changes: list[Change]) -> list[Change]:
+        """Leave out events met a second time, from the partner's side."""
+        kept: list[Change] = []
+        for change in changes:
+            again = any(
+                c.event.kind == change.event.kind
+                and abs(c.event.energy - change.event.energy) < 1e-7 * self.problem.system.energy_scale
+                and self.problem.distance_between(c.event.link, change.event.link) < 10 * self.settings.same
+                for c in kept
+            )
+            if not again:
+                kept.append(change)
+        return kept

@@ -1,0 +1,536 @@
+"""The extended Kalman filter as machine code: one tick at a time, or one tick of many runs at once.
+
+The equations are those of `dpcontrol.control.ekf`. `EkfProgram` is the function, with its inputs and outputs
+in arrays (M,) or (M, S); `CompiledEkf` calls it for one run. Both therefore give the same estimates.
+Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, section 10.3.
+
+The extended Kalman filter's step as one expression: state and extras, covariance, innovation, NIS.
+
+    predict:  z⁻ = F(z, u),  P⁻ = A P Aᵀ + Q(z)         update:  y = wrap(m - H z⁻),  S = W (H P⁻ Hᵀ + R) W + I - W,
+    K = P⁻ Hᵀ W S⁻¹,  z = z⁻ + K y,  P = (I - K H) P⁻ (I - K H)ᵀ + K R Kᵀ,  NIS = yᵀ S⁻¹ y
+
+z: the state and what it is augmented by; m: angles and cart position. W is diagonal: 1 where a position was measured, 0
+where not, which leaves it out exactly. Joseph's form keeps P positive where P⁻ exceeds R by more than the arithmetic
+resolves. P is carried as its lower triangle, row by row, so it cannot lose its symmetry.
+
+Q stands for wrong parameters, whose effect is a share of the acceleration: an arm at rest has little.
+Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 5.2.6, 10.3.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from math import inf
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.control.estimator_settings import Augment, FilterSettings, extra_names
+from dpcontrol.control.interface import Estimate
+from dpcontrol.control.model import SampledModel
+from dpcontrol.dynamics.compiled import Compiled
+from dpcontrol.dynamics.equations import Equations
+from dpcontrol.foundation.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+def packed(matrix: Array) -> Array:
+    """Return the lower triangle of `matrix` (…, n, n), row by row, as (…, n(n+1)/2)."""
+    rows, columns = np.tril_indices(matrix.shape[-1])
+    return matrix[..., rows, columns]
+
+
+def unpacked(triangle: Array) -> Array:
+    """Return the symmetric matrix (…, n, n) of its lower triangle (…, n(n+1)/2)."""
+    n = int(np.sqrt(2 * triangle.shape[-1]))
+    rows, columns = np.tril_indices(n)
+    out = np.empty((*triangle.shape[:-1], n, n))
+    out[..., rows, columns] = triangle
+    out[..., columns, rows] = triangle
+    return out
+
+
+def _pack(matrix: ca.SX) -> ca.SX:
+    return ca.vertcat(*(matrix[i, j] for i in range(matrix.shape[0]) for j in range(i + 1)))
+
+
+def _unpack(triangle: ca.SX, n: int) -> ca.SX:
+    out = ca.SX(n, n)
+    for i in range(n):
+        for j in range(i + 1):
+            out[i, j] = out[j, i] = triangle[i * (i + 1) // 2 + j]
+    return out
+
+
+def _inverse(matrix: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return the inverse of a small positive definite matrix, and its factors: L⁻¹ and D of L D Lᵀ."""
+    n = matrix.shape[0]
+    lower, d = ca.SX.eye(n), ca.SX(n, 1)
+    for j in range(n):
+        d[j] = matrix[j, j] - sum((lower[j, k] ** 2 * d[k] for k in range(j)), ca.SX(0))
+        for i in range(j + 1, n):
+            lower[i, j] = (matrix[i, j] - sum((lower[i, k] * lower[j, k] * d[k] for k in range(j)), ca.SX(0))) / d[j]
+    back = ca.SX.eye(n)
+    for i in range(n):
+        for j in range(i):
+            back[i, j] = -sum((lower[i, k] * back[k, j] for k in range(j, i)), ca.SX(0))
+    return back.T @ ca.diag(1 / d) @ back, back, d
+
+
+@dataclass(frozen=True, eq=False)
+class FilterEquations:
+    """A model of the cart level, sampled at `period` s, with what it is augmented by."""
+
+    equations: Equations
+    period: float
+    augment: tuple[Augment, ...]
+
+    @property
+    def arms(self) -> int:
+        """Number of arms."""
+        return (self.equations.dimension - 2) // 2
+
+    @property
+    def extra_names(self) -> tuple[str, ...]:
+        """Names of the extra quantities."""
+        return extra_names(self.arms, self.augment)
+
+    @property
+    def dimension(self) -> int:
+        """Length of state and extra together, N+E."""
+        return self.equations.dimension + len(self.extra_names)
+
+    @cached_property
+    def observation(self) -> Array:
+        """Return H (n+1, N+E): the measured positions of state and extra."""
+        n = self.arms
+        out = np.zeros((n + 1, self.dimension))
+        out[np.arange(n + 1), [*range(n), 2 * n]] = 1.0
+        for i, name in enumerate(self.extra_names):
+            if name.startswith("zero_"):
+                out[int(name.removeprefix("zero_")) - 1, self.equations.dimension + i] = 1.0
+        return out
+
+    @cached_property
+    def _symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        extras = len(self.extra_names)
+        return (
+            ca.SX.sym("z", self.dimension),
+            ca.SX.sym("command"),
+            ca.SX.sym("parameters", self.equations.parameters.shape[0]),
+            ca.SX.sym("process", 3 + 2 * extras),
+        )
+
+    def _parameters(self, parameters: ca.SX, extra: dict[str, ca.SX]) -> ca.SX:
+        """Return the parameters with the relative errors that `extra` holds."""
+        n = self.arms
+        factors = ca.SX.ones(parameters.shape[0])
+        inertias = [f"M{i + 1}{j + 1}" for i in range(n) for j in range(i, n)]
+        for c, name in enumerate(inertias):
+            factors[c] += extra.get(name, 0)
+        first = len(inertias)
+        laws = (parameters.shape[0] - first - 2 * n) // n
+        for i in range(n):
+            coupling, friction = extra.get(f"S{i + 1}", 0), extra.get(f"friction_{i + 1}", 0)
+            factors[first + i] += coupling
+            factors[first + n + i] += coupling
+            for law in range(laws):
+                factors[first + (2 + law) * n + i] += friction
+        return parameters * factors
+
+    @cached_property
+    def _prediction(self) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """The next z, its Jacobian and Q."""
+        z, command, parameters, process = self._symbols
+        size, n, step = self.equations.dimension, self.arms, self.period
+        extras = len(self.extra_names)
+        x, e = z[:size], z[size:]
+        extra = {name: e[i] for i, name in enumerate(self.extra_names)}
+        # The state and the extras stand apart here, for the Jacobians of the stages by both.
+        rate = self.equations.function()
+        pushed = ca.SX.zeros(size)
+        for i in range(n):
+            pushed[n + i] = extra.get(f"disturbance_{i + 1}", 0)
+        slope = rate(x, command + extra.get("drive", 0), self._parameters(parameters, extra)) + pushed
+        inputs = [x, e, command, parameters]
+        f = ca.Function("f", inputs, [slope, ca.jacobian(slope, x), ca.jacobian(slope, e)], {"cse": True})
+        start = ca.horzcat(ca.SX.eye(size), ca.SX(size, extras))
+        # The chain rule through the stages of Runge-Kutta takes two thirds of the instructions of one differentiation.
+        moved, spread = x, start
+        total, slopes = ca.SX.zeros(size), ca.SX(size, size + extras)
+        for weight, further in ((1, step / 2), (2, step / 2), (2, step), (1, None)):
+            k, by_x, by_e = f(moved, e, command, parameters)
+            k_slope = by_x @ spread + ca.horzcat(ca.SX(size, size), by_e)
+            total, slopes = total + weight * k, slopes + weight * k_slope
+            if further is not None:
+                moved, spread = x + further * k, start + further * k_slope
+        decay = process[3 : 3 + extras]
+        following = ca.vertcat(x + step / 6 * total, decay * e)
+        jacobian = ca.vertcat(start + step / 6 * slopes, ca.horzcat(ca.SX(extras, size), ca.diag(decay)))
+        block = np.array([[step**3 / 3, step**2 / 2], [step**2 / 2, step]])
+        noise = ca.SX(self.dimension, self.dimension)
+        densities = [process[0] + process[1] * (following[n + i] - x[n + i]) ** 2 for i in range(n)]
+        for density, pair in zip(
+            [*densities, process[2]], [*((i, n + i) for i in range(n)), (2 * n, 2 * n + 1)], strict=True
+        ):
+            for a, i in enumerate(pair):
+                for b, j in enumerate(pair):
+                    noise[i, j] = density * block[a, b]
+        for i in range(extras):
+            noise[size + i, size + i] = process[3 + extras + i]
+        return following, jacobian, noise
+
+    def _updated(
+        self, z: ca.SX, covariance: ca.SX, measured: ca.SX, present: ca.SX, noise: ca.SX
+    ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
+        """Return z, P, innovation and NIS after a measurement."""
+        n, m = self.arms, self.arms + 1
+        h, w = ca.sparsify(ca.SX(ca.DM(self.observation))), ca.diag(present)
+        y = measured - h @ z
+        # Wrapped: a whole turn in a measured angle makes no difference.
+        y = ca.vertcat(*(ca.atan2(ca.sin(y[i]), ca.cos(y[i])) for i in range(n)), y[n]) * present
+        r = _unpack(noise, m)
+        crossed = covariance @ h.T @ w
+        # 1 - W first: one plus S minus one would leave nothing of a cart's variance of 1e-13 m².
+        inverse, back, d = _inverse(w @ h @ crossed + w @ r @ w + (ca.SX.eye(m) - w))
+        gain = crossed @ inverse
+        # (I - K H) P; then Joseph's form without its larger products: nothing large is subtracted the second time.
+        half = covariance - gain @ (h @ covariance)
+        after = half + (gain @ r - half @ h.T) @ gain.T
+        white = back @ y
+        return z + gain @ y, after, y, ca.sum1(white**2 / d)
+
+    def function(self, *, predicts: bool) -> ca.Function:
+        """Return the step as a casadi function; without `predicts` the measurement alone.
+
+        Inputs: memory (z, then P packed), command, measured (n+1), present (n+1), noise (R packed), parameters, process
+        (`FilterSettings.process`), coming: the command of the next period. Output: memory, standard deviations (N+E),
+        innovation (n+1), z a period later under `coming`, NIS, number present, and a number that is finite if the
+        estimate is.
+        """
+        z, command, parameters, process = self._symbols
+        m, size = self.arms + 1, self.dimension
+        triangle = ca.SX.sym("P", size * (size + 1) // 2)
+        measured, present = ca.SX.sym("measured", m), ca.SX.sym("present", m)
+        noise = ca.SX.sym("noise", m * (m + 1) // 2)
+        covariance = _unpack(triangle, size)
+        before = z
+        if predicts:
+            before, jacobian, q = self._prediction
+            covariance = jacobian @ covariance @ jacobian.T + q
+            # Both triangles from one: casadi need not work out the other.
+            covariance = _unpack(_pack(covariance), size)
+        after, covariance, y, nis = self._updated(before, covariance, measured, present, noise)
+        sigmas = ca.vertcat(*(ca.sqrt(covariance[i, i]) for i in range(size)))
+        # The last is no number as soon as anything in the estimate is none: one look tells.
+        sound = ca.sum1(after) + ca.sum1(sigmas)
+        # Within the same call this costs a sixth of a call of its own.
+        coming = ca.SX.sym("coming")
+        later = self.prediction(with_jacobian=False)(after, coming, parameters, process)
+        out = ca.vertcat(after, _pack(covariance), sigmas, y, later, nis, ca.sum1(present), sound)
+        inputs = {
+            "memory": ca.vertcat(z, triangle),
+            "command": command,
+            "measured": measured,
+            "present": present,
+            "noise": noise,
+            "parameters": parameters,
+            "process": process,
+            "coming": coming,
+        }
+        memory = ca.SX.sym("memory", size + triangle.shape[0])
+        out = ca.substitute(ca.densify(out), inputs["memory"], memory)
+        inputs["memory"] = memory
+        return ca.Function("filter", [*inputs.values()], [ca.cse(out)], [*inputs], ["out"], {"cse": True})
+
+    def prediction(self, *, with_jacobian: bool) -> ca.Function:
+        """Return (z, command, parameters, process) -> next z, or next z, its Jacobian and Q, column by column."""
+        z, command, parameters, process = self._symbols
+        following, jacobian, q = self._prediction
+        parts = [following, ca.vec(ca.densify(jacobian)), ca.vec(ca.densify(q))] if with_jacobian else [following]
+        inputs = {"z": z, "command": command, "parameters": parameters, "process": process}
+        out = ca.densify(ca.vertcat(*parts))
+        return ca.Function("prediction", [*inputs.values()], [ca.cse(out)], [*inputs], ["out"], {"cse": True})
+
+
+_AT_ONCE = 32
+RESTART_RATE = 10.0
+"""rad/s: standard deviation of the rates after a restart, as fast as the arms of a laboratory swing."""
+RESTART_VELOCITY = 1.0
+"""m/s: standard deviation of the cart's velocity after a restart."""
+
+
+def checked_noise(noise: Array, arms: int) -> Array:
+    """Return R (n+1, n+1), a covariance of the measured positions.
+
+    Raises:
+        InputError: it has the wrong shape or is no covariance.
+    """
+    r, m = np.array(noise, dtype=float), arms + 1
+    if r.shape != (m, m):
+        raise InputError(f"measurement noise has shape {r.shape}: {arms} arms need ({m}, {m})")
+    if not np.isfinite(r).all() or np.abs(r - r.T).max() > 1e-12 * np.abs(r).max() or np.linalg.eigvalsh(r).min() <= 0:
+        raise InputError("measurement noise must be a positive definite covariance")
+    return r
+
+
+@lru_cache(maxsize=32)
+def _compiled(
+    equations: Equations, period: float, augments: tuple[Augment, ...]
+) -> tuple[FilterEquations, Compiled, Compiled, Compiled]:
+    """Return the filter's equations and its step, update and prediction: made once for all runs of a process."""
+    made = FilterEquations(equations, period, augments)
+    step, update = Compiled(made.function(predicts=True)), Compiled(made.function(predicts=False))
+    return made, step, update, Compiled(made.prediction(with_jacobian=False))
+
+
+class EkfProgram:
+    """The filter of one model, its inputs and outputs laid out for one run or for many.
+
+    `step` and `update` take `inputs` (M,) or (M, S); `slices` tells where memory, command, measured, present, noise,
+    parameters and process stand. Their outputs begin with the memory for the next tick; `out` tells where the rest
+    stands. Values of positions that are not present must be finite all the same.
+    """
+
+    def __init__(self, model: SampledModel, settings: FilterSettings) -> None:
+        self.model = model
+        self.settings = settings
+        self.equations, self.step, self.update, self.ahead = _compiled(model.equations, model.period, settings.augments)
+        """ahead: from z, command, parameters and process to the next z (N+E,), without a measurement."""
+        size, m = self.equations.dimension, model.arms + 1
+        lengths = {"z": size, "covariance": size * (size + 1) // 2, "sigmas": size, "innovation": m, "later": size}
+        lengths |= {"nis": 1, "used": 1, "sound": 1}
+        ends = np.cumsum([*lengths.values()])
+        self.out = {name: slice(int(end - n), int(end)) for (name, n), end in zip(lengths.items(), ends, strict=True)}
+        """Where each output stands, by its name."""
+        self.out["memory"] = slice(0, self.out["covariance"].stop)
+        self.out["state"] = slice(0, model.dimension)
+        self.out["extra"] = slice(model.dimension, size)
+        self.process = settings.process(model.arms, model.period)
+
+    @property
+    def slices(self) -> dict[str, slice]:
+        """Where each input stands, by its name."""
+        return self.step.slices
+
+    def first(self, state: Array, sigmas: Array | None = None) -> Array:
+        """Return the memory before any measurement, of `state` (N,) or states (N, S); (memory,) or (memory, S).
+
+        sigmas (N+E,): its standard deviations; the settings' by default.
+        """
+        arms, shape = self.model.arms, np.shape(state)[1:]
+        one = packed(np.diag(np.square(self.settings.first_sigmas(arms) if sigmas is None else sigmas)))
+        extra = np.zeros((self.equations.dimension - self.model.dimension, *shape))
+        covariance = one.reshape(-1, *(1 for _ in shape)) * np.ones(shape)
+        return np.concatenate([np.asarray(state, dtype=float), extra, covariance])
+
+    def inputs(self, noise: Array, *, runs: int | None = None) -> Array:
+        """Return inputs (M,), or (M, runs), with noise R (n+1, n+1), all positions present, and zeros elsewhere.
+
+        Raises:
+            InputError: the noise has the wrong shape or is no covariance.
+        """
+        out = np.zeros(self.step.size_in if runs is None else (self.step.size_in, runs))
+        known = {
+            "noise": packed(checked_noise(noise, self.model.arms)),
+            "parameters": self.model.parameters,
+            "process": self.process,
+            "present": np.ones(self.model.arms + 1),
+        }
+        for name, value in known.items():
+            out[self.slices[name]] = value if runs is None else value[:, None]
+        return out
+
+
+class _Memory(NamedTuple):
+    """What the filter keeps from tick to tick: z and P; and z a period later, if `coming` m/s² act until then."""
+
+    kept: Array
+    coming: float
+    later: Array
+
+
+class CompiledEkf:
+    """The extended Kalman filter for one sampled model; an `Estimator`. Not to be shared between threads.
+
+    noise (n+1, n+1): of the measured positions.
+
+    Raises:
+        InputError: the noise has the wrong shape or is no covariance.
+    """
+
+    def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
+        self.model = model
+        self.settings = settings
+        self.program = EkfProgram(model, settings)
+        self._inputs = self.program.inputs(noise)
+        self._size = model.dimension
+        where, out = self.program.slices, self.program.out
+        # Made once: views of the inputs and slices of the outputs cost as much as the call if made at every tick.
+        self._memory, self._measured = self._inputs[where["memory"]], self._inputs[where["measured"]]
+        self._present = self._inputs[where["present"]]
+        self._command_at = where["command"].start
+        self._all = True
+        self._shape, self._kept = self._measured.shape, len(self._memory)
+        self._z, self._coming_at = out["z"].stop, where["coming"].start
+        self._rooms = self._room()
+        ahead = self.program.ahead
+        for function in (self.program.update, self.program.step, ahead):
+            # Compiled now: the first ticks of a run have no time for it.
+            _ = function.machine
+        self._ahead_inputs = np.zeros(ahead.size_in)
+        for name, value in (("parameters", model.parameters), ("process", self.program.process)):
+            self._ahead_inputs[ahead.slices[name]] = value
+
+    def _room(self) -> Iterator[tuple[Array, ...]]:
+        """Yield outputs and views of their parts: views of many ticks' at once are made in half the time."""
+        parts = [self.program.out[name] for name in ("state", "extra", "sigmas", "innovation", "memory", "later")]
+        while True:
+            block = np.empty((_AT_ONCE, self.program.step.size_out))
+            yield from zip(block, block[:, -3:], *(block[:, part] for part in parts), strict=True)
+
+    @property
+    def kind(self) -> str:
+        """Return the name of its kind."""
+        return self.settings.kind
+
+    @property
+    def extra_names(self) -> tuple[str, ...]:
+        """Return the names of what it is augmented by."""
+        return self.program.equations.extra_names
+
+    def first(self, state: Array) -> Estimate:
+        """Return the estimate before any measurement: `state` (N,) with the settings' standard deviations.
+
+        Raises:
+            InputError: the state has the wrong shape.
+        """
+        x = np.array(state, dtype=float)
+        if x.shape != (self._size,):
+            raise InputError(f"state has shape {x.shape}: the filter's model needs ({self._size},)")
+        return self._begun(self.program.first(x), self.settings.first_sigmas(self.model.arms))
+
+    def _begun(self, memory: Array, sigmas: Array) -> Estimate:
+        still = np.zeros(self.model.arms + 1)
+        state, extra = memory[: self._size], memory[self._size : self._z]
+        return Estimate(state, extra, sigmas, still, float("nan"), 0, _Memory(memory, float("nan"), state))
+
+    def update(
+        self, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None = None, *, coming: float = 0.0
+    ) -> Estimate:
+        """Return the estimate after the positions `measured` (n+1,): angles in rad, cart in m.
+
+        present (n+1,): which of them count; all by default. coming: the next period's command, which spares `ahead` its
+        first period.
+
+        Raises:
+            InputError: the measurement or the estimate has the wrong shape.
+            ArithmeticError: the estimate is no longer finite, or its covariance no longer positive.
+        """
+        return self._called(self.program.update, estimate, measured, present, coming)
+
+    def step(
+        self,
+        estimate: Estimate,
+        command: float,
+        measured: Array,
+        present: NDArray[np.bool_] | None = None,
+        *,
+        coming: float = 0.0,
+    ) -> Estimate:
+        """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came.
+
+        present, coming: as in `update`.
+
+        Raises:
+            InputError: the measurement or the estimate has the wrong shape.
+            ArithmeticError: the estimate is no longer finite, or its covariance no longer positive.
+        """
+        self._inputs[self._command_at] = command
+        return self._called(self.program.step, estimate, measured, present, coming)
+
+    def _called(
+        self, program: Compiled, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None, coming: float
+    ) -> Estimate:
+        memory = estimate.memory.kept
+        self._inputs[self._coming_at] = coming
+        if measured.shape != self._shape or len(memory) != self._kept:
+            raise InputError(
+                f"measurement has shape {measured.shape} and the estimate's memory {memory.shape}: the filter needs "
+                f"{self._shape} and {self._memory.shape}"
+            )
+        self._memory[:] = memory
+        if present is not None:
+            # What is not a number must not reach the products: zero times it is not zero.
+            np.copyto(self._measured, 0.0)
+            np.copyto(self._measured, measured, where=present)
+            self._present[:] = present
+            self._all = False
+        else:
+            self._measured[:] = measured
+            if not self._all:
+                self._present[:] = 1.0
+                self._all = True
+        out, told, state, extra, sigmas, innovation, kept, later = next(self._rooms)
+        program.machine(self._inputs, out)
+        nis, used, sound = told.tolist()
+        if not (0 <= nis < inf and -inf < sound < inf):
+            raise ArithmeticError(
+                "the filter's covariance is no longer positive, or its state no longer finite; begin again from the "
+                "measured positions, or assume more noise"
+            )
+        return Estimate(state, extra, sigmas, innovation, nis, int(used), _Memory(kept, coming, later))
+
+    def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
+        """Return the state (N,) after the commands on their way, one per period, with the extras' effect.
+
+        This compensates the delay: a new command is computed for the state at which it will act.
+        """
+        memory: _Memory = estimate.memory
+        first = 0
+        z = memory.kept[: self._z]
+        if commands and commands[0] == memory.coming:
+            first, z = 1, memory.later
+        inputs, n = self._ahead_inputs, self._z
+        for command in commands[first:]:
+            inputs[:n] = z
+            inputs[n] = command
+            z = self.program.ahead(inputs, np.empty(n))
+        return z[: self._size]
+
+    def covariance(self, estimate: Estimate) -> Array:
+        """Return the covariance (N+E, N+E) of state and extra."""
+        return unpacked(estimate.memory.kept[self._z :])
+
+    def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
+        """Return an estimate that trusts the positions `measured` (n+1,) and little else: for recovery when lost.
+
+        The rates stay where they are finite, but count for little; the extras begin anew.
+
+        Raises:
+            InputError: a measured position is missing or not finite.
+        """
+        return self._begun(*restarted(self.program, estimate.state, measured))
+
+
+def restarted(program: EkfProgram, state: Array, measured: Array) -> tuple[Array, Array]:
+    """Return memory and standard deviations (N+E,) of an estimate that trusts `measured` (n+1,) and little else.
+
+    Raises:
+        InputError: a measured position is missing or not finite.
+    """
+    model, arms = program.model, program.model.arms
+    z = np.asarray(measured, dtype=float)
+    if z.shape != (arms + 1,) or not np.isfinite(z).all():
+        raise InputError(f"measured = {z.tolist()!r}: a restart needs {arms + 1} finite positions")
+    x = np.where(np.isfinite(state), state, 0.0)
+    x[arms : 2 * arms] = np.clip(x[arms : 2 * arms], -3 * RESTART_RATE, 3 * RESTART_RATE)
+    x[-1] = np.clip(x[-1], -3 * RESTART_VELOCITY, 3 * RESTART_VELOCITY)
+    x[model.position_indices] = z
+    sigmas = program.settings.first_sigmas(arms)
+    sigmas[arms : 2 * arms] = RESTART_RATE
+    sigmas[2 * arms + 1] = RESTART_VELOCITY
+    return program.first(x, sigmas), sigmas

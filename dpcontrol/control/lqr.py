@@ -1,0 +1,285 @@
+"""Holding an equilibrium: the stationary linear-quadratic regulator, its basin, and the delay that it survives.
+
+    u = -K (x̂ - x*),    K = (r + BᵀPB)⁻¹ BᵀPA,    P of the discrete algebraic Riccati equation of the sampled model
+
+The estimate is predicted through the commands on their way, so that a delay that is known costs nothing but time. One
+that is not known turns x_{k+1} = A x_k + B u_k, u_k = -K x_{k-d} unstable at a number of ticks d that is computed.
+Source: Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed., section 9.3, and 8.6 for delays.
+
+What linear-quadratic feedback weighs: the diagonal of Q and r of a period of T s, from weights per second.
+
+    Q = T diag(w / s²),   r = T w_u:   weights w of errors measured in s, the scales of angles, rates and cart
+
+Source: Anderson & Moore, Optimal Control: Linear Quadratic Methods, chapter 6, on selecting weights.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dpcontrol.control.interface import Action, Mode
+from dpcontrol.control.model import SampledModel
+from dpcontrol.control.phase import whole_turns
+from dpcontrol.dynamics.compiled import Compiled
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.references.problem import ANGLE_SCALE, CART_VELOCITY_SCALE, RATE_SCALE, Limits
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class QuadraticWeights:
+    """Weights per second of the squared errors, each scaled: angles by π, rates by 10 rad/s, the cart's velocity
+    by 3 m/s; the cart's position by 1 m and the effort by 1 m/s².
+    """
+
+    angle: float = 1000.0
+    rate: float = 100.0
+    position: float = 100.0
+    velocity: float = 10.0
+    effort: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse weights without a solution.
+
+        Raises:
+            InputError: names the weight, its value and what is allowed.
+        """
+        for name in ("angle", "rate", "position", "velocity", "effort"):
+            value = getattr(self, name)
+            allowed = "positive" if name in ("position", "effort") else "zero or positive"
+            if not np.isfinite(value) or value < 0 or (value == 0 and allowed == "positive"):
+                raise InputError(f"controller: {name} = {value!r}: must be a finite number, {allowed}")
+
+    def weights(self, arms: int, period: float) -> tuple[Array, float]:
+        """Return Q's diagonal (N,) and r of one period in s."""
+        scaled = [self.angle / ANGLE_SCALE**2] * arms + [self.rate / RATE_SCALE**2] * arms
+        cart = [self.position, self.velocity / CART_VELOCITY_SCALE**2]
+        return np.array(scaled + cart) * period, self.effort * period
+
+
+@dataclass(frozen=True)
+class ClosingWeights(QuadraticWeights):
+    """The same along a reference. closing: how many times the angles weigh in its last closing_time s, when they shall
+    be the model's own orbit whatever the arms would rather do.
+    """
+
+    closing: float = 50.0
+    closing_time: float = 1.6
+
+    def __post_init__(self) -> None:
+        """Refuse weights without a solution.
+
+        Raises:
+            InputError: names the weight, its value and what is allowed.
+        """
+        super().__post_init__()
+        for name, low, high in (("closing", 1.0, 1e6), ("closing_time", 0.0, 1e4)):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise InputError(f"controller: {name} = {value!r}: must be {low:g} to {high:g}")
+
+    def along(self, arms: int, period: float, *, count: int) -> Array:
+        """Return Q's diagonals (count, N) at a reference's ticks, `period` s apart."""
+        weights = np.tile(self.weights(arms, period)[0], (count, 1))
+        weights[max(count - round(self.closing_time / period), 0) :, :arms] *= self.closing
+        return weights
+
+
+AT_REST = 1e-6
+"""Acceleration in rad/s² that counts as none: an equilibrium is exact to rounding."""
+CAUGHT = 0.02
+"""Scaled distance from the equilibrium, cart included, that counts as back: 0.06 rad, 0.2 rad/s."""
+
+
+@dataclass(frozen=True)
+class HoldSettings(QuadraticWeights):
+    """Linear-quadratic regulator at an equilibrium."""
+
+    kind: str = "lqr"
+
+
+@dataclass(frozen=True, eq=False)
+class HoldController:
+    """Gain (N,) about the equilibrium `state` (N,), cart in the middle; for so many ticks."""
+
+    kind: str
+    state: Array
+    gain: Array
+    ticks: int
+    status: str
+
+    @property
+    def first_state(self) -> Array:
+        """Return the state (N,) from which it starts: the equilibrium."""
+        return self.state
+
+    def begin(self) -> "HoldSession":
+        """Return a session for one run."""
+        return HoldSession(self, self.state)
+
+    def begin_many(self, count: int) -> "HoldController":
+        """Return what answers `commands` for `count` runs in lockstep."""
+        return self
+
+    def commands(self, tick: int, states: Array, extras: Array | None = None) -> tuple[float, Array, Array]:
+        """Return feedforward 0, feedbacks (S,) m/s² and the reference (N,) for `states` (N, S) of many runs."""
+        products = self.gain[:, None] * (self.state[:, None] - states)
+        return 0.0, np.add.reduce(products, axis=0), self.state
+
+    def join(self, tick: int, state: Array) -> "HoldSession":
+        """Return a session that holds the equilibrium on the turns nearest to `state` (N,)."""
+        n = (len(state) - 2) // 2
+        wanted = self.state.copy()
+        wanted[:n] += whole_turns(state[:n] - wanted[:n])
+        return HoldSession(self, wanted)
+
+    def distance(self, state: Array) -> float:
+        """Return the scaled distance of the pendulum's `state` (N,) from the equilibrium, modulo turns."""
+        n = (len(state) - 2) // 2
+        away = np.asarray(state[: 2 * n] - self.state[: 2 * n])
+        away[:n] -= whole_turns(away[:n])
+        return float(np.abs(away / ([ANGLE_SCALE] * n + [RATE_SCALE] * n)).max())
+
+
+class HoldSession:
+    """A hold during one run, about `wanted` (N,): the equilibrium on the run's own turns."""
+
+    def __init__(self, controller: HoldController, wanted: Array) -> None:
+        self._gain, self._wanted = controller.gain, wanted
+
+    def command(self, tick: int, state: Array, extra: Array) -> Action:
+        """Return what to do in the period from `tick` at `state` (N,)."""
+        feedback = 0.0
+        for product in (self._gain * (self._wanted - state)).tolist():
+            feedback += product
+        return Action(0.0, feedback, self._wanted, Mode.HOLDING)
+
+    def resynchronise(self, tick: int, state: Array) -> str:
+        """Leave all as it is: an equilibrium has no clock."""
+        return ""
+
+
+def hold_controller(state: ArrayLike, model: SampledModel, settings: HoldSettings, *, seconds: float) -> HoldController:
+    """Return the regulator for the equilibrium with the pendulum's `state` (2n,), the cart in the middle.
+
+    Raises:
+        InputError: it is no equilibrium of this model.
+        GoalMissed: it cannot be stabilised.
+    """
+    n = model.arms
+    x = np.concatenate([np.asarray(state, dtype=float)[: 2 * n], [0.0, 0.0]])
+    if len(x) != model.dimension:
+        raise InputError(f"the equilibrium has {len(x) - 2} states, the model {model.dimension - 2} and its cart")
+    fastest = float(np.abs(model.step(x, 0.0) - x)[: 2 * n].max()) / model.period
+    if not fastest <= AT_REST:
+        raise InputError(f"no equilibrium to hold at {x[:n].tolist()} rad: it moves by {fastest:.3g} rad/s² at once")
+    # python-control takes more than a second to import.
+    from control import dlqr
+
+    weights, effort = settings.weights(n, model.period)
+    a, b = (v[0] for v in model.linearised(x[None, :], np.zeros(1)))
+    try:
+        gain, _, values = dlqr(a, b[:, None], np.diag(weights), np.array([[effort]]))
+    except (np.linalg.LinAlgError, ValueError) as error:
+        raise GoalMissed(f"the equilibrium cannot be held: {error}") from error
+    slowest = float(np.abs(values).max())
+    if not slowest < 1:
+        raise GoalMissed(f"the equilibrium cannot be held: the best loop's largest multiplier is {slowest:.6g}")
+    text = f"slowest motion dies out in {-model.period / np.log(slowest):.3g} s"
+    return HoldController(settings.kind, x, np.asarray(gain)[0], max(round(seconds / model.period), 1), text)
+
+
+def delay_margin(controller: HoldController, model: SampledModel, *, most: int = 1000) -> int:
+    """Return the most ticks of a delay that nobody knows of for which the loop is stable, at most `most`.
+
+    From the eigenvalues of state and commands on their way, together.
+    """
+    n = model.dimension
+    a, b = (v[0] for v in model.linearised(controller.state[None, :], np.zeros(1)))
+    for ticks in range(most + 1):
+        loop = np.zeros((n + ticks, n + ticks))
+        loop[:n, :n] = a
+        if ticks == 0:
+            loop -= np.outer(b, controller.gain)
+        else:
+            loop[:n, n] = b
+            loop[n : n + ticks - 1, n + 1 :] = np.eye(ticks - 1)
+            loop[-1, :n] = -controller.gain
+        if np.abs(np.linalg.eigvals(loop)).max() >= 1:
+            return ticks - 1
+    return most
+
+
+@dataclass(frozen=True)
+class Basin:
+    """kick: the largest from which the loop comes back, all smaller ones too, in the coordinate's unit.
+
+    lost: the next larger that was tried, from which it does not; infinite if all came back. reason: what ended it.
+    """
+
+    kick: float
+    lost: float
+    reason: str
+
+
+def basin(
+    controller: HoldController,
+    model: SampledModel,
+    *,
+    coordinate: int,
+    limits: Limits,
+    most: float = 20.0,
+    seconds: float = 4.0,
+) -> Basin:
+    """Return how large a jump of one coordinate of the state, from rest, is caught: an arm's angle or rate.
+
+    The model is its own plant and its state known: what sensors and mismatch take away comes on top. Commands are cut
+    at the limits of acceleration and velocity; past that of position the cart has hit its stop. Kicks up to `most` are
+    tried on a grid that is refined twice, to `most` / 32,768. By symmetry a kick the other way is caught as well.
+    """
+    function = model.equations.discrete_step(model.period)
+    step = Compiled(function.factory("plain", function.name_in(), [function.name_out(0)]))
+    low, high, reason = 0.0, most, "nothing up to the largest kick tried"
+    for _ in range(3):
+        kicks = low + (high - low) * np.arange(1, 33) / 32
+        caught, stopped = _flown(controller, model, step, coordinate, kicks, limits, seconds)
+        if caught.all():
+            low = float(kicks[-1])
+            return Basin(low, np.inf if low == most else high, reason)
+        first = int(np.argmin(caught))
+        reason = "the cart reached its stop" if stopped[first] else "the arms fell away"
+        low, high = float(kicks[first - 1]) if first else low, float(kicks[first])
+    return Basin(low, high, reason)
+
+
+def _flown(
+    controller: HoldController,
+    model: SampledModel,
+    step: Compiled,
+    coordinate: int,
+    kicks: Array,
+    limits: Limits,
+    seconds: float,
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return which kicks (S,) were caught, and in which the cart hit its stop, (S,) each."""
+    where = list(step.slices.values())
+    inputs = np.zeros((step.size_in, len(kicks)))
+    inputs[where[2]] = model.parameters[:, None]
+    states = np.repeat(controller.state[:, None], len(kicks), axis=1)
+    states[coordinate] += kicks
+    stopped = np.zeros(len(kicks), dtype=bool)
+    for k in range(max(round(seconds / model.period), 1)):
+        _, command, _ = controller.commands(k, states)
+        room = (np.array([-limits.velocity, limits.velocity])[:, None] - states[-1]) / model.period
+        command = np.clip(np.clip(command, -limits.acceleration, limits.acceleration), *room)
+        # Those that are lost stand still, lest they overflow.
+        inputs[where[0]], inputs[where[1]] = states, np.where(stopped, 0.0, command)
+        states = step(inputs, np.empty_like(states))
+        stopped |= ~(np.abs(states[-2]) < limits.position)
+        states[:, stopped] = controller.state[:, None]
+    n = model.arms
+    scale = np.array([ANGLE_SCALE] * n + [RATE_SCALE] * n + [1.0, 1.0])
+    away = np.abs((states - controller.state[:, None]) / scale[:, None]).max(0)
+    return ~stopped & (away < CAUGHT), stopped

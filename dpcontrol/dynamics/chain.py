@@ -1,0 +1,281 @@
+"""Parameters of a planar chain of arms on a cart, physical and base.
+
+The physical parameters (masses, centres, lengths, inertias) enter the equations only through the base
+parameters
+
+    M_ii = J_i + m_i a_i² + (m_{i+1} + … + m_n) l_i²
+    M_ij = (m_j a_j + (m_{j+1} + … + m_n) l_j) l_i        for j > i
+    S_i  = m_i a_i + (m_{i+1} + … + m_n) l_i,             G_i = g S_i
+
+so that T = ½ Σ M_ij cos(θ_i-θ_j) ω_i ω_j and V = -Σ G_i cos θ_i; S_i couples arm i to the cart. This form has a
+third of the instructions of the form from positions. The friction coefficients of each joint follow: viscous, then
+those of the laws in use beyond it, and their smoothing rate.
+
+A planar chain of n arms on a cart: one Lagrangian, one dissipation function, the levels made from them.
+
+    L = ½ Σ M_ij cos(θ_i-θ_j) ω_i ω_j + Σ S_i cos θ_i ω_i ẋ + ½ ẋ² + Σ G_i cos θ_i
+    D = Σ ½ k_i ρ_i² + c_i √(ρ_i² + w²) + ⅓ b_i (v_i² + (λ_i w)²)^{3/2},      ρ_i = ω_i - ω_{i-1}
+
+in the base parameters of `dpcontrol.dynamics.chain`. The cart's own inertia does not matter where its
+acceleration is the input; ½ ẋ² stands in for it. Besides viscous friction k a joint may have Coulomb friction c, and
+each arm the air's drag b v², where v_i is the speed of the arm's centre of oscillation, λ_i = M_ii/S_i from its joint,
+in air at rest: on a free swing the drag at this true speed explains the data and a torque b ρ|ρ| in the joint does not.
+The smoothing rate w keeps both analytic, which Taylor's method and collocation need; unlike tanh(ρ/w) through
+log cosh, √ cannot overflow at high rates.
+
+Sources: Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models ... of machines with friction (1994), section
+2; Batchelor, An introduction to fluid dynamics (1967), section 5.11, for the drag.
+"""
+
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from fractions import Fraction
+from functools import cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.equations import Equations, state_equations
+from dpcontrol.dynamics.lagrangian import Energy, mechanics
+from dpcontrol.foundation.errors import InputError
+
+Array = NDArray[np.float64]
+
+LARGEST = 1e6
+"""No mass, length, inertia or friction of a bench is larger in SI units; beyond it products overflow."""
+
+
+class Friction(StrEnum):
+    """The laws of friction besides the viscous one, in the order in which their coefficients stand."""
+
+    COULOMB = "coulomb"
+    QUADRATIC = "quadratic"
+
+
+@dataclass(frozen=True)
+class ArmChainParameters:
+    """Physical parameters of n arms, inner arm first; SI units.
+
+    mass (n,) kg; centre_of_mass (n,) m from the arm's joint; length (n,) m, the last for pictures only;
+    inertia (n,) kg m² about the centre of mass; gravity m/s²; viscous (n,) N m s/rad in each joint, on the
+    relative rate. coulomb (n,) N m likewise, and quadratic (n,) N s²/m², the air's drag on each arm over the squared
+    speed of its centre of oscillation; empty: not in the equations at all. smoothing rad/s: the rate below which
+    those two fade.
+    """
+
+    mass: tuple[float, ...]
+    centre_of_mass: tuple[float, ...]
+    length: tuple[float, ...]
+    inertia: tuple[float, ...]
+    gravity: float
+    viscous: tuple[float, ...]
+    coulomb: tuple[float, ...] = ()
+    quadratic: tuple[float, ...] = ()
+    smoothing: float = 0.05
+
+    def __post_init__(self) -> None:
+        """Refuse what is no pendulum.
+
+        Raises:
+            InputError: names the parameter, its value and what is allowed.
+        """
+        count = len(self.mass)
+        if count < 1:
+            raise InputError("mass = []: a chain has at least one arm")
+        columns = {  # name: (values, whether zero is allowed)
+            "mass": (self.mass, False),
+            "centre_of_mass": (self.centre_of_mass, False),
+            "length": (self.length, False),
+            "inertia": (self.inertia, True),
+            "viscous": (self.viscous, True),
+            "acceleration": ((self.gravity,), False),
+            "smoothing": ((self.smoothing,), False),
+        } | {law.value: (getattr(self, law), True) for law in self.friction}
+        for name, (values, zero_allowed) in columns.items():
+            if name not in ("acceleration", "smoothing") and len(values) != count:
+                raise InputError(f"{name} has {len(values)} values but mass has {count}; give one for each arm")
+            for value in values:
+                if not np.isfinite(value) or not 0 <= value <= LARGEST or (value == 0 and not zero_allowed):
+                    allowed = "zero or positive" if zero_allowed else "positive"
+                    raise InputError(f"{name} = {value!r}: must be a finite number, {allowed}, at most {LARGEST:g}")
+
+    @property
+    def count(self) -> int:
+        """Number of arms."""
+        return len(self.mass)
+
+    @property
+    def friction(self) -> tuple[Friction, ...]:
+        """The friction laws besides the viscous one."""
+        return tuple(law for law in Friction if getattr(self, law))
+
+    def named(self) -> dict[str, tuple[float, str]]:
+        """Return {name: (value, unit)} with the field's short names: m1, a1, l1, J1, g, k1 …"""
+        units = (("m", "mass", "kg"), ("a", "centre_of_mass", "m"), ("l", "length", "m"),
+                 ("J", "inertia", "kg m^2"))  # fmt: skip
+        out: dict[str, tuple[float, str]] = {}
+        for letter, field, unit in units:
+            for i, value in enumerate(getattr(self, field)):
+                out[f"{letter}{i + 1}"] = (value, unit)
+        out["g"] = (self.gravity, "m/s^2")
+        for i, value in enumerate(self.viscous):
+            out[f"k{i + 1}"] = (value, "N m s/rad")
+        for law, letter, unit in ((Friction.COULOMB, "c", "N m"), (Friction.QUADRATIC, "b", "N s^2/m^2")):
+            for i, value in enumerate(getattr(self, law)):
+                out[f"{letter}{i + 1}"] = (value, unit)
+        if self.friction:
+            out["w"] = (self.smoothing, "rad/s")
+        return out
+
+    def base(self) -> Array:
+        """Return the base parameters (n(n+1)/2 + 3n + …,): M row by row for j >= i, then G, S, friction.
+
+        The friction is viscous (n,), then coulomb (n,) and quadratic (n,) where these arms have them, then their
+        smoothing rate.
+        """
+        m, a, joint, j = (np.asarray(v) for v in (self.mass, self.centre_of_mass, self.length, self.inertia))
+        return _base(m, a, joint, j, np.asarray(self._dissipative()), self.gravity)
+
+    def _dissipative(self) -> tuple[float, ...]:
+        """Return all numbers of friction that the equations take."""
+        further = sum((getattr(self, law) for law in self.friction), ())
+        return (*self.viscous, *further, *((self.smoothing,) if further else ()))
+
+    def decimal_base(self) -> tuple[Fraction, ...]:
+        """Return the base parameters without rounding, the physical ones taken as the decimals a file gives.
+
+        That is the shortest decimal that reads as the same double, which is what was typed up to 15 digits.
+        """
+
+        def exact(values: tuple[float, ...]) -> Any:
+            return np.array([Fraction(repr(float(v))) for v in values], dtype=object)
+
+        m, a, joint, j = exact(self.mass), exact(self.centre_of_mass), exact(self.length), exact(self.inertia)
+        base = _base(m, a, joint, j, exact(self._dissipative()), Fraction(repr(float(self.gravity))))
+        return tuple(Fraction(value) for value in base)
+
+    def frictionless(self) -> "ArmChainParameters":
+        """Return the same arms without friction."""
+        return replace(self, viscous=(0.0,) * self.count, coulomb=(), quadratic=())
+
+    def viscous_only(self) -> "ArmChainParameters":
+        """Return the same arms with no law of friction besides the viscous one."""
+        return replace(self, coulomb=(), quadratic=())
+
+    def mismatched(self, fraction: float, random: np.random.Generator) -> "ArmChainParameters":
+        """Return a chain whose parameters differ from these: what the plant may be when this is the model.
+
+        Each mass, centre, length and inertia is multiplied by an independent uniform 1 ± fraction; each
+        friction coefficient by 1 ± 5 fraction, but never below zero.
+        """
+
+        def vary(values: tuple[float, ...], by: float) -> tuple[float, ...]:
+            factors = np.maximum(1 + random.uniform(-by, by, len(values)), 0.0)
+            return tuple(float(v) for v in np.asarray(values) * factors)
+
+        return replace(
+            self,
+            mass=vary(self.mass, fraction),
+            centre_of_mass=vary(self.centre_of_mass, fraction),
+            length=vary(self.length, fraction),
+            inertia=vary(self.inertia, fraction),
+            viscous=vary(self.viscous, 5 * fraction),
+            # Drawn last, so that a seed gives the same arms with and without them.
+            coulomb=vary(self.coulomb, 5 * fraction),
+            quadratic=vary(self.quadratic, 5 * fraction),
+        )
+
+
+def _base(m: Any, a: Any, joint: Any, j: Any, friction: Any, gravity: Any) -> Any:
+    """Return the base parameters of the chain, in the arithmetic of its arguments (n,), friction last."""
+    n = len(m)
+    beyond = np.array([m[i + 1 :].sum() for i in range(n)])
+    coupling = m * a + beyond * joint
+    inertia = [
+        j[i] + m[i] * a[i] ** 2 + beyond[i] * joint[i] ** 2 if i == k else coupling[k] * joint[i]
+        for i in range(n)
+        for k in range(i, n)
+    ]
+    return np.concatenate([inertia, gravity * coupling, coupling, friction])
+
+
+class Level(StrEnum):
+    """How much of the bench a scene models; each level contains the one above it in this list."""
+
+    CONSERVATIVE = "conservative"
+    DISSIPATIVE = "dissipative"
+    CART = "cart"
+
+
+@dataclass(frozen=True)
+class ChainEnergies:
+    """The chain's energies as functions of (position (n+1,), velocity (n+1,), parameters), the cart last.
+
+    parameters: the base parameters' symbols, which the functions hold already; coupling (n,): S among them.
+    """
+
+    lagrangian: Energy
+    dissipation: Energy
+    parameters: ca.SX
+    coupling: ca.SX
+
+
+@cache
+def chain_energies(count: int, *, friction: tuple[Friction, ...] = ()) -> ChainEnergies:
+    """Return Lagrangian and dissipation function of `count` arms on a cart of mass 1 kg that feels no force."""
+    n = count
+    m = ca.SX.sym("M", n * (n + 1) // 2)
+    g = ca.SX.sym("G", n)
+    s = ca.SX.sym("S", n)
+    k = ca.SX.sym("k", n)
+    laws = {law: ca.SX.sym(law.value, n) for law in Friction if law in friction}
+    smoothing = ca.SX.sym("w", 1 if laws else 0)
+    parameters = ca.vertcat(m, g, s, k, *laws.values(), smoothing)
+    index = {(i, j): c for c, (i, j) in enumerate((i, j) for i in range(n) for j in range(i, n))}
+
+    def lagrangian(q: ca.SX, v: ca.SX, _: ca.SX) -> ca.SX:
+        kinetic = v[n] ** 2 / 2
+        for i in range(n):
+            kinetic += m[index[i, i]] * v[i] ** 2 / 2 + s[i] * ca.cos(q[i]) * v[i] * v[n]
+            for j in range(i + 1, n):
+                kinetic += m[index[i, j]] * ca.cos(q[i] - q[j]) * v[i] * v[j]
+        return kinetic + sum(g[i] * ca.cos(q[i]) for i in range(n))
+
+    def dissipation(q: ca.SX, v: ca.SX, _: ca.SX) -> ca.SX:
+        relative = [v[i] - v[i - 1] if i else v[0] for i in range(n)]
+        total = sum((k[i] * relative[i] ** 2 / 2 for i in range(n)), ca.SX(0))
+        if Friction.COULOMB in laws:
+            total += sum(laws[Friction.COULOMB][i] * ca.sqrt(relative[i] ** 2 + smoothing**2) for i in range(n))
+        if Friction.QUADRATIC in laws:
+            for i in range(n):
+                # M_ji = S_i l_j for the arms within, so this is the velocity of the point at λ_i = M_ii / S_i.
+                along = [m[index[j, i]] / s[i] * v[j] for j in range(i + 1)]
+                across = sum((along[j] * ca.cos(q[j]) for j in range(i + 1)), v[n])
+                up = sum((along[j] * ca.sin(q[j]) for j in range(i + 1)), ca.SX(0))
+                faded = smoothing * m[index[i, i]] / s[i]
+                total += laws[Friction.QUADRATIC][i] * ca.sqrt(across**2 + up**2 + faded**2) ** 3 / 3
+        return total
+
+    return ChainEnergies(lagrangian, dissipation, parameters, s)
+
+
+@cache
+def arm_chain_equations(count: int, level: Level, *, friction: tuple[Friction, ...] = ()) -> Equations:
+    """Return the equations of `count` arms at `level`, with the base parameters as symbols.
+
+    friction: the laws besides the viscous one, as `ArmChainParameters.friction` gives them; those that are not named
+    are not in the equations at all. State: angles, rates, then (level cart) cart position and velocity; the input is
+    the cart's acceleration.
+    """
+    chain = chain_energies(count, friction=friction)
+    conservative = level is Level.CONSERVATIVE
+    dissipation: Energy = (lambda *_: ca.SX(0)) if conservative else chain.dissipation
+    parts = mechanics(chain.lagrangian, dissipation, free=count, prescribed=1, parameters=chain.parameters)
+    return state_equations(parts, with_cart=level is Level.CART)
+
+
+def equations_of(arms: ArmChainParameters, level: Level) -> Equations:
+    """Return the equations at `level` that go with `arms.base()`, with the friction laws that these arms have."""
+    return arm_chain_equations(arms.count, level, friction=arms.friction)

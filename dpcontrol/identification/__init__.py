@@ -1,0 +1,1 @@
+"""Models from recordings: fit, statistics, design, replay."""

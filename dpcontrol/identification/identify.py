@@ -1,0 +1,461 @@
+"""Which arms swung so: base-parameter ratios, friction laws and encoder zeros from recordings.
+
+Every third segment is left out. Each candidate (friction viscous; with Coulomb; with the air's drag; with both; the
+encoders' zeros free or not) is fitted to the others and predicts those left out from a fitted start over their whole
+length. The one of fewest unknowns whose mean squared error is within one standard error of the least is taken.
+
+Sources: Hastie, Tibshirani, Friedman, The elements of statistical learning (2009), section 7.10, for the choice;
+`dpcontrol.identification.fit` for the fit; `dpcontrol.identification.identify` for what is said of its errors.
+
+How well identified numbers are known: covariance, what cannot be told apart.
+
+    Cov = H⁻¹ (b/(b-f) Σ_blocks g gᵀ) H⁻¹,     H = Σ w J̃ᵀJ̃,   g = Σ_block J̃ᵀ ψ(e)
+
+J̃: slopes of the predicted angles over the unknowns, each swing's start following them; ψ: the residuals as the robust
+loss counts them. Neighbouring residuals are alike (rounding of slow motion, what the model leaves out), so they are
+summed over blocks several times as long as they stay alike; b blocks, f unknowns. Taking each sample as independent
+would give errors too small by that factor's root.
+
+Sources: White, Maximum likelihood estimation of misspecified models (1982); Cameron, Miller, A practitioner's guide to
+cluster-robust inference (2015), section II.
+
+Profiles of an identification: the least misfit with one number held off its best value, the others fitted again.
+
+Where a profile is the parabola that the linearised fit promises, the standard error describes the number; where it is
+flat, or stops at a bound, the recordings do not determine it.
+
+Source: Raue et al., Structural and practical identifiability analysis of partially observed dynamical models (2009).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.chain import ArmChainParameters, Friction
+from dpcontrol.dynamics.ratios import base_ratios, inertial_count, nearest_arms, ratio_names, unit_name, with_laws
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, fit_swings
+from dpcontrol.identification.segments import Segment, cut_into_swings
+from dpcontrol.recordings.recording import Recording
+
+Array = NDArray[np.float64]
+
+_BLOCK_TIMES = 4.0
+_LEAST_BLOCK = 10
+_BLOCKS_PER_UNKNOWN = 4
+_UNSEEN = 1e-10
+ALIKE = 0.95
+"""Correlation from which two numbers are said not to be told apart."""
+
+
+def correlation_time(residuals: Sequence[Array]) -> float:
+    """Return over how many samples residuals (K, n) stay alike: their integrated autocorrelation time, at least 1.
+
+    Summed until the autocorrelation first falls below 0.05, pooled over swings and angles.
+    """
+    longest = min(len(r) for r in residuals)
+    power = np.zeros(longest)
+    for residual in residuals:
+        for column in residual.T:
+            # Padded to twice the length, the transform does not wrap around.
+            spectrum = np.abs(np.fft.rfft(column, 2 * len(column))) ** 2
+            power += np.fft.irfft(spectrum)[:longest]
+    if power[0] <= 0:
+        return 1.0
+    shape = power / power[0]
+    low = np.flatnonzero(shape < 0.05)
+    end = int(low[0]) if len(low) else longest
+    return float(max(1.0, 1 + 2 * shape[1:end].sum()))
+
+
+def covariance_at_bounds(fit: SwingFit, bound: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Return the covariance (f, f) of the fit's unknowns and their standard errors (f,).
+
+    bound (f,): which lie on a bound. They are taken as held there for the others' sake, and have no variance; their own
+    standard errors are those that they would have without it.
+    """
+    errors = np.sqrt(np.diag(covariance_of(fit)))
+    covariance = np.zeros((len(bound), len(bound)))
+    covariance[np.ix_(~bound, ~bound)] = covariance_of(fit, ~bound)
+    errors[~bound] = np.sqrt(np.diag(covariance)[~bound])
+    return covariance, errors
+
+
+def covariance_of(fit: SwingFit, among: NDArray[np.bool_] | None = None) -> Array:
+    """Return the covariance of the unknowns that are `among`, the others held; what the data do not see: infinite."""
+    among = np.ones(len(fit.unknowns), dtype=bool) if among is None else among
+    information, f = fit.information[np.ix_(among, among)], int(among.sum())
+    lengths = [len(s) for s in fit.scores]
+    block = max(int(_BLOCK_TIMES * correlation_time(fit.residuals)), _LEAST_BLOCK)
+    # More unknowns than blocks would make the sum singular, and every error zero somewhere.
+    block = max(min(block, sum(lengths) // max(_BLOCKS_PER_UNKNOWN * f, 1)), 1)
+    sums: list[Array] = []
+    for score in fit.scores:
+        edges = np.linspace(0, len(score), max(round(len(score) / block), 1) + 1).round().astype(int)[:-1]
+        sums.append(np.add.reduceat(score[:, among], edges, axis=0))
+    blocks = np.concatenate(sums)
+    middle = blocks.T @ blocks * len(blocks) / max(len(blocks) - f, 1)
+    scale = 1 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+    sizes, axes = np.linalg.eigh(information * np.outer(scale, scale))
+    seen = sizes > _UNSEEN * sizes[-1]
+    inverse = (axes[:, seen] / sizes[seen]) @ axes[:, seen].T * np.outer(scale, scale)
+    covariance = inverse @ middle @ inverse
+    unseen = axes[:, ~seen] * scale[:, None]
+    for direction in unseen.T:
+        touched = np.abs(direction) > 1e-6 * np.abs(direction).max()
+        covariance[touched, touched] = np.inf
+    return (covariance + covariance.T) / 2
+
+
+def undetermined_of(
+    names: Sequence[str], values: Array, errors: Array, *, covariance: Array, friction: slice
+) -> list[str]:
+    """Return sentences on numbers that the data leave open, and on pairs that they cannot tell apart."""
+    deviations = np.sqrt(np.diag(covariance))
+    sentences: list[str] = []
+    for k, name in enumerate(names):
+        if not np.isfinite(errors[k]):
+            sentences.append(f"{name}: these swings do not depend on it, or only together with another")
+        elif k in range(*friction.indices(len(names))) and abs(values[k]) < 2 * errors[k]:
+            sentences.append(f"{name}: {values[k]:.3g} ± {errors[k]:.2g} (standard error) may as well be zero")
+    for i in range(len(names)):
+        for j in range(i):
+            product = deviations[i] * deviations[j]
+            if not np.isfinite(product) or product == 0:
+                continue
+            alike = covariance[i, j] / product
+            if abs(alike) >= ALIKE:
+                factor = np.sqrt((1 + abs(alike)) / max(1 - abs(alike), 1e-12))
+                kind = "sum" if alike < 0 else "difference"
+                sentences.append(
+                    f"{names[j]} and {names[i]} apart (correlation {alike:+.3f}): their {kind}, each over its standard "
+                    f"error, is known {factor:.0f} times better than what is across it"
+                )
+    return sentences
+
+
+_ROUNDING = 1e-9
+"""Relative, of mean squares: a law whose coefficient came out as zero predicts the same but for rounding."""
+LAWS: tuple[tuple[Friction, ...], ...] = (
+    (),
+    (Friction.COULOMB,),
+    (Friction.QUADRATIC,),
+    (Friction.COULOMB, Friction.QUADRATIC),
+)
+
+
+@dataclass(frozen=True)
+class IdentificationSettings:
+    """zeros: "free", "none", or "chosen" by the error on what was left out. left_out: one segment of so many, the last
+    of each. longest s: a longer segment is cut into equal ones; None: 4 s, but 1 s where the cart moved, as in runs,
+    which stay near saddles. laws: the sets of laws besides the viscous one to try.
+    """
+
+    zeros: str = "chosen"
+    left_out: int = 3
+    longest: float | None = None
+    laws: tuple[tuple[Friction, ...], ...] = LAWS
+    fit: FitSettings = field(default_factory=FitSettings)
+
+    def __post_init__(self) -> None:
+        """Refuse impossible settings.
+
+        Raises:
+            InputError: names the setting, its value and what is allowed.
+        """
+        if self.zeros not in ("free", "none", "chosen"):
+            raise InputError(f"identify: zeros = {self.zeros!r}: must be free, none or chosen")
+        if not self.laws:
+            raise InputError("identify: laws = (): must name at least one set, () for viscous friction alone")
+        if self.left_out < 2:
+            raise InputError(f"identify: left_out = {self.left_out!r}: must be at least 2")
+        if self.longest is not None and not (np.isfinite(self.longest) and self.longest > 0):
+            raise InputError(f"identify: longest = {self.longest!r}: must be a positive number of seconds")
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A set of terms: fitted, and its rms (L,) in rad on each segment left out."""
+
+    laws: tuple[Friction, ...]
+    zeros: bool
+    unknowns: int
+    left_out: Array
+    fit: SwingFit
+    predicted: SwingFit
+
+    @property
+    def terms(self) -> tuple[str, ...]:
+        """Names of its terms."""
+        return ("viscous", *(law.value for law in self.laws), *(("zeros",) if self.zeros else ()))
+
+    @property
+    def left_out_rms(self) -> float:
+        """Root of the mean squared error over all segments left out, rad."""
+        return float(np.sqrt((self.left_out**2).mean()))
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """What was identified.
+
+    arms: the nearest to the starting model's with the identified ratios. names, values, errors (f,): of the ratios,
+    then of the encoders' zeros where free (rad, each recording's own); covariance (f, f), none where a value lies on
+    its bound. zeros (recordings, n) rad: shown less true. undetermined: sentences. candidates, chosen: index of one.
+    started_at: rms (L,) rad of the starting model on the segments left out. swings, residuals (K, n) rad: of each
+    segment.
+    """
+
+    start: ArmChainParameters
+    arms: ArmChainParameters
+    names: tuple[str, ...]
+    values: Array
+    errors: Array
+    covariance: Array
+    zeros: Array
+    undetermined: tuple[str, ...]
+    candidates: tuple[Candidate, ...]
+    chosen: int
+    started_at: Array
+    segments: tuple[Segment, ...]
+    swings: tuple[Swing, ...]
+    residuals: tuple[Array, ...]
+    status: str
+
+    @property
+    def friction_terms(self) -> tuple[str, ...]:
+        """Laws of friction that were chosen."""
+        return tuple(term for term in self.candidates[self.chosen].terms if term != "zeros")
+
+    @property
+    def correlation(self) -> Array:
+        """Correlation matrix (f, f), zero for what lies on a bound or is not determined."""
+        deviations = np.sqrt(np.diag(self.covariance))
+        scale = np.where((deviations > 0) & np.isfinite(deviations), deviations, np.inf)
+        return self.covariance / np.outer(scale, scale)
+
+
+def identify(
+    recordings: Sequence[Recording],
+    start: ArmChainParameters,
+    *,
+    settings: IdentificationSettings | None = None,
+    progress: Progress = no_progress,
+) -> Identification:
+    """Identify arms from recordings, starting from those of a model.
+
+    Raises:
+        InputError: the recordings are of another pendulum, too short or too few.
+        GoalMissed: no candidate could be fitted; the sentence says why.
+    """
+    settings = settings or IdentificationSettings()
+    swings, about = cut_into_swings(recordings, start.count, settings.longest)
+    used = np.array([k % settings.left_out != settings.left_out - 1 for k in range(len(swings))])
+    if used.all():
+        raise InputError(
+            f"{len(swings)} segments: one in {settings.left_out} is left out to choose the laws by; give at "
+            f"least {settings.left_out}"
+        )
+    choices = {"free": (True,), "none": (False,), "chosen": (False, True)}[settings.zeros]
+    ways = [(laws, zeros) for laws in settings.laws for zeros in choices]
+    candidates: list[Candidate] = []
+    reasons: list[str] = []
+    for number, (laws, zeros) in enumerate(ways):
+        progress(_doing(laws, zeros), number / (len(ways) + 1))
+        near = candidates[-1] if candidates and candidates[-1].laws == laws else None
+        candidate = _fitted(swings, used, with_laws(start, laws), zeros, settings.fit, near)
+        if candidate.fit.converged and candidate.predicted.converged:
+            candidates.append(candidate)
+        else:
+            reasons.append(f"{' + '.join(candidate.terms)}: {candidate.fit.status}")
+    if not candidates:
+        raise GoalMissed(f"no candidate could be fitted; {reasons[0]}")
+    progress("uncertainty", len(ways) / (len(ways) + 1))
+    before = _start_alone(swings, used, start, settings.fit)
+    chosen = choose(candidates)
+    best = candidates[chosen]
+    arms = with_laws(start, best.laws)
+    names = (*ratio_names(arms), *_zero_names(recordings, best.fit.zeros, best.zeros))
+    values = np.concatenate([best.fit.parameters, best.fit.zeros.ravel() if best.zeros else []])
+    friction = slice(inertial_count(arms.count), len(best.fit.parameters))
+    bound = np.zeros(len(values), dtype=bool)
+    bound[friction] = values[friction] <= 0
+    covariance, errors = covariance_at_bounds(best.fit, bound)
+    rms = np.empty(len(swings))
+    rms[used], rms[~used] = best.fit.rms, best.left_out
+    residuals: list[Array] = []
+    of_used, of_left = iter(best.fit.residuals), iter(best.predicted.residuals)
+    residuals = [next(of_used if one else of_left) for one in used]
+    progress("done", 1.0)
+    failed = f"; {len(reasons)} candidates failed ({reasons[0]})" if reasons else ""
+    return Identification(
+        start=start,
+        arms=nearest_arms(best.fit.parameters, arms),
+        names=names,
+        values=values,
+        errors=errors,
+        covariance=covariance,
+        zeros=best.fit.zeros,
+        undetermined=(
+            f"{unit_name(arms.count)} itself: masses, inertias and friction may all grow in proportion and the arms "
+            "swing the same; only ratios to it are known",
+            *undetermined_of(names, values, errors, covariance=covariance, friction=friction),
+        ),
+        candidates=tuple(candidates),
+        chosen=chosen,
+        started_at=before,
+        segments=tuple(replace(one, used=bool(used[k]), rms=float(rms[k])) for k, one in enumerate(about)),
+        swings=tuple(swings),
+        residuals=tuple(residuals),
+        status=f"{' + '.join(best.terms)}: {best.fit.status}{failed}",
+    )
+
+
+def _doing(laws: tuple[Friction, ...], zeros: bool) -> str:
+    return "fit " + ", ".join(["viscous", *laws, *(["zeros"] if zeros else [])])
+
+
+def _zero_names(recordings: Sequence[Recording], zeros: Array, free: bool) -> list[str]:
+    if not free:
+        return []
+    of = [f" {r.name}" if len(recordings) > 1 else "" for r in recordings]
+    return [f"zero_{i + 1}{of[k]}" for k in range(zeros.shape[0]) for i in range(zeros.shape[1])]
+
+
+def choose(candidates: Sequence[Candidate]) -> int:
+    """Return the index of the one with fewest unknowns whose mean squared error is within one standard error of best.
+
+    The standard error is that of the best one's mean over the segments left out. Of equally many unknowns the better.
+    What differs by rounding alone is as good.
+    """
+    squares = [c.left_out**2 for c in candidates]
+    best = min(squares, key=lambda s: float(s.mean()))
+    most = float(best.mean()) + (float(best.std(ddof=1)) / np.sqrt(len(best)) if len(best) > 1 else 0.0)
+    within = [k for k, s in enumerate(squares) if s.mean() <= most * (1 + _ROUNDING)]
+    return min(within, key=lambda k: (candidates[k].unknowns, float(squares[k].mean())))
+
+
+def _fitted(
+    swings: list[Swing],
+    used: NDArray[np.bool_],
+    arms: ArmChainParameters,
+    zeros: bool,
+    settings: FitSettings,
+    near: Candidate | None,
+) -> Candidate:
+    model = Swings(arms)
+    m, from_ = model.parameters, inertial_count(arms.count)
+    groups = 1 + max(s.group for s in swings)
+    fit = fit_swings(
+        model,
+        [s for s, one in zip(swings, used, strict=True) if one],
+        parameters=base_ratios(arms) if near is None else near.fit.parameters,
+        zeros=np.zeros((groups, arms.count)),
+        free=np.ones(m, dtype=bool),
+        free_zeros=zeros,
+        friction_from=from_,
+        settings=settings,
+        near=None if near is None else near.fit.window_starts,
+    )
+    predicted = predict_swings(model, [s for s, one in zip(swings, used, strict=True) if not one], fit, settings)
+    unknowns = m + (fit.zeros.size if zeros else 0)
+    return Candidate(arms.friction, zeros, unknowns, predicted.rms, fit, predicted)
+
+
+def predict_swings(model: Swings, swings: list[Swing], fit: SwingFit, settings: FitSettings) -> SwingFit:
+    """Return the swings' starts fitted by least squares with the ratios and zeros of `fit` held."""
+    return fit_swings(
+        model,
+        swings,
+        parameters=fit.parameters,
+        zeros=fit.zeros,
+        free=np.zeros(model.parameters, dtype=bool),
+        free_zeros=False,
+        friction_from=model.parameters,
+        settings=replace(settings, robust=0.0),
+    )
+
+
+def _start_alone(
+    swings: list[Swing], used: NDArray[np.bool_], start: ArmChainParameters, settings: FitSettings
+) -> Array:
+    model = Swings(start)
+    return fit_swings(
+        model,
+        [s for s, one in zip(swings, used, strict=True) if not one],
+        parameters=base_ratios(start),
+        zeros=np.zeros((1 + max(s.group for s in swings), start.count)),
+        free=np.zeros(model.parameters, dtype=bool),
+        free_zeros=False,
+        friction_from=model.parameters,
+        settings=replace(settings, robust=0.0),
+    ).rms
+
+
+_AT = (-3.0, -1.5, 1.5, 3.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """Of one unknown: values (K,), the share (K,) by which the loss rises, and what the linearised fit promises."""
+
+    name: str
+    best: float
+    error: float
+    values: Array
+    rises: Array
+    promised: Array
+
+
+def profiles(
+    found: Identification, *, settings: FitSettings | None = None, progress: Progress = no_progress
+) -> tuple[Profile, ...]:
+    """Return the profile of each unknown within three standard errors, by fitting the others again."""
+    fit = found.candidates[found.chosen].fit
+    settings = replace(settings or FitSettings(), bend=fit.bend, tolerance=1e-5)
+    model = Swings(found.arms)
+    m, swings = model.parameters, [s for s, about in zip(found.swings, found.segments, strict=True) if about.used]
+    every = np.concatenate([fit.parameters, fit.zeros.ravel()])
+    inside = np.diag(found.covariance) > 0
+    information = np.where(np.outer(inside, inside), fit.information, 0.0)
+    information[~inside, ~inside] = np.diag(fit.information)[~inside]
+    # What lies on a bound has the standard error, and the curve, that it would have without it.
+    curvature = np.where(
+        inside,
+        1 / np.diag(np.linalg.pinv(information, hermitian=True)),
+        1 / np.maximum(np.diag(np.linalg.pinv(fit.information, hermitian=True)), 1e-300),
+    )
+    out: list[Profile] = []
+    for k, (name, index) in enumerate(zip(found.names, fit.unknowns, strict=True)):
+        progress("profiles", k / len(found.names))
+        best, error = float(every[index]), float(found.errors[k])
+        values = best + error * np.array(_AT)
+        values = np.unique(np.maximum(values, 0.0) if inertial_count(found.arms.count) <= index < m else values)
+        values = values[np.abs(values - best) > 1e-3 * error] if np.isfinite(error) else values[:0]
+        rises = []
+        for value in values:
+            held = every.copy()
+            held[index] = value
+            free = np.ones(m, dtype=bool)
+            if index < m:
+                free[index] = False
+            again = fit_swings(
+                model,
+                swings,
+                parameters=held[:m],
+                zeros=held[m:].reshape(fit.zeros.shape),
+                free=free,
+                # A zero is held together with the others of its kind: they hardly mix.
+                free_zeros=len(fit.unknowns) > m and index < m,
+                friction_from=inertial_count(found.arms.count),
+                settings=settings,
+                near=fit.window_starts,
+            )
+            rises.append(again.loss / fit.loss - 1)
+        promised = curvature[k] * (values - best) ** 2 / 2 / fit.loss
+        out.append(Profile(name, best, error, values, np.array(rises), promised))
+    progress("profiles", 1.0)
+    return tuple(out)

@@ -1,1 +1,0 @@
-"""The simulated bench: plant, sensors, drive, and the loop that closes them."""

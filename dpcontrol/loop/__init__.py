@@ -1,0 +1,1 @@
+"""The closed loop: bench, supervisor, one run and many."""

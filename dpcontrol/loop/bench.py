@@ -1,0 +1,351 @@
+"""What stands between the model and the world: sensors, drive, disturbances; and the plant that they make of the arms.
+
+Source: the rig's data sheets as read for its parameters: 40,000 counts per turn, 1 µm on the cart, 3 m/s.
+
+What the sensors say of a state: relative encoders that count, a cart's scale, and what goes wrong with them.
+
+    joint_i = θ_i - θ_{i-1} + zero_i + noise,   s_i = q round(joint_i / q) - q missed_i,   θ̂_i = s_1 + … + s_i
+
+q: one count. Angles count from hanging, the cart from the track's centre.
+
+Source: the rig's data sheets as read for its parameters: 40,000 counts per turn, 1 µm on the cart.
+
+The cart's drive: how long a command takes, what becomes of it, and where the track ends.
+
+    demanded = clip(response · command + noise),   |demanded| ≤ a_max,   |demanded - last| ≤ jerk · period
+    acting:   |w + u Δt| ≤ v_max,   w = v + lag · a         (w: velocity reference of the drive's loop)
+
+A command given at tick k acts from (k + delay) periods on, for one period.
+
+Source: the rig's data sheets as read for its parameters: commanded in velocity, 3 m/s, limit switches at both ends.
+
+What nobody commanded: pushes on the arms, knocks on the cart, a track that is not level.
+
+    push:  M(θ) Δω = impulse          knock:  Δẋ given, arms keep their momenta          tilt:  gravity (g sin, -g cos)
+
+Pushes and knocks take no time and act at a tick, right after its reading.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.dynamics.plant import PlantParameters
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.references.problem import Limits
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SensorSettings:
+    """The sensors and their faults; what is random is drawn beforehand, see `dpcontrol.loop.draw`.
+
+    counts: of a relative arm encoder per turn, 0 for no rounding; cart_resolution: of the cart's scale, m, 0 likewise.
+    zero_error: rad, uniform ± on the zero of each arm's encoder, so that outer angles carry the sum. noise: standard
+    deviation on each relative angle, rad; cart_noise: on the cart, m. missed_counts: per s that each encoder loses
+    while its joint moves. dropout: share of ticks at which no sensor is read. stuck_at s: from when the sensor
+    `stuck_sensor` (0, 1 … the arms, then the cart) repeats its value. jitter s: a reading is up to so old, uniform.
+    rate_noise rad/s: standard deviation of what is added to estimated rates, as where rates are measured.
+    """
+
+    counts: int = 40_000
+    cart_resolution: float = 1e-6
+    zero_error: float = 0.0
+    noise: float = 0.0
+    cart_noise: float = 0.0
+    missed_counts: float = 0.0
+    dropout: float = 0.0
+    stuck_at: float = math.inf
+    stuck_sensor: int = 0
+    jitter: float = 0.0
+    rate_noise: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what is no sensor.
+
+        Raises:
+            InputError: names the setting, its value and what is allowed.
+        """
+        if self.counts < 0:
+            raise InputError(f"sensors: counts = {self.counts!r}: must be at least 1, or 0 for no rounding")
+        if self.cart_resolution and not 1e-12 <= self.cart_resolution <= 1.0:
+            raise InputError(
+                f"sensors: cart_resolution = {self.cart_resolution!r}: must be 1e-12 to 1 metres, or 0 for no rounding"
+            )
+        bounds = {"zero_error": np.pi, "noise": np.pi, "cart_noise": 1.0, "missed_counts": 1e6, "dropout": 1.0,
+                  "jitter": 1.0, "rate_noise": 1e3}  # fmt: skip
+        for name, most in bounds.items():
+            value = getattr(self, name)
+            if not 0 <= value <= most:
+                raise InputError(f"sensors: {name} = {value!r}: must be 0 to {most:.4g}")
+        if not self.stuck_at >= 0:
+            raise InputError(f"sensors: stuck_at = {self.stuck_at!r}: must be zero or positive seconds")
+        if self.stuck_sensor < 0:
+            raise InputError(f"sensors: stuck_sensor = {self.stuck_sensor!r}: must be 0 (inner arm) or more")
+        if self.missed_counts and not self.counts:
+            raise InputError(
+                f"sensors: missed_counts = {self.missed_counts!r} with counts = 0: an encoder that does not count "
+                "misses none; give its counts"
+            )
+
+    @property
+    def steps(self) -> tuple[float, float]:
+        """The rounding steps of a relative angle, rad, and of the cart, m; zero for none."""
+        return (2 * np.pi / self.counts if self.counts else 0.0), self.cart_resolution
+
+    def covariance(self, arms: int) -> Array:
+        """Return the covariance (n+1, n+1) of the measured positions: a count's q²/12 and the noise, summed.
+
+        cov(angle_i, angle_j) = (min(i, j) + 1)(q²/12 + noise²). Zero where nothing is rounded nor noisy.
+        """
+        angle, cart = self.steps
+        index = np.arange(arms)
+        out = np.zeros((arms + 1, arms + 1))
+        out[:arms, :arms] = (np.minimum.outer(index, index) + 1) * (angle**2 / 12 + self.noise**2)
+        out[arms, arms] = cart**2 / 12 + self.cart_noise**2
+        return out
+
+
+class Encoders:
+    """Relative encoders of `arms` joints and the cart's scale, during one run: they remember what went wrong.
+
+    zeros (n,) rad: the encoders' zero errors.
+
+    Raises:
+        InputError: the sensor that sticks is none of these.
+    """
+
+    def __init__(self, arms: int, settings: SensorSettings, *, zeros: Array | None = None) -> None:
+        if math.isfinite(settings.stuck_at) and settings.stuck_sensor > arms:
+            raise InputError(
+                f"sensors: stuck_sensor = {settings.stuck_sensor!r}: must be 0 to {arms}; {arms} is the cart's scale"
+            )
+        self.settings = settings
+        self._arms = arms
+        self._angle, self._cart = settings.steps
+        self._zeros = [0.0] * arms if zeros is None else np.asarray(zeros, dtype=float).tolist()
+        self._missed = [0] * arms
+        self._stuck: float | None = None
+        self._stuck_at = settings.stuck_at
+
+    def measure(
+        self,
+        state: Sequence[float],
+        time: float = 0.0,
+        *,
+        missed: NDArray[np.int64] | None = None,
+        noise: Array | None = None,
+    ) -> Array:
+        """Return absolute angles and cart position (n+1,) as the sensors give them for `state` (2n+2,) at `time` s.
+
+        missed (n,): counts that the encoders lose in this tick where their joints move; noise (n+1,): added to the
+        relative angles, rad, and to the cart, m. A list of plain floats is the fastest state.
+        """
+        # A few plain floats take a third of the time of numpy's calls on so short arrays.
+        step, arms = self._angle, self._arms
+        lost, added = self._missed, None if noise is None else noise.tolist()
+        if missed is not None:
+            self._miss(state, missed.tolist())
+        readings: list[float] = []
+        inner = 0.0
+        for k, zero in enumerate(self._zeros):
+            outer = state[k]
+            value = outer - inner + zero
+            inner = outer
+            if added is not None:
+                value += added[k]
+            readings.append(step * (round(value / step) - lost[k]) if step else value)
+        cart = state[2 * arms] if added is None else state[2 * arms] + added[arms]
+        readings.append(self._cart * round(cart / self._cart) if self._cart else cart)
+        if time >= self._stuck_at:
+            which = self.settings.stuck_sensor
+            if self._stuck is None:
+                self._stuck = readings[which]
+            readings[which] = self._stuck
+        for k in range(1, arms):
+            readings[k] += readings[k - 1]
+        return np.array(readings)
+
+    def _miss(self, state: Sequence[float], missed: Sequence[int]) -> None:
+        """Lose counts against the direction in which each joint moves; one at rest loses none."""
+        inner = 0.0
+        for k, lost in enumerate(missed):
+            outer = state[self._arms + k]
+            if lost and outer != inner:
+                self._missed[k] += lost if outer > inner else -lost
+            inner = outer
+
+
+@dataclass(frozen=True)
+class DriveSettings:
+    """The drive and its cart; what is random is drawn beforehand, see `dpcontrol.loop.draw`.
+
+    delay: from reading to acting, in periods, also fractions. lag s: time constant of the velocity loop. cart_mass
+    kg (zero: the arms do not move the cart) and cart_viscous N s/m. velocity m/s, acceleration m/s²: what it can do,
+    inf: as the scene's limits; jerk m/s³. command_noise m/s²: standard deviation, Gaussian, new each period.
+    response: share of a command that the drive gives. track m: hard stops stand at ± this, inf: at the scene's limit
+    of position. switch_margin m: so far before them the limit switches are touched.
+    """
+
+    delay: float = 1.0
+    lag: float = 0.0
+    cart_mass: float = 0.0
+    cart_viscous: float = 0.0
+    velocity: float = math.inf
+    acceleration: float = math.inf
+    jerk: float = math.inf
+    command_noise: float = 0.0
+    response: float = 1.0
+    track: float = math.inf
+    switch_margin: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what is no drive; lag, mass and friction are checked with the plant's parameters.
+
+        Raises:
+            InputError: names the setting, its value and what is allowed.
+        """
+        bounds = {"delay": (1000.0, " periods"), "command_noise": (1e6, " m/s²"), "response": (10.0, ""),
+                  "switch_margin": (1e3, " m")}  # fmt: skip
+        for name, (most, unit) in bounds.items():
+            value = getattr(self, name)
+            if not 0 <= value <= most:
+                raise InputError(f"drive: {name} = {value!r}: must be 0 to {most:g}{unit}")
+        for name in ("velocity", "acceleration", "jerk", "track"):
+            if not getattr(self, name) > 0:
+                raise InputError(
+                    f"drive: {name} = {getattr(self, name)!r}: must be positive, or inf for none of its own"
+                )
+
+    def limits(self, limits: Limits) -> Limits:
+        """Return what the drive can do: its own bounds where it has them, else those of the scene."""
+        return Limits(
+            position=self.track if math.isfinite(self.track) else limits.position,
+            velocity=self.velocity if math.isfinite(self.velocity) else limits.velocity,
+            acceleration=self.acceleration if math.isfinite(self.acceleration) else limits.acceleration,
+            jerk=self.jerk if math.isfinite(self.jerk) else 0.0,
+        )
+
+    def within(self, limits: Limits, period: float) -> "DriveLimits":
+        """Return what it does with demands, `period` s apart, under the scene's limits."""
+        own = self.limits(limits)
+        step = self.jerk * period if math.isfinite(self.jerk) else math.inf
+        return DriveLimits(float(own.acceleration), float(own.velocity), step, self.response)
+
+
+@dataclass(frozen=True)
+class DriveLimits:
+    """What the drive does with a demand within its bounds; all numbers are plain floats.
+
+    acceleration m/s², velocity m/s, jerk_step m/s² per period (inf for none), response.
+    """
+
+    acceleration: float
+    velocity: float
+    jerk_step: float
+    response: float
+
+    def demanded(self, command: float, noise: float, last: float) -> float:
+        """Return what becomes of `command` on its way, `last` having been demanded before it."""
+        wanted = self.response * command + noise
+        most = self.acceleration
+        wanted = most if wanted > most else -most if wanted < -most else wanted
+        low, high = last - self.jerk_step, last + self.jerk_step
+        return high if wanted > high else low if wanted < low else wanted
+
+    def acting(self, demanded: float, velocity: float, duration: float) -> float:
+        """Return what acts for `duration` s, so that the loop's velocity reference, now `velocity`, stays in bounds.
+
+        One that a knock has thrown out of them comes back as fast as the drive can.
+        """
+        low, high = (-self.velocity - velocity) / duration, (self.velocity - velocity) / duration
+        wanted, most = high if demanded > high else low if demanded < low else demanded, self.acceleration
+        return wanted if -most <= wanted <= most else math.copysign(most, wanted)
+
+    def braking(self, velocity: float, duration: float) -> float:
+        """Return the acceleration that brings `velocity` to zero, as fast as the drive can."""
+        return min(max(-velocity / duration, -self.acceleration), self.acceleration)
+
+
+@dataclass(frozen=True)
+class Push:
+    """One blow at `time` s, at the tick next to it: on arm `arm` (0: the inner) and on the cart.
+
+    impulse N m s: of a couple on the arm; rate rad/s: jump of the arm's rate in place of or besides it; knock m/s:
+    jump of the cart's velocity.
+    """
+
+    time: float
+    arm: int = 0
+    impulse: float = 0.0
+    rate: float = 0.0
+    knock: float = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse what is no blow.
+
+        Raises:
+            InputError: names the setting, its value and what is allowed.
+        """
+        if not (np.isfinite(self.time) and self.time >= 0):
+            raise InputError(f"push: time = {self.time!r}: must be zero or positive seconds")
+        if self.arm < 0:
+            raise InputError(f"push: arm = {self.arm!r}: must be 0 (inner arm) or more")
+        for name in ("impulse", "rate", "knock"):
+            if not abs(getattr(self, name)) <= 1e3:
+                raise InputError(f"push: {name} = {getattr(self, name)!r}: must be a number of at most 1000")
+
+
+@dataclass(frozen=True)
+class DisturbanceSettings:
+    """Seeded and explicit disturbances.
+
+    pushes: how many blows on arms in a run, at random times on random arms, each of a uniform ± push_impulse N m s;
+    knocks: how many on the cart, each a uniform ± knock_velocity m/s. tilt rad of the track, positive with the right
+    end down; angles are measured from the track's normal, so hanging arms read `tilt`. explicit: further blows.
+    """
+
+    pushes: int = 0
+    push_impulse: float = 0.0
+    knocks: int = 0
+    knock_velocity: float = 0.0
+    tilt: float = 0.0
+    explicit: tuple[Push, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what is no disturbance; the tilt is checked with the plant's parameters.
+
+        Raises:
+            InputError: names the setting, its value and what is allowed.
+        """
+        for name in ("pushes", "knocks"):
+            if not 0 <= getattr(self, name) <= 10_000:
+                raise InputError(f"disturbances: {name} = {getattr(self, name)!r}: must be 0 to 10000")
+        for name in ("push_impulse", "knock_velocity"):
+            if not 0 <= getattr(self, name) <= 1e3:
+                raise InputError(f"disturbances: {name} = {getattr(self, name)!r}: must be 0 to 1000")
+
+
+@dataclass(frozen=True)
+class BenchSettings:
+    """What stands between the model and the world."""
+
+    sensors: SensorSettings = field(default_factory=SensorSettings)
+    drive: DriveSettings = field(default_factory=DriveSettings)
+    disturbances: DisturbanceSettings = field(default_factory=DisturbanceSettings)
+
+    def plant(self, arms: ArmChainParameters) -> PlantParameters:
+        """Return these arms on this drive and track.
+
+        Raises:
+            InputError: the drive or the tilt is impossible.
+        """
+        drive = self.drive
+        return PlantParameters(
+            arms, lag=drive.lag, cart_mass=drive.cart_mass, cart_viscous=drive.cart_viscous, tilt=self.disturbances.tilt
+        )

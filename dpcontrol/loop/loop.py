@@ -1,0 +1,305 @@
+"""A simulated run: plant, sensors and drive drawn from a seed, a controller and an estimator with the model.
+
+All that is random comes from the seed; the controller and the estimator know the model's parameters and the drive's
+nominal limits and delay, and nothing of what was drawn.
+
+An estimator whose rates are noisy, as where rates are measured and not estimated: one kind of trouble of a bench.
+
+    what the controller is given at tick k:   x̂ + (0, ν_k, 0),   ν_k ~ N(0, σ²) on the arms' rates
+
+The estimator itself goes on without the noise; only the state that the controller steers by carries it.
+Source: Wiebe et al., Open-source dual-purpose acrobot and pendubot platform (IEEE RAM, 2024), section on benchmarking.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.control.consistency import chi_square_band
+from dpcontrol.control.estimation import make_estimator
+from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings
+from dpcontrol.control.interface import Controller, Estimate, Estimator
+from dpcontrol.control.model import SampledModel
+from dpcontrol.control.tracking import TvlqrSettings
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations
+from dpcontrol.dynamics.ratios import Uncertainty
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.tables import suggest
+from dpcontrol.loop.bench import BenchSettings, DisturbanceSettings, DriveSettings, SensorSettings
+from dpcontrol.loop.control_loop import CommandPath, ControlLoop, Fallback, LoopRecord
+from dpcontrol.loop.controllers import KEEPERS, ControllerSettings, make_controller, nearest_keeper
+from dpcontrol.loop.draw import draw_bench
+from dpcontrol.loop.result import LoopResult, LoopSink, NoSink
+from dpcontrol.loop.simulated import SimulatedRig
+from dpcontrol.loop.supervisor import Supervisor, SupervisorSettings
+from dpcontrol.references.problem import Limits
+from dpcontrol.references.reference import Reference
+
+Array = NDArray[np.float64]
+
+
+class NoisyRates:
+    """An `Estimator` for one run: `inner`, and `noise` (K, n) rad/s on the rates that it predicts at each tick.
+
+    Each update and step is a tick, beginning with tick 0.
+    """
+
+    def __init__(self, inner: Estimator, noise: Array) -> None:
+        self._inner, self._noise = inner, noise
+        self._tick = -1
+
+    @property
+    def kind(self) -> str:
+        """Return the name of its kind."""
+        return self._inner.kind
+
+    @property
+    def extra_names(self) -> tuple[str, ...]:
+        """Return the names of what it is augmented by."""
+        return self._inner.extra_names
+
+    def first(self, state: Array) -> Estimate:
+        """Return the estimate before any measurement, at `state` (N,)."""
+        return self._inner.first(state)
+
+    def update(
+        self, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None = None, *, coming: float = 0.0
+    ) -> Estimate:
+        """Return the estimate after the positions `measured` (n+1,); present (n+1,): which of them count."""
+        self._tick += 1
+        return self._inner.update(estimate, measured, present, coming=coming)
+
+    def step(
+        self,
+        estimate: Estimate,
+        command: float,
+        measured: Array,
+        present: NDArray[np.bool_] | None = None,
+        *,
+        coming: float = 0.0,
+    ) -> Estimate:
+        """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came."""
+        self._tick += 1
+        return self._inner.step(estimate, command, measured, present, coming=coming)
+
+    def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
+        """Return the state (N,) after the commands on their way, this tick's noise on its rates.
+
+        Before the first measurement, where only the start is known, there is none.
+        """
+        state = self._inner.ahead(estimate, commands).copy()
+        if self._tick < 0:
+            return state
+        arms = self._noise.shape[1]
+        state[arms : 2 * arms] += self._noise[self._tick]
+        return state
+
+    def covariance(self, estimate: Estimate) -> Array:
+        """Return the covariance (N+E, N+E) of state and extra."""
+        return self._inner.covariance(estimate)
+
+    def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
+        """Return an estimate that trusts the positions `measured` (n+1,) and little else: for recovery when lost."""
+        return self._inner.restarted(estimate, measured)
+
+
+@dataclass(frozen=True)
+class LoopSettings:
+    """A run: rate Hz; initial_error rad, uniform ± on each angle of the true first state; mismatch of the plant's
+    parameters (share); model_uncertainty: factor on the standard errors that the model's file gives, by which the plant
+    is drawn besides; seed of all that is random. travel m: the cart's greatest distance from the centre, zero for the
+    reference's own limit. keep: what keeps the stops of a walk planned so (`programs.KEEPERS`), while TVLQR flies.
+    """
+
+    seed: int
+    rate: float = 1000.0
+    initial_error: float = 0.0
+    mismatch: float = 0.0
+    model_uncertainty: float = 0.0
+    travel: float = 0.0
+    keep: str = "none"
+    controller: ControllerSettings = field(default_factory=TvlqrSettings)
+    estimator: EstimatorSettings = field(default_factory=EkfSettings)
+    sensors: SensorSettings = field(default_factory=SensorSettings)
+    drive: DriveSettings = field(default_factory=DriveSettings)
+    disturbances: DisturbanceSettings = field(default_factory=DisturbanceSettings)
+    supervisor: SupervisorSettings = field(default_factory=SupervisorSettings)
+
+    def __post_init__(self) -> None:
+        """Refuse an impossible run.
+
+        Raises:
+            InputError: names the setting, its value and what is allowed.
+        """
+        if not np.isfinite(self.rate) or not 1 <= self.rate <= 10_000:
+            raise InputError(f"run: rate = {self.rate!r}: must be 1 to 10000 Hz")
+        if self.seed < 0:
+            raise InputError(f"run: seed = {self.seed!r}: must be zero or positive")
+        most_of = {"initial_error": np.pi, "mismatch": 0.9, "model_uncertainty": 100.0, "travel": 1000.0}
+        for name, most in most_of.items():
+            value = getattr(self, name)
+            if not 0 <= value <= most:
+                raise InputError(f"run: {name} = {value!r}: must be 0 to {most:.4g}")
+        if self.keep not in KEEPERS:
+            raise InputError(f"run: keep = {self.keep!r}: {suggest(self.keep, KEEPERS)}")
+        if self.keep != "none" and not isinstance(self.controller, TvlqrSettings):
+            raise InputError(
+                f'run: keep = {self.keep!r}: what flies between the stops is "tvlqr", not "{self.controller.kind}"'
+            )
+
+    @property
+    def bench(self) -> BenchSettings:
+        """What stands between the model and the world."""
+        return BenchSettings(self.sensors, self.drive, self.disturbances)
+
+    def limits(self, reference: Reference) -> Limits:
+        """Return the cart's limits in this run: the reference's, with this travel where it is given."""
+        return replace(reference.limits, position=self.travel) if self.travel else reference.limits
+
+
+def sampled_model(parameters: ArmChainParameters, rate: float) -> SampledModel:
+    """Return the cart-level model of these arms between ticks at `rate` Hz."""
+    equations = arm_chain_equations(parameters.count, Level.CART, friction=parameters.friction)
+    return SampledModel(equations, parameters.base(), period=1 / rate)
+
+
+def loop_controller(reference: Reference, parameters: ArmChainParameters, settings: LoopSettings) -> Controller:
+    """Return the controller of these settings, which any number of runs may share.
+
+    Raises:
+        InputError: the reference did not converge, or is not one of these arms.
+        GoalMissed: no controller can be made for it.
+    """
+    model = sampled_model(parameters, settings.rate)
+    return make_controller(
+        reference, parameters, model, settings=settings.controller, estimator=settings.estimator, keep=settings.keep
+    )
+
+
+def loop_fallback(reference: Reference, parameters: ArmChainParameters, settings: LoopSettings) -> Fallback | None:
+    """Return what these settings hold when tracking is lost, which any number of runs may share; None for nothing.
+
+    Raises:
+        InputError: the reference is of other arms.
+        GoalMissed: an orbit was not found, or cannot be held.
+    """
+    if settings.supervisor.hold == "none":
+        return None
+    law = settings.controller
+    flies = law if isinstance(law, TvlqrSettings) else TvlqrSettings()
+    return nearest_keeper(reference, parameters, sampled_model(parameters, settings.rate), flies=flies)
+
+
+def loop_estimator(parameters: ArmChainParameters, settings: LoopSettings) -> Estimator:
+    """Return the estimator of these settings; it believes in the sensors' resolution and noise."""
+    model = sampled_model(parameters, settings.rate)
+    return make_estimator(settings.estimator, model, noise=settings.sensors.covariance(parameters.count))
+
+
+def loop_supervisor(settings: LoopSettings, limits: Limits, *, can_hold: bool = False) -> Supervisor:
+    """Return a supervisor for one run within `limits`."""
+    period = 1 / settings.rate
+    reaction = (settings.drive.delay + 1) * period
+    return Supervisor(settings.supervisor, period, limits.position, limits.acceleration, reaction, can_hold=can_hold)
+
+
+def control_loop(
+    parameters: ArmChainParameters,
+    settings: LoopSettings,
+    controller: Controller,
+    *,
+    limits: Limits,
+    believed_delay: float | None = None,
+    rate_noise: Array | None = None,
+    sink: LoopSink | None = None,
+    fallback: Fallback | None = None,
+    progress: Progress = no_progress,
+) -> ControlLoop:
+    """Return a loop for any rig, simulated or real; believed_delay in periods, the drive's own by default.
+
+    rate_noise (K, n) rad/s: what is added to the rates that the controller is given at each tick.
+    """
+    estimator = loop_estimator(parameters, settings)
+    delay = settings.drive.delay if believed_delay is None else believed_delay
+    return ControlLoop(
+        estimator if rate_noise is None else NoisyRates(estimator, rate_noise),
+        controller,
+        path=CommandPath(limits, delay=delay, period=1 / settings.rate),
+        supervisor=loop_supervisor(settings, limits, can_hold=fallback is not None),
+        sink=NoSink() if sink is None else sink,
+        fallback=fallback,
+        progress=progress,
+    )
+
+
+def run_loop(
+    reference: Reference,
+    parameters: ArmChainParameters,
+    *,
+    settings: LoopSettings,
+    controller: Controller | None = None,
+    plant: ArmChainParameters | None = None,
+    uncertainty: Uncertainty | None = None,
+    sink: LoopSink | None = None,
+    fallback: Fallback | None = None,
+    progress: Progress = no_progress,
+) -> LoopResult:
+    """Track `reference` on a simulated bench, with `parameters` as the model of controller and estimator.
+
+    controller, fallback: made before, by `loop_controller` and `loop_fallback` with the same settings, to spare making
+    them for each of many seeds. plant: the arms to simulate; without it the model's, drawn from its `uncertainty` and
+    mismatched by the settings.
+
+    Raises:
+        InputError: the reference did not converge, or is not one of these arms; an uncertainty is asked for and not
+            known.
+        GoalMissed: no controller can be made for it, or no plant drawn.
+    """
+    if controller is None:
+        controller = loop_controller(reference, parameters, settings)
+    if fallback is None:
+        fallback = loop_fallback(reference, parameters, settings)
+    period, limits, first = 1 / settings.rate, settings.limits(reference), controller.first_state
+    if len(first) != 2 * parameters.count + 2:
+        raise InputError(f"the controller is for states of {len(first)} entries, these arms have {parameters.count}")
+    draw = draw_bench(
+        parameters, settings.bench, seed=settings.seed, ticks=controller.ticks + 1, period=period,
+        mismatch=settings.mismatch, model_uncertainty=settings.model_uncertainty, uncertainty=uncertainty,
+        initial_error=settings.initial_error, plant=plant,
+    )  # fmt: skip
+    loop = control_loop(
+        parameters, settings, controller, limits=limits, rate_noise=draw.rate_noise, sink=sink, fallback=fallback,
+        progress=progress,
+    )  # fmt: skip
+    rig = SimulatedRig(draw, settings.bench, limits=limits, start=first, queued=loop.queued)
+    return loop_result(loop.run(rig), plant=draw.plant.arms)
+
+
+def loop_result(record: LoopRecord, *, plant: ArmChainParameters | None = None) -> LoopResult:
+    """Return a run with its figures."""
+    ticks, n = record.ticks, record.ticks.measured.shape[1] - 1
+    states = ticks.estimates if ticks.truth is None else ticks.truth
+    away = states[:, :n] - ticks.references[:, :n]
+    nis = ticks.control[:, 5]
+    low, high = chi_square_band(n + 1)
+    known = np.isfinite(nis)
+    inside = (nis >= low) & (nis <= high)
+    period = float(ticks.times[1]) if len(ticks.times) > 1 else 0.0
+    return LoopResult(
+        ticks=ticks,
+        ending=record.ending,
+        reason=record.reason,
+        nis_inside_95=float(inside[known].mean()) if known.any() else float("nan"),
+        rms_tracking_error=float(np.sqrt((away**2).mean())),
+        max_cart_position=float(np.abs(states[:, 2 * n]).max()),
+        rms_cart_acceleration=float(np.sqrt((ticks.control[:, 3] ** 2).mean())),
+        rms_feedback=float(np.sqrt((ticks.control[:, 2] ** 2).mean())),
+        real_time_factor=(float(ticks.times[-1]) + period) / max(record.elapsed, 1e-9),
+        thinking_median=float(np.median(record.thinking)),
+        thinking_99=float(np.percentile(record.thinking, 99)),
+        late=record.late,
+        plant=plant,
+    )

@@ -1,0 +1,275 @@
+"""The supervisor: watches estimate, tracking and cart, and decides whether to go on.
+
+    consistency   mean of NIS / degrees of freedom over a fifth of a second
+    tracking      mean over about a second of the largest angle's distance from the reference, by the estimate
+    cart          |x| + v²/(2a) + |v| t_d: where it comes to rest if it brakes from now, after the delay t_d
+
+Outcomes: go on; restart the estimator; re-synchronise the reference's clock; hold the nearest orbit; stop the cart in
+time. What is decided is an event of the log. A run that cannot be saved ends with the cart at rest inside its limits.
+
+Which sensor is stuck: it repeats one reading while the arm must have moved on, or the cart was sent elsewhere.
+
+For joint i, whose reading has been the same since tick s, and the cart, whose has since s':
+
+    max |ref_i(k) - ref_i(s)| ≥ max(0.02 rad, 4 counts),        |Σ w Δt| ≥ max(2 mm, 4 counts)
+
+w: the velocity that the cart was sent to. A count is the smallest step that was seen. An arm that turns back, or is
+held at rest, stays within a count as well, but so does its reference. Without this a filter follows a stuck encoder for
+a tenth of a second, and a stuck scale of the cart for ever, the cart being unobservable from the arms.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.tables import suggest
+from dpcontrol.loop.result import Ending
+
+HOLDS = ("none", "nearest")
+"""What may be held where the reference was given up."""
+
+
+class Outcome(StrEnum):
+    """What the supervisor may decide."""
+
+    CONTINUE = "continue"
+    RESTART = "restart the estimator"
+    RESYNCHRONISE = "re-synchronise"
+    HOLD = "hold"
+    STOP = "stop"
+
+
+@dataclass(frozen=True)
+class SupervisorSettings:
+    """When to step in.
+
+    lost_tracking rad: mean distance of an angle from the reference from which no feedback returns (half a turn is π,
+    and a completed period asks for 0.1); resynchronise rad: distance from which the clock is moved to the nearest
+    phase, 0 for never. lost_estimate: mean NIS per degree of freedom; encoders that agree to a count make it thousands
+    where the model is wrong by a tenth, and nothing is lost; 1e5 is some 0.04 rad. restarts: how often the estimator is
+    restarted before it counts as lost. missing s: longest time without a measurement. braking: share of the greatest
+    acceleration that is counted on to stop the cart (it brakes harder), and margin m: what must be left of the track
+    then. hold: "nearest" to hold the nearest orbit or equilibrium, once, where tracking is lost; "none" to stop.
+    """
+
+    lost_tracking: float = 1.5
+    resynchronise: float = 0.0
+    lost_estimate: float = 100_000.0
+    restarts: int = 2
+    missing: float = 0.1
+    braking: float = 0.5
+    margin: float = 0.002
+    hold: str = "none"
+
+    def __post_init__(self) -> None:
+        """Refuse what could not stop anything.
+
+        Raises:
+            InputError: names the setting, its value and what is allowed.
+        """
+        for name, low, high in (
+            ("lost_tracking", 0.05, 100.0),
+            ("resynchronise", 0.0, 100.0),
+            ("lost_estimate", 5.0, 1e12),
+            ("restarts", 0, 1000),
+            ("missing", 1e-4, 60.0),
+            ("braking", 0.01, 1.0),
+            ("margin", 0.0, 1.0),
+        ):
+            value = getattr(self, name)
+            if not math.isfinite(value) or not low <= value <= high:
+                raise InputError(f"supervisor: {name} = {value!r}: must be {low:g} to {high:g}")
+        if self.hold not in HOLDS:
+            raise InputError(f"supervisor: hold = {self.hold!r}: {suggest(self.hold, HOLDS)}")
+
+
+_NEARLY = 1 - 1e-9
+"""Sums of the same numbers in another order may differ by their round-off."""
+TRACKING_MEMORY = 1.0
+ESTIMATE_MEMORY = 0.2
+"""Time constants of the means, s."""
+LOST_AFTER_FALLBACK = 1.5
+"""rad: from which what was fallen back to is lost as well, where less than that loses the reference."""
+
+
+@dataclass
+class Supervisor:
+    """Watches one run. travel m, acceleration m/s²: the cart's limits; reaction s: until a command acts."""
+
+    settings: SupervisorSettings
+    period: float
+    travel: float
+    acceleration: float
+    reaction: float
+    can_hold: bool = False
+    error: float = 0.0
+    nis: float = 0.0
+    silent: float = 0.0
+    restarts: int = 0
+    _moved: float = -math.inf
+
+    def __post_init__(self) -> None:
+        self.tracking_share = min(self.period / TRACKING_MEMORY, 1.0)
+        self.estimate_share = min(self.period / ESTIMATE_MEMORY, 1.0)
+        self.lost = self.settings.lost_tracking
+        self.brake = 2 * self.settings.braking * self.acceleration
+
+    def stopping_point(self, position: float, velocity: float) -> float:
+        """Return where the cart comes to rest if it brakes now: m from the centre, in the direction of its motion.
+
+        Negative on the side that it comes from; the margin is added.
+        """
+        side = math.copysign(1.0, velocity)
+        return side * (position + velocity * self.reaction) + velocity * velocity / self.brake + self.settings.margin
+
+    def judge(
+        self, now: float, *, error: float, nis: float, used: int, position: float, velocity: float, sent: float = 0.0
+    ) -> tuple[Outcome, Ending, str]:
+        """Return what to do, the run's ending if it is to stop, and why.
+
+        error rad: largest distance of an angle from the reference; nis over `used` positions, of this tick; position m
+        and velocity m/s of the cart as expected when all that was sent has acted; sent m/s: the velocity that it was
+        sent to, which a drive that lags or answers late has yet to reach.
+        """
+        s = self.settings
+        if used:
+            self.silent = 0.0
+            self.nis += (nis / used - self.nis) * self.estimate_share
+        else:
+            self.silent += self.period
+        self.error += (error - self.error) * self.tracking_share
+        # Written so that what is no number stops the run.
+        if not self.nis <= s.lost_estimate or not math.isfinite(error):
+            return self._estimate(now)
+        if self.silent > s.missing:
+            return (
+                Outcome.STOP,
+                Ending.ESTIMATE_LOST,
+                (
+                    f"estimate lost at t = {now:.3f} s: no measurement for {self.silent:.3f} s; "
+                    "check the encoders' cables"
+                ),
+            )
+        # At its fastest on the worse side first: mostly that is far from the track's end already.
+        v = max(abs(velocity), abs(sent))
+        farthest = abs(position) + v * self.reaction + v * v / self.brake + s.margin
+        if farthest >= _NEARLY * self.travel:
+            farthest = self.stopping_point(position, velocity)
+            if sent:
+                farthest = max(farthest, self.stopping_point(position, sent))
+        if farthest >= self.travel:
+            return (
+                Outcome.STOP,
+                Ending.CART_STOP,
+                (
+                    f"cart at its stop at t = {now:.3f} s: at {position:.3f} m with {velocity:.2f} m/s "
+                    "it must brake now to stay on the track; weigh its position more, or allow more travel"
+                ),
+            )
+        if self.error > self.lost:
+            reason = f"tracking lost at t = {now:.3f} s: an angle has stayed {self.error:.2g} rad from the reference"
+            if self.can_hold:
+                self.can_hold, self.error = False, 0.0
+                self.lost = max(self.lost, LOST_AFTER_FALLBACK)
+                return Outcome.HOLD, Ending.TRACKING_LOST, reason
+            return Outcome.STOP, Ending.TRACKING_LOST, reason
+        if s.resynchronise and self.error > s.resynchronise and now - self._moved > TRACKING_MEMORY:
+            self._moved = now
+            return Outcome.RESYNCHRONISE, Ending.TRACKING_LOST, f"an angle is {self.error:.2g} rad from the reference"
+        return Outcome.CONTINUE, Ending.FINISHED, ""
+
+    def _estimate(self, now: float) -> tuple[Outcome, Ending, str]:
+        shown = f"mean NIS {self.nis:.3g} for each position" if math.isfinite(self.nis) else "it is no longer finite"
+        if self.restarts < self.settings.restarts:
+            self.restarts += 1
+            self.nis = 0.0
+            return Outcome.RESTART, Ending.ESTIMATE_LOST, f"{shown}: the estimator starts anew from the encoders"
+        return (
+            Outcome.STOP,
+            Ending.ESTIMATE_LOST,
+            (
+                f"estimate lost at t = {now:.3f} s: {shown} where 1 or so is expected; "
+                "check the encoders and the model's parameters, or assume more noise"
+            ),
+        )
+
+
+_STILL = 0.015
+"""Seconds of one reading of a joint at least."""
+_TURNING = 10.0
+"""rad/s² and m/s²: what turns back as slowly stays within a count q for 2 √(2 q / this), 11 ms with 40,000 counts."""
+_CART_STILL = 0.05
+"""Seconds of one reading of the cart: it begins to move only once the first commands have come to act."""
+_JOINT_MOVED, _CART_MOVED = 0.02, 2e-3
+"""rad and m."""
+_COUNTS = 4.0
+_DOUBT = 300.0
+"""Mean NIS per position: with 256 counts, stuck encoders gave 450 and more when they were found, slow arms up to 270.
+The cart's scale is told without it: nothing but its own commands contradicts it."""
+_UNSEEN = 0.2
+"""rad: taken for a count while a sensor has not moved at all."""
+SAME = 1e-9
+"""rad and m: readings this near to each other are the same count."""
+
+
+class StuckWatch:
+    """Watches the sensors of one run of `arms` arms, `period` s from tick to tick; reaction s: until a command acts."""
+
+    def __init__(self, arms: int, *, period: float, reaction: float = 0.0) -> None:
+        self._arms, self._period = arms, period
+        # Bounds, sensor by sensor: ticks, rad or m, mean NIS per position.
+        self.still = [_STILL / period] * arms + [(_CART_STILL + reaction) / period]
+        self.least = [_JOINT_MOVED] * arms + [_CART_MOVED]
+        self.doubt = [_DOUBT] * arms + [0.0]
+        self._last = [math.nan] * (arms + 1)
+        self._steps = [math.inf] * (arms + 1)
+        self._same = [0] * (arms + 1)
+        self._begin = [0.0] * (arms + 1)
+        self._moved = [0.0] * (arms + 1)
+        self._sent = 0.0
+
+    def seen(self, positions: Sequence[float], wanted: Sequence[float], sent: float, nis: float) -> str:
+        """Return which sensor is stuck, or "".
+
+        positions (n+1,): absolute angles and the cart's position, all new; wanted: the reference's angles first; sent
+        m/s: the velocity that the cart was sent to; nis: its mean of late, for each position.
+        """
+        n, inner, inner_wanted = self._arms, 0.0, 0.0
+        last, same, begin = self._last, self._same, self._begin
+        self._sent += sent * self._period
+        for i, position in enumerate(positions):
+            if i < n:
+                due = wanted[i]
+                value, should = position - inner, due - inner_wanted
+                inner, inner_wanted = position, due
+            else:
+                value, should = position, self._sent
+            step = abs(value - last[i])
+            if not step < SAME:
+                last[i], begin[i] = value, should
+                if same[i]:
+                    same[i], self._moved[i] = 0, 0.0
+                if step < self._steps[i]:
+                    self._steps[i] = step
+                continue
+            same[i] += 1
+            moved = self._moved[i] = max(self._moved[i], abs(should - begin[i]))
+            if same[i] >= self.still[i] and moved >= self.least[i] and not nis <= self.doubt[i]:
+                told = self.told(i, same=same[i], moved=moved, step=self._steps[i])
+                if told:
+                    return told
+        return ""
+
+    def told(self, i: int, *, same: int, moved: float, step: float) -> str:
+        """Return that sensor i is stuck, or "" where it may as well turn back.
+
+        same: ticks with one reading; moved: by how much it should have changed meanwhile; step: the smallest seen.
+        """
+        count = step if step < math.inf else _UNSEEN / _COUNTS
+        turning = 2 * math.sqrt(2 * count / _TURNING) / self._period
+        if not (moved >= _COUNTS * count and same >= turning):
+            return ""
+        name = "the cart's scale" if i == self._arms else f"the encoder of joint {i + 1}"
+        return f"{name} is stuck: it has given the same reading for {same * self._period:.3g} s"

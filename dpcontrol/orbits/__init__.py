@@ -1,0 +1,1 @@
+"""Periodic orbits: Lyapunov and rotating orbits, their families."""

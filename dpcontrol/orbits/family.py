@@ -1,0 +1,447 @@
+"""Families of Lyapunov orbits, followed along their own curve until they end.
+
+The shooting equations leave a curve in (c, τ); it is followed by pseudo-arclength, y(s + h) on the plane through the
+predicted point across the tangent, so that it may turn back in energy. Along it are watched
+
+    dH/ds = 0                                          the energy folds,
+    det(M' - σ) = 0, σ = ±1,                           a multiplier crosses σ (M' on ker ∇H modulo the flow),
+
+each located as a root along the curve, every trial point corrected onto it. At σ = 1 a family branches (or folds), at
+σ = -1 its period doubles; either way hyperbolicity, and with it the tube, may be lost.
+
+Source: Doedel et al., Computation of periodic solutions of conservative systems (2003).
+
+A family of symmetric periodic orbits as a curve in (c, τ), followed by pseudo-arclength.
+
+The shooting equations (module symmetric_shooting) leave a curve. The next point lies on the plane through the predicted
+point across the tangent, so that the curve may turn back in energy; step lengths halve where Newton's method leaves the
+curve and grow again after. What is measured at each point (its test functions) belongs to the family; a place between
+two points at which a measure takes a value is a root along the curve, every trial point corrected onto it.
+
+Source: Doedel et al., Computation of periodic solutions of conservative systems with application to the 3-body problem
+(2003).
+
+Why a family of periodic orbits was left: hyperbolicity lost, homoclinics of an equilibrium, or not known.
+
+A family that runs into an equilibrium's homoclinics has a period that grows without bound: with μ the equilibrium's
+slowest growth rate and two passages to a period, energy - limit ~ exp(-μ T/2); the limit is extrapolated.
+Source: Vanderbauwhede & Fiedler, Homoclinic period blow-up in reversible and conservative systems (1992).
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, described_orbit
+from dpcontrol.orbits.symmetric_shooting import LinearCentre, SymmetricShooting, symmetric_shooting
+
+Array = NDArray[np.float64]
+
+SLOPE = "slope"
+"""Measure of every point: the energy's derivative along the curve, in energy scales; zero at a fold."""
+
+FIRST_STEP = 0.01
+"""Along the curve, scaled: the first step's length at most."""
+
+
+@dataclass(frozen=True)
+class FamilyPoint:
+    """One point of the curve: unknowns and tangent, both (n + 1,); energy in J; measures by name."""
+
+    unknowns: Array
+    tangent: Array
+    energy: float
+    residual: float
+    measures: Mapping[str, float]
+
+    def reversed(self) -> "FamilyPoint":
+        """Return the point as the curve passes it the other way."""
+        measures = {**self.measures, SLOPE: -self.measures[SLOPE]}
+        return replace(self, tangent=-self.tangent, measures=measures)
+
+
+@dataclass(frozen=True)
+class FamilyCurve:
+    """The curve of one shooting problem.
+
+    weights (n + 1,): units of (c, τ). measure: unknowns -> the family's own measures of a point. iterations,
+    tolerance: of Newton's method; accept: the largest scaled residual of a point.
+    """
+
+    problem: SymmetricShooting
+    weights: Array
+    measure: Callable[[Array], Mapping[str, float]]
+    iterations: int
+    tolerance: float
+    accept: float
+
+    def point(self, unknowns: Array, heading: Array | None, residual: float) -> FamilyPoint:
+        """Describe a point that lies on the curve; the tangent looks along `heading`, or up in energy without one."""
+        _, jacobian = self.problem.arc(unknowns)
+        tangent = np.linalg.svd(jacobian * self.weights)[2][-1]
+        energy, gradient = self.problem.energy(unknowns)
+        slope = float((gradient * self.weights) @ tangent) / self.problem.system.energy_scale
+        if (slope if heading is None else tangent @ heading) < 0:
+            tangent, slope = -tangent, -slope
+        return FamilyPoint(unknowns, tangent, energy, residual, {**self.measure(unknowns), SLOPE: slope})
+
+    def step(self, start: FamilyPoint, length: float) -> FamilyPoint | None:
+        """Return the curve's point `length` on from `start`, None where Newton's method does not find it."""
+        guess = start.unknowns + length * start.tangent * self.weights
+        found, residual = self.problem.along(
+            guess, start.tangent, self.weights, iterations=self.iterations, tolerance=self.tolerance
+        )
+        moved = float(np.linalg.norm((found - guess) / self.weights))
+        # A correction as long as half the step has left for another curve; so has a tangent that turned by 25 degrees.
+        if residual > self.accept or moved > 0.5 * abs(length):
+            return None
+        try:
+            point = self.point(found, start.tangent, residual)
+        except (ArithmeticError, np.linalg.LinAlgError):
+            return None
+        return point if point.tangent @ start.tangent > 0.9 else None
+
+    def followed(
+        self,
+        start: FamilyPoint,
+        *,
+        step: float,
+        smallest: float,
+        too_long: Callable[[FamilyPoint, FamilyPoint], bool] = lambda here, following: False,
+    ) -> Iterator[tuple[FamilyPoint, FamilyPoint, float]]:
+        """Yield (point, next point, length between) from `start` on; ends where no step of `smallest` converges.
+
+        too_long: whether a step that converged hides what lies within it and is halved, as long as it may be.
+        """
+        here, length = start, min(step, FIRST_STEP)
+        while length >= smallest:
+            following = self.step(here, length)
+            if following is None or (length > 2 * smallest and too_long(here, following)):
+                length /= 2
+                continue
+            yield here, following, length
+            here, length = following, min(step, 1.5 * length)
+
+    def located(self, start: FamilyPoint, length: float, value: Callable[[FamilyPoint], float]) -> FamilyPoint | None:
+        """Return the point between `start` and `length` on where `value` vanishes, None if the curve is left."""
+
+        def at(h: float) -> float:
+            point = start if h == 0 else self.step(start, h)
+            if point is None:
+                raise ArithmeticError("left the curve")
+            return value(point)
+
+        try:
+            return self.step(start, float(brentq(at, 0.0, length, xtol=1e-13)))  # type: ignore[arg-type]
+        except (ArithmeticError, ValueError):
+            return None
+
+
+SIZE = "size"
+"""Measure of a family's point: the largest multiplier's modulus, at least one."""
+
+LINGERS = 0.05
+"""Scaled distance of an equilibrium within which an orbit is said to linger by it."""
+
+
+@dataclass(frozen=True)
+class FamilyEnd:
+    """Where the family was left: energy in J, kind, and the reason as a sentence.
+
+    kind: "saddle", "energy bound", "homoclinics", "hyperbolicity lost" or "not followed further".
+    """
+
+    energy: float
+    kind: str
+    reason: str
+
+
+def lost(test: str, place: FamilyPoint) -> FamilyEnd:
+    """Return the end at a member where the measure `test`, "multiplier +1" or "multiplier -1", vanishes."""
+    what = "a branch leaves the family or it folds" if test.endswith("+1") else "the period doubles"
+    reason = f"hyperbolicity is lost at {place.energy:.12g} J: a multiplier crosses {test.split()[1]}, where {what}"
+    return FamilyEnd(place.energy, "hyperbolicity lost", reason)
+
+
+def nearest_equilibrium(problem: SymmetricShooting, place: FamilyPoint) -> tuple[str, float]:
+    """Return the equilibrium that an orbit passes nearest, and the scaled distance at which it does."""
+    system = problem.system
+    arc = system.propagator.sample(problem.state(place.unknowns), np.linspace(0, place.unknowns[-1], 400))
+    distances = {name: float(np.min(system.scaled_distance(arc, x))) for name, x in system.equilibria.items()}
+    return min(distances.items(), key=lambda item: item[1])
+
+
+def family_end(
+    system: System, points: list[FamilyPoint], problem: SymmetricShooting, *, largest: float | None = None
+) -> FamilyEnd:
+    """Say why the family could not be followed on: homoclinics of an equilibrium, or not known.
+
+    points: the last members; largest: the modulus of multipliers at which the family was left, if it was for that.
+    """
+    place = points[-1]
+    name, distance = nearest_equilibrium(problem, place)
+    goal = float(system.numeric.hamiltonian(system.equilibria[name]))
+    limit = _extrapolated(points, problem)
+    if distance < LINGERS and limit is not None and abs(limit - goal) < 1e-3 * system.energy_scale:
+        return FamilyEnd(
+            place.energy,
+            "homoclinics",
+            f"ends in the homoclinics of {name}: the period grows without bound (followed to "
+            f"{problem.period(place.unknowns):.3g} s, multiplier {place.measures[SIZE]:.1e}) as the energy tends to "
+            f"{limit:.6g} J, extrapolated; {name} has {goal:.6g} J",
+        )
+    if largest is not None:
+        reason = f"left at {place.energy:.9g} J: multipliers above {largest:g} are rounding in double"
+    else:
+        reason = f"could not be followed beyond {place.energy:.9g} J (residual {place.residual:.1e})"
+    return FamilyEnd(place.energy, "not followed further", reason)
+
+
+def _extrapolated(points: list[FamilyPoint], problem: SymmetricShooting) -> float | None:
+    """Return the energy's limit as the period grows, from nine equal steps, None if it has none."""
+    if len(points) < 9:
+        return None
+    # Equal steps in the period, as the rule wants: an exponential in it is what homoclinics give.
+    periods = np.array([problem.period(p.unknowns) for p in points[-9:]])
+    energies = np.array([p.energy for p in points[-9:]])
+    if np.any(np.diff(periods) <= 0):
+        return None
+    rates = np.diff(energies) / np.diff(periods)
+    middles = (periods[1:] + periods[:-1]) / 2
+    # ln|dE/dT| is linear in T there; what remains of the energy is the last rate over its decay.
+    decay = -float(np.polyfit(middles, np.log(np.abs(rates)), 1)[0]) if np.all(rates != 0) else 0.0
+    if decay <= 0:
+        return None
+    last = float(rates[-1] * np.exp(-decay * (periods[-1] - middles[-1])))
+    return float(energies[-1] + last / decay)
+
+
+_TESTS = (SLOPE, "multiplier +1", "multiplier -1")
+
+
+@dataclass(frozen=True)
+class FamilySettings:
+    """How a family is followed. step, smallest_step: along the curve, in scaled units of (c, τ).
+
+    largest_multiplier: of members; beyond it the multipliers at one are off by more than 1e-2 in double. The curve is
+    followed `tail` steps on from there, to find out where it leads.
+    """
+
+    step: float = 0.05
+    smallest_step: float = 1e-6
+    most_members: int = 400
+    newton_iterations: int = 12
+    tolerance: float = 1e-12
+    largest_multiplier: float = 1e7
+    tail: int = 25
+
+
+@dataclass(frozen=True)
+class FamilyEvent:
+    """Something on the way: kind "fold", "multiplier +1" or "multiplier -1", located at an orbit of the family."""
+
+    kind: str
+    orbit: LyapunovOrbit
+
+
+@dataclass(frozen=True)
+class LyapunovFamily:
+    """Members of a family, K in number, in order along its curve from the saddle on.
+
+    ends: the reason on the saddle's side and on the other. converged: every member closes, and neither end is where
+    Newton's method failed.
+    """
+
+    system: System
+    saddle: str
+    family: int
+    members: tuple[LyapunovOrbit, ...]
+    events: tuple[FamilyEvent, ...]
+    ends: tuple[FamilyEnd, FamilyEnd]
+    converged: bool
+    status: str
+
+    @property
+    def energies(self) -> Array:
+        """Energies (K,) in J."""
+        return np.array([m.energy for m in self.members])
+
+    @property
+    def periods(self) -> Array:
+        """Periods (K,) in s."""
+        return np.array([m.period for m in self.members])
+
+    @property
+    def states(self) -> Array:
+        """States (K, N) at the crossing of the saddle's fixed set."""
+        return np.array([m.state for m in self.members])
+
+    @property
+    def floquet_multipliers(self) -> NDArray[np.complex128]:
+        """Multipliers (K, N), largest first in each row."""
+        return np.array([m.floquet_multipliers for m in self.members])
+
+
+def lyapunov_family(
+    system: System,
+    saddle: str,
+    *,
+    energies: tuple[float, float],
+    family: int = 0,
+    settings: FamilySettings | None = None,
+    progress: Progress = no_progress,
+) -> LyapunovFamily:
+    """Follow a family of Lyapunov orbits from its saddle through `energies` (lowest, highest) in J.
+
+    The family is left where it passes the far bound, loses hyperbolicity, runs into an equilibrium's homoclinics, or
+    cannot be followed.
+
+    Raises:
+        InputError: unknown saddle or family, or bounds between which there is no orbit of the family.
+    """
+    settings = settings or FamilySettings()
+    problem, linear = symmetric_shooting(system, saddle, family)
+    low, high = energies
+    if not (np.isfinite(low) and np.isfinite(high) and low < high):
+        raise InputError(f"energies {low:g} to {high:g} J: must be two finite numbers, the lower first")
+    near, far = (low, high) if linear.sign > 0 else (high, low)
+    if (far - linear.energy) * linear.sign <= 0:
+        raise InputError(
+            f"energies {low:g} to {high:g} J: the Lyapunov orbits about {saddle} exist only "
+            f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy:.6g} J"
+        )
+    curve = _curve(problem, linear, settings)
+
+    def within(energy: float) -> bool:
+        return (energy - near) * linear.sign >= 0
+
+    def orbit(point: FamilyPoint) -> LyapunovOrbit:
+        return described_orbit(
+            problem,
+            point.unknowns,
+            saddle=saddle,
+            family=family,
+            energy=point.energy,
+            newton_residual=point.residual,
+            converged=True,
+            status=f"converged to a residual of {point.residual:.1e}, as a member of its family",
+        )
+
+    def at_bound(guess: FamilyPoint, energy: float) -> FamilyPoint | None:
+        found, residual = problem.at_energy(
+            guess.unknowns, energy, iterations=settings.newton_iterations, tolerance=settings.tolerance
+        )
+        if residual > curve.accept:
+            return None
+        return replace(curve.point(found, guess.tangent, residual), energy=energy)
+
+    points: list[FamilyPoint] = []
+    events: list[FamilyEvent] = []
+    birth, heading = _birth(linear, curve)
+    # At the saddle the curve meets that of the resting arcs (0, τ): only the linear centre tells the tangent.
+    here = replace(curve.point(birth, heading, 0.0), tangent=heading)
+    first = FamilyEnd(
+        linear.energy, "saddle", f"the orbits shrink to {saddle} itself at its energy of {linear.energy:.9g} J"
+    )
+    last: FamilyEnd | None = None
+    at_birth = True
+    for before, following, length in curve.followed(here, step=settings.step, smallest=settings.smallest_step):
+        # At the birth dH/ds = 0 too, which is no fold.
+        for test in () if at_birth else _TESTS:
+            if before.measures[test] * following.measures[test] < 0 and within(following.energy):
+                place = curve.located(before, length, lambda point, test=test: point.measures[test])
+                if place is None:
+                    continue
+                events.append(FamilyEvent("fold" if test == SLOPE else test, orbit(place)))
+                if test != SLOPE and last is None:
+                    points.append(place)
+                    last = lost(test, place)
+        if last is not None:
+            break
+        if not within(before.energy) and within(following.energy):
+            bound = at_bound(following, near)
+            first = FamilyEnd(near, "energy bound", f"left at the asked bound of {near:g} J; the family goes on")
+            points += [] if bound is None else [bound]
+        if (following.energy - far) * linear.sign >= 0:
+            bound = at_bound(following, far)
+            points += [] if bound is None else [bound]
+            last = FamilyEnd(far, "energy bound", f"left at the asked bound of {far:g} J; the family goes on")
+            break
+        if within(following.energy):
+            points.append(following)
+            progress(f"family of {saddle}", abs((following.energy - linear.energy) / (far - linear.energy)))
+        here, at_birth = following, False
+        if here.measures[SIZE] > settings.largest_multiplier:
+            last = family_end(
+                system, [*points, *_tail(curve, here, settings)], problem, largest=settings.largest_multiplier
+            )
+            points = [p for p in points if p.measures[SIZE] <= settings.largest_multiplier]
+            break
+        if len(points) >= settings.most_members:
+            reason = f"left after {settings.most_members} members at {here.energy:.9g} J; allow more, or longer steps"
+            last = FamilyEnd(here.energy, "not followed further", reason)
+            break
+    last = last or family_end(system, points or [here], problem)
+    if not points:
+        raise InputError(
+            f"energies {low:g} to {high:g} J: the family about {saddle} does not reach them; {last.reason}"
+        )
+    members = tuple(orbit(p) for p in points)
+    converged = last.kind != "not followed further"
+    status = f"{len(members)} orbits from {members[0].energy:.9g} to {members[-1].energy:.9g} J; {last.reason}"
+    return LyapunovFamily(system, saddle, family, members, tuple(events), (first, last), converged, status)
+
+
+def _curve(problem: SymmetricShooting, linear: LinearCentre, settings: FamilySettings) -> FamilyCurve:
+    """Return the family's curve, on which both multipliers' crossings and the largest multiplier are measured."""
+    system = problem.system
+
+    def measure(unknowns: Array) -> dict[str, float]:
+        state = problem.state(unknowns)
+        _, monodromy = system.propagator.flow_with_stm(state, problem.period(unknowns))
+        plane, _ = np.linalg.qr(np.column_stack([system.numeric.rate(state), system.numeric.gradient(state)]))
+        rest = np.linalg.svd(plane.T)[2][2:].T
+        reduced = rest.T @ monodromy @ rest
+        size = max(1.0, float(np.abs(np.linalg.eigvals(reduced)).max()))
+        one = np.eye(len(reduced))
+        return {
+            "multiplier +1": float(np.linalg.det(reduced - one)) / size,
+            "multiplier -1": float(np.linalg.det(reduced + one)) / size,
+            SIZE: size,
+        }
+
+    return FamilyCurve(
+        problem,
+        weights=np.append(np.abs(problem.start.T) @ system.scale, _birth_arc(problem, linear)),
+        measure=measure,
+        iterations=settings.newton_iterations,
+        tolerance=settings.tolerance,
+        accept=10 * settings.tolerance,
+    )
+
+
+def _birth_arc(problem: SymmetricShooting, linear: LinearCentre) -> float:
+    return 2 * np.pi / linear.frequency / problem.quarters
+
+
+def _birth(linear: LinearCentre, curve: FamilyCurve) -> tuple[Array, Array]:
+    """Return the unknowns (n + 1,) of the resting orbit at the saddle and the tangent (n + 1,) there."""
+    tangent = np.append(linear.direction, 0.0) / curve.weights
+    return np.append(0.0 * linear.direction, _birth_arc(curve.problem, linear)), tangent / np.linalg.norm(tangent)
+
+
+def _tail(curve: FamilyCurve, start: FamilyPoint, settings: FamilySettings) -> list[FamilyPoint]:
+    """Follow the curve on as far as it goes, at most `tail` steps."""
+    points = [start]
+    for _ in range(settings.tail):
+        following = curve.step(points[-1], settings.step)
+        if following is None:
+            break
+        points.append(following)
+    return points[1:]

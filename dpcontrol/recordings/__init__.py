@@ -1,0 +1,1 @@
+"""Recordings of the bench: formats, mapping, checks, repairs."""

@@ -1,0 +1,423 @@
+"""What can be wrong with samples of time and angles, found and named; repaired only where asked.
+
+In order: time that stands or runs backward (time), values that are not finite (nan), samples left out (gaps), angles
+wrapped into one turn (wrap), rates that stand out (spikes), uneven sampling (sampling). What no repair can mend is
+refused: jumps, too few samples.
+
+Whether a recording can be of a pendulum as its mapping says: units, columns, signs and zero.
+
+The rates must be the angles' derivative. Where they are not, what would make them so tells the mistake: a factor of
+180/π a unit, a factor of -1 a sign, another arm's derivative a swapped column. And gravity pulls arms down: over a free
+swing the mean of θ̈ sin θ is negative, so a positive one tells that the zero is upright.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.tables import suggest
+
+Array = NDArray[np.float64]
+
+REPAIRS = {
+    "nan": "fill up to 10 missing samples in a row, cut the segment at longer holes",
+    "time": "leave out samples whose time does not come after that of the sample before",
+    "gaps": "cut the segment where samples were left out",
+    "sampling": "interpolate to even times",
+    "wrap": "unwrap angles that jump by a turn",
+    "spikes": "replace a rate that stands out from its neighbours by their median",
+}
+"""Repairs by name, and what each does."""
+
+FEWEST_SAMPLES = 20
+_FILLED_IN_A_ROW = 10
+_GAP = 1.5
+"""A step of time this many periods long has left a sample out."""
+_UNEVEN = 0.2
+"""Share of a period by which a sample may come early or late: clocks jitter by a few hundredths."""
+_JUMP, _FASTEST_RATE = 0.3, 100.0
+"""No arm of a bench turns further in one sample than `_JUMP` rad plus what it does at `_FASTEST_RATE` rad/s."""
+_SPIKE = 10.0
+"""rad/s: how far a rate may stand out from the median of five; no arm accelerates to a fourth of it in two samples."""
+_MOST_LEFT_OUT = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """K samples as a file gives them, in SI units and our directions.
+
+    where: of which part of which file, for messages. rows (K,): each sample's number there, from 1. time (K,) s; values
+    (K, m): the angles (n columns) first, then what else was measured; names (m,) of these columns.
+    """
+
+    where: str
+    rows: NDArray[np.int64]
+    time: Array
+    values: Array
+    names: tuple[str, ...]
+    arms: int
+
+    def at(self, index: int) -> str:
+        """Return "WHERE: row R (t = T s)" for a message."""
+        time = f" (t = {self.time[index]:.6g} s)" if np.isfinite(self.time[index]) else ""
+        return f"{self.where}: row {self.rows[index]}{time}"
+
+    def taken(self, which: NDArray) -> "Samples":
+        """Return the samples that `which` indexes."""
+        return replace(self, rows=self.rows[which], time=self.time[which], values=self.values[which])
+
+
+Repaired = tuple[list[Samples], list[str]]
+
+
+def checked_repairs(names: tuple[str, ...]) -> frozenset[str]:
+    """Return the repairs asked for.
+
+    Raises:
+        InputError: there is no repair of this name.
+    """
+    for name in names:
+        if name not in REPAIRS:
+            raise InputError(f"--repair {name}: there is no such repair; {suggest(name, REPAIRS)}")
+    return frozenset(names)
+
+
+def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) -> Repaired:
+    """Return the samples as segments in which nothing is wrong, and a sentence for each repair.
+
+    Args:
+        samples: one stretch of the recording.
+        period: s between samples, as the file says; 0 where only the times tell.
+        repairs: names of `REPAIRS` that may be made.
+
+    Raises:
+        InputError: something is wrong whose repair was not asked for, or that none can mend; names row and time.
+    """
+    steps: list[Callable[[Samples, frozenset[str], float], Repaired]] = [
+        _timed,
+        _forward,
+        _finite,
+        _whole,
+        _continuous,
+        _steady,
+        _even,
+    ]
+    segments, notes = [samples], []
+    for step in steps:
+        following: list[Samples] = []
+        for segment in segments:
+            found, said = step(segment, repairs, period)
+            following += found
+            notes += said
+        segments = following
+    usable = [segment for segment in segments if len(segment.time) >= FEWEST_SAMPLES]
+    if not usable:
+        raise InputError(f"{samples.where} has {len(samples.time)} samples; a segment needs {FEWEST_SAMPLES} or more")
+    for segment in segments:
+        if len(segment.time) < FEWEST_SAMPLES:
+            rows = f"rows {segment.rows[0]} to {segment.rows[-1]}" if len(segment.rows) else "no rows"
+            notes.append(f"{samples.where}: {rows} left out: too few samples for a segment")
+    return usable, notes
+
+
+def _refuse(fault: str, repair: str) -> InputError:
+    return InputError(f"{fault}; mend the recording, or ask for --repair {repair}: {REPAIRS[repair]}")
+
+
+def _cut(samples: Samples, keep: NDArray[np.bool_]) -> list[Samples]:
+    """Return the runs of samples to keep."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], keep, [False]]).astype(np.int8)))
+    return [samples.taken(np.arange(first, end)) for first, end in edges.reshape(-1, 2)]
+
+
+def _timed(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
+    late = ~np.isfinite(samples.time)
+    if not late.any():
+        return [samples], []
+    fault = f"{samples.at(int(np.argmax(late)))}: the time is missing or not finite ({late.sum()} such rows)"
+    if late.all():
+        raise InputError(f"{fault}; no time is left: give [sampling] period in the mapping instead of a column")
+    if "nan" not in repairs:
+        raise _refuse(fault, "nan")
+    # Without its time a sample cannot be placed: it is left out, and the gap is found below.
+    return [samples.taken(~late)], [f"{samples.where}: {late.sum()} rows without time left out"]
+
+
+def _forward(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
+    back = np.concatenate([[False], np.diff(samples.time) <= 0])
+    if not back.any():
+        return [samples], []
+    index = int(np.argmax(back))
+    step = samples.time[index] - samples.time[index - 1]
+    what = "repeats the time of the row before" if step == 0 else f"goes back in time by {-step:.6g} s"
+    # A time that falls back for good hides the rows after it, not only the one where it falls.
+    behind = samples.time <= np.concatenate([[-np.inf], np.maximum.accumulate(samples.time)[:-1]])
+    fault = f"{samples.at(index)} {what} ({behind.sum()} rows do not come after all before them)"
+    if "time" not in repairs:
+        raise _refuse(fault, "time")
+    if behind.mean() > _MOST_LEFT_OUT:
+        raise InputError(f"{fault}; that is too many to leave out: give [sampling] period in place of the time column")
+    return [samples.taken(~behind)], [f"{samples.where}: {behind.sum()} rows left out that did not come later in time"]
+
+
+def _finite(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
+    bad = ~np.isfinite(samples.values)
+    if not bad.any():
+        return [samples], []
+    index, column = (int(k[0]) for k in np.nonzero(bad))
+    rows: NDArray[np.bool_] = np.any(bad, axis=1, keepdims=True)[:, 0]
+    count, good = int(rows.sum()), ~rows
+    if "nan" not in repairs:
+        raise _refuse(f"{samples.at(index)}: {samples.names[column]} is no finite number ({count} such rows)", "nan")
+    if good.sum() < FEWEST_SAMPLES:
+        raise InputError(f"{samples.where}: {count} of {len(rows)} rows are not finite; too few are left")
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(np.int8))).reshape(-1, 2)
+    keep, values = np.ones(len(rows), bool), samples.values.copy()
+    for first, end in edges:
+        if end - first > _FILLED_IN_A_ROW or first == 0 or end == len(rows):
+            keep[first:end] = False
+    whole = values[good]
+    if "wrap" in repairs:
+        whole[:, : samples.arms] = np.unwrap(whole[:, : samples.arms], axis=0)
+        values[good] = whole
+    # A cubic: over ten samples a swinging arm leaves a straight line by several counts.
+    values[rows] = _cubic(samples.time[good], whole, samples.time[rows])
+    filled = int((rows & keep).sum())
+    notes = [f"{samples.where}: {filled} rows filled between their neighbours, {count - filled} left out"]
+    return _cut(replace(samples, values=values), keep), notes
+
+
+def _cubic(times: Array, values: Array, at: Array) -> Array:
+    from scipy.interpolate import CubicSpline
+
+    return np.asarray(CubicSpline(times, values)(at))
+
+
+def _spacing(samples: Samples, period: float) -> float:
+    if len(samples.time) < 2:
+        return period or 1.0
+    spacing = float(np.median(np.diff(samples.time)))
+    if period and not abs(spacing / period - 1) < _UNEVEN:
+        raise InputError(
+            f"{samples.where}: samples are {spacing:.6g} s apart, but the period is said to be {period:.6g} s; "
+            "check the time's unit and the period"
+        )
+    return spacing
+
+
+def _whole(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
+    spacing = _spacing(samples, period)
+    steps = np.diff(samples.time)
+    gaps = np.flatnonzero(steps > _GAP * spacing)
+    if not len(gaps):
+        return [samples], []
+    if len(gaps) > max(5, _MOST_LEFT_OUT * len(steps)):
+        if "sampling" in repairs:
+            return [samples], []
+        index = int(gaps[0])
+        raise _refuse(f"{samples.at(index)}: {len(gaps)} of {len(steps)} steps differ from {spacing:.6g} s", "sampling")
+    if "gaps" not in repairs:
+        index = int(gaps[0])
+        fault = f"{samples.at(index)}: the next sample comes {steps[index]:.6g} s later, not {spacing:.6g} s"
+        raise _refuse(f"{fault} ({len(gaps)} such gaps)", "gaps")
+    pieces = np.split(np.arange(len(samples.time)), gaps + 1)
+    return [samples.taken(piece) for piece in pieces], [f"{samples.where}: cut at {len(gaps)} gaps"]
+
+
+def _steady(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
+    columns = [k for k, name in enumerate(samples.names) if name.startswith("rate ")]
+    if not columns or len(samples.time) < FEWEST_SAMPLES:
+        return [samples], []
+    from scipy.ndimage import median_filter
+
+    rates = samples.values[:, columns]
+    median = median_filter(rates, size=(5, 1), mode="nearest")
+    spikes = np.abs(rates - median) > _SPIKE
+    if not spikes.any():
+        return [samples], []
+    index, column = (int(k[0]) for k in np.nonzero(spikes))
+    name, value = samples.names[columns[column]], rates[index, column]
+    others = f"among {median[index, column]:.4g} ({spikes.sum()} such spikes)"
+    fault = f"{samples.at(index)}: {name} is {value:.4g} rad/s {others}"
+    if spikes.mean() > _MOST_LEFT_OUT:
+        raise InputError(f"{fault}; these are no rates: check unit and columns")
+    if "spikes" not in repairs:
+        raise _refuse(fault, "spikes")
+    values = samples.values.copy()
+    values[:, columns] = np.where(spikes, median, rates)
+    return [replace(samples, values=values)], [f"{samples.where}: {spikes.sum()} spikes of rates taken out"]
+
+
+def _even(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
+    if len(samples.time) < 3:
+        return [samples], []
+    spacing = period or float(np.polyfit(np.arange(len(samples.time)), samples.time, 1)[0])
+    grid = samples.time[0] + spacing * np.arange(len(samples.time))
+    off = np.abs(np.diff(samples.time) - spacing)
+    drift = np.abs(samples.time - grid)
+    worst = int(np.argmax(off))
+    if off[worst] <= _UNEVEN * spacing and drift.max() <= max(_UNEVEN * spacing, 1e-4 * np.ptp(samples.time)):
+        return [samples], []
+    if "sampling" not in repairs:
+        fault = (
+            f"{samples.at(worst)}: the step of time there is {off[worst]:.3g} s off {spacing:.6g} s: uneven sampling"
+        )
+        raise _refuse(fault, "sampling")
+    inside = grid[: int((samples.time[-1] - samples.time[0]) / spacing + 1e-6) + 1]
+    even = _cubic(samples.time, samples.values, inside)
+    rows = samples.rows[np.searchsorted(samples.time, inside, side="right") - 1]
+    return [replace(samples, rows=rows, time=inside, values=even)], [f"{samples.where}: interpolated to even times"]
+
+
+def _continuous(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
+    angles = samples.values[:, : samples.arms]
+    if len(angles) < 2:
+        return [samples], []
+    notes: list[str] = []
+    most = _JUMP + _FASTEST_RATE * np.diff(samples.time)[:, None]
+    steps = np.diff(angles, axis=0)
+    wraps = np.abs(np.abs(steps) - 2 * np.pi) < np.minimum(most, 1.5)
+    if wraps.any():
+        index, arm = (int(k[0]) for k in np.nonzero(wraps))
+        fault = (
+            f"{samples.at(index + 1)}: {samples.names[arm]} jumps by a turn ({wraps.sum()} such jumps): it is wrapped"
+        )
+        if "wrap" not in repairs:
+            raise _refuse(fault, "wrap")
+        angles = np.unwrap(angles, axis=0)
+        samples = replace(samples, values=np.column_stack([angles, samples.values[:, samples.arms :]]))
+        steps = np.diff(angles, axis=0)
+        notes.append(f"{samples.where}: unwrapped {wraps.sum()} jumps by a turn")
+    jumps = np.abs(steps) > most
+    if jumps.any():
+        index, arm = (int(k[0]) for k in np.nonzero(jumps))
+        raise InputError(
+            f"{samples.at(index + 1)}: {samples.names[arm]} jumps by {abs(steps[index, arm]):.3g} rad in one sample "
+            f"({jumps.sum()} such jumps); check the unit (degrees taken for rad?), columns, sampling, or cut it there"
+        )
+    return [samples], notes
+
+
+_FASTEST = 80.0
+"""rad/s: more than a bench's arms survive; radians taken for degrees, or degrees for radians, pass it in a swing."""
+_DEGREES = 180 / np.pi
+_FACTORS = {
+    _DEGREES: "the angles look like degrees and the rates like rad/s",
+    1 / _DEGREES: "the angles look like rad and the rates like degrees per second",
+    2 * np.pi: "the angles look like rad and the rates like turns per second, or the reverse",
+    1 / (2 * np.pi): "the angles look like turns and the rates like rad/s, or the reverse",
+    1e3: "the times look like ms",
+    1e-3: "the times look like s where ms were said",
+    -1.0: "angles and rates have opposite signs",
+}
+_AGREES = 0.15
+"""Share by which the slope of derivative over rate may differ from one: filters lag and damp."""
+_FALLS_UP = 0.5
+"""Correlation of the inner arm's acceleration with sin θ above which it falls upward; below -0.2 in free swings."""
+_MATCHES = 0.97
+"""Correlation that rates filtered on line still reach with the angles' differences; other columns come to 0.9."""
+_LEAST_MOTION = 0.2
+"""rad/s: slower recordings tell nothing."""
+_WINDOW = 0.02
+"""s: quantised angles have no derivatives from one sample to the next."""
+
+
+def check_plausible(segments: Sequence[Samples], *, arms: int, rates: bool, clamped: bool, file: str) -> None:
+    """Refuse a recording whose numbers contradict what the mapping says of them.
+
+    Args:
+        segments: values hold the angles in their first `arms` columns, and the rates next where `rates`.
+        arms: number of arms.
+        rates: whether rates were recorded.
+        clamped: whether the cart stood still, so that gravity is all that moves the arms.
+        file: for messages.
+
+    Raises:
+        InputError: says what disagrees, by how much, and what it looks like.
+    """
+    turned = [_turned(segment, arms, rates) for segment in segments]
+    derivative = np.concatenate([part[0] for part in turned])
+    fastest = float(np.percentile(np.abs(derivative), 99))
+    if fastest > _FASTEST:
+        raise InputError(
+            f"{file}: the angles turn at {fastest:.4g} rad/s, and no bench's arm does more than {_FASTEST:g}; "
+            "check the unit of angles and time in the mapping (degrees taken for rad? counts? ms?)"
+        )
+    if rates:
+        _compare(derivative, np.concatenate([part[1] for part in turned]), file=file)
+    if clamped:
+        _check_zero(segments, file=file)
+
+
+def _stride(segment: Samples) -> int:
+    spacing = float(np.median(np.diff(segment.time)))
+    return int(min(max(1, round(_WINDOW / spacing)), max(1, len(segment.time) // 8)))
+
+
+def _turned(segment: Samples, arms: int, rates: bool) -> tuple[Array, Array]:
+    """Return how fast the arms turned (W, n) over short windows, by the angles and by the mean of the rates."""
+    stride = _stride(segment)
+    ends = np.arange(0, len(segment.time), stride)
+    by_angles = np.diff(segment.values[ends, :arms], axis=0) / np.diff(segment.time[ends])[:, None]
+    if not rates:
+        return by_angles, by_angles
+    given = segment.values[:, arms : 2 * arms]
+    area = np.concatenate([np.zeros((1, arms)), np.cumsum((given[1:] + given[:-1]) / 2, axis=0)])
+    return by_angles, np.diff(area[ends], axis=0) / stride
+
+
+def _compare(derivative: Array, rates: Array, *, file: str) -> None:
+    arms = derivative.shape[1]
+    size = np.sqrt(np.maximum(np.mean(derivative**2, axis=0), np.mean(rates**2, axis=0)))
+    fits = [[_fit(derivative[:, i], rates[:, j]) for j in range(arms)] for i in range(arms)]
+
+    def agree(i: int, j: int) -> bool:
+        slope, match = fits[i][j]
+        return match > _MATCHES and abs(slope - 1) < _AGREES
+
+    wrong = [i for i in range(arms) if size[i] > _LEAST_MOTION and not agree(i, i)]
+    if not wrong:
+        return
+    arm = wrong[0]
+    slope, match = fits[arm][arm]
+    if match > _MATCHES:
+        factor = min(_FACTORS, key=lambda f: abs(slope / f - 1))
+        guess = _FACTORS[factor] if abs(slope / factor - 1) < 0.3 else "check the units of angles, rates and time"
+        raise InputError(f"{file}: the derivative of angle {arm + 1} is {slope:.4g} times its rate; {guess}")
+    others = [j for j in range(arms) if j != arm and agree(arm, j)]
+    looks = f"it is rate {others[0] + 1}: are columns swapped?" if others else "are columns swapped?"
+    raise InputError(
+        f"{file}: the derivative of angle {arm + 1} is not its rate (they correlate by {match:.2f}); {looks} "
+        "Check the mapping's columns"
+    )
+
+
+def _fit(derivative: Array, rate: Array) -> tuple[float, float]:
+    """Return the slope of derivative over rate, and their correlation, its sign taken into the slope."""
+    power = float(rate @ rate)
+    scale = np.sqrt(power * float(derivative @ derivative))
+    if scale <= 0:
+        return 0.0, 0.0
+    return float(derivative @ rate) / power, abs(float(derivative @ rate)) / scale
+
+
+def _check_zero(segments: Sequence[Samples], *, file: str) -> None:
+    pull, square, sines = 0.0, 0.0, 0.0
+    for segment in segments:
+        stride = _stride(segment)
+        angle, time = segment.values[::stride, 0], segment.time[::stride]
+        if len(angle) < 5:
+            continue
+        acceleration = np.gradient(np.gradient(angle, time), time)[1:-1]
+        sine = np.sin(angle)[1:-1]
+        pull += float(acceleration @ sine)
+        square += float(acceleration @ acceleration)
+        sines += float(sine @ sine)
+    if square * sines > 1e-12 and pull / np.sqrt(square * sines) > _FALLS_UP:
+        raise InputError(
+            f"{file}: the inner arm falls upward; the recording counts its angles from the other end: "
+            "exchange 'hanging' and 'upright' as the mapping's zero"
+        )

@@ -1,0 +1,296 @@
+"""Read a bench's file as a recording: columns by the mapping, checks, repairs where asked, segments.
+
+A MATLAB file of cells has one segment per cell; a table or a whole MATLAB recording is one segment, unless a repair
+cuts it. Where the segments' times do not follow one another they are laid end to end, and a note says so.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.recordings.checks import Samples, check_plausible, checked_repairs, sound_segments
+from dpcontrol.recordings.formats import column, find, numbers, read_matlab, read_table
+from dpcontrol.recordings.mapping import Mapping, load_mapping
+from dpcontrol.recordings.recording import Recording
+
+Array = NDArray[np.float64]
+
+MATLAB, TABLES = (".mat",), (".csv", ".tsv", ".txt", ".parquet")
+_MOST_ARMS = 6
+_KNOWN = (
+    "multi-arm", "multi-arm-triple-cart", "multi-arm-triple", "multi-arm-double-cart", "multi-arm-double",
+    "multi-arm-single-cart", "multi-arm-single",
+    "multi-arm-raw-triple", "multi-arm-raw", "multi-arm-raw-single",
+)  # fmt: skip
+"""Mappings of MATLAB files to be told by what they hold: what asks for more comes before what asks for less."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Stretch:
+    """What stands together in a file: angles and rates (K, n), the rest (K,), as the file gives them; None: absent."""
+
+    where: str
+    angles: Array
+    rates: Array | None
+    time: Array | None
+    cart: Array | None = None
+    command: Array | None = None
+
+
+def import_recording(
+    path: Path | str,
+    mapping: str | None = None,
+    *,
+    repairs: Sequence[str] = (),
+    progress: Progress = no_progress,
+) -> Recording:
+    """Return what a file of the bench recorded.
+
+    Args:
+        path: a MATLAB (.mat), CSV (.csv, .tsv, .txt) or Parquet (.parquet) file.
+        mapping: name or path of a mapping; by default the one of the MultiArm-Pendulum data set's kinds whose columns
+            a MATLAB file holds, and `table` for others.
+        repairs: names of repairs that may be made.
+        progress: told how far it is.
+
+    Raises:
+        InputError: the file or the mapping cannot be used; one sentence with file, row, value and remedy.
+    """
+    path = Path(path)
+    allowed = checked_repairs(tuple(repairs))
+    kind = path.suffix.lower()
+    if kind not in MATLAB + TABLES:
+        known = ", ".join(MATLAB + TABLES)
+        raise InputError(f"{path}: a recording is a file of kind {known}; this ends in {kind or 'nothing'}")
+    if path.is_dir():
+        raise InputError(f"cannot read {path}: it is a folder; give a file")
+    given = load_mapping(mapping) if mapping else None
+    progress("reading", 0.0)
+    if kind in MATLAB:
+        variables = read_matlab(path)
+        chosen = given or _fitting(variables, path)
+        stretches, period = _matlab(path, chosen, variables)
+    else:
+        chosen = given or load_mapping("table")
+        stretches, period = _table(path, chosen)
+    progress("checking", 0.5)
+    return _recording(path, chosen, stretches, period=period, repairs=allowed)
+
+
+def _fitting(variables: dict[str, Any], path: Path) -> Mapping:
+    """Return the first known mapping whose columns are all there; where none is, the first."""
+    for name in _KNOWN:
+        mapping = load_mapping(name)
+        wanted = (*mapping.state_cells[:1], *mapping.angle_columns, *mapping.rate_columns, mapping.cart_column)
+        try:
+            for column_name in filter(None, wanted):
+                find(variables, column_name, file=path)
+        except InputError:
+            continue
+        return mapping
+    return load_mapping(_KNOWN[0])
+
+
+def _table(path: Path, mapping: Mapping) -> tuple[list[_Stretch], float]:
+    if mapping.state_cells:
+        raise InputError(f"{path}: the mapping {mapping.name!r} is for MATLAB cells; give one with columns: --mapping")
+    if mapping.period_variable:
+        raise InputError(f"{path}: a table holds no variable {mapping.period_variable!r}; give [sampling] period")
+    single = (mapping.time_column, mapping.cart_column, mapping.command_column)
+    names = [*mapping.angle_columns, *mapping.rate_columns, *(name for name in single if name)]
+    return [_stretch(str(path), mapping, read_table(path, list(dict.fromkeys(names))))], mapping.period
+
+
+def _stretch(where: str, mapping: Mapping, columns: dict[str, Array]) -> _Stretch:
+    lengths = {name: len(values) for name, values in columns.items()}
+    if len(set(lengths.values())) > 1:
+        said = ", ".join(f"{name} {length}" for name, length in lengths.items())
+        raise InputError(f"{where}: the columns differ in length ({said}); a row needs a value of each")
+
+    def stacked(names: tuple[str, ...]) -> Array | None:
+        return np.column_stack([columns[name] for name in names]) if names else None
+
+    def single(name: str) -> Array | None:
+        return columns[name] if name else None
+
+    angles = stacked(mapping.angle_columns)
+    assert angles is not None
+    time = single(mapping.time_column)
+    return _Stretch(
+        where=where,
+        angles=angles,
+        rates=stacked(mapping.rate_columns),
+        time=None if time is None else time * mapping.time_scale,
+        cart=single(mapping.cart_column),
+        command=single(mapping.command_column),
+    )
+
+
+def _matlab(path: Path, mapping: Mapping, variables: dict[str, Any]) -> tuple[list[_Stretch], float]:
+    period = mapping.period
+    if mapping.period_variable:
+        given = numbers(find(variables, mapping.period_variable, file=path), mapping.period_variable, file=path)
+        period = float(given[0]) * mapping.time_scale
+        if given.size != 1 or not 1e-6 <= period <= 1:
+            shown = f"{given[0]:.6g}" if given.size == 1 else f"{given.size} numbers"
+            raise InputError(f"{path}: {mapping.period_variable} is {shown}; a sampling period is 1e-6 to 1 s")
+    if not mapping.state_cells:
+        single = (mapping.time_column, mapping.cart_column, mapping.command_column)
+        names = [*mapping.angle_columns, *mapping.rate_columns, *(name for name in single if name)]
+        found = {name: column(variables, name, file=path) for name in names}
+        return [_stretch(str(path), mapping, found)], period
+    stretches: list[_Stretch] = []
+    for k, name in enumerate(mapping.state_cells):
+        # Only the first is in every file: a data set may keep nothing back for validation.
+        if k and name not in variables:
+            continue
+        times = mapping.time_cells[k] if mapping.time_cells else ""
+        stretches += _cells(path, mapping, variables, name, times)
+    arms = {stretch.angles.shape[1] for stretch in stretches}
+    if len(arms) > 1:
+        raise InputError(f"{path}: some cells have {min(arms)} arms, others {max(arms)}; all must have the same")
+    return stretches, period
+
+
+def _cells(path: Path, mapping: Mapping, variables: dict[str, Any], name: str, times: str) -> list[_Stretch]:
+    cells = _cell_list(path, variables, name)
+    time_cells = _cell_list(path, variables, times) if times else [None] * len(cells)
+    if len(cells) != len(time_cells):
+        raise InputError(f"{path}: {name} has {len(cells)} cells and {times} {len(time_cells)}; each needs its times")
+    stretches = []
+    for number, (cell, time) in enumerate(zip(cells, time_cells, strict=True), start=1):
+        label = f"{name}{{{number}}}"
+        values = np.asarray(cell)
+        if values.dtype.kind not in "fiu" or values.ndim != 2 or values.size == 0:
+            what = "empty" if values.size == 0 else f"of kind {values.dtype}, {' x '.join(map(str, values.shape))}"
+            raise InputError(f"{path}: {label} is {what}; a cell holds rows of angles, then of rates, as numbers")
+        rows, length = values.shape
+        if rows % 2 or not 2 <= rows <= 2 * _MOST_ARMS:
+            hint = "; transpose it" if length % 2 == 0 and length <= 2 * _MOST_ARMS else ""
+            raise InputError(
+                f"{path}: {label} is {rows} x {length}; it must have an even number of rows, angles then rates, of at "
+                f"most {_MOST_ARMS} arms, and a column for each sample{hint}"
+            )
+        when = None if time is None else numbers(time, f"{times}{{{number}}}", file=path) * mapping.time_scale
+        if when is not None and len(when) != length:
+            raise InputError(f"{path}: {label} has {length} samples and {times}{{{number}}} {len(when)}; give as many")
+        turned = values.T.astype(float)
+        arms = rows // 2
+        stretches.append(_Stretch(f"{path}: {label}", turned[:, :arms], turned[:, arms:], when))
+    return stretches
+
+
+def _cell_list(path: Path, variables: dict[str, Any], name: str) -> list[Any]:
+    value = find(variables, name, file=path)
+    if not isinstance(value, np.ndarray) or value.dtype != object or value.size == 0:
+        shape = " x ".join(map(str, np.shape(value)))
+        kind = getattr(value, "dtype", type(value).__name__)
+        raise InputError(
+            f"{path}: {name} is no cell array with cells in it (it is {shape}, {kind}); "
+            "give a mapping that names this file's columns: --mapping"
+        )
+    return list(value.reshape(-1, order="F"))
+
+
+def _recording(
+    path: Path, mapping: Mapping, stretches: list[_Stretch], *, period: float, repairs: frozenset[str]
+) -> Recording:
+    parts: list[Samples] = []
+    notes: list[str] = []
+    arms = stretches[0].angles.shape[1]
+    if arms > _MOST_ARMS:
+        raise InputError(f"{path}: {arms} angles; a recording has 1 to {_MOST_ARMS} arms")
+    for key, given in (("sign", mapping.sign), ("zero", mapping.zero)):
+        if len(given) not in (1, arms):
+            raise InputError(
+                f"{path}: the mapping's {key} has {len(given)} values for {arms} arms; give one or as many"
+            )
+    first = stretches[0]
+    for stretch in stretches:
+        found, said = sound_segments(_samples(stretch, mapping, period), period=period, repairs=repairs)
+        parts += found
+        notes += said
+    spacing = period or float(np.median(np.concatenate([np.diff(part.time) for part in parts])))
+    if not 1e-6 <= spacing <= 0.1:
+        raise InputError(
+            f"{path}: samples are {spacing:.6g} s apart, and swings are seen at 1e-6 to 0.1 s; check the unit of time"
+        )
+    check_plausible(
+        parts,
+        arms=arms,
+        rates=first.rates is not None,
+        clamped=first.cart is None and first.command is None,
+        file=str(path),
+    )
+    parts, laid = _in_order(parts, spacing)
+    ends = np.cumsum([len(part.time) for part in parts])
+    values = np.concatenate([part.values for part in parts])
+    rest = list(_columns(first, arms))
+    place = {name: values[:, columns] for name, columns in rest}
+    return Recording(
+        name=path.stem,
+        source=path.name,
+        dt=spacing,
+        time=np.concatenate([part.time for part in parts]),
+        angles=np.ascontiguousarray(values[:, :arms]),
+        rates=place.get("rates"),
+        cart=place["cart"][:, 0] if "cart" in place else None,
+        command=place["command"][:, 0] if "command" in place else None,
+        segments=tuple((int(end) - len(part.time), int(end)) for end, part in zip(ends, parts, strict=True)),
+        arm_lengths=mapping.lengths(arms),
+        notes=(*notes, *laid),
+    )
+
+
+def _columns(stretch: _Stretch, arms: int) -> list[tuple[str, slice]]:
+    """Return which columns of a stretch's samples hold what, beyond the angles."""
+    found, place = [], arms
+    for name, width in (("rates", arms), ("cart", 1), ("command", 1)):
+        if getattr(stretch, name) is not None:
+            found.append((name, slice(place, place + width)))
+            place += width
+    return found
+
+
+def _samples(stretch: _Stretch, mapping: Mapping, period: float) -> Samples:
+    count, arms = stretch.angles.shape
+    columns = [mapping.angles(stretch.angles)]
+    names = [f"angle {i + 1}" for i in range(arms)]
+    if stretch.rates is not None:
+        columns.append(mapping.rates(stretch.rates))
+        names += [f"rate {i + 1}" for i in range(arms)]
+    if stretch.cart is not None:
+        columns.append(stretch.cart[:, None] * mapping.cart_scale)
+        names.append("the cart's position")
+    if stretch.command is not None:
+        columns.append(stretch.command[:, None])
+        names.append("the command")
+    return Samples(
+        where=stretch.where,
+        rows=np.arange(1, count + 1),
+        time=np.arange(count) * period if stretch.time is None else stretch.time,
+        values=np.column_stack(columns),
+        names=tuple(names),
+        arms=arms,
+    )
+
+
+def _in_order(parts: list[Samples], spacing: float) -> tuple[list[Samples], list[str]]:
+    """Return the segments with times that follow one another, moved where they do not, and what was moved."""
+    placed: list[Samples] = []
+    moved: list[str] = []
+    last = -np.inf
+    for index, part in enumerate(parts):
+        shift = 0.0
+        if (part.time[0] < 0 and not placed) or part.time[0] <= last:
+            shift = (last + spacing if placed else 0.0) - part.time[0]
+            moved.append(f"segment {index}: its time was moved by {shift:.9g} s to follow the one before")
+        placed.append(replace(part, time=part.time + shift))
+        last = float(placed[-1].time[-1])
+    return placed, moved

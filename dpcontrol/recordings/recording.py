@@ -1,0 +1,261 @@
+"""Recordings from the bench in memory and as logs: what was measured, in segments, with nothing added.
+
+A recording is written in the layout of simulated logs: angles and the rig's own filtered rates, where it gave any, as
+/joint_states, a command as /control, and no more. One log holds all segments of a file, one after the other; its
+metadata says in which rows each begins and ends, and between two segments the time may jump.
+
+How the cart of a recording moved: the acceleration that its arms felt, from the command or from its position.
+
+    u_k = (a_k + a_{k+1}) / 2,      a = d²/dt² of cubics through 20 ms of the position (Savitzky–Golay)
+
+A command is sharper, but a drive may lag, saturate or give less than it is told. It is taken where it explains the
+position: where its integral, smoothed alike, has the accelerations of the position to a tenth of their rms.
+Source: Savitzky & Golay, Smoothing and Differentiation of Data (1964).
+"""
+
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+from scipy.signal import savgol_filter
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs import LogWriter, Mode, RunLog, control_fields, read_log
+from dpcontrol.logs.container import MAGIC
+
+Array = NDArray[np.float64]
+
+KIND, REPLAYED = "recording", "replay"
+"""The metadata `kind` of a log that was imported, and of one that a model was replayed on."""
+SUMMARY = "summary"
+"""Metadata of a replay: a sentence on how well the model predicted."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """K samples of n arms, SI units; angles absolute from hanging, counter-clockwise, unwrapped.
+
+    name; source: the file it came from. dt s: sampling period. time (K,) s; angles (K, n) rad; rates (K, n) rad/s as
+    the rig's own filter gave them, or None; cart (K,) m and command (K,) m/s², or None where the cart was clamped.
+    segments: (first, end) rows of each, end not included, 0-based in the order of the file; within a segment samples
+    are dt apart. arm_lengths (n,) m, for pictures. notes: what was repaired or changed in reading, in sentences.
+    """
+
+    name: str
+    source: str
+    dt: float
+    time: Array
+    angles: Array
+    rates: Array | None
+    segments: tuple[tuple[int, int], ...]
+    arm_lengths: tuple[float, ...]
+    cart: Array | None = None
+    command: Array | None = None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def arms(self) -> int:
+        """Number of arms."""
+        return self.angles.shape[1]
+
+    def segment(self, index: int) -> "Recording":
+        """Return the segment of this 0-based index as a recording of its own, its time as in the whole."""
+        first, end = self.segments[index]
+        rows = slice(first, end)
+        return replace(
+            self,
+            time=self.time[rows],
+            angles=self.angles[rows],
+            rates=None if self.rates is None else self.rates[rows],
+            cart=None if self.cart is None else self.cart[rows],
+            command=None if self.command is None else self.command[rows],
+            segments=((0, end - first),),
+        )
+
+    def split(self) -> "list[Recording]":
+        """Return all segments, in order."""
+        return [self.segment(index) for index in range(len(self.segments))]
+
+
+def segments_text(segments: tuple[tuple[int, int], ...]) -> str:
+    """Return segments as a log's metadata says them: `first:end` of each, end not included."""
+    return " ".join(f"{first}:{end}" for first, end in segments)
+
+
+def described(recording: Recording, *, kind: str = KIND) -> dict[str, str]:
+    """Return the metadata of a log made of a recording."""
+    return {
+        "kind": kind,
+        "title": recording.name,
+        "source": recording.source,
+        "sampling_period": repr(recording.dt),
+        "segments": segments_text(recording.segments),
+        "command": "" if recording.command is None else "cart acceleration, in /control",
+        "notes": "\n".join(recording.notes),
+    }
+
+
+def measured_rates(recording: Recording) -> Array | None:
+    """Return the rates (K, joints) of a log: those recorded, and for a cart the differences of its position."""
+    if recording.rates is None or recording.cart is None:
+        return recording.rates
+    velocity = np.concatenate([np.gradient(part.cart, part.dt) for part in recording.split() if part.cart is not None])
+    return np.column_stack([recording.rates, velocity])
+
+
+def write_recording(recording: Recording, path: Path | str) -> Path:
+    """Write a recording as a log and return its path.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    k, n = recording.angles.shape
+    has_cart = recording.cart is not None
+    measured = recording.angles if recording.cart is None else np.column_stack([recording.angles, recording.cart])
+    rates, control = measured_rates(recording), None
+    if recording.command is not None:
+        fields = control_fields(n, has_cart=has_cart)
+        control = np.zeros((k, len(fields)))
+        control[:, fields.index("nis")] = np.nan
+        control[:, fields.index("mode")] = Mode.IDLE
+        control[:, fields.index("command")] = control[:, fields.index("applied")] = recording.command
+    with LogWriter(
+        path,
+        arm_lengths=recording.arm_lengths,
+        rate_hz=1 / recording.dt,
+        has_cart=has_cart,
+        metadata=described(recording),
+    ) as log:
+        for index, (first, end) in enumerate(recording.segments):
+            rows = slice(first, end)
+            log.event(float(recording.time[first]), "info", "import", f"segment {index}: {end - first} samples")
+            log.ticks(
+                recording.time[rows],
+                measured=measured[rows],
+                rates=None if rates is None else rates[rows],
+                control=None if control is None else control[rows],
+            )
+    return Path(path)
+
+
+def load_recording(path: Path | str) -> Recording:
+    """Return the recording in a log that `dpcontrol import` or `replay` wrote; a run's log is one segment of its own.
+
+    Raises:
+        InputError: the file cannot be read, is no log, or holds too few samples.
+    """
+    path = Path(path)
+    with suppress(OSError), path.open("rb") as file:
+        head = file.read(len(MAGIC))
+        if head != MAGIC[: len(head)]:
+            said = f"{path} is no log (it begins with {head!r})"
+            raise InputError(f"{said}; of a bench's recording `dpcontrol import` makes one")
+    return recording_of(read_log(path))
+
+
+def recording_of(log: RunLog) -> Recording:
+    """Return what a log says was measured, and what was commanded.
+
+    Raises:
+        InputError: its segments do not fit its samples.
+    """
+    n, k = len(log.arm_lengths), len(log.time)
+    imported = log.metadata.get("kind") in (KIND, REPLAYED)
+    segments = _segments(log.metadata.get("segments", "")) if imported else ((0, k),)
+    if not segments or any(not 0 <= first < end <= k for first, end in segments):
+        raise InputError(f"{log.path}: its segments do not fit its {k} samples; import the recording again")
+    if imported:
+        command = log.controls.get("command") if log.metadata.get("command") else None
+    else:
+        command = log.controls.get("applied")
+    return Recording(
+        name=log.metadata.get("title", log.path.stem) if imported else log.path.stem,
+        source=log.metadata.get("source", "") if imported else log.path.name,
+        dt=_period(log),
+        time=log.time,
+        angles=log.measured[:, :n],
+        rates=None if log.rates is None else log.rates[:, :n],
+        segments=segments,
+        arm_lengths=log.arm_lengths,
+        cart=log.measured[:, n] if log.has_cart else None,
+        command=command,
+        notes=tuple(log.metadata.get("notes", "").splitlines()),
+    )
+
+
+def _period(log: RunLog) -> float:
+    try:
+        return float(log.metadata["sampling_period"])
+    except (KeyError, ValueError):
+        return 1 / log.rate_hz
+
+
+def _segments(text: str) -> tuple[tuple[int, int], ...]:
+    try:
+        pairs = [tuple(int(number) for number in part.split(":")) for part in text.split()]
+        return tuple((first, end) for first, end in pairs)
+    except ValueError:
+        return ()
+
+
+STILL = 1e-3
+"""m: a cart that moves less counts as clamped."""
+_SMOOTHED = 0.02
+"""s of position to each cubic: at micrometres the acceleration is known to some mm/s², and 10 Hz pass."""
+_EXPLAINED = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class CartMotion:
+    """At each of K samples: position m, velocity m/s, and the acceleration m/s² held until the next sample.
+
+    commanded: whether the acceleration is the command's; else it is the position's.
+    """
+
+    position: Array
+    velocity: Array
+    acceleration: Array
+    commanded: bool
+
+
+def cart_motion(part: Recording) -> CartMotion | None:
+    """Return how the cart moved in a recording of one segment, or None where it was clamped."""
+    period, command = part.dt, part.command
+    if part.cart is None:
+        if command is None or not command.any():
+            return None
+        velocity = period * np.concatenate([[0.0], np.cumsum(command[:-1])])
+        return CartMotion(_integral(velocity, command, period), velocity, command, True)
+    known = np.isfinite(part.cart)
+    if known.sum() < 2 or float(np.ptp(part.cart[known])) < STILL:
+        return None
+    # A reading now and then that is missing leaves the position on the line through its neighbours.
+    position = part.cart
+    if not known.all():
+        between = make_interp_spline(part.time[known], part.cart[known], k=1)
+        position = np.asarray(between(part.time), dtype=np.float64)
+    velocity, felt = (_derivative(position, period, order) for order in (1, 2))
+    if command is not None:
+        sent = period * np.concatenate([[0.0], np.cumsum(command[:-1])])
+        told = _derivative(_integral(sent, command, period), period, 2)
+        missed, moved = (float(np.sqrt(np.mean(np.square(a)))) for a in (told - felt, felt))
+        if missed <= _EXPLAINED * moved:
+            return CartMotion(position, velocity, command, True)
+    acceleration = (felt + np.append(felt[1:], felt[-1])) / 2
+    return CartMotion(position, velocity, acceleration, False)
+
+
+def _derivative(position: Array, period: float, order: int) -> Array:
+    width = min(max(round(_SMOOTHED / period) | 1, 5), len(position) if len(position) % 2 else len(position) - 1)
+    if width < 5:
+        return np.zeros(len(position))
+    return np.asarray(savgol_filter(position, width, 3, deriv=order, delta=period), dtype=np.float64)
+
+
+def _integral(velocity: Array, acceleration: Array, period: float) -> Array:
+    """Return positions (K,) m from velocities at the samples and accelerations held between them."""
+    steps = period * velocity[:-1] + period**2 / 2 * acceleration[:-1]
+    return np.concatenate([[0.0], np.cumsum(steps)])

@@ -1,0 +1,1 @@
+"""A rig over UDP, and an example of one."""

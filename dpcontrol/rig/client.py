@@ -1,0 +1,364 @@
+"""A rig at the other end of a UDP socket: the client's side, for any bench that speaks `dpcontrol.rig.packets`.
+
+The bench has the clock: it sends a reading each period, and uses the newest command it has. A reading that is lost
+counts as a tick at which no sensor was read, so that the loop's ticks stay the bench's; a command that is lost is made
+good by the next. After a stall the readings that wait are worked off one by one, which takes a fraction of a period
+each. A tick is due a period after the one before it, counted from the earliest that a reading ever came.
+
+How well a loop kept time on a rig: what it missed, what was lost on the way, and how long answers took.
+"""
+
+import gc
+import math
+import os
+import select
+import socket
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass
+from types import TracebackType
+from urllib.parse import urlsplit
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.loop.rig import Reading
+from dpcontrol.rig import packets as packets
+from dpcontrol.rig.packets import Condition, Kind, ReadingPacket, Welcome
+
+
+@contextmanager
+def without_collecting() -> Iterator[None]:
+    """Keep Python from looking for cycles of garbage meanwhile, which takes many milliseconds at a time."""
+    was = gc.isenabled()
+    gc.collect()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if was:
+            gc.enable()
+
+
+@contextmanager
+def real_time_priority() -> Iterator[bool]:
+    """Run before all ordinary work meanwhile (SCHED_FIFO); yield whether the system allowed it.
+
+    For processes that sleep most of the time: one that does not would keep its core to itself.
+    """
+    try:
+        policy, priority = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+    except (AttributeError, OSError):
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        os.sched_setscheduler(0, policy, priority)
+
+
+@dataclass(frozen=True)
+class Deadlines:
+    """A run in real time; times in s.
+
+    ticks: of the run; missed: those that began a whole period late or later, so that their commands came too late;
+    worst, lateness_99, lateness_median: of how late ticks began. lost: readings that never came; stale: readings that
+    came when their tick had passed; held: periods in which the bench had to do with an old command; trip_median,
+    trip_99, trip_worst: from a reading leaving the bench to its command arriving there; not-a-number: none arrived.
+    """
+
+    ticks: int
+    missed: int
+    worst: float
+    lateness_median: float
+    lateness_99: float
+    lost: int
+    stale: int
+    held: int
+    trip_median: float
+    trip_99: float
+    trip_worst: float
+
+    @classmethod
+    def of(
+        cls, lateness: list[float], trips: list[float], *, missed: int, lost: int, stale: int, held: int
+    ) -> "Deadlines":
+        """Return the statistics of ticks that began so late (s), of answers that took so long (s), and the counts."""
+        late, trip = np.array(lateness or [np.nan]), np.array(trips or [np.nan])
+        return cls(
+            ticks=len(lateness), missed=missed, worst=float(late.max()), lateness_median=float(np.median(late)),
+            lateness_99=float(np.percentile(late, 99)), lost=lost, stale=stale, held=held,
+            trip_median=float(np.median(trip)), trip_99=float(np.percentile(trip, 99)), trip_worst=float(trip.max()),
+        )  # fmt: skip
+
+    @property
+    def sentence(self) -> str:
+        """What a user wants to know of it."""
+        return (
+            f"{self.missed} of {self.ticks} deadlines missed; ticks began up to {1e3 * self.worst:.3g} ms late (99 %: "
+            f"{1e3 * self.lateness_99:.3g} ms); {self.lost} readings lost, {self.stale} too late; the bench repeated a "
+            f"command {self.held} times; from reading to command {1e3 * self.trip_median:.3g} ms (99 %: "
+            f"{1e3 * self.trip_99:.3g} ms)"
+        )
+
+    def record(self) -> dict[str, str]:
+        """Return the statistics as text by name, for a log's result record."""
+        return {f"deadlines_{name}": repr(value) for name, value in asdict(self).items()}
+
+
+Array = NDArray[np.float64]
+
+SCHEME = "udp"
+_DRIFT = 1e-4
+"""By how much the two clocks may differ in pace; clocks of computers differ by some 5e-5."""
+_ASK_EVERY = 0.2
+"""Seconds between HELLOs."""
+
+
+@dataclass(frozen=True)
+class LinkSettings:
+    """answer s: longest time to wait for the bench to begin; patience s: how long a reading may be overdue before its
+    tick goes on without it; silence s: without any packet after which the bench counts as gone.
+    """
+
+    answer: float = 10.0
+    patience: float = 0.02
+    silence: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse what is no time.
+
+        Raises:
+            InputError: names the setting, its value and what is allowed.
+        """
+        for name, value in vars(self).items():
+            if not 0 < value <= 3600:
+                raise InputError(f"link: {name} = {value!r}: must be positive seconds, at most 3600")
+
+
+def parse_address(text: str) -> tuple[str, int]:
+    """Return host and port of `udp://HOST:PORT`.
+
+    Raises:
+        InputError: it is no such address.
+    """
+    try:
+        parts = urlsplit(text)
+        host, port = parts.hostname, parts.port
+    except ValueError:
+        host = port = None
+    else:
+        if parts.scheme != SCHEME or parts.path.strip("/"):
+            host = None
+    if not host or not port:
+        raise InputError(f"rig {text!r}: must be udp://HOST:PORT, as `dpcontrol rig` prints it, or udp alone")
+    return host, port
+
+
+class UdpRig:
+    """A bench at `address` (host, port) behind the `Rig` protocol; a context manager, which says goodbye.
+
+    queued m/s²: the commands to be on their way when the run begins, oldest first. The first `read` lets the
+    bench begin.
+
+    Raises:
+        InputError: no such address, or no bench answers there.
+    """
+
+    def __init__(
+        self, address: tuple[str, int], *, queued: Sequence[float] = (), settings: LinkSettings | None = None
+    ) -> None:
+        self._settings = settings or LinkSettings()
+        self.address = f"{SCHEME}://{address[0]}:{address[1]}"
+        try:
+            family = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)[0][0]
+            self._socket = socket.socket(family, socket.SOCK_DGRAM)
+            self._socket.connect(address)
+        except OSError as error:
+            raise InputError(f"rig {self.address}: {error.strerror or error}; check the address") from error
+        # What comes during a stall should wait there.
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
+        self._socket.setblocking(False)
+        self._poll = select.poll()
+        self._poll.register(self._socket, select.POLLIN)
+        self._waiting: dict[int, ReadingPacket] = {}
+        self._tick, self._begin = -1, math.inf
+        self._fault, self._stopped, self._gone = "", False, ""
+        self._lateness: list[float] = []
+        self._trips: list[float] = []
+        self._heard, self._held, self._missed, self._lost, self._stale = -1, 0, 0, 0, 0
+        try:
+            self.welcome = self._introduced(queued)
+        except BaseException:
+            self._socket.close()
+            raise
+        self._last_packet = 0.0
+        self._nothing = np.zeros(self.welcome.arms + 1, dtype=bool)
+        self._positions = np.zeros(self.welcome.arms + 1)
+
+    def __enter__(self) -> "UdpRig":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+        self._send(packets.bye("the run is over"))
+        self._socket.close()
+
+    @property
+    def period(self) -> float:
+        """Return the time between ticks, s."""
+        return self.welcome.period
+
+    @property
+    def truth(self) -> None:
+        """Return None: nobody knows the true state."""
+        return None
+
+    @property
+    def acted(self) -> None:
+        """Return None: nobody knows what acted."""
+        return None
+
+    @property
+    def fault(self) -> str:
+        """Return what the bench says that it has come to grief by, or ""."""
+        return self._fault
+
+    @property
+    def deadlines(self) -> Deadlines:
+        """Return the statistics so far."""
+        return Deadlines.of(
+            self._lateness, self._trips, missed=self._missed, lost=self._lost, stale=self._stale, held=self._held
+        )
+
+    def read(self) -> Reading:
+        """Wait for the next tick's reading, or for so long that the tick must go on without it.
+
+        Raises:
+            ArithmeticError: the bench is gone, has ended the run, or has stopped the cart because it heard nothing.
+        """
+        self._tick = k = self._tick + 1
+        packet = self._packet_of(k)
+        now, period = time.perf_counter(), self.welcome.period
+        lateness = max(now - (self._begin + k * period), 0.0)
+        self._lateness.append(lateness)
+        late = max(lateness - period, 0.0)
+        self._missed += late > 0
+        if packet is None:
+            self._lost += 1
+            return Reading(k * period, self._positions, self._nothing, 0, late)
+        if packet.heard > self._heard:
+            self._heard = packet.heard
+            self._trips.append(packet.trip)
+        self._held = packet.held
+        if packet.condition is Condition.SILENCE and not self._stopped:
+            raise ArithmeticError(f"the bench stopped the cart: {packet.text}")
+        if packet.condition is Condition.FAULT:
+            self._fault = packet.text
+        self._positions = np.array(packet.positions)
+        return Reading(k * period, self._positions, None, packet.switch, late)
+
+    def command(self, acceleration: float) -> None:
+        """Send the cart's wanted acceleration, m/s² to the right.
+
+        Raises:
+            ArithmeticError: it is not a finite number.
+        """
+        if not math.isfinite(acceleration):
+            raise ArithmeticError(f"command = {acceleration!r}: the drive takes finite accelerations only")
+        # A STOP may be lost; until the bench is known to stand, each tick says it again.
+        self._send(packets.stop() if self._stopped else packets.command(max(self._tick, 0), acceleration))
+
+    def stop(self) -> None:
+        """Have the bench brake the cart to a standstill, and send no further commands."""
+        self._stopped = True
+        self._send(packets.stop())
+
+    def _introduced(self, queued: Sequence[float]) -> Welcome:
+        """Return the bench's welcome."""
+        until = time.perf_counter() + self._settings.answer
+        while (now := time.perf_counter()) < until:
+            self._send(packets.hello(queued))
+            waited = now + _ASK_EVERY
+            while (now := time.perf_counter()) < waited:
+                kind, content = self._received(waited - now)
+                if isinstance(content, Welcome):
+                    return content
+                if kind is Kind.BYE:
+                    raise InputError(f"rig {self.address}: {content}")
+        raise InputError(
+            f"rig {self.address}: no bench answered for {self._settings.answer:g} s; start one with `dpcontrol rig`"
+        )
+
+    def _packet_of(self, k: int) -> ReadingPacket | None:
+        """Return the reading of tick k, or None where it is lost or overdue."""
+        waiting, settings, period = self._waiting, self._settings, self.welcome.period
+        if k in waiting:
+            return waiting.pop(k)
+        if waiting:
+            return None
+        if k == 0:
+            self._last_packet = time.perf_counter()
+            self._send(packets.start())
+        while True:
+            now = time.perf_counter()
+            due = self._begin + k * period if k else now
+            kind, content = self._received(max(due + settings.patience - now, 0.0))
+            now = time.perf_counter()
+            if isinstance(content, ReadingPacket):
+                self._last_packet = now
+                tick = content.tick
+                # The earliest that any reading came, in units of the bench's clock, which may go a little slower.
+                self._begin = min(self._begin + _DRIFT * period, now - tick * period)
+                if tick == k:
+                    return content
+                if tick > k:
+                    waiting[tick] = content
+                    return None
+                self._stale += 1
+            elif kind is Kind.BYE:
+                raise ArithmeticError(f"the bench ended the run: {content}")
+            elif now - self._last_packet > settings.silence:
+                why = self._gone or "nothing came from it"
+                raise ArithmeticError(f"the bench at {self.address} is gone: {why} for {now - self._last_packet:.3g} s")
+            elif k == 0:
+                # The first reading is waited for; START may have been lost.
+                self._send(packets.start())
+            elif now >= due + settings.patience:
+                return None
+
+    def _received(self, wait: float) -> tuple[Kind | None, packets.Packet]:
+        """Return the next packet, or (None, None) if none came within `wait` s; what is no packet counts as nothing."""
+        try:
+            data = self._socket.recv(packets.LARGEST)
+        except BlockingIOError:
+            try:
+                if not self._poll.poll(math.ceil(wait * 1e3)):
+                    return None, None
+                data = self._socket.recv(packets.LARGEST)
+            except OSError as error:
+                return self._refused(error, wait)
+        except OSError as error:
+            return self._refused(error, wait)
+        try:
+            return packets.unpacked(data)
+        except ValueError:
+            return None, None
+
+    def _refused(self, error: OSError, wait: float) -> tuple[None, None]:
+        self._gone = f"{error.strerror or error}"
+        # Nobody listens there now; a bench that is restarted might.
+        time.sleep(min(wait, _ASK_EVERY))
+        return None, None
+
+    def _send(self, data: bytes) -> None:
+        try:
+            self._socket.send(data)
+        except OSError as error:
+            # Like a packet lost on the way.
+            self._gone = f"{error.strerror or error}"

@@ -1,0 +1,280 @@
+"""An atlas: every Lyapunov orbit of an energy, their tubes' cuts, and the connections between them, as plain records.
+
+The records hold numbers only, so that an atlas read from its file and one just made are the same thing. Lengths N (the
+state) and units are those of the model: rad and rad/s for arms, the primaries' units for three bodies.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.propagator import Section
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.orbits.rotating import RotatingOrbit
+from dpcontrol.tubes.connection import Connection
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class AtlasPoint:
+    """An equilibrium: state (N,), energy in J, kind: "centre" or "index-k saddle"."""
+
+    name: str
+    state: Array
+    energy: float
+    kind: str
+
+
+@dataclass(frozen=True)
+class AtlasOrbit:
+    """A Lyapunov orbit: what `dpcontrol orbit` publishes, and samples (M, N) at equally spaced phases from zero."""
+
+    saddle: str
+    family: int
+    energy: float
+    period: float
+    state: Array
+    floquet_multipliers: NDArray[np.complex128]
+    residual: float
+    status: str
+    samples: Array
+
+    @property
+    def name(self) -> str:
+        """The saddle, and the family where it is not the first."""
+        return self.saddle if self.family == 0 else f"{self.saddle} family {self.family}"
+
+
+@dataclass(frozen=True)
+class AtlasRotatingOrbit:
+    """An orbit that turns one arm forward: what `dpcontrol orbit --rotating` publishes, and samples (M, N).
+
+    Each stands for its reflection as well, which turns backward.
+    """
+
+    arm: int
+    winding: tuple[int, ...]
+    energy: float
+    period: float
+    state: Array
+    floquet_multipliers: NDArray[np.complex128]
+    trace: float
+    kind: str
+    residual: float
+    status: str
+    samples: Array
+
+
+@dataclass(frozen=True)
+class AtlasPiece:
+    """One connected piece of a tube's cut, K points in order of phase.
+
+    phases (K,) of the seeds; points (K, 2): (q, p/p₀), q not wrapped; states (K, N); times (K,) s of flight; direction:
+    sign of the crossing. stable_points (K, 2): of the stable tube, which is this one turned around in time.
+    """
+
+    branch: int
+    direction: int
+    closed: bool
+    phases: Array
+    points: Array
+    stable_points: Array
+    states: Array
+    times: Array
+
+
+@dataclass(frozen=True)
+class AtlasCut:
+    """An orbit's unstable tube up to the `hit`-th crossing of a section.
+
+    open_ends: (branch, (phase, phase), reason). strands (B, M, N): trajectories of the tube from their seeds to the
+    section, M instants spread evenly over half the time and half the path, of branches (B,) and seeds' phases (B,).
+    """
+
+    saddle: str
+    section: Section
+    hit: int
+    pieces: tuple[AtlasPiece, ...]
+    open_ends: tuple[tuple[int, tuple[float, float], str], ...]
+    trajectories: int
+    resolved: bool
+    status: str
+    strands: Array
+    strand_branches: NDArray[np.int64]
+    strand_phases: Array
+
+
+@dataclass(frozen=True)
+class AtlasConnection:
+    """A connection: what `dpcontrol connect` publishes, its place on the section, and its flight.
+
+    point (2,): (q, p/p₀). times (F,) s from the section and states (F, N): from one period before it leaves the source
+    orbit to one after it joins the target. node_times (K,), nodes (K, N): the multiple shooting's own.
+    """
+
+    name: str
+    source: str
+    target: str
+    section: Section
+    state: Array
+    point: Array
+    winding: tuple[int, ...]
+    sense: int
+    symmetric: bool
+    residual: float
+    transversality_angle: float
+    hits: tuple[int, int]
+    time_out: float
+    time_in: float
+    phase_out: float
+    phase_in: float
+    times: Array
+    states: Array
+    node_times: Array
+    nodes: Array
+
+
+@dataclass(frozen=True)
+class AtlasKind:
+    """How the search for connections of one kind ended: from, to, hits.
+
+    failed: crossings of the cuts that did not converge. complete: none failed and both cuts are closed. open_ends:
+    (tube, branch, (phase, phase), reason) where they are not. by_reversal: made from the opposite kind.
+    """
+
+    source: str
+    target: str
+    section: str
+    hits: tuple[int, int]
+    count: int
+    failed: int
+    complete: bool
+    open_ends: tuple[tuple[str, int, tuple[float, float], str], ...]
+    by_reversal: bool
+    status: str
+
+
+@dataclass(frozen=True)
+class Atlas:
+    """All of one energy of one model.
+
+    periods (N,): 2π for angles, infinity otherwise. reverser (N, N): turns unstable tubes into stable ones about
+    their saddle. absent: (saddle, reason) where there is no orbit. rotating_orbits: of either arm, forward, for
+    double pendulums only. seconds: what orbits, tubes, connections and compiling took when the atlas was made.
+    """
+
+    model: str
+    title: str
+    energy: float
+    periods: Array
+    reverser: Array
+    points: tuple[AtlasPoint, ...]
+    orbits: tuple[AtlasOrbit, ...]
+    rotating_orbits: tuple[AtlasRotatingOrbit, ...]
+    absent: tuple[tuple[str, str], ...]
+    cuts: tuple[AtlasCut, ...]
+    kinds: tuple[AtlasKind, ...]
+    connections: tuple[AtlasConnection, ...]
+    seconds: Mapping[str, float]
+    status: str
+
+    @property
+    def turn_lengths(self) -> Array:
+        """Lengths (N,) of a whole turn of each coordinate, zero where it is no angle."""
+        return np.where(np.isfinite(self.periods), self.periods, 0.0)
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing that was searched may hide a connection at its hits."""
+        return all(kind.complete for kind in self.kinds)
+
+    @property
+    def failed(self) -> int:
+        """Crossings of cuts that did not converge, in all kinds."""
+        return sum(kind.failed for kind in self.kinds)
+
+    def between(self, source: str, target: str) -> tuple[AtlasConnection, ...]:
+        """Return the connections from one saddle's orbit to another's."""
+        return tuple(c for c in self.connections if (c.source, c.target) == (source, target))
+
+    def cut(self, saddle: str, section: str, hit: int) -> AtlasCut:
+        """Return a tube's cut.
+
+        Raises:
+            InputError: the atlas has none such.
+        """
+        for cut in self.cuts:
+            if (cut.saddle, cut.section.name, cut.hit) == (saddle, section, hit):
+                return cut
+        raise InputError(f"the atlas of {self.model} holds no crossing {hit} of {section} by the tube of {saddle}")
+
+    def turned(self, states: Array, saddle: str) -> Array:
+        """Map states (…, N) of a saddle's unstable tube to its stable tube."""
+        centre = next(point.state for point in self.points if point.name == saddle)
+        return (states - centre) @ self.reverser.T + centre
+
+
+def section_axes(section: Section, periods: Array) -> tuple[str, float | None]:
+    """Return the name of a section's coordinate q and its period, None on a line."""
+    coordinate = int(np.argmax(np.abs(section.position)))
+    angular = np.isfinite(periods).any()
+    name = f"θ{'₁₂₃₄₅₆'[coordinate]}" if angular else "xyz"[coordinate]
+    period = float(periods[coordinate])
+    return name, period if np.isfinite(period) else None
+
+
+Document = dict[str, Any]
+
+
+def orbit_document(orbit: AtlasOrbit | LyapunovOrbit) -> Document:
+    """Return an orbit with the keys that `dpcontrol orbit --json` prints."""
+    return {
+        "energy": orbit.energy,
+        "period": orbit.period,
+        "state": orbit.state,
+        "floquet_multipliers": orbit.floquet_multipliers,
+        "residual": orbit.residual,
+        "status": orbit.status,
+        "saddle": orbit.saddle,
+        "family": orbit.family,
+    }
+
+
+def rotating_document(orbit: AtlasRotatingOrbit | RotatingOrbit) -> Document:
+    """Return a rotating orbit with the keys that `dpcontrol orbit --rotating --json` prints."""
+    return {
+        "arm": orbit.arm,
+        "winding": orbit.winding,
+        "energy": orbit.energy,
+        "period": orbit.period,
+        "state": orbit.state,
+        "floquet_multipliers": orbit.floquet_multipliers,
+        "trace": orbit.trace,
+        "kind": orbit.kind,
+        "residual": orbit.residual,
+        "status": orbit.status,
+    }
+
+
+def connection_document(connection: AtlasConnection | Connection) -> Document:
+    """Return a connection with the keys that `dpcontrol connect --json` prints."""
+    return {
+        "name": connection.name,
+        "section": connection.section.name,
+        "state": connection.state,
+        "winding": connection.winding,
+        "sense": connection.sense,
+        "symmetric": connection.symmetric,
+        "residual": connection.residual,
+        "transversality_angle_deg": connection.transversality_angle,
+        "hits": connection.hits,
+        "time_in": connection.time_in,
+        "time_out": connection.time_out,
+        "phase_in": connection.phase_in,
+        "phase_out": connection.phase_out,
+    }

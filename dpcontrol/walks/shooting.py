@@ -1,0 +1,266 @@
+"""Damped Newton's method for multiple shooting: an orbit from a guess, and how well it is known.
+
+Steps are damped by the natural monotonicity test, which does not depend on how the equations are scaled: a step counts
+as good when the simplified step from its end (same Jacobian) is shorter than itself. Lengths are largest scaled
+components. Source: Deuflhard, Newton Methods for Nonlinear Problems (2011), section 3.3, algorithm NLEQ-ERR.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csc_array
+from scipy.sparse.linalg import splu
+
+from dpcontrol.tubes.connecting_orbit import ManifoldEnd
+from dpcontrol.walks.shooting_equations import Guess, ShootingEquations, Unknowns
+
+Array = NDArray[np.float64]
+
+_NO_STEP = (
+    "no step towards an orbit, however short, brings it nearer: there may be none so near to a tangency of two tubes; "
+    "ask for more wraps beside it"
+)
+
+
+@dataclass(frozen=True)
+class NewtonSettings:
+    """When to stop. tolerance: largest gap at a node (rad, rad/s); smallest_damping: below it the guess is given up.
+
+    settled: a step of this scaled length moves nothing but rounding; certain: one of this length is taken untested;
+    stretched: a segment that grows by this many
+    times its guessed length, or shrinks as much, has lost its guess; stalled: this many such steps that do not halve
+    the gap end the search.
+    """
+
+    iterations: int = 30
+    tolerance: float = 1e-11
+    smallest_damping: float = 1e-3
+    settled: float = 1e-13
+    certain: float = 1e-8
+    stretched: float = 5.0
+    stalled: int = 4
+
+
+@dataclass(frozen=True)
+class Shot:
+    """What Newton's method left.
+
+    states (K + 1, N), durations (K,), ends: see Guess. residual: largest gap at a node; correction: scaled length of
+    the last Newton step; lipschitz: the affine-invariant Lipschitz constant ω seen along the way; condition: 1-norm
+    condition number of the scaled Jacobian; stms (K, N, N) of the segments; fault: the symbol at which the last step
+    was largest.
+    """
+
+    guess: Guess
+    states: Array
+    durations: Array
+    ends: tuple[ManifoldEnd, ManifoldEnd] | None
+    residual: float
+    correction: float
+    lipschitz: float
+    condition: float
+    stms: Array
+    iterations: int
+    converged: bool
+    status: str
+    fault: int
+
+    @property
+    def kantorovich(self) -> float:
+        """h = ω ‖Δx‖: below one half, a solution exists within twice the last step (Newton–Kantorovich)."""
+        return self.lipschitz * self.correction
+
+
+@dataclass(frozen=True)
+class _Linear:
+    """The equations linearised at one point: the Newton step, its length, and the symbol where it is largest."""
+
+    factors: Any
+    matrix: csc_array
+    step: Array
+    length: float
+    fault: int
+    residual: float
+    stms: Array
+
+
+@dataclass(frozen=True)
+class _Step:
+    """An accepted step: where it led, how it was damped, the simplified step from there, and ω."""
+
+    unknowns: Unknowns
+    damping: float
+    simplified: Array
+    lipschitz: float
+
+
+class _Lost(Exception):
+    """Newton's method cannot go on; the message says why."""
+
+
+def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot:
+    """Refine a guess into an orbit by damped Newton steps on all nodes and durations at once."""
+    settings = settings or NewtonSettings()
+    equations = ShootingEquations(guess)
+    amplitudes = np.array([] if guess.ends is None else [end.amplitude for end in guess.ends])
+    now = equations.placed(Unknowns(guess.states.copy(), guess.durations.copy(), amplitudes, 0.0))
+    linear: _Linear | None = None
+    taken: _Step | None = None
+    lipschitz, iteration, failure, lowest, fault, stalled = 0.0, 0, "", np.inf, 0, 0
+    try:
+        for iteration in range(settings.iterations + 1):
+            before = linear
+            linear = _linearised(equations, now)
+            fault = linear.fault
+            done = linear.residual <= settings.tolerance
+            if done and (linear.length <= settings.settled or linear.residual > lowest / 4):
+                break
+            stalled = 0 if linear.residual < lowest / 2 else stalled + 1
+            if stalled == settings.stalled and linear.length <= settings.certain:
+                break
+            if iteration == settings.iterations:
+                break
+            lowest = min(lowest, linear.residual)
+            first = 1.0 if taken is None or before is None else _predicted(equations, before, linear, taken)
+            try:
+                taken = _step(equations, now, linear, first, settings)
+            except _Lost:
+                if not done:
+                    raise
+                # Steps from an orbit that is as good as rounding lets it be lead nowhere better.
+                break
+            # The first steps are far away; ω matters where the solution is.
+            lipschitz = taken.lipschitz if taken.lipschitz > 0 else lipschitz
+            now = taken.unknowns
+    except (_Lost, ArithmeticError) as error:
+        failure = str(error)
+    residual = np.inf if linear is None else linear.residual
+    if not failure and _on_the_other_side(guess, now):
+        failure = "the orbit left its first orbit, or met its last, on the other side of the tube"
+    converged = residual <= settings.tolerance and not failure
+    if converged:
+        status = f"converged in {iteration} iterations to a gap of {residual:.1e}"
+    else:
+        if not failure and residual < 1e-6:
+            failure = "rounding grows too far over a segment: put nodes nearer together"
+        failure = failure or "that many were not enough: ask for more wraps, or put nodes nearer together"
+        status = f"not converged: gap {residual:.1e} after {iteration} iterations ({failure})"
+    ends = None
+    if guess.ends is not None:
+        first, last = (replace(e, amplitude=float(a)) for e, a in zip(guess.ends, now.amplitudes, strict=True))
+        ends = (first, last)
+    return Shot(
+        guess=guess,
+        states=now.states,
+        durations=now.durations,
+        ends=ends,
+        residual=residual,
+        correction=np.inf if linear is None else linear.length,
+        lipschitz=lipschitz,
+        condition=_condition(linear) if converged and linear is not None else np.inf,
+        stms=np.empty((0, 0, 0)) if linear is None else linear.stms,
+        iterations=iteration,
+        converged=converged,
+        status=status,
+        fault=fault,
+    )
+
+
+def _linearised(equations: ShootingEquations, now: Unknowns) -> _Linear:
+    """Fly all segments with their state-transition matrices and return the Newton step."""
+    arrived, stms = equations.system.segments.flows_with_stm(now.states[:-1], now.durations)
+    right = equations.residuals(now.states, arrived, now.unfolding)
+    matrix = equations.matrix(now.states, stms, arrived)
+    try:
+        factors = splu(matrix)
+    except RuntimeError:
+        raise _Lost("the linear system is singular: two tubes are tangent here; choose another energy") from None
+    step = factors.solve(-right)
+    sizes = equations.sizes(step)
+    residual = float(np.abs(arrived - now.states[1:]).max())
+    fault = int(equations.guess.owners[int(np.argmax(sizes))])
+    return _Linear(factors, matrix, step, float(sizes.max()), fault, residual, stms)
+
+
+def _predicted(equations: ShootingEquations, before: _Linear, linear: _Linear, taken: _Step) -> float:
+    """Return the damping that the last step's error suggests (NLEQ-ERR, equation 3.48)."""
+    wrong = _length(equations, taken.simplified - linear.step)
+    if wrong == 0.0 or linear.length == 0.0:
+        return 1.0
+    return min(1.0, before.length * _length(equations, taken.simplified) / (wrong * linear.length) * taken.damping)
+
+
+def _step(
+    equations: ShootingEquations, now: Unknowns, linear: _Linear, damping: float, settings: NewtonSettings
+) -> _Step:
+    """Return the longest damped step that passes the natural monotonicity test."""
+    reason = _NO_STEP
+    while damping >= settings.smallest_damping:
+        trial = equations.moved(now, damping * linear.step)
+        reason = _lost_guess(equations, trial, settings)
+        if reason:
+            damping /= 4
+            continue
+        reason = _NO_STEP
+        try:
+            landed = equations.system.segments.flows(trial.states[:-1], trial.durations)
+        except ArithmeticError as error:
+            reason, damping = str(error), damping / 4
+            continue
+        simplified = linear.factors.solve(-equations.residuals(trial.states, landed, trial.unfolding))
+        after = _length(equations, simplified)
+        bent = _length(equations, simplified - (1 - damping) * linear.step)
+        # Steps this short are good; what rounding leaves of the test would refuse them.
+        if after <= (1 - damping / 4) * linear.length or damping * linear.length <= settings.certain:
+            # Below 1e-7 the bend of the equations is hidden in rounding.
+            lipschitz = 2 * bent / (damping * linear.length) ** 2 if damping * linear.length > 1e-7 else 0.0
+            return _Step(trial, damping, simplified, lipschitz)
+        damping = min(damping / 2, damping**2 * linear.length / (2 * bent))
+    raise _Lost(reason)
+
+
+def _lost_guess(equations: ShootingEquations, trial: Unknowns, settings: NewtonSettings) -> str:
+    """Say why a trial is no longer the orbit that was guessed; empty if it is."""
+    ratios = trial.durations / equations.guess.durations
+    if ratios.min() < 1 / settings.stretched or ratios.max() > settings.stretched:
+        return "a segment lost its length: the walk needs more wraps, or nodes nearer together"
+    return ""
+
+
+def _on_the_other_side(guess: Guess, found: Unknowns) -> bool:
+    """Whether an end's amplitude changed its sign.
+
+    On the way it may: amplitudes are so small that any error of the guess moves them across and the next step back.
+    """
+    ends = guess.ends or ()
+    return any(float(a) * end.amplitude <= 0 for a, end in zip(found.amplitudes, ends, strict=True))
+
+
+def _length(equations: ShootingEquations, step: Array) -> float:
+    """Return the length of a step: that of nodes and durations, for ε is no part of the orbit."""
+    return float(equations.sizes(step).max())
+
+
+def _condition(linear: _Linear, columns: int = 4, rounds: int = 5) -> float:
+    """Return the 1-norm condition number of the scaled Jacobian, the inverse's norm estimated from below.
+
+    Higham & Tisseur's block algorithm (SIAM J. Matrix Anal. Appl. 21, 2000). scipy's draws from the generator that all
+    of a program shares: an orbit would not have the same certificate twice.
+    """
+    solve, size = linear.factors.solve, len(linear.step)
+    probes = np.random.default_rng(0).choice([-1.0, 1.0], (size, columns)) / size
+    probes[:, 0] = 1.0 / size
+    norm = 0.0
+    for _ in range(rounds):
+        images = solve(probes)
+        grown = float(np.abs(images).sum(axis=0).max())
+        if grown <= norm:
+            break
+        norm = grown
+        # The norm is reached at a unit vector: those along which the sum of magnitudes grows fastest come next.
+        slopes = np.abs(solve(np.where(images < 0, -1.0, 1.0), "T")).max(axis=1)
+        probes = np.zeros((size, columns))
+        probes[np.argsort(-slopes, kind="stable")[:columns], np.arange(columns)] = 1.0
+    return norm * float(np.max(abs(linear.matrix).sum(axis=0)))  # pyright: ignore[reportArgumentType]

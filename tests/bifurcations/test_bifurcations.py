@@ -1,0 +1,361 @@
+"""Changes of the connections with energy: saddle-nodes, pitchforks, and those that the section only feigns."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dpcontrol.bifurcations.bifurcations import find_bifurcations
+from dpcontrol.bifurcations.links import LinkProblem, carry, follow
+from dpcontrol.bifurcations.sweep import Sweep, SweepSettings
+from dpcontrol.cli.main import main
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.connecting_orbit import Anchor, solve_connecting_orbit
+from dpcontrol.tubes.connections import find_connections, orbits_between
+from dpcontrol.tubes.cut import CutSettings, section_points
+from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
+from dpcontrol.tubes.manifold import UnstableManifold
+
+REPEATABLE = 1e-7  # J: the bar; 1e-11 is reached
+RESIDUAL = 1e-8
+LAW = 0.02  # relative: how near a square-root law holds a few microjoules from its bifurcation
+ON_MIRROR = 1e-7  # rad
+
+SADDLE_NODE, PITCHFORK, GRAZE = (-0.1425, -0.1415), (-0.1008, -0.0998), (0.0170, 0.0195)
+"""Energies in J about three events of the lab pendulum's Down-Up homoclinics."""
+UP_DOWN, BETWEEN = (0.1775, 0.1790), (0.1883, 0.1885)
+"""Energies in J about the first events of Up-Down's homoclinics (a saddle-node, a pitchfork) and of heteroclinics."""
+SADDLES = {
+    SADDLE_NODE: ("down-up", "down-up"),
+    PITCHFORK: ("down-up", "down-up"),
+    UP_DOWN: ("up-down", "up-down"),
+    BETWEEN: ("down-up", "up-down"),
+}
+
+
+@pytest.fixture(scope="module")
+def system():
+    return load_model("lab").system
+
+
+def located(system, energies, *, source="down-up", target="down-up", distance=1e-4, chord=0.05, samples=2):
+    search = ConnectionSettings(distance=distance, cut=CutSettings(chord=chord))
+    settings = SweepSettings(energies=samples, search=search)
+    return find_bifurcations(system, source, target, energies=energies, settings=settings)
+
+
+@pytest.fixture(scope="module")
+def events(system):
+    found = {name: located(system, name) for name in (SADDLE_NODE, PITCHFORK, GRAZE)}
+    assert all(f.complete and len(f.events) == 1 for f in found.values())
+    return {name: f.events[0] for name, f in found.items()}
+
+
+@pytest.fixture(scope="module")
+def first_events(system, events):
+    """First events of every kind of connection, in order of energy."""
+    others = {
+        name: located(system, name, source=SADDLES[name][0], target=SADDLES[name][1]) for name in (UP_DOWN, BETWEEN)
+    }
+    assert all(f.complete for f in others.values())
+    return {
+        SADDLE_NODE: (events[SADDLE_NODE],),
+        PITCHFORK: (events[PITCHFORK],),
+        **{name: f.events for name, f in others.items()},
+    }
+
+
+def connections_at(system, energy, saddles=("down-up", "down-up")):
+    return find_connections(*orbits_between(system, saddles[0], saddles[1], energy)).connections
+
+
+def off_mirror(connection):
+    return abs(np.sin(connection.state[0]))
+
+
+def test_each_change_has_its_own_kind_and_counts(events):
+    found = {name: (e.kind, e.count_below, e.count_above, e.symmetric) for name, e in events.items()}
+    assert found == {
+        SADDLE_NODE: ("saddle-node", 0, 4, True),
+        PITCHFORK: ("pitchfork", 4, 8, True),
+        GRAZE: ("section-artefact", 8, 10, True),
+    }
+    assert max(e.residual for e in events.values()) < RESIDUAL
+
+
+def test_counts_by_the_search_alone_change_at_the_located_energies(system, events):
+    """Near side found, far side empty: 2e-6 J on either side of a tangency, where the cuts all but touch."""
+    for name in (SADDLE_NODE, PITCHFORK):
+        event = events[name]
+        sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
+        counts = [sweep.search(event.energy + d).count for d in (-2e-6, 2e-6)]
+        assert counts == [event.count_below, event.count_above]
+
+
+@pytest.mark.parametrize(
+    ("name", "which", "kind"),
+    [
+        (SADDLE_NODE, 0, "saddle-node"),
+        (PITCHFORK, 0, "pitchfork"),
+        (UP_DOWN, 0, "saddle-node"),
+        (UP_DOWN, 1, "pitchfork"),
+        (BETWEEN, 0, "saddle-node"),
+    ],
+)
+def test_cuts_that_all_but_touch_give_every_crossing_from_a_tenth_of_a_microjoule_on(
+    system, first_events, name, which, kind
+):
+    """Pairs a few ten-thousandths of a phase apart, where the polylines cross nowhere or not at all transversally."""
+    event, saddles = first_events[name][which], SADDLES[name]
+    assert event.kind == kind
+    assert event.count_above == event.count_below + 4
+    counts = [len(connections_at(system, event.energy + d, saddles)) for d in (-2e-7, 2e-7, 2e-6, 2e-5)]
+    assert counts == [event.count_below, *[event.count_above] * 3]
+
+
+def test_an_interval_that_ends_a_hair_beyond_a_pitchfork_holds_it(system, events):
+    energy = events[PITCHFORK].energy
+    found = located(system, (energy - 1e-5, energy + 1e-6))
+    assert [(e.kind, e.count_below, e.count_above) for e in found.events] == [("pitchfork", 4, 8)]
+    assert found.complete
+
+
+def test_the_angle_at_a_saddle_node_falls_as_the_square_root(system, events):
+    energy = events[SADDLE_NODE].energy
+    angles = [min(c.transversality_angle for c in connections_at(system, energy + d)) for d in (1e-5, 4e-5)]
+    assert angles[1] / angles[0] == pytest.approx(2.0, rel=LAW)
+
+
+def test_a_pitchforks_pair_leaves_the_mirror_as_the_square_root(system, events):
+    energy = events[PITCHFORK].energy
+    offsets = []
+    for d in (1e-5, 4e-5):
+        found = connections_at(system, energy + d)
+        assert sum(off_mirror(c) < ON_MIRROR for c in found) == 4
+        offsets.append(max(off_mirror(c) for c in found))
+    assert offsets[1] / offsets[0] == pytest.approx(2.0, rel=LAW)
+
+
+@pytest.mark.parametrize("name", [SADDLE_NODE, PITCHFORK, GRAZE], ids=["saddle-node", "pitchfork", "artefact"])
+def test_energies_repeat_under_doubled_sampling_and_halved_seed_distance(system, events, name):
+    again = located(system, name, distance=5e-5, chord=0.025)
+    assert [e.kind for e in again.events] == [events[name].kind]
+    assert abs(again.events[0].energy - events[name].energy) < REPEATABLE
+    assert np.abs(again.events[0].state - events[name].state)[2:].max() < 1e-5
+
+
+@pytest.mark.parametrize("name", [UP_DOWN, BETWEEN], ids=["up-down", "between"])
+def test_energies_of_other_saddles_repeat_as_well(system, first_events, name):
+    source, target = SADDLES[name]
+    again = located(system, name, source=source, target=target, distance=5e-5, chord=0.025).events
+    assert [e.kind for e in again] == [e.kind for e in first_events[name]]
+    assert max(abs(a.energy - b.energy) for a, b in zip(again, first_events[name], strict=True)) < REPEATABLE
+
+
+@pytest.mark.parametrize(("energies", "kind"), [((-0.1637, -0.1633), "saddle-node"), ((-0.1536, -0.1532), "pitchfork")])
+def test_energies_of_other_parameters_repeat_as_well(energies, kind):
+    pendulum = load_model("printed").system
+    (once,), (again,) = (
+        located(pendulum, energies, distance=distance, chord=chord).events
+        for distance, chord in ((1e-4, 0.05), (5e-5, 0.025))
+    )
+    assert once.kind == again.kind == kind
+    assert abs(once.energy - again.energy) < REPEATABLE
+
+
+def test_every_change_of_a_small_sweep_has_a_cause(system):
+    found = located(system, (-0.15, -0.09), samples=4)
+    assert found.complete
+    assert [(e.kind, e.count_below, e.count_above) for e in found.events] == [
+        ("saddle-node", 0, 4),
+        ("pitchfork", 4, 8),
+    ]
+    assert [c.count for c in found.counts] == [0, 4, 4, 8]
+    assert "2 events explain every change of the count over 4 energies" in found.status
+
+
+@pytest.mark.parametrize("name", [SADDLE_NODE, PITCHFORK], ids=["saddle-node", "pitchfork"])
+def test_the_state_at_a_bifurcation_flows_to_its_orbit_both_ways_by_scipy(system, events, name):
+    event = events[name]
+    orbit, _ = orbits_between(system, "down-up", "down-up", event.energy)
+    curve = system.propagator.sample(orbit.state, np.linspace(0, orbit.period, 4000))
+    f = system.equations.function()
+    for sign in (1, -1):
+        flown = solve_ivp(
+            lambda t, x, s=sign: s * np.array(f(x, [], system.parameters)).ravel(),
+            (0, 1.25),
+            event.state,
+            method="DOP853",
+            rtol=1e-12,
+            atol=1e-12,
+        ).y[:, -1]
+        # A chord of 4,000 leaves about 5e-4 of the orbit's own length between samples.
+        assert system.scaled_distance(np.broadcast_to(flown, curve.shape), curve).min() < 1e-3
+
+
+def test_a_connection_that_grazes_its_section_goes_on_beyond(system, events):
+    """Multiple shooting, which knows no hits, carries it below the energy at which the first-hit list loses it."""
+    event = events[GRAZE]
+    assert abs(event.state[3]) < 1e-8
+    above, below = event.energy + 4e-4, event.energy - 4e-4
+    grazing = min(
+        (c for c in connections_at(system, above) if c.sense > 0),
+        key=lambda c: np.abs(c.state[2:] - event.state[2:]).max(),
+    )
+    orbit, _ = orbits_between(system, "down-up", "down-up", below)
+    manifold, old = UnstableManifold(orbit), grazing.orbit
+    middle = int(np.argmin(np.abs(old.times)))
+    carried = solve_connecting_orbit(
+        system,
+        replace(old.start, manifold=manifold),
+        replace(old.end, manifold=manifold),
+        old.times,
+        old.states,
+        # Anchored on the inner arm's angle, which moves fast where the outer one stands still on the section.
+        anchor=Anchor(middle, (1.0, 0.0, 0.0, 0.0), float(old.states[middle, 0])),
+    )
+    assert carried.converged
+    assert not any(np.abs(c.state - carried.states[middle]).max() < 1e-2 for c in connections_at(system, below))
+    # In its list no longer, because it now crosses three times where it crossed once.
+    for shot, crossings in ((old, 1), (carried, 3)):
+        heights = shot.sample(np.linspace(-0.3, 0.3, 6001))[:, 1] - 2 * np.pi
+        assert np.count_nonzero(np.diff(np.sign(heights[np.abs(heights) > 1e-12]))) == crossings
+
+
+def test_two_events_in_one_interval_are_told_apart(first_events):
+    assert [(e.kind, e.count_below, e.count_above) for e in first_events[UP_DOWN]] == [
+        ("saddle-node", 0, 4),
+        ("pitchfork", 4, 8),
+    ]
+
+
+def test_where_nothing_changes_nothing_is_reported(system):
+    found = located(system, (-0.13, -0.12))
+    assert found.complete
+    assert not found.events
+    assert [c.count for c in found.counts] == [4, 4]
+
+
+def test_a_connection_that_a_search_misses_is_found_by_continuation(system, monkeypatch):
+    sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
+    low, high = -0.13, -0.12
+    whole = sweep.search(low)
+    with monkeypatch.context() as patch:
+        patch.setattr("dpcontrol.bifurcations.sweep.intersect_cuts", lambda *cuts: (intersect_cuts(*cuts)[0][:1], 0))
+        assert sweep.search(high).count == whole.count - 2
+    interval = sweep.between(low, high)
+    assert sweep.search(high).count == whole.count
+    assert not interval.changes
+    assert not interval.reasons
+    assert len(interval.runs) == len(whole.points)
+
+
+def test_a_tangency_between_samples_is_found_from_the_far_side_too(system):
+    """The pair shed at a pitchfork, followed down from above: its path turns on the mirror and comes back."""
+    sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
+    below, above = sweep.search(PITCHFORK[0]), sweep.search(PITCHFORK[1])
+    problem = LinkProblem(system, "down-up", "down-up", distance=1e-4)
+    problem.manifolds(PITCHFORK[1])
+    assert [problem.symmetry(p.link) for p in below.points] == [1, 1]
+    assert sorted(str(problem.symmetry(p.link)) for p in above.points) == ["1", "1", "None", "None"]
+
+
+def test_a_path_goes_round_a_fold_and_comes_back_as_the_partner(system, events):
+    """From one member of a pair down to the saddle-node and up as the other, which the search finds there too."""
+    fold = events[SADDLE_NODE].energy
+    sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
+    start, goal = SADDLE_NODE[1], SADDLE_NODE[0]
+    first, second = sweep.search(start).points
+    path = follow(sweep.problem, first.link, start, goal)
+    assert path.outcome == "back"
+    energies = np.array([p.energy for p in path.points])
+    (turn,) = path.turns
+    # Down to the fold, never below it, and up again.
+    assert np.all(np.diff(energies[: turn + 1]) < 0)
+    assert np.all(np.diff(energies[turn + 1 :]) > 0)
+    assert 0 < energies.min() - fold < 0.1 * (start - fold)
+    assert sweep.problem.distance_between(path.points[-1].link, second.link) < 1e-8
+    # The tangency changes its sign once, at the fold, and every point is a connection.
+    signs = np.sign([p.tangency for p in path.points])
+    assert np.count_nonzero(np.diff(signs)) == 1
+    assert max(np.abs(sweep.problem.match(p.link, p.energy).gap).max() for p in path.points) < 1e-8
+
+
+def test_carrying_a_connection_refuses_to_pass_a_fold(system):
+    sweep = Sweep(system, "down-up", "down-up", 1, SweepSettings())
+    point = sweep.search(SADDLE_NODE[1]).points[0]
+    assert carry(sweep.problem, point, SADDLE_NODE[0]) is None
+    arrived = carry(sweep.problem, point, -0.1400)
+    assert arrived is not None
+    assert sweep.among(arrived.link, sweep.search(-0.1400).points) is not None
+
+
+def test_connections_of_a_strongly_unstable_orbit_are_followed_down_to_their_fold():
+    """The printed pendulum: its multiplier of 9e4 lets no gap fall below 1e-10, and still nothing is lost."""
+    found = located(load_model("printed").system, (0.1783, 0.1790), target="up-down")
+    assert found.complete
+    assert [(e.kind, e.count_below, e.count_above) for e in found.events] == [
+        ("saddle-node", 4, 8),
+        ("saddle-node", 8, 12),
+    ]
+
+
+def test_where_cuts_scatter_counts_are_lower_bounds_and_changes_still_have_causes(system, monkeypatch):
+    """Trajectories part by the other orbit before they arrive: connections accumulate, and the answer says so.
+
+    The fold between is sharp: from one point of its path to the next σ goes from -0.78 to +0.81.
+    """
+    # Cuts are not refined so long that they are given up sooner: the search misses nothing that continuation brings.
+    monkeypatch.setattr(Sweep, "_amend", lambda *_: pytest.fail("a search was amended"))
+    found = located(system, (0.2358, 0.2370), target="up-down")
+    assert not found.unexplained
+    assert not found.complete
+    assert found.scatters_from == 0.2370
+    assert [c.complete for c in found.counts] == [True, False]
+    assert "counts are lower bounds (at least)" in found.status
+    assert "scatters before crossing 1" in found.status
+    assert [(e.kind, e.count_below, e.count_above, e.at_least) for e in found.events] == [("saddle-node", 20, 24, True)]
+    assert found.events[0].residual < RESIDUAL
+
+
+def test_runs_follow_every_connection_round_its_fold(system):
+    """One of each two that the symmetry exchanges: the lower and the upper part of one parabola."""
+    top = -0.1380
+    found = located(system, (SADDLE_NODE[0], top), samples=3)
+    fold = min(found.runs, key=lambda run: run.energies.min())
+    assert 0 < fold.energies.min() - found.events[0].energy < 1e-5
+    assert np.abs(fold.points[int(np.argmin(fold.energies))] - found.events[0].point).max() < 0.01
+    arrived = sorted(abs(run.points[-1][1]) for run in found.runs if run.energies[-1] == top)
+    connections = connections_at(system, top)
+    expected = {round(abs(float(section_points(system, c.section, c.state)[1])), 8) for c in connections}
+    assert arrived == pytest.approx(sorted(expected), abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("model", "saddles", "energies", "fragment"),
+    [
+        ("lab", ("down-up", "up-down"), (0.0, 0.1), "exist only above 0.17543"),
+        ("lab", ("down-up", "up-up"), (0.5, 0.6), "no section between"),
+        ("lab", ("down-up", "down-up"), (0.1, float("nan")), "two finite numbers"),
+    ],
+)
+def test_impossible_searches_are_refused_with_what_is_possible(model, saddles, energies, fragment):
+    with pytest.raises(InputError, match=fragment):
+        find_bifurcations(load_model(model).system, *saddles, energies=energies)
+
+
+def test_the_verb_prints_events(capsys):
+    low, high = (str(e) for e in SADDLE_NODE)
+    arguments = ["bifurcations", "lab", "--from", "down-up", "--to", "down-up", "--energies", low, high]
+    with pytest.raises(SystemExit) as ended:
+        main([*arguments, "--samples", "2", "--json"])
+    document = json.loads(capsys.readouterr().out)
+    assert ended.value.code == 0
+    (event,) = document["events"]
+    assert event["kind"] == "saddle-node"
+    assert (event["count_below"], event["count_above"]) == (0, 4)
+    assert len(event["state"]) == 4
+    assert "explain every change" in document["status"]

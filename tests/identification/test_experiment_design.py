@@ -1,0 +1,84 @@
+"""Experiments compared by what they would tell: against a fit to the same swing, and by common sense."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dpcontrol.dynamics.chain import Friction
+from dpcontrol.dynamics.ratios import base_ratios, with_laws
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.identification.design import Design, DesignSettings, design_experiments, digits
+from dpcontrol.identification.fit import FitSettings, Swings, fit_swings
+from dpcontrol.identification.segments import cut_into_swings
+from dpcontrol.recordings.simulated import simulated_recording
+from dpcontrol.scenes.model import load_model
+
+LAB = load_model("lab").arms
+QUICK = DesignSettings(seconds=1.5, steps=3, amplitudes=(1.0, 2.0), frequencies=(0.8, 2.0))
+
+
+@pytest.fixture(scope="module")
+def design() -> Design:
+    """A small comparison of the lab's pendulum."""
+    return design_experiments(LAB, settings=QUICK)
+
+
+def test_information_is_that_of_a_fit_to_the_same_swing(design: Design) -> None:
+    best = next(e for e in design.ranked() if e.kind == "swing")
+    recording = simulated_recording(LAB, [np.array(best.angles)], seconds=QUICK.seconds, period=QUICK.period)
+    fit = fit_swings(
+        Swings(LAB),
+        cut_into_swings([recording], 2, 10.0)[0],
+        parameters=base_ratios(LAB),
+        zeros=np.zeros((1, 2)),
+        free=np.ones(6, dtype=bool),
+        free_zeros=True,
+        friction_from=6,
+        settings=FitSettings(robust=0.0, window=0.4),
+    )
+    # The zeros are eliminated as well, and slopes are taken over logarithms; one variance of rounding to both angles.
+    whole, m = fit.information, 6
+    reduced = whole[:m, :m] - whole[:m, m:] @ np.linalg.solve(whole[m:, m:], whole[m:, :m])
+    sigma = 2 * np.pi / QUICK.counts / np.sqrt(12)
+    expected = reduced * np.outer(fit.parameters, fit.parameters) / sigma**2
+    # The fit's ratios are off by what rounding leaves, friction by some percent.
+    assert digits(best.matrix) == pytest.approx(digits(expected), abs=0.05)
+
+
+def test_higher_swings_and_stronger_drives_tell_more(design: Design) -> None:
+    swings = [e for e in design.experiments if e.kind == "swing" and e.angles[0] == 0.0 and e.angles[1] > 0]
+    low, high = (pick(swings, key=lambda e: e.angles[1]) for pick in (min, max))
+    assert high.information > low.information
+    drives = {(e.amplitude, e.frequency): e.information for e in design.experiments if e.kind == "cart"}
+    assert all(drives[2.0, f] > drives[1.0, f] for f in QUICK.frequencies)
+
+
+def test_swings_that_magnify_errors_and_drives_beyond_the_track_are_not_usable(design: Design) -> None:
+    assert any(not e.usable and e.amplification > 20 for e in design.experiments)
+    short = design_experiments(LAB, settings=replace(QUICK, track=0.02))
+    assert not any(e.usable for e in short.experiments if e.kind == "cart" and e.frequency < 1)
+
+
+def test_a_pair_tells_more_than_its_better_half(design: Design) -> None:
+    first, second = design.best_pair()
+    assert digits(first.matrix + second.matrix) > max(first.information, second.information)
+    assert all(e.information <= first.information for e in design.ranked())
+
+
+def test_ratios_that_are_zero_are_left_out_and_named(design: Design) -> None:
+    rubbing = design_experiments(replace(with_laws(LAB, (Friction.COULOMB,)), coulomb=(3e-4, 0.0)), settings=QUICK)
+    assert len(rubbing.names) == len(design.names) + 1
+    assert "coulomb_2/M12" in rubbing.status
+    assert "coulomb_2" not in design.status
+
+
+def test_a_singular_matrix_tells_nothing() -> None:
+    assert digits(np.diag([1.0, 0.0])) == -np.inf
+    assert digits(100.0 * np.eye(3)) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("name", "value"), [("seconds", 0.0), ("period", -1.0), ("steps", 1), ("track", float("nan"))])
+def test_impossible_settings_are_refused_by_name(name: str, value: float) -> None:
+    with pytest.raises(InputError, match=name):
+        DesignSettings(**{name: value})

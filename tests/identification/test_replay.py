@@ -1,0 +1,210 @@
+"""A model replayed on a recording: it follows its own motion, says where it cannot, and its filters are consistent."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bench_recordings import LAB, PERIOD, free_swing, rig_file
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.identification.replay import (
+    FreeMotion,
+    ReplaySettings,
+    filter_settings,
+    fit_initial_states,
+    replay_recording,
+    write_replay,
+)
+from dpcontrol.logs import read_log
+from dpcontrol.recordings.importing import import_recording
+from dpcontrol.recordings.recording import Recording, load_recording
+from dpcontrol.scenes.model import load_model
+
+COUNT = 2 * np.pi / 40_000  # rad: of an encoder
+STEP = 1e-8  # rad: DOP853 at 1 ms against scipy's at 1e-10, over 2 s
+FITTED = 1e-6  # rad: what differences leave of a fit to exact angles
+NEAR_COUNT = 0.8  # of a count: rms of two summed roundings, 0.41, and what the fit cannot average
+IN_BAND = 0.90  # of the settled samples; the consistent share is 0.95
+RATES = 0.15  # rad/s rms: the bar for the recorded, filtered rates
+PUBLISHED = (2.0e-3, 5.5e-3)  # rad rms over whole segments that the published parameters leave on the rig's recording
+IDENTIFIED = 1.6e-3  # rad rms over whole segments that the identified model may leave
+
+ARMS = ArmChainParameters(
+    mass=LAB["m"],
+    centre_of_mass=LAB["a"],
+    length=(LAB["l"], 0.2286),
+    inertia=LAB["J"],
+    gravity=LAB["g"],
+    viscous=LAB["k"],
+)
+
+
+def recorded(segments: int = 3, samples: int = 1000, *, counts: int | None = 40_000) -> Recording:
+    """A free swing of the lab's pendulum by scipy, as summed relative encoders give it; exact without counts."""
+    times, states = free_swing(segments * samples)
+    angles = states[:, :2].copy()
+    if counts:
+        step = 2 * np.pi / counts
+        relative = np.column_stack([angles[:, 0], angles[:, 1] - angles[:, 0]])
+        angles = np.cumsum(np.rint(relative / step) * step, axis=1)
+    parts = tuple((k * samples, (k + 1) * samples) for k in range(segments))
+    return Recording("swing", "swing.mat", PERIOD, times, angles, states[:, 2:].copy(), parts, (0.17, 0.23))
+
+
+def errors(recording: Recording, found: NDArray[np.float64]) -> float:
+    """Root mean square of the angles' errors."""
+    return float(np.sqrt(np.mean(np.square(found[:, :2] - recording.angles))))
+
+
+def test_a_step_is_that_of_an_independent_integrator() -> None:
+    _, states = free_swing(2000)
+    path = FreeMotion(ARMS, period=PERIOD).paths(states[0][:, None].copy(), 2000)[:, :, 0]
+    assert np.abs(path[:, :2] - states[:, :2]).max() <= STEP
+
+
+def test_the_fitted_start_of_exact_angles_is_the_true_one() -> None:
+    _, states = free_swing(2000)
+    (fit,) = fit_initial_states(FreeMotion(ARMS, period=PERIOD), [states[:, :2]])
+    assert fit.converged
+    assert np.abs(fit.states[0] - states[0]).max() <= 1e3 * FITTED
+    assert fit.residual.max() <= FITTED
+
+
+def test_stretches_of_different_length_are_fitted_as_if_alone() -> None:
+    recording = recorded()
+    pieces = [recording.angles[:700], recording.angles[1000:2000], recording.angles[2000:2100]]
+    motion = FreeMotion(ARMS, period=PERIOD)
+    together = fit_initial_states(motion, pieces)
+    for piece, fit in zip(pieces, together, strict=True):
+        (alone,) = fit_initial_states(motion, [piece])
+        assert len(fit.states) == len(piece)
+        assert np.abs(fit.states - alone.states).max() <= COUNT / 100
+
+
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+def test_the_true_model_follows_to_a_count_and_its_filter_is_consistent(kind: str) -> None:
+    result = replay_recording(recorded(), ARMS, filter_settings(kind))
+    assert all(fit.converged for fit in result.fits)
+    assert max(float(np.sqrt(np.mean(fit.residual**2))) for fit in result.fits) <= NEAR_COUNT * COUNT
+    assert result.nis_inside_95 >= IN_BAND
+    assert result.rates_rms is not None
+    assert result.rates_rms.max() <= RATES / 3
+    assert max(result.ahead[1]) <= COUNT
+    # A tenth of a second on, what means of 15 samples leave of the rates counts most.
+    assert max(result.ahead[100]) <= 12 * COUNT
+
+
+def test_zeros_that_the_model_tells_are_taken_off_and_shown_again() -> None:
+    exact, zeros = recorded(), (4e-3, -6e-3)
+    off = replace(exact, angles=exact.angles + np.array(zeros))
+    ignored, told = (replay_recording(off, ARMS, filter_settings("ekf"), zeros=z) for z in ((), zeros))
+    without = replay_recording(exact, ARMS, filter_settings("ekf"))
+    # What is off by one count or two is off by as much without zeros.
+    assert np.abs(told.predicted - without.predicted - np.array([*zeros, 0, 0])).max() <= COUNT / 100
+    assert np.abs(told.estimated - without.estimated - np.array([*zeros, 0, 0])).max() <= COUNT / 100
+    assert told.ahead[100] == pytest.approx(without.ahead[100], rel=1e-3)
+    assert np.array_equal(told.recording.angles, off.angles)
+    assert np.mean([f.residual for f in ignored.fits]) > 5 * np.mean([f.residual for f in told.fits])
+    with pytest.raises(InputError, match="1 zeros for 2 arms"):
+        replay_recording(off, ARMS, filter_settings("ekf"), zeros=(1e-3,))
+
+
+def test_ekf_and_ukf_agree() -> None:
+    recording = recorded(segments=1)
+    one, other = (replay_recording(recording, ARMS, filter_settings(kind)) for kind in ("ekf", "ukf"))
+    assert np.abs(one.estimated[:, :2] - other.estimated[:, :2]).max() <= COUNT / 2
+
+
+def test_a_wrong_model_shows_in_every_number() -> None:
+    recording = recorded()
+    wrong = replace(ARMS, inertia=(ARMS.inertia[0], 1.05 * ARMS.inertia[1]))
+    right_result = replay_recording(recording, ARMS, filter_settings("ekf"))
+    wrong_result = replay_recording(recording, wrong, filter_settings("ekf"))
+    assert errors(recording, wrong_result.predicted) >= 10 * errors(recording, right_result.predicted)
+    assert max(wrong_result.ahead[100]) >= 3 * max(right_result.ahead[100])
+    assert wrong_result.nis_inside_95 <= right_result.nis_inside_95 - 0.1
+
+
+def test_coarse_encoders_taken_for_fine_ones_fail_the_consistency_check() -> None:
+    result = replay_recording(recorded(counts=1000), ARMS, filter_settings("ekf"))
+    assert result.nis_inside_95 < 0.7
+    honest = replay_recording(recorded(counts=1000), ARMS, filter_settings("ekf"), ReplaySettings(counts=1000))
+    assert honest.nis_inside_95 >= IN_BAND - 0.05
+
+
+def test_a_motion_that_the_model_cannot_follow_is_said_to_be_one() -> None:
+    recording = recorded(segments=1, samples=3000)
+    random = np.random.default_rng(1)
+    walk = np.cumsum(random.normal(0, 0.05, recording.angles.shape), axis=0)
+    result = replay_recording(
+        replace(recording, angles=recording.angles + walk), ARMS, filter_settings("ekf", model_error=10.0)
+    )
+    follows = [fit.converged and fit.residual.max() < 0.1 for fit in result.fits]
+    assert not any(follows)
+
+
+def test_long_segments_are_predicted_in_parts_that_cover_them() -> None:
+    recording = recorded(segments=1, samples=3000)
+    result = replay_recording(recording, ARMS, filter_settings("ekf"), ReplaySettings(span=0.8))
+    assert [(first, end) for _, first, end in result.stretches] == [(0, 750), (750, 1500), (1500, 2250), (2250, 3000)]
+    assert len(result.predicted) == 3000
+
+
+def test_another_number_of_arms_is_refused() -> None:
+    recording = recorded(segments=1)
+    with pytest.raises(InputError, match="has 1 arms and the model 2"):
+        replay_recording(replace(recording, angles=recording.angles[:, :1]), ARMS, filter_settings("ekf"))
+    with pytest.raises(InputError, match="did you mean 'ukf'"):
+        filter_settings("uuf")
+
+
+def test_the_log_shows_measured_predicted_and_estimated_together(tmp_path: Path) -> None:
+    result = replay_recording(recorded(), ARMS, filter_settings("ekf"))
+    log = read_log(write_replay(result, tmp_path / "replay.mcap", model="lab", model_text="title"))
+    assert np.array_equal(log.measured, result.recording.angles)
+    assert np.array_equal(log.reference, result.predicted)
+    assert np.array_equal(log.estimate, result.estimated)
+    assert log.truth is None
+    assert log.attachments == {"model.toml": b"title"}
+    again = load_recording(tmp_path / "replay.mcap")
+    assert np.array_equal(again.angles, result.recording.angles)
+    assert again.segments == result.recording.segments
+
+
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+def test_on_the_rigs_recording_the_filters_keep_to_their_band_and_find_the_rates(kind: str) -> None:
+    recording, model = import_recording(rig_file()), load_model("lab-identified")
+    result = replay_recording(recording, model.arms, filter_settings(kind), zeros=model.encoder_zeros)
+    assert result.nis_inside_95 >= IN_BAND
+    assert result.rates_rms is not None
+    assert result.rates_rms.max() <= RATES
+    left = [float(np.sqrt(np.mean(fit.residual**2))) for fit in result.fits]
+    assert all(fit.converged for fit in result.fits)
+    assert max(left) <= IDENTIFIED
+
+
+def test_the_filters_settings_hold_where_they_were_not_chosen() -> None:
+    recording, model = import_recording(rig_file()), load_model("lab-identified")
+    left_out = replace(recording, segments=recording.segments[2::3])
+    parts = replace(
+        left_out,
+        segments=tuple((k * 2667, (k + 1) * 2667) for k in range(len(left_out.segments))),
+        **{
+            name: np.concatenate([getattr(one, name) for one in left_out.split()])
+            for name in ("time", "angles", "rates")
+        },
+    )
+    result = replay_recording(parts, model.arms, filter_settings("ekf"), zeros=model.encoder_zeros)
+    assert result.nis_inside_95 >= IN_BAND
+    assert result.rates_rms is not None
+    assert result.rates_rms.max() <= RATES
+
+
+def test_the_published_parameters_leave_what_they_were_measured_to_leave() -> None:
+    result = replay_recording(import_recording(rig_file()), ARMS, filter_settings("ekf"))
+    left = [float(np.sqrt(np.mean(fit.residual**2))) for fit in result.fits]
+    assert PUBLISHED[0] <= min(left)
+    assert max(left) <= PUBLISHED[1]

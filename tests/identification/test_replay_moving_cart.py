@@ -1,0 +1,198 @@
+"""Replays of a moving cart: its command or its recorded motion is the model's input, whichever the arms felt."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bench_recordings import LAB, PERIOD
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.identification.replay import (
+    CartDrive,
+    FreeMotion,
+    ReplaySettings,
+    filter_settings,
+    replay_recording,
+    write_replay,
+)
+from dpcontrol.identification.segments import cut_into_swings
+from dpcontrol.logs import read_log
+from dpcontrol.recordings.recording import Recording, cart_motion, load_recording
+
+Array = NDArray[np.float64]
+
+COUNT = 2 * np.pi / 40_000  # rad: of an encoder
+STEP = 5e-6  # rad over 2 s: an acceleration held for 1 ms, against one that varies and a motion that feels it
+NEAR_COUNT = 0.8  # of a count: rms of two summed roundings, 0.41, and what the fit cannot average
+SMOOTHED = 2.0  # of a count: besides, what a cubic through 20 ms of the position misses of its motion
+CART_COUNT = 1e-6  # m
+IN_BAND = 0.90
+ARMS = ArmChainParameters(
+    mass=LAB["m"],
+    centre_of_mass=LAB["a"],
+    length=(LAB["l"], 0.2286),
+    inertia=LAB["J"],
+    gravity=LAB["g"],
+    viscous=LAB["k"],
+)
+
+
+def _acceleration(times: Array | float) -> Array:
+    return np.asarray(2.0 * np.sin(9.0 * np.asarray(times)) + 1.0 * np.cos(4.0 * np.asarray(times)), dtype=np.float64)
+
+
+def _rate(t: float, x: Array) -> Array:
+    """The pendulum on a moving pivot as textbooks have it: forces, and the pivot's acceleration as one more of them."""
+    (m1, m2), (a1, a2), (j1, j2), (k1, k2) = LAB["m"], LAB["a"], LAB["J"], LAB["k"]
+    length, g = LAB["l"], LAB["g"]
+    q1, q2, w1, w2, _, v = x
+    u = float(_acceleration(t))
+    coupling, first, second = m2 * length * a2, m1 * a1 + m2 * length, m2 * a2
+    mass = np.array([[m1 * a1**2 + m2 * length**2 + j1, coupling * np.cos(q1 - q2)],
+                     [coupling * np.cos(q1 - q2), m2 * a2**2 + j2]])  # fmt: skip
+    joint = k2 * (w2 - w1)
+    force = np.array([
+        -coupling * np.sin(q1 - q2) * w2**2 - first * (g * np.sin(q1) + u * np.cos(q1)) - k1 * w1 + joint,
+        coupling * np.sin(q1 - q2) * w1**2 - second * (g * np.sin(q2) + u * np.cos(q2)) - joint,
+    ])  # fmt: skip
+    return np.concatenate([[w1, w2], np.linalg.solve(mass, force), [v, u]])
+
+
+@pytest.fixture(scope="module")
+def driven() -> tuple[Array, Array]:
+    """Times and states (K, 6) of two seconds on a moving cart."""
+    times = PERIOD * np.arange(2000)
+    start = [-0.6, 0.35, 4.0, -3.0, 0.0, -2.0 / 9.0]
+    flown = solve_ivp(_rate, (0, times[-1]), start, t_eval=times, rtol=1e-10, atol=1e-12, method="DOP853")
+    return np.asarray(times, dtype=np.float64), np.asarray(flown.y.T, dtype=np.float64)
+
+
+def recorded(driven: tuple[Array, Array], *, command: Array | None) -> Recording:
+    """What encoders give of it: summed counts of the arms, micrometres of the cart."""
+    times, states = driven
+    relative = np.column_stack([states[:, 0], states[:, 1] - states[:, 0]])
+    angles = np.cumsum(np.rint(relative / COUNT) * COUNT, axis=1)
+    cart = np.rint(states[:, 4] / CART_COUNT) * CART_COUNT
+    return Recording(
+        "driven", "driven.mat", PERIOD, times, angles, states[:, 2:4].copy(), ((0, len(times)),), (0.17, 0.23),
+        cart=cart, command=command,
+    )  # fmt: skip
+
+
+def told(times: Array) -> Array:
+    """The command that was given: held for each period at its mean."""
+    return _acceleration(times + PERIOD / 2)
+
+
+def test_a_path_on_a_moving_cart_is_that_of_an_independent_integrator(driven: tuple[Array, Array]) -> None:
+    times, states = driven
+    cart = CartDrive(states[:1, 5], told(times)[:, None])
+    path = FreeMotion(ARMS, period=PERIOD, moving=True).paths(states[0, :4][:, None].copy(), 2000, cart)[:, :, 0]
+    assert np.abs(path[:, :2] - states[:, :2]).max() <= STEP
+
+
+@pytest.mark.parametrize("kind", ["ekf", "ukf"])
+def test_a_command_that_the_cart_followed_is_the_input(driven: tuple[Array, Array], kind: str) -> None:
+    result = replay_recording(recorded(driven, command=told(driven[0])), ARMS, filter_settings(kind))
+    assert [cart.commanded for cart in result.carts] == [True]
+    assert len(result.fits) == 4
+    assert all(fit.converged for fit in result.fits)
+    assert max(float(np.sqrt(np.mean(fit.residual**2))) for fit in result.fits) <= NEAR_COUNT * COUNT
+    assert result.nis_inside_95 >= IN_BAND
+    assert max(result.ahead[1]) <= COUNT
+
+
+@pytest.mark.parametrize("share", [None, 0.5])
+def test_without_a_command_that_explains_it_the_carts_position_is_the_input(
+    driven: tuple[Array, Array], share: float | None
+) -> None:
+    command = None if share is None else told(driven[0]) / share
+    result = replay_recording(recorded(driven, command=command), ARMS, filter_settings("ekf"))
+    assert [cart.commanded for cart in result.carts] == [False]
+    assert ("does not explain" in result.cart) == (share is not None)
+    assert max(float(np.sqrt(np.mean(fit.residual**2))) for fit in result.fits) <= SMOOTHED * COUNT
+
+
+def test_means_of_samples_take_the_carts_acceleration_into_account(driven: tuple[Array, Array]) -> None:
+    recording = recorded(driven, command=told(driven[0]))
+    result = replay_recording(recording, ARMS, filter_settings("ekf"), ReplaySettings(mean_over=0.015))
+    assert result.nis_inside_95 >= IN_BAND - 0.05
+    assert max(result.ahead[1]) <= COUNT
+
+
+def test_a_command_alone_moves_the_cart(driven: tuple[Array, Array]) -> None:
+    recording = replace(recorded(driven, command=told(driven[0])), cart=None)
+    motion = cart_motion(recording)
+    assert motion is not None
+    assert motion.commanded
+    assert np.abs(np.diff(motion.velocity) - np.diff(driven[1][:, 5])).max() <= 1e-6
+
+
+def test_a_cart_that_stood_still_counts_as_clamped(driven: tuple[Array, Array]) -> None:
+    assert cart_motion(replace(recorded(driven, command=None), cart=np.full(2000, 0.1))) is None
+
+
+def test_readings_that_are_missing_are_left_out(driven: tuple[Array, Array]) -> None:
+    recording = recorded(driven, command=told(driven[0]))
+    assert recording.cart is not None
+    lost = np.random.default_rng(3).random(2000) < 0.05
+    lost[:2] = True
+    angles, cart = np.where(lost[:, None], np.nan, recording.angles), np.where(lost, np.nan, recording.cart)
+    result = replay_recording(replace(recording, angles=angles, cart=cart), ARMS, filter_settings("ekf"))
+    assert [motion.commanded for motion in result.carts] == [True]
+    assert all(fit.converged for fit in result.fits)
+    assert max(float(np.sqrt(np.mean(fit.residual**2))) for fit in result.fits) <= NEAR_COUNT * COUNT
+    assert np.isfinite(result.estimated).all()
+    assert np.isnan(result.nis[lost]).all()
+    assert result.nis_inside_95 >= IN_BAND
+    assert max(result.ahead[1]) <= COUNT
+
+
+def test_an_identification_bridges_single_missing_readings_and_refuses_more(driven: tuple[Array, Array]) -> None:
+    recording = recorded(driven, command=told(driven[0]))
+    angles = recording.angles.copy()
+    angles[[0, 700, 701, 1999]] = np.nan
+    (swing,), _ = cut_into_swings([replace(recording, angles=angles)], 2, 10.0)
+    assert np.abs(swing.angles - recording.angles).max() <= 2 * COUNT
+    angles[1200:1210] = np.nan
+    with pytest.raises(InputError, match=r"10 readings in a row are missing at 1\.2 s"):
+        cut_into_swings([replace(recording, angles=angles)], 2, 10.0)
+
+
+def test_a_stretch_without_any_reading_is_said_to_be_one(driven: tuple[Array, Array]) -> None:
+    recording = recorded(driven, command=told(driven[0]))
+    angles = recording.angles.copy()
+    angles[500:1000] = np.nan
+    result = replay_recording(replace(recording, angles=angles), ARMS, filter_settings("ekf"))
+    assert [fit.converged for fit in result.fits] == [True, False, True, True]
+    assert "it holds no reading" in result.status
+
+
+def test_segments_of_which_one_has_the_cart_clamped_are_refused(driven: tuple[Array, Array]) -> None:
+    recording = recorded(driven, command=None)
+    assert recording.cart is not None
+    cart = np.where(np.arange(2000) < 1000, recording.cart, 0.0)
+    parts = replace(recording, cart=cart, segments=((0, 1000), (1000, 2000)))
+    with pytest.raises(InputError, match="stands in others, as in segment 1; import them apart"):
+        replay_recording(parts, ARMS, filter_settings("ekf"))
+
+
+def test_the_log_holds_the_carts_motion_in_prediction_and_estimate(driven: tuple[Array, Array], tmp_path: Path) -> None:
+    recording = recorded(driven, command=told(driven[0]))
+    result = replay_recording(recording, ARMS, filter_settings("ekf"))
+    log = read_log(write_replay(result, tmp_path / "replay.mcap", model="lab", model_text="title"))
+    assert log.has_cart
+    assert np.array_equal(log.reference[:, :4], result.predicted)
+    assert recording.cart is not None
+    assert np.array_equal(log.reference[:, 4], recording.cart)
+    assert np.array_equal(log.controls["applied"], result.carts[0].acceleration)
+    assert "rms in the median" in log.metadata["summary"]
+    again = load_recording(tmp_path / "replay.mcap")
+    for one, other in ((again.cart, recording.cart), (again.command, recording.command)):
+        assert one is not None
+        assert other is not None
+        assert np.array_equal(one, other)

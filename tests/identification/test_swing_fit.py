@@ -1,0 +1,171 @@
+"""Fits of swings: slopes against differences of an independent integrator, recovery, outliers, chaos, and refusals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dpcontrol.dynamics.chain import ArmChainParameters, Friction, Level, equations_of
+from dpcontrol.dynamics.ratios import base_from_ratios, base_ratios, inertial_count, with_laws
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, fit_swings
+from dpcontrol.scenes.model import load_model
+
+# Runge-Kutta at 1 ms against DOP853 at 1e-12, over half a second: what passing the Coulomb step leaves, rad/s.
+STEPPED = 5e-6
+# Central differences of DOP853's results; passing the Coulomb step in steps of 1 ms leaves 1e-4 of a slope.
+DIFFERENCES = 5e-4
+# Without noise only the integrator's steps are left.
+RECOVERED = 1e-5
+
+ARMS = replace(with_laws(load_model("lab").arms, tuple(Friction)), coulomb=(3e-4, 2e-4), quadratic=(2e-3, 1.7e-3))
+RATIOS = base_ratios(ARMS)
+N = 4
+
+
+def flown(state: np.ndarray, times: np.ndarray, ratios: np.ndarray = RATIOS, u: float = 0.0) -> np.ndarray:
+    """The states (K, 4) by scipy, the cart from rest under constant acceleration."""
+    rate = equations_of(ARMS, Level.CART).function()
+    base = np.array(base_from_ratios(ratios, ARMS))
+    solved = solve_ivp(
+        lambda _, x: np.array(rate(x, u, base)).ravel(),
+        (0.0, times[-1]),
+        np.append(state, [0.0, 0.0]),
+        method="DOP853",
+        rtol=1e-12,
+        atol=1e-12,
+        t_eval=times,
+    )
+    return solved.y[:N].T
+
+
+@pytest.fixture(scope="module")
+def model() -> Swings:
+    """Compiled once for this file."""
+    return Swings(ARMS)
+
+
+@pytest.mark.parametrize("u", [0.0, 3.0])
+def test_states_and_slopes_agree_with_scipys(model: Swings, u: float) -> None:
+    start, times = np.array([0.9, -0.4, 1.0, -2.0]), np.linspace(0.0, 0.5, 501)
+    accelerations = np.full((1, 501), u)
+    states, slopes = model.flown(
+        start[None],
+        RATIOS,
+        period=np.array([1e-3]),
+        samples=501,
+        accelerations=accelerations,
+        velocities=u * times[None],
+    )
+    assert np.abs(states[0] - flown(start, times, u=u)).max() < STEPPED
+    # An angle, a rate, a ratio of inertia, of weight, and one of each law of friction.
+    for column in (1, 2, N, N + 3, N + 5, N + 6, N + 9) if u else (0, 3, N + 1, N + 2, N + 4):
+        step = np.zeros(N + len(RATIOS))
+        step[column] = 1e-4 * (RATIOS[column - N] if column >= N else 1.0) or 1e-5
+        ahead = flown(start + step[:N], times, RATIOS + step[N:], u)
+        behind = flown(start - step[:N], times, RATIOS - step[N:], u)
+        expected = (ahead - behind) / (2 * step[column])
+        assert np.abs(slopes[0, :, :, column] - expected).max() < DIFFERENCES * max(1.0, np.abs(expected).max())
+
+
+def swings_from(starts: list[list[float]], seconds: float = 2.0, arms: ArmChainParameters = ARMS) -> list[Swing]:
+    """Exact swings of the true ratios."""
+    times = np.arange(round(seconds / 2e-3) + 1) * 2e-3
+    return [Swing(flown(np.array(s), times, base_ratios(arms))[:, :2], 2e-3) for s in starts]
+
+
+def fitted(
+    model: Swings, swings: list[Swing], first: np.ndarray, settings: FitSettings | None = None, *, zeros: bool = False
+) -> SwingFit:
+    """Fit all ratios."""
+    return fit_swings(
+        model,
+        swings,
+        parameters=first,
+        zeros=np.zeros((1, 2)),
+        free=np.ones(len(first), dtype=bool),
+        free_zeros=zeros,
+        friction_from=inertial_count(2),
+        settings=settings or FitSettings(),
+    )
+
+
+@pytest.fixture(scope="module")
+def exact() -> list[Swing]:
+    """Three swings of moderate height."""
+    return swings_from([[1.0, 0.3, 0.0, 0.0], [-0.4, 1.1, 0.0, 0.0], [0.8, -0.9, 1.0, 0.0]])
+
+
+def test_ratios_are_recovered_from_a_first_guess_that_is_off_by_a_tenth(model: Swings, exact: list[Swing]) -> None:
+    first = RATIOS * np.where(np.arange(len(RATIOS)) < 4, 1.0, 3.0)
+    first[:4] *= [1.1, 0.95, 1.08, 0.93]
+    fit = fitted(model, exact, first)
+    assert fit.converged, fit.status
+    assert fit.parameters[:4] == pytest.approx(RATIOS[:4], rel=RECOVERED)
+    assert fit.gap < 1e-6
+
+
+def test_zeros_are_recovered_beside_the_ratios(model: Swings, exact: list[Swing]) -> None:
+    zeros = np.array([2e-3, -1e-3])
+    fit = fitted(model, [replace(s, angles=s.angles + zeros) for s in exact], RATIOS, zeros=True)
+    assert fit.converged
+    assert fit.zeros[0] == pytest.approx(zeros, abs=1e-6)
+
+
+def test_outliers_that_spoil_least_squares_leave_the_robust_fit_in_place(model: Swings, exact: list[Swing]) -> None:
+    random = np.random.default_rng(3)
+    spoiled = []
+    for swing in exact:
+        angles = swing.angles + random.normal(0, 5e-5, swing.angles.shape)
+        angles[random.random(len(angles)) < 0.02, 1] += 0.05
+        spoiled.append(replace(swing, angles=angles))
+    robust, squares = fitted(model, spoiled, RATIOS), fitted(model, spoiled, RATIOS, FitSettings(robust=0.0))
+    off = [np.abs(fit.parameters[:4] / RATIOS[:4] - 1).max() for fit in (robust, squares)]
+    assert off[0] < 2e-4
+    assert off[1] > 3 * off[0]
+
+
+def test_a_chaotic_swing_is_fitted_by_short_windows_and_not_in_one_go(model: Swings) -> None:
+    high = swings_from([[3.0, 1.5, 0.0, 0.0], [2.6, -2.0, 0.0, 0.0]], seconds=3.0)
+    first = RATIOS * np.where(np.arange(len(RATIOS)) < 4, 1.01, 1.0)
+    windows = fitted(model, high, first)
+    whole = fitted(model, high, first, FitSettings(window=10.0, iterations=8))
+    assert windows.converged
+    assert windows.parameters[:4] == pytest.approx(RATIOS[:4], rel=1e-4)
+    assert whole.rms.max() > 100 * windows.rms.max()
+
+
+def test_friction_stays_at_zero_where_the_data_ask_for_less(model: Swings) -> None:
+    without = replace(ARMS, viscous=(0.0, 0.0), coulomb=(0.0, 0.0), quadratic=(0.0, 1.7e-3))
+    fit = fitted(model, swings_from([[1.0, 0.3, 0.0, 0.0], [-0.4, 1.1, 0.0, 0.0]], arms=without), RATIOS)
+    assert (fit.parameters[4:] >= 0).all()
+    assert fit.parameters[4:9] == pytest.approx(np.zeros(5), abs=0.02)
+
+
+def test_motion_that_no_arms_make_is_not_said_to_be_explained(model: Swings, exact: list[Swing]) -> None:
+    doubled = [replace(s, angles=2 * s.angles) for s in exact]
+    fit = fitted(model, doubled, RATIOS, FitSettings(iterations=15))
+    assert not fit.converged or fit.rms.min() > 0.01
+    if not fit.converged:
+        assert "starting model" in fit.status or "nearer model" in fit.status
+
+
+def test_few_steps_end_with_a_sentence(model: Swings, exact: list[Swing]) -> None:
+    fit = fitted(model, exact, 1.1 * RATIOS, FitSettings(iterations=1))
+    assert not fit.converged
+    assert "still improving after 1 steps" in fit.status
+
+
+def test_a_swing_of_a_few_samples_is_refused(model: Swings) -> None:
+    with pytest.raises(InputError, match="fewer than 8 samples"):
+        fitted(model, [Swing(np.zeros((5, 2)), 1e-3)], RATIOS)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("window", 0.0), ("robust", -1.0), ("bend", float("nan")), ("iterations", 0), ("tolerance", 0.0)],
+)
+def test_impossible_settings_are_refused_by_name(name: str, value: float) -> None:
+    with pytest.raises(InputError, match=name):
+        FitSettings(**{name: value})

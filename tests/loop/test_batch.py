@@ -1,0 +1,155 @@
+"""Many seeds in lockstep against the loop tick by tick: an independent arithmetic, one run at a time."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from shadowing_stand_in import LAB, StandIn
+
+from dpcontrol.control.estimator_settings import EkfSettings, UkfSettings
+from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.loop.batch import BatchRun, can_batch, run_batch
+from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings
+from dpcontrol.loop.loop import LoopSettings, loop_controller, run_loop
+from dpcontrol.loop.result import Ending
+from dpcontrol.loop.supervisor import SupervisorSettings
+from dpcontrol.references.reference import Reference
+
+SAME = 1e-9
+"""Of the states, in rad, rad/s, m and m/s: round-off of another order of sums, grown by the arms' instability."""
+SAME_COMMAND = 1e-6
+"""Of commands, in m/s²: gains make some hundred m/s² of a radian, and a hundred times more of its rate's error."""
+SMOOTH = SensorSettings(counts=0, cart_resolution=0.0, noise=5e-5, cart_noise=1e-6)
+"""Nothing is rounded: rounding would make a count of 1e-4 rad out of a difference of 1e-16."""
+BASE = LoopSettings(seed=0, mismatch=0.05, initial_error=0.03, sensors=SMOOTH)
+SEEDS = (3, 4)
+
+
+def with_drive(**values: float) -> LoopSettings:
+    return replace(BASE, drive=DriveSettings(**values))
+
+
+def with_sensors(**values: float) -> LoopSettings:
+    return replace(BASE, sensors=replace(SMOOTH, **values))
+
+
+KEPT_UP = {
+    "as it is": BASE,
+    "no delay": with_drive(delay=0.0),
+    "delay of 1.4 periods": with_drive(delay=1.4),
+    "delay of 3 periods": with_drive(delay=3.0),
+    "lag": with_drive(lag=0.005),
+    "lag and 1.6 periods": with_drive(lag=0.005, delay=1.6),
+    "heavy cart": with_drive(lag=0.002, cart_mass=4.0, cart_viscous=1.0),
+    "noisy, weak, jerky drive": with_drive(command_noise=0.3, response=0.95, jerk=2000.0),
+    "little acceleration": with_drive(acceleration=5.0, velocity=0.5),
+    "pushes and knocks": replace(
+        BASE, disturbances=DisturbanceSettings(pushes=3, push_impulse=2e-4, knocks=2, knock_velocity=0.02)
+    ),
+    "one push": replace(BASE, disturbances=DisturbanceSettings(explicit=(Push(1.0, arm=1, rate=0.1),))),
+    "tilt": replace(BASE, disturbances=DisturbanceSettings(tilt=0.01)),
+    "noise on rates": with_sensors(rate_noise=0.1),
+    "zeros": with_sensors(zero_error=0.003),
+    "zeros that are estimated": replace(with_sensors(zero_error=0.02), estimator=EkfSettings(augment=("zeros",))),
+    "another rate": replace(BASE, rate=500.0),
+    "gains by phase": replace(BASE, controller=TvlqrSettings(schedule="phase")),
+}
+"""Bench and loop of runs that come to their end."""
+
+WHERE_IT_BREAKS = {
+    "no feedback": (replace(BASE, controller=FeedforwardSettings()), Ending.TRACKING_LOST),
+    "short track": (replace(BASE, travel=0.03, initial_error=0.2), Ending.CART_STOP),
+    "switch before the limit": (
+        replace(BASE, initial_error=0.2, drive=DriveSettings(track=0.4, switch_margin=0.375)), Ending.CART_STOP,
+    ),
+    "hard stop before the limit": (replace(BASE, initial_error=0.2, drive=DriveSettings(track=0.02)), Ending.CART_STOP),
+    "a drive that gives nothing": (replace(BASE, drive=DriveSettings(response=0.0), sensors=SensorSettings()),
+        Ending.ESTIMATE_LOST,
+    ),
+    "believing too much": (
+        replace(
+            BASE, mismatch=0.3, initial_error=0.1, estimator=EkfSettings(parameter_error=0.0, rate_noise=1e-4),
+            supervisor=SupervisorSettings(lost_estimate=6.0),
+        ),
+        Ending.ESTIMATE_LOST,
+    ),
+}  # fmt: skip
+"""Settings at which runs end early, and how at least one of them does."""
+
+
+def both(reference: Reference, settings: LoopSettings) -> tuple[list[BatchRun], list[BatchRun]]:
+    """Return the runs of SEEDS in lockstep, and tick by tick."""
+    controller = loop_controller(reference, LAB, settings)
+    together = run_batch(LAB, settings=settings, seeds=SEEDS, controller=controller, limits=settings.limits(reference))
+    alone = [
+        BatchRun.of(run_loop(reference, LAB, settings=replace(settings, seed=seed), controller=controller))
+        for seed in SEEDS
+    ]
+    return together, alone
+
+
+def assert_same(one: BatchRun, other: BatchRun) -> None:
+    assert (one.ending, one.reason) == (other.ending, other.reason)
+    assert len(one.times) == len(other.times)
+    for name in ("times", "truth", "references", "applied", "nis_inside_95", "rms_feedback"):
+        first, second = np.asarray(getattr(one, name)), np.asarray(getattr(other, name))
+        assert first.shape == second.shape
+        bound = SAME_COMMAND if name in ("applied", "rms_feedback") else SAME
+        assert np.abs(first - second).max() <= bound * max(1.0, float(np.abs(second).max())), name
+
+
+@pytest.mark.parametrize("settings", KEPT_UP.values(), ids=KEPT_UP.keys())
+def test_lockstep_gives_the_loops_own_states(turn: tuple[StandIn, Reference], settings: LoopSettings) -> None:
+    together, alone = both(turn[1], settings)
+    for one, other in zip(together, alone, strict=True):
+        assert_same(one, other)
+        assert one.ending is Ending.FINISHED
+    # A test of equal runs would prove nothing.
+    assert np.abs(together[0].truth - together[1].truth).max() > 1e-3
+
+
+@pytest.mark.parametrize(("settings", "ending"), WHERE_IT_BREAKS.values(), ids=WHERE_IT_BREAKS.keys())
+def test_lockstep_ends_where_and_as_the_loop_does(
+    turn: tuple[StandIn, Reference], settings: LoopSettings, ending: Ending
+) -> None:
+    together, alone = both(turn[1], settings)
+    for one, other in zip(together, alone, strict=True):
+        assert_same(one, other)
+    assert ending in {run.ending for run in together}
+
+
+def test_a_seed_runs_the_same_in_any_company(turn: tuple[StandIn, Reference]) -> None:
+    reference = turn[1]
+    settings = replace(
+        LoopSettings(seed=0, mismatch=0.05, initial_error=0.05),
+        drive=DriveSettings(lag=0.005, command_noise=0.3),
+        disturbances=DisturbanceSettings(pushes=2, push_impulse=1e-3),
+    )
+    controller = loop_controller(reference, LAB, settings)
+    limits = settings.limits(reference)
+    found = {}
+    for seeds in ([7], range(3, 14), [20, 7, 21], range(8)):
+        runs = run_batch(LAB, settings=settings, seeds=list(seeds), controller=controller, limits=limits)
+        run = runs[list(seeds).index(7)]
+        found[len(runs)] = (run.truth.tobytes(), run.applied.tobytes(), run.ending, run.reason)
+    assert len(set(found.values())) == 1
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        replace(BASE, estimator=UkfSettings()),
+        with_sensors(dropout=0.1),
+        with_sensors(jitter=1e-4),
+        with_sensors(stuck_at=1.0),
+        replace(BASE, sensors=SensorSettings(missed_counts=1.0)),
+        replace(BASE, supervisor=SupervisorSettings(resynchronise=0.5)),
+    ],
+)
+def test_what_only_the_loop_can_do_is_left_to_it(turn: tuple[StandIn, Reference], settings: LoopSettings) -> None:
+    controller = loop_controller(turn[1], LAB, BASE)
+    assert not can_batch(settings, controller)
+    with pytest.raises(InputError, match="tick by tick"):
+        run_batch(LAB, settings=settings, seeds=[0], controller=controller, limits=turn[1].limits)
+    assert can_batch(BASE, controller)

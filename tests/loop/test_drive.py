@@ -1,0 +1,90 @@
+"""The drive's limits, and disturbances' settings."""
+
+import math
+
+import pytest
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push
+from dpcontrol.references.problem import Limits
+
+LIMITS = Limits(position=0.4, velocity=3.0, acceleration=30.0)
+PERIOD = 1e-3
+
+
+def test_acceleration_and_velocity_stay_inside() -> None:
+    drive = DriveSettings().within(LIMITS, PERIOD)
+    assert drive.demanded(5.0, 0.0, 0.0) == 5.0
+    assert drive.demanded(50.0, 0.0, 0.0) == 30.0
+    assert drive.demanded(-50.0, 0.0, 0.0) == -30.0
+    assert drive.acting(30.0, 2.99, PERIOD) == pytest.approx(10.0)
+    assert 2.99 + drive.acting(30.0, 2.99, PERIOD) * PERIOD <= 3.0 + 1e-12
+    assert drive.acting(-30.0, 3.0, PERIOD) == -30.0
+    assert drive.acting(30.0, 3.0, PERIOD) == pytest.approx(0.0, abs=1e-9)
+    # Over a fraction of a period more is allowed, to the same velocity.
+    assert drive.acting(30.0, 2.99, PERIOD / 2) == pytest.approx(20.0)
+    # Too fast by a knock: back with all the drive has, not more.
+    assert drive.acting(30.0, 3.5, PERIOD) == -30.0
+    assert drive.acting(-30.0, -3.5, PERIOD) == 30.0
+
+
+def test_a_weaker_drive_than_the_scene_believes_gives_less() -> None:
+    weak = DriveSettings(acceleration=4.0, velocity=0.5, response=0.8).within(LIMITS, PERIOD)
+    assert weak.demanded(3.0, 0.1, 0.0) == pytest.approx(2.5)
+    assert weak.demanded(20.0, 0.0, 0.0) == 4.0
+    assert weak.acting(4.0, 0.5, PERIOD) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_jerk_is_bounded_from_demand_to_demand() -> None:
+    drive = DriveSettings(jerk=2000.0).within(LIMITS, PERIOD)
+    last, given = 0.0, []
+    for _ in range(6):
+        last = drive.demanded(9.0, 0.0, last)
+        given.append(last)
+    assert given == pytest.approx([2.0, 4.0, 6.0, 8.0, 9.0, 9.0])
+    assert drive.demanded(-9.0, 0.0, 9.0) == pytest.approx(7.0)
+
+
+def test_braking_ends_at_rest_and_not_beyond() -> None:
+    drive = DriveSettings().within(LIMITS, PERIOD)
+    velocity, steps = 1.0, 0
+    while velocity:
+        velocity += drive.braking(velocity, PERIOD) * PERIOD
+        velocity = 0.0 if abs(velocity) < 1e-15 else velocity
+        steps += 1
+        assert velocity >= 0
+    assert steps == math.ceil(1.0 / 30.0 / PERIOD)
+
+
+def test_its_own_track_replaces_the_scenes_limit() -> None:
+    assert DriveSettings().limits(LIMITS).position == 0.4
+    assert DriveSettings(track=0.25).limits(LIMITS).position == 0.25
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"delay": -0.5}, "delay = -0.5: must be 0 to 1000"),
+        ({"delay": math.nan}, "delay = nan"),
+        ({"jerk": 0.0}, "jerk = 0.0: must be positive"),
+        ({"response": -1.0}, "response"),
+        ({"command_noise": -1.0}, "command_noise"),
+        ({"track": -1.0}, "track"),
+    ],
+)
+def test_an_impossible_drive_is_named(given: dict[str, float], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        DriveSettings(**given)
+
+
+def test_impossible_disturbances_are_named() -> None:
+    with pytest.raises(InputError, match="pushes = -1"):
+        DisturbanceSettings(pushes=-1)
+    with pytest.raises(InputError, match="push_impulse"):
+        DisturbanceSettings(push_impulse=math.nan)
+    with pytest.raises(InputError, match="time = -1"):
+        Push(-1.0)
+    with pytest.raises(InputError, match="arm = -1"):
+        Push(0.0, arm=-1)
+    with pytest.raises(InputError, match="knock = inf"):
+        Push(0.0, knock=math.inf)

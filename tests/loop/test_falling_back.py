@@ -1,0 +1,112 @@
+"""What a push takes from OGY is held by TVLQR: the supervisor falls back to the nearest orbit, and the log says so."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import Ended, dpcontrol
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs import RunLog, read_log
+from dpcontrol.loop.loop import loop_fallback
+from dpcontrol.loop.result import Ending
+from dpcontrol.loop.supervisor import LOST_AFTER_FALLBACK, Outcome, Supervisor, SupervisorSettings
+from dpcontrol.review.score import plan_of
+from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.plan import make_plan
+
+TRAVEL = 0.4
+NEAR_ORBIT = 0.2
+"""rad over the last period: a plant 2 % off has an orbit of its own some 0.1 rad away."""
+PUSHED = """
+energy = 0.2
+walk = ["down-up +"]
+lead_in = 6
+lead_out = 2
+[controller]
+keep = "ogy"
+[estimator]
+augment = []
+[supervisor]
+lost_tracking = 0.05
+hold = "nearest"
+[run]
+mismatch = 0.02
+initial_error = 0.01
+counts = 40000
+[[run.blows]]
+time = 1.5
+arm = 0
+rate = 3.0
+"""
+
+
+def pushed(folder: Path, *options: str) -> tuple[Ended, RunLog]:
+    """A run in which the inner arm is struck in the first stay, harder than pulses of bounded size can answer."""
+    scene, log = folder / "pushed.toml", folder / "pushed.mcap"
+    scene.write_text(PUSHED)
+    ended = dpcontrol("run", scene, *options, "--out", log)
+    return ended, read_log(log)
+
+
+def test_the_nearest_orbit_is_held_to_the_end_of_the_run(tmp_path: Path) -> None:
+    ended, log = pushed(tmp_path)
+    assert ended.code == 1
+    assert "tracking lost at t = 1." in ended.message
+    assert "holds the orbit about down-up at 0.2 J" in ended.message
+    assert ended.message.endswith("by tvlqr")
+    assert log.metadata["ending"] == Ending.FELL_BACK.value
+    told = [(event.level, event.text.split(" at t")[0].split(",")[0]) for event in log.events]
+    assert ("warn", "tracking lost") in told
+    assert ("warn", "holds the orbit about down-up at 0.2 J") in told
+    plan = plan_of(log)
+    assert log.truth is not None
+    assert log.time[-1] >= plan.duration - 1e-3
+    assert np.abs(log.truth[:, 4]).max() < TRAVEL
+    angles = log.truth[log.time > log.time[-1] - plan.notes["orbits"][0]["period"], :2]
+    turned = angles - 2 * np.pi * np.rint((angles.mean(0) - [0, np.pi]) / (2 * np.pi))
+    gaps = np.abs(turned[:, None] - plan.extra["orbit_0"][None, :, :2]).max(-1).min(1)
+    assert gaps.max() < NEAR_ORBIT
+
+
+def test_without_it_the_same_push_ends_the_run_with_the_cart_at_rest(tmp_path: Path) -> None:
+    ended, log = pushed(tmp_path, "--hold", "none")
+    assert ended.code == 1
+    assert log.metadata["ending"] == Ending.TRACKING_LOST.value
+    assert log.time[-1] < 3.0
+    assert log.truth is not None
+    assert np.abs(log.truth[:, 4]).max() < TRAVEL
+    assert abs(log.truth[-1, 5]) < 1e-3
+
+
+def test_what_was_fallen_back_to_is_given_up_only_where_no_feedback_returns() -> None:
+    settings = SupervisorSettings(lost_tracking=0.05, hold="nearest")
+    supervisor = Supervisor(settings, 1e-3, TRAVEL, 30.0, 2e-3, can_hold=True)
+
+    def outcome(error: float, ticks: int) -> tuple[Outcome, Ending]:
+        seen = [
+            supervisor.judge(k * 1e-3, error=error, nis=1.0, used=3, position=0.0, velocity=0.0)[:2]
+            for k in range(ticks)
+        ]
+        return next((one for one in seen if one[0] is not Outcome.CONTINUE), seen[-1])
+
+    assert outcome(0.5, 300) == (Outcome.HOLD, Ending.TRACKING_LOST)
+    assert outcome(0.9 * LOST_AFTER_FALLBACK, 20_000)[0] is Outcome.CONTINUE
+    assert outcome(1.1 * LOST_AFTER_FALLBACK, 20_000) == (Outcome.STOP, Ending.TRACKING_LOST)
+
+
+def test_what_cannot_be_held_is_refused() -> None:
+    with pytest.raises(InputError, match="did you mean 'nearest'"):
+        SupervisorSettings(hold="nearst")
+
+
+@pytest.mark.parametrize(("name", "own"), [("hold-up-up", "up-up"), ("keep-up-down", "the orbit about up-down")])
+def test_the_orbits_and_equilibria_of_a_reference_and_hanging_still_are_candidates(name: str, own: str) -> None:
+    itinerary = load_itinerary(name).with_run(hold="nearest")
+    reference = make_plan(itinerary).reference
+    fallback = loop_fallback(reference, itinerary.model.arms, itinerary.loop)
+    assert fallback is not None
+    assert fallback.session(0, reference.state(0.0))[1].startswith(f"holds {own}")
+    hanging = np.array([2 * np.pi, 0.02, 0.0, 0.0, 0.1, 0.0])
+    assert fallback.session(0, hanging)[1] == "holds down-down, 0.0064 (scaled) away, by lqr"
+    assert loop_fallback(reference, itinerary.model.arms, itinerary.with_run(hold="none").loop) is None

@@ -1,0 +1,107 @@
+"""Sensors and their faults."""
+
+import math
+
+import numpy as np
+import pytest
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.loop.bench import Encoders, SensorSettings
+
+COUNT = 2 * np.pi / 40_000
+EXACT = 1e-12
+UNROUNDED = SensorSettings(counts=0, cart_resolution=0.0)
+
+
+def test_relative_joints_are_rounded_to_counts_and_then_summed() -> None:
+    encoders = Encoders(2, SensorSettings())
+    random = np.random.default_rng(5)
+    for state in random.uniform(-20, 20, (200, 6)):
+        measured = encoders.measure(state)
+        joints = np.array([measured[0], measured[1] - measured[0]]) / COUNT
+        assert joints == pytest.approx(np.rint(joints), abs=1e-6)
+        assert abs(measured[0] - state[0]) <= COUNT / 2 + EXACT
+        assert abs((measured[1] - measured[0]) - (state[1] - state[0])) <= COUNT / 2 + EXACT
+        assert measured[2] == pytest.approx(state[4], abs=0.5e-6 + EXACT)
+    assert encoders.measure(np.zeros(6)) == pytest.approx(np.zeros(3), abs=0)
+
+
+def test_a_coarse_encoder_sees_nothing_below_half_a_count() -> None:
+    encoders = Encoders(1, SensorSettings(counts=128, cart_resolution=0.01))
+    half = np.pi / 128
+    assert encoders.measure(np.array([0.99 * half, 0, 0.0049, 0])) == pytest.approx([0, 0], abs=0)
+    assert encoders.measure(np.array([1.01 * half, 0, 0.0051, 0])) == pytest.approx([2 * half, 0.01])
+
+
+def test_without_counts_nothing_is_rounded() -> None:
+    state = np.random.default_rng(3).uniform(-5, 5, 6)
+    assert Encoders(2, UNROUNDED).measure(state) == pytest.approx(state[[0, 1, 4]], abs=1e-14)
+    only_cart = Encoders(2, SensorSettings(counts=0, cart_resolution=0.1)).measure(state)
+    assert only_cart[:2] == pytest.approx(state[:2], abs=1e-14)
+    assert only_cart[2] == pytest.approx(0.1 * np.rint(state[4] / 0.1), abs=EXACT)
+
+
+def test_zero_errors_of_inner_encoders_are_carried_outwards() -> None:
+    shifted = Encoders(3, UNROUNDED, zeros=np.array([0.01, -0.02, 0.04]))
+    assert shifted.measure(np.zeros(8)) == pytest.approx([0.01, -0.01, 0.03, 0.0], abs=1e-15)
+
+
+def test_missed_counts_pile_up_against_the_motion_and_a_joint_at_rest_loses_none() -> None:
+    encoders = Encoders(2, SensorSettings(missed_counts=1000.0))
+    forward = np.array([0.0, 0.0, 1.0, -2.0, 0.0, 0.0])
+    for k in range(1, 4):
+        inner, outer, _ = encoders.measure(forward, missed=np.array([1, 2]))
+        assert inner == pytest.approx(-k * COUNT, abs=EXACT)
+        assert outer - inner == pytest.approx(2 * k * COUNT, abs=EXACT)
+    still = encoders.measure(np.zeros(6), missed=np.array([5, 5]))
+    assert still[0] == pytest.approx(-3 * COUNT, abs=EXACT)
+    back = np.array([0.0, 0.0, -1.0, 0.0, 0.0, 0.0])
+    assert encoders.measure(back, missed=np.array([3, 0]))[0] == pytest.approx(0.0, abs=EXACT)
+
+
+@pytest.mark.parametrize("which", [0, 1, 2])
+def test_a_stuck_sensor_repeats_itself_while_the_others_go_on(which: int) -> None:
+    encoders = Encoders(2, SensorSettings(stuck_at=0.5, stuck_sensor=which))
+    moving = np.array([0.3, 0.9, 0.0, 0.0, 0.2, 0.0])
+    before = encoders.measure(moving * 0.9, 0.499)
+    stuck = [encoders.measure(moving * (1 + t), t) for t in (0.5, 0.6, 2.0)]
+    joints = np.array([[m[0], m[1] - m[0], m[2]] for m in stuck])
+    assert np.ptp(joints[:, which]) < EXACT
+    others = [k for k in range(3) if k != which]
+    assert (np.abs(np.diff(joints[:, others], axis=0)) > 0.01).all()
+    assert before[2] == pytest.approx(0.18, abs=1e-6)
+
+
+def test_noise_has_the_covariance_that_the_settings_tell() -> None:
+    settings = SensorSettings(counts=2000, cart_resolution=1e-3, noise=2e-3, cart_noise=5e-4)
+    encoders, random = Encoders(2, settings), np.random.default_rng(1)
+    sigmas = np.array([2e-3, 2e-3, 5e-4])
+    errors = []
+    for _ in range(20_000):
+        state = random.uniform(-1, 1, 6)
+        errors.append(encoders.measure(state, noise=random.standard_normal(3) * sigmas) - state[[0, 1, 4]])
+    expected = settings.covariance(2)
+    assert np.cov(np.array(errors).T)[:2, :2] == pytest.approx(expected[:2, :2], rel=0.06)
+    assert np.var(np.array(errors)[:, 2]) == pytest.approx(expected[2, 2], rel=0.06)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"counts": -1}, "counts = -1"),
+        ({"cart_resolution": -1.0}, "cart_resolution"),
+        ({"dropout": 1.5}, "dropout = 1.5: must be 0 to 1"),
+        ({"noise": math.nan}, "noise = nan"),
+        ({"stuck_at": -1.0}, "stuck_at"),
+        ({"stuck_sensor": -1}, "stuck_sensor"),
+        ({"counts": 0, "missed_counts": 3.0}, "give its counts"),
+    ],
+)
+def test_impossible_sensors_are_named(given: dict[str, float], message: str) -> None:
+    with pytest.raises(InputError, match=message):
+        SensorSettings(**given)  # type: ignore[arg-type]
+
+
+def test_a_sensor_that_is_not_there_cannot_stick() -> None:
+    with pytest.raises(InputError, match="stuck_sensor = 3: must be 0 to 2; 2 is the cart"):
+        Encoders(2, SensorSettings(stuck_at=0.0, stuck_sensor=3))

@@ -1,0 +1,310 @@
+"""The simulated bench as the loop sees it, tick by tick."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+from shadowing_stand_in import LAB
+
+from dpcontrol.dynamics.chain import Level, arm_chain_equations
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.loop.bench import BenchSettings, DisturbanceSettings, DriveSettings, Push, SensorSettings
+from dpcontrol.loop.draw import BenchDraw, draw_bench
+from dpcontrol.loop.simulated import SimulatedRig
+from dpcontrol.references.problem import Limits
+
+PERIOD = 1e-3
+EXACT = 1e-10  # DOP853 at 1e-12 over some hundredths of a second.
+LIMITS = Limits(position=0.4, velocity=3.0, acceleration=30.0)
+UNROUNDED = SensorSettings(counts=0, cart_resolution=0.0)
+START = np.array([0.4, 2.8, 6.0, -9.0, 0.1, -0.3])
+RATE = arm_chain_equations(2, Level.CART).function()
+
+
+def drawn(settings: BenchSettings, *, ticks: int = 200, seed: int = 3, **given: float) -> BenchDraw:
+    return draw_bench(LAB, settings, seed=seed, ticks=ticks, period=PERIOD, **given)
+
+
+def rig_of(settings: BenchSettings, *, start: np.ndarray = START, ticks: int = 200, **given: float) -> SimulatedRig:
+    return SimulatedRig(drawn(settings, ticks=ticks, **given), settings, limits=LIMITS, start=start)
+
+
+def flown(state: np.ndarray, u: float, duration: float) -> np.ndarray:
+    def slope(_: float, x: np.ndarray) -> np.ndarray:
+        return np.array(RATE(x, u, LAB.base())).ravel()
+
+    return solve_ivp(slope, (0, duration), state, method="DOP853", rtol=1e-12, atol=1e-12).y[:, -1]
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0, 3.0, 0.25, 1.5, 2.75])
+def test_a_command_acts_after_its_delay_to_the_fraction_of_a_period(delay: float) -> None:
+    rig = rig_of(BenchSettings(sensors=UNROUNDED, drive=DriveSettings(delay=delay)))
+    commands = np.random.default_rng(2).uniform(-20, 20, 12)
+    whole, fraction = math.floor(delay), delay % 1
+
+    def given(k: int) -> float:
+        return float(commands[k]) if k >= 0 else 0.0
+
+    expected = START.copy()
+    for k, command in enumerate(commands):
+        reading = rig.read()
+        assert reading.time == pytest.approx(k * PERIOD)
+        assert rig.truth == pytest.approx(expected, abs=EXACT)
+        assert reading.positions == pytest.approx(expected[[0, 1, 4]], abs=EXACT)
+        rig.command(float(command))
+        if fraction:
+            expected = flown(expected, given(k - whole - 1), fraction * PERIOD)
+        expected = flown(expected, given(k - whole), (1 - fraction) * PERIOD)
+        if k:
+            # The mean over the period is the interpolation of the two commands.
+            blend = fraction * given(k - 2 - whole) + (1 - fraction) * given(k - 1 - whole)
+            assert rig.acted == pytest.approx(blend, abs=1e-9)
+
+
+def test_commands_on_their_way_at_the_start_act_first() -> None:
+    settings = BenchSettings(drive=DriveSettings(delay=2.0))
+    rig = SimulatedRig(drawn(settings), settings, limits=LIMITS, start=START, queued=[5.0, -7.0])
+    rig.read()
+    acted = []
+    for command in (1.0, 2.0, 3.0, 4.0):
+        rig.command(command)
+        rig.read()
+        acted.append(rig.acted)
+    assert acted == pytest.approx([5.0, -7.0, 1.0, 2.0], abs=1e-9)
+
+
+def test_a_period_without_command_repeats_the_last_and_a_second_command_replaces_the_first() -> None:
+    rig = rig_of(BenchSettings(drive=DriveSettings(delay=0.0)))
+    rig.read()
+    rig.command(9.0)
+    rig.command(2.0)
+    acted = []
+    for _ in range(3):
+        rig.read()
+        acted.append(rig.acted)
+    assert acted == pytest.approx([2.0, 2.0, 2.0], abs=1e-9)
+
+
+def test_a_lagging_drive_answers_a_step_by_the_exact_exponential() -> None:
+    lag = 0.005
+    rig = rig_of(BenchSettings(drive=DriveSettings(delay=0.0, lag=lag)))
+    rig.read()
+    for k in range(1, 40):
+        rig.command(10.0)
+        rig.read()
+        t = k * PERIOD
+        assert rig.truth[5] == pytest.approx(-0.3 + 10 * (t - lag * (1 - math.exp(-t / lag))), abs=1e-11)
+        assert rig.state[6] == pytest.approx(10 * (1 - math.exp(-t / lag)), abs=1e-11)
+
+
+def test_the_cart_stops_dead_at_the_end_of_its_track_and_the_bench_says_so() -> None:
+    settings = BenchSettings(drive=DriveSettings(delay=0.0, switch_margin=0.05))
+    start = np.array([0.3, -0.4, 1.0, 2.0, 0.3, 1.5])
+    rig = rig_of(settings, start=start, ticks=400)
+    touched = []
+    for _ in range(120):
+        reading = rig.read()
+        if reading.switch and not rig.fault:
+            touched.append(rig.truth[4])
+        rig.command(5.0)
+    assert 0.35 <= min(touched) < 0.36
+    # 0.3 + 1.5 t + 2.5 t² = 0.4.
+    speed = math.sqrt(1.5**2 + 4 * 2.5 * 0.1)
+    assert f"hard stop at t = {(speed - 1.5) / 5:.3f} s: x = 0.400 m at {speed:.3g} m/s" in rig.fault
+    assert rig.truth[4:] == pytest.approx([0.4, 0.0], abs=1e-12)
+    assert rig.read().switch == 1
+    # It is not glued there, and the switch is released on the way back.
+    for _ in range(200):
+        rig.command(-5.0)
+        reading = rig.read()
+    assert rig.truth[4] < 0.35
+    assert reading.switch == 0
+    assert not rig_of(settings).fault
+
+
+def test_arms_keep_their_momenta_when_the_cart_stops_dead() -> None:
+    settings = BenchSettings(drive=DriveSettings(delay=0.0))
+    # 1 m/s and 0.5 mm to go: the contact is in the middle of the first period.
+    start = np.array([0.3, -0.4, 1.0, 2.0, 0.3995, 1.0])
+    rig = rig_of(settings, start=start)
+    rig.read()
+    rig.command(0.0)
+    rig.read()
+    at_stop = flown(start, 0.0, 5e-4)
+    struck = flown(np.array([*at_stop[:4], 0.4, 1.0]), -1.0 / 1e-8, 1e-8)
+    assert rig.truth[:4] == pytest.approx(flown(struck, 0.0, 5e-4)[:4], abs=1e-5)
+
+
+@pytest.mark.parametrize("drive", [DriveSettings(lag=0.004), DriveSettings(lag=0.004, cart_mass=0.5)])
+def test_drives_that_lag_stay_at_the_stop_while_they_push(drive: DriveSettings) -> None:
+    rig = rig_of(BenchSettings(drive=drive), start=np.array([0.3, -0.4, 1.0, 2.0, -0.39, -1.0]), ticks=400)
+    for _ in range(60):
+        rig.read()
+        rig.command(-20.0)
+        assert abs(rig.truth[4]) <= 0.4 + 1e-12
+    assert "x = -0.400 m" in rig.fault
+    for _ in range(60):
+        rig.command(20.0)
+        rig.read()
+    assert rig.truth[4] > -0.4
+
+
+def test_stop_brakes_at_once_and_for_good() -> None:
+    rig = rig_of(BenchSettings(drive=DriveSettings(delay=5.0)), start=np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.6]))
+    rig.read()
+    rig.command(30.0)
+    rig.stop()
+    for _ in range(20):
+        rig.read()
+        rig.command(30.0)
+    assert rig.truth[5] == pytest.approx(0.0, abs=1e-12)
+    rest = rig.truth[4]
+    rig.read()
+    assert rig.truth[4] == pytest.approx(rest, abs=1e-12)
+    assert rest == pytest.approx(0.6**2 / (2 * 30.0), abs=1e-9)
+
+
+def test_dropped_readings_are_marked_and_hold_the_last_value() -> None:
+    settings = BenchSettings(sensors=SensorSettings(dropout=0.3))
+    draw = drawn(settings)
+    assert draw.dropped is not None
+    assert 0.15 < draw.dropped.mean() < 0.45
+    rig = SimulatedRig(draw, settings, limits=LIMITS, start=START)
+    last = np.zeros(3)
+    for k in range(100):
+        reading = rig.read()
+        assert (reading.present is not None) == draw.dropped[k]
+        if reading.present is None:
+            last = reading.positions
+        else:
+            assert not reading.present.any()
+            assert reading.positions == pytest.approx(last, abs=0)
+        rig.command(0.0)
+
+
+@pytest.mark.parametrize("delay", [1.0, 0.4])
+def test_a_jittery_reading_is_of_a_state_as_old_as_was_drawn(delay: float) -> None:
+    settings = BenchSettings(sensors=replace(UNROUNDED, jitter=8e-4), drive=DriveSettings(delay=delay))
+    draw = drawn(settings)
+    rig = SimulatedRig(draw, settings, limits=LIMITS, start=np.array([0, 0, 0, 0, 0, 1.0]))
+    plain = rig_of(
+        BenchSettings(sensors=UNROUNDED, drive=DriveSettings(delay=delay)), start=np.array([0, 0, 0, 0, 0, 1.0])
+    )
+    assert draw.ages is not None
+    plain.read()
+    assert rig.read().positions[2] == 0.0
+    for k in range(1, 50):
+        for one in (rig, plain):
+            one.command(0.0 if k < 40 else 3.0)
+        reading, ideal = rig.read(), plain.read()
+        if k < 40:
+            assert reading.positions[2] == pytest.approx(k * PERIOD - draw.ages[k], abs=1e-12)
+        else:
+            assert reading.positions[2] <= ideal.positions[2]
+        assert rig.truth == pytest.approx(plain.truth, abs=EXACT)
+    with pytest.raises(InputError, match=r"jitter = 0\.002: must be at most a period"):
+        drawn(BenchSettings(sensors=SensorSettings(jitter=2e-3)))
+
+
+def test_blows_strike_at_their_tick_right_after_its_reading() -> None:
+    push = Push(0.01, arm=1, rate=0.7, knock=0.2)
+    struck = rig_of(BenchSettings(disturbances=DisturbanceSettings(explicit=(push,))))
+    calm = rig_of(BenchSettings())
+    for k in range(15):
+        struck.read()
+        calm.read()
+        difference = np.abs(struck.truth - calm.truth).max()
+        assert (difference > 0.1) == (k > 10)
+        assert struck.acted == pytest.approx(0.0, abs=1e-9)
+        struck.command(0.0)
+        calm.command(0.0)
+    with pytest.raises(InputError, match="arm = 2: must be 0 to 1"):
+        drawn(BenchSettings(disturbances=DisturbanceSettings(explicit=(Push(0.0, arm=2),))))
+
+
+def test_seeded_blows_are_as_many_and_as_strong_as_was_asked_for() -> None:
+    disturbances = DisturbanceSettings(pushes=400, push_impulse=0.02, knocks=200, knock_velocity=0.1)
+    blows = drawn(BenchSettings(disturbances=disturbances), ticks=100_000).blows
+    impulses = np.array([b.impulses for b in blows.values() if b.impulses.any()])
+    knocks = np.array([b.knock for b in blows.values() if b.knock])
+    # A few may fall on one tick.
+    assert 390 <= len(impulses) <= 400
+    assert 195 <= len(knocks) <= 200
+    assert np.abs(impulses).max() <= 0.02
+    assert np.abs(impulses).mean(0) == pytest.approx([0.005, 0.005], rel=0.2)
+    assert np.abs(knocks).mean() == pytest.approx(0.05, rel=0.2)
+    assert min(blows) < 2_000 < 98_000 < max(blows)
+
+
+def test_one_settings_change_leaves_every_other_draw_as_it_was() -> None:
+    everything = BenchSettings(
+        SensorSettings(zero_error=0.02, noise=1e-4, missed_counts=50.0, dropout=0.1, jitter=1e-4, rate_noise=0.1),
+        DriveSettings(command_noise=0.3),
+        DisturbanceSettings(pushes=3, push_impulse=0.01, knocks=2, knock_velocity=0.1),
+    )
+    whole = drawn(everything, mismatch=0.05, initial_error=0.05)
+    sensors = replace(everything.sensors, dropout=0.0, zero_error=0.0, jitter=0.0, noise=0.0)
+    fewer = drawn(
+        BenchSettings(sensors, everything.drive, DisturbanceSettings(knocks=2, knock_velocity=0.1)), mismatch=0.0,
+        initial_error=0.05,
+    )  # fmt: skip
+    assert np.array_equal(whole.initial_error, fewer.initial_error)
+    for name in ("command_noise", "missed", "rate_noise"):
+        assert np.array_equal(getattr(whole, name), getattr(fewer, name)), name
+    assert {k: b.knock for k, b in whole.blows.items() if b.knock} == {k: b.knock for k, b in fewer.blows.items()}
+    for name in ("dropped", "ages", "noise"):
+        assert getattr(fewer, name) is None
+    assert not fewer.zeros.any()
+    longer = drawn(everything, ticks=300, mismatch=0.05, initial_error=0.05)
+    for name in ("command_noise", "ages", "dropped", "missed", "noise", "rate_noise"):
+        assert np.array_equal(getattr(longer, name)[:200], getattr(whole, name)), name
+    # Arms and first state are those that a seed has always given.
+    arms, first = (np.random.default_rng(s) for s in np.random.SeedSequence(3).spawn(2))
+    assert whole.plant.arms == LAB.mismatched(0.05, arms)
+    assert np.array_equal(whole.initial_error, first.uniform(-0.05, 0.05, 2))
+
+
+def test_a_seed_gives_the_same_run_bit_for_bit_and_another_seed_another() -> None:
+    settings = BenchSettings(
+        SensorSettings(zero_error=0.02, missed_counts=50.0, dropout=0.1, jitter=1e-4, noise=1e-4),
+        DriveSettings(command_noise=0.3, lag=0.005, delay=1.3, jerk=5000.0),
+        DisturbanceSettings(pushes=3, push_impulse=0.01, knocks=1, knock_velocity=0.1, tilt=0.01),
+    )
+
+    def run(seed: int) -> np.ndarray:
+        rig = rig_of(settings, seed=seed, mismatch=0.05, initial_error=0.05)
+        rows = []
+        for k in range(150):
+            rows.append([*rig.read().positions, *rig.truth])
+            rig.command(math.sin(k / 9))
+        return np.array(rows)
+
+    assert np.array_equal(run(5), run(5))
+    assert np.abs(run(5) - run(6)).max() > 1e-3
+
+
+def test_command_noise_and_missed_counts_have_the_size_that_was_asked_for() -> None:
+    draw = drawn(BenchSettings(SensorSettings(missed_counts=250.0), DriveSettings(command_noise=0.3)), ticks=20_000)
+    assert draw.command_noise is not None
+    assert draw.missed is not None
+    assert draw.command_noise.std() == pytest.approx(0.3, rel=0.03)
+    assert draw.missed.mean() == pytest.approx(0.25, rel=0.05)
+
+
+def test_what_is_not_finite_or_beyond_the_draw_is_named() -> None:
+    rig = rig_of(BenchSettings(), ticks=3)
+    rig.read()
+    with pytest.raises(ArithmeticError, match="command = nan"):
+        rig.command(math.nan)
+    rig.read()
+    rig.read()
+    with pytest.raises(ArithmeticError, match="drawn for 3 ticks"):
+        rig.read()
+    wild = rig_of(BenchSettings(), start=np.array([0, 0, 1e200, -1e200, 0, 0]))
+    wild.read()
+    with pytest.raises(ArithmeticError, match=r"plant failed at t = 0\.001 s"):
+        wild.read()
+    with pytest.raises(InputError, match="first state has shape"):
+        rig_of(BenchSettings(), start=np.zeros(4))

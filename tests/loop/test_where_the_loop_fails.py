@@ -1,0 +1,278 @@
+"""Where the loop fails: every run ends with a name and a reason that helps, the cart inside its limits, the log whole.
+
+The cart is watched for a second after the run as well, on a track without hard stops that would keep it.
+"""
+
+import math
+from copy import deepcopy
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from shadowing_stand_in import LAB, StandIn
+
+from dpcontrol.control.interface import Action, Mode
+from dpcontrol.control.tracking import TrackingController, tracking_controller
+from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings
+from dpcontrol.loop.control_loop import LoopRecord
+from dpcontrol.loop.draw import draw_bench
+from dpcontrol.loop.loop import LoopSettings, control_loop, sampled_model
+from dpcontrol.loop.result import Ending, Ticks
+from dpcontrol.loop.simulated import SimulatedRig
+from dpcontrol.loop.supervisor import StuckWatch, SupervisorSettings
+from dpcontrol.references.reference import Reference
+
+AFTER = 1000  # Ticks for which the bench goes on when the loop has ended.
+TRACK = 10.0  # m: the hard stops are far away, so that it is the loop that keeps the cart inside its limits.
+AT_REST = 0.01  # m/s, of a cart that was braked.
+REAL = LoopSettings(seed=0, mismatch=0.02, initial_error=0.02, drive=DriveSettings(track=TRACK))
+
+
+@dataclass
+class Kept:
+    """A sink that keeps what it is given."""
+
+    times: list[float] = field(default_factory=list)
+    events: list[tuple[float, str, str, str]] = field(default_factory=list)
+
+    def ticks(self, rows: Ticks) -> None:
+        self.times += deepcopy(rows.times).tolist()
+
+    def event(self, time_s: float, level: str, name: str, text: str) -> None:
+        self.events.append((time_s, level, name, text))
+
+    @property
+    def names(self) -> list[str]:
+        return [event[2] for event in self.events]
+
+
+@dataclass
+class Ended:
+    """A run that has ended: what the loop and the log have of it, and how far the cart ever was."""
+
+    record: LoopRecord
+    log: Kept
+    farthest: float
+    speed: float
+
+
+@pytest.fixture(scope="module")
+def controller(turn: tuple[StandIn, Reference]) -> TrackingController:
+    return tracking_controller(turn[1], sampled_model(LAB, 1000.0), REAL.controller)
+
+
+def ended(
+    turn: tuple[StandIn, Reference],
+    controller: TrackingController,
+    settings: LoopSettings,
+    *,
+    believed_delay: float | None = None,
+    fallback: object = None,
+) -> Ended:
+    limits = settings.limits(turn[1])
+    draw = draw_bench(
+        LAB, settings.bench, seed=settings.seed, ticks=controller.ticks + 1 + AFTER, period=1e-3,
+        mismatch=settings.mismatch, initial_error=settings.initial_error,
+    )  # fmt: skip
+    log = Kept()
+    loop = control_loop(
+        LAB, settings, controller, limits=limits, believed_delay=believed_delay, sink=log, fallback=fallback
+    )
+    rig = SimulatedRig(draw, settings.bench, limits=limits, start=controller.first_state, queued=loop.queued)
+    record = loop.run(rig)
+    truth = record.ticks.truth
+    assert truth is not None
+    farthest = float(np.abs(truth[:, 4]).max())
+    speed = math.inf
+    for _ in range(AFTER):
+        rig.read()
+        farthest = max(farthest, abs(float(rig.truth[4])))
+        # The least: a knock may come even then.
+        speed = min(speed, abs(float(rig.truth[5])))
+    return Ended(record, log, farthest, speed)
+
+
+def check(run: Ended, ending: Ending, reason: str, *, limit: float = 0.4) -> None:
+    record, log = run.record, run.log
+    assert record.ending is ending, record.reason
+    assert reason in record.reason
+    assert run.farthest <= limit
+    assert run.speed < AT_REST
+    # Every tick is in the log, in order; the first event begins it and the last one is the ending, at the last tick.
+    assert log.times == record.ticks.times.tolist() == sorted(set(log.times))
+    assert np.isfinite(record.ticks.estimates).all()
+    assert log.names[0] == "start"
+    assert log.events[-1][1:] == ("error", ending.value, record.reason)
+    assert log.events[-1][0] == pytest.approx(log.times[-1])
+    times = [event[0] for event in log.events]
+    assert times == sorted(times)
+    assert "stop" in log.names
+    assert record.ticks.control[-1, 6] == Mode.ABORTED
+
+
+@pytest.mark.parametrize("late", [50.0, 80.0])
+def test_a_delay_beyond_the_margin(
+    turn: tuple[StandIn, Reference], controller: TrackingController, late: float
+) -> None:
+    settings = replace(REAL, drive=replace(REAL.drive, delay=late))
+    run = ended(turn, controller, settings, believed_delay=1.0)
+    assert run.record.ending in (Ending.CART_STOP, Ending.TRACKING_LOST, Ending.ESTIMATE_LOST)
+    check(run, run.record.ending, "lost" if run.record.ending is not Ending.CART_STOP else "cart at its stop")
+
+
+@pytest.mark.parametrize(
+    ("sensor", "name"), [(0, "the encoder of joint 1"), (1, "the encoder of joint 2"), (2, "the cart's scale")]
+)
+def test_a_stuck_sensor_is_named_before_the_cart_runs_away(
+    turn: tuple[StandIn, Reference], controller: TrackingController, sensor: int, name: str
+) -> None:
+    for at in (0.5, 2.0, 3.7):
+        settings = replace(REAL, sensors=SensorSettings(stuck_at=at, stuck_sensor=sensor))
+        run = ended(turn, controller, settings)
+        check(run, Ending.ESTIMATE_LOST, f"{name} is stuck", limit=0.05)
+        assert run.log.times[-1] < at + 0.6
+
+
+def test_readings_that_stop_coming(turn: tuple[StandIn, Reference], controller: TrackingController) -> None:
+    settings = replace(REAL, sensors=SensorSettings(dropout=0.995))
+    run = ended(turn, controller, settings)
+    check(run, Ending.ESTIMATE_LOST, "no measurement for 0.1")
+    assert "cables" in run.record.reason
+    # Half of them are enough.
+    enough = ended(turn, controller, replace(REAL, sensors=SensorSettings(dropout=0.5)))
+    assert enough.record.ending is Ending.FINISHED
+
+
+def test_a_push_beyond_the_basin(turn: tuple[StandIn, Reference], controller: TrackingController) -> None:
+    for arm in (0, 1):
+        hard = DisturbanceSettings(explicit=(Push(time=0.3, arm=arm, rate=12.0),))
+        run = ended(turn, controller, replace(REAL, disturbances=hard))
+        assert run.record.ending in (Ending.CART_STOP, Ending.TRACKING_LOST)
+        check(run, run.record.ending, "at t = ")
+    soft = DisturbanceSettings(explicit=(Push(time=0.3, arm=1, rate=0.3),))
+    assert ended(turn, controller, replace(REAL, disturbances=soft)).record.ending is Ending.FINISHED
+
+
+@pytest.mark.parametrize("travel", [0.006, 0.012, 0.02])
+def test_a_track_too_short(turn: tuple[StandIn, Reference], controller: TrackingController, travel: float) -> None:
+    settings = replace(REAL, travel=travel, initial_error=0.05)
+    run = ended(turn, controller, settings)
+    check(run, Ending.CART_STOP, "allow more travel", limit=travel)
+
+
+def test_a_model_of_other_arms(turn: tuple[StandIn, Reference], controller: TrackingController) -> None:
+    for seed in range(3):
+        run = ended(turn, controller, replace(REAL, seed=seed, mismatch=0.8))
+        assert run.record.ending is not Ending.FINISHED
+        check(run, run.record.ending, "at t = ")
+
+
+def test_a_restart_and_a_move_of_the_clock_are_events(
+    turn: tuple[StandIn, Reference], controller: TrackingController
+) -> None:
+    nervous = SupervisorSettings(lost_estimate=5.0)
+    strict = replace(REAL.estimator, parameter_error=0.0, rate_noise=1e-4)
+    run = ended(turn, controller, replace(REAL, mismatch=0.3, supervisor=nervous, estimator=strict))
+    assert run.log.names.count("restart the estimator") == nervous.restarts
+    check(run, Ending.ESTIMATE_LOST, "check the encoders")
+    wandering = SupervisorSettings(resynchronise=0.06)
+    moved = ended(turn, controller, replace(REAL, mismatch=0.3, supervisor=wandering))
+    said = [text for _, _, name, text in moved.log.events if name == "re-synchronise"]
+    assert said[:2] == [said[0], "the controller has no clock to move"]
+    assert "rad from the reference" in said[0]
+
+
+@dataclass
+class Still:
+    """A fallback that commands nothing."""
+
+    state: np.ndarray
+
+    def session(self, tick: int, state: np.ndarray) -> tuple["Still", str]:
+        self.state = state
+        return self, "holds nothing"
+
+    def command(self, tick: int, state: np.ndarray, extra: np.ndarray) -> Action:
+        return Action(0.0, 0.0, state, Mode.HOLDING)
+
+    def resynchronise(self, tick: int, state: np.ndarray) -> str:
+        return ""
+
+
+def test_with_something_to_hold_the_run_goes_on_and_says_so(
+    turn: tuple[StandIn, Reference], controller: TrackingController
+) -> None:
+    weak = replace(controller, gains=0.0 * controller.gains)
+    run = ended(turn, weak, REAL, fallback=Still(np.zeros(6)))
+    assert run.record.ending is Ending.FELL_BACK
+    assert "tracking lost" in run.record.reason
+    assert "holds nothing" in run.record.reason
+    assert {"hold", "fallback"} < set(run.log.names)
+    assert run.log.times == run.record.ticks.times.tolist()
+    assert len(run.log.times) == controller.ticks + 1
+
+
+def nasty(seed: int) -> tuple[LoopSettings, float]:
+    """Return a run of all that can go wrong, and the delay that the loop believes in."""
+    random = np.random.default_rng([seed, 99])
+    sensors = SensorSettings(
+        stuck_at=random.uniform(0.2, 3.0) if random.random() < 0.5 else math.inf,
+        stuck_sensor=int(random.integers(3)),
+        dropout=float(random.choice([0.0, 0.0, 0.3])),
+    )
+    delay = float(random.choice([1.0, 30.0]))
+    drive = DriveSettings(delay=delay, lag=float(random.choice([0.0, 0.02])), command_noise=0.3, track=TRACK)
+    blows = DisturbanceSettings(
+        pushes=3,
+        push_impulse=float(random.choice([0.0, 0.01, 0.05])),
+        knocks=int(random.choice([0, 2])),
+        knock_velocity=0.3,
+    )
+    settings = LoopSettings(
+        seed=seed, mismatch=0.5, initial_error=float(random.choice([0.05, 0.5])), sensors=sensors, drive=drive,
+        disturbances=blows,
+    )  # fmt: skip
+    return settings, float(random.choice([1.0, delay]))
+
+
+def inside_its_limits(turn: tuple[StandIn, Reference], controller: TrackingController, seeds: range) -> None:
+    for seed in seeds:
+        settings, believed = nasty(seed)
+        run = ended(turn, controller, settings, believed_delay=believed)
+        assert run.farthest <= 0.4, (seed, run.record.reason)
+        assert run.speed < AT_REST
+        if run.record.ending is not Ending.FINISHED:
+            check(run, run.record.ending, "at t = ")
+        if math.isinf(settings.sensors.stuck_at):
+            assert "stuck" not in run.record.reason, seed
+
+
+def test_whatever_goes_wrong_the_cart_stays_inside_its_limits(
+    turn: tuple[StandIn, Reference], controller: TrackingController
+) -> None:
+    inside_its_limits(turn, controller, range(24))
+
+
+@pytest.mark.benchmark
+def test_in_two_hundred_runs_of_all_that_can_go_wrong_the_cart_stays_inside_its_limits(
+    turn: tuple[StandIn, Reference], controller: TrackingController
+) -> None:
+    inside_its_limits(turn, controller, range(200))
+
+
+def test_sensors_that_work_are_never_called_stuck(
+    turn: tuple[StandIn, Reference], controller: TrackingController
+) -> None:
+    slow = replace(REAL, seed=2, mismatch=0.2, initial_error=0.05, travel=0.8, sensors=SensorSettings(counts=256))
+    assert "stuck" not in ended(turn, controller, slow).record.reason
+    for seed, counts in enumerate((0, 40_000, 4096, 512, 128)):
+        settings = replace(
+            REAL, seed=seed, mismatch=0.1, sensors=SensorSettings(counts=counts, noise=0.0 if counts else 1e-4)
+        )
+        assert "stuck" not in ended(turn, controller, settings).record.reason
+
+
+def test_a_sensor_at_rest_with_its_reference_is_not_stuck() -> None:
+    watch = StuckWatch(2, period=1e-3)
+    for k in range(5000):
+        assert watch.seen([0.0, math.pi, 0.0], [0.0, math.pi], 1e-4 * (-1) ** (k // 5), 1e6) == ""

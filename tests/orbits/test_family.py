@@ -1,0 +1,170 @@
+"""Families of Lyapunov orbits: members, ends, and what happens on the way."""
+
+import json
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from scipy.special import mathieu_a
+
+from dpcontrol.cli.main import main
+from dpcontrol.dynamics.equations import Equations
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.equilibria import equilibrium
+from dpcontrol.orbits.family import FamilySettings, lyapunov_family
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.review.family_figure import write_family_figure
+from dpcontrol.scenes.model import load_model
+from tests.reference_values import LYAPUNOV_ORBITS
+
+STATE = 1e-9  # the bar; about 1e-12 is reached
+RECIPROCAL = 1e-6  # members' multipliers go up to 1e7
+CROSSING = 1e-10  # J: a root of a determinant that is known to rounding times the multiplier, here about one
+RATE = 0.03  # relative: the exponential law holds in the limit only
+LIMIT = 1e-4  # J: what the extrapolated end may be off
+
+
+@pytest.fixture(scope="module")
+def system():
+    return load_model("lab").system
+
+
+@pytest.fixture(scope="module")
+def families(system):
+    return {s: lyapunov_family(system, s, energies=(-1.0, 1.0)) for s in ("down-up", "up-down")}
+
+
+@pytest.mark.parametrize("saddle", ["down-up", "up-down"])
+def test_both_families_end_in_the_homoclinics_of_up_up(families, system, saddle):
+    family = families[saddle]
+    assert family.converged
+    assert [e.kind for e in family.ends] == ["saddle", "homoclinics"]
+    assert "ends in the homoclinics of up-up" in family.ends[1].reason
+    assert float(family.ends[1].reason.split("energy tends to ")[1].split(" J")[0]) == pytest.approx(
+        equilibrium(system, "up-up").energy, abs=LIMIT
+    )
+
+
+@pytest.mark.parametrize("saddle", ["down-up", "up-down"])
+def test_the_period_grows_by_the_slow_growth_rate_of_up_up(system, saddle):
+    """Two passages by Up-Up in a period: energy - limit ~ exp(-μ T/2), μ from the linearised equations."""
+    # The law holds in the limit; the arcs are good to much larger multipliers than the monodromy matrices are.
+    family = lyapunov_family(system, saddle, energies=(0.48, 1.0), settings=FamilySettings(largest_multiplier=1e13))
+    gap = equilibrium(system, "up-up").energy - family.energies[-6:]
+    slope = np.polyfit(family.periods[-6:], np.log(gap), 1)[0]
+    growth = equilibrium(system, "up-up").eigenvalues.real
+    assert slope == pytest.approx(-growth[growth > 0].min() / 2, rel=RATE)
+
+
+@pytest.mark.parametrize("saddle", ["down-up", "up-down"])
+def test_energy_and_period_grow_together_and_multipliers_stay_reciprocal(families, saddle):
+    family = families[saddle]
+    assert np.all(np.diff(family.energies) > 0)
+    assert np.all(np.diff(family.periods) > 0)
+    assert not family.events
+    products = family.floquet_multipliers[:, 0] * family.floquet_multipliers[:, -1]
+    assert np.abs(products - 1).max() < RECIPROCAL
+
+
+def test_members_are_the_orbits_that_continuation_in_energy_finds(families, system):
+    family = families["down-up"]
+    for member in family.members[10::15]:
+        alone = lyapunov_orbit(system, "down-up", energy=member.energy)
+        assert np.abs(alone.state - member.state).max() < STATE
+        assert alone.period == pytest.approx(member.period, abs=STATE)
+
+
+def test_a_bound_is_met_exactly_by_the_reference_orbits(system):
+    family = lyapunov_family(system, "down-up", energies=(-0.07, 0.2))
+    assert [e.kind for e in family.ends] == ["energy bound", "energy bound"]
+    for member, energy in ((family.members[0], -0.07), (family.members[-1], 0.2)):
+        state, period, multiplier, _ = LYAPUNOV_ORBITS["lab", "down-up", energy]
+        assert member.energy == energy
+        assert np.abs(member.state - state).max() < STATE
+        assert member.period == pytest.approx(period, abs=STATE)
+        assert member.unstable_multiplier == pytest.approx(multiplier, rel=1e-8)
+
+
+def test_the_family_does_not_depend_on_its_steps(families, system):
+    coarse = lyapunov_family(system, "down-up", energies=(-1.0, 0.2), settings=FamilySettings(step=0.12))
+    assert len(coarse.members) < len(families["down-up"].members)
+    assert np.abs(coarse.members[-1].state - LYAPUNOV_ORBITS["lab", "down-up", 0.2][0]).max() < STATE
+
+
+def hill_system(growth, coupling):
+    """H = ½(ẋ² + x²) + ½(ẏ² - growth y² + coupling x² y²): along y = 0, y obeys Mathieu's equation."""
+    state, none = ca.SX.sym("x", 4), ca.SX.sym("p", 1)
+    x, y, u, v = ca.vertsplit(state)
+    rate = ca.vertcat(u, v, -x - coupling * x * y**2, growth * y - coupling * x**2 * y)
+    energy = (u**2 + x**2 + v**2 - growth * y**2 + coupling * x**2 * y**2) / 2
+    equations = Equations(state, ca.SX.zeros(0), none, rate, energy, ca.vertcat(u, v), ca.SX.eye(2))
+    return System(
+        name="hill",
+        equations=equations,
+        parameters=np.ones(1),
+        equilibria={"origin": np.zeros(4)},
+        periods=np.full(4, np.inf),
+        reversers=(np.diag([1.0, 1, -1, -1]), np.diag([-1.0, 1, 1, -1])),
+        orientation=np.array([0.0, 0, 1, 0]),
+        scale=np.ones(4),
+        energy_scale=1.0,
+        sections={},
+    )
+
+
+@pytest.mark.parametrize(("growth", "coupling"), [(1.0, 1.0), (0.5, 2.0)])
+def test_hyperbolicity_is_lost_where_mathieus_equation_has_a_periodic_solution(growth, coupling):
+    """x = √(2E) cos t makes ÿ + (bE - a + bE cos 2t) y = 0, periodic at the characteristic value a₀(bE/2)."""
+    expected = brentq(lambda e: coupling * e - growth - mathieu_a(0, coupling * e / 2), 0.01, 3.0, xtol=1e-14)
+    family = lyapunov_family(hill_system(growth, coupling), "origin", energies=(0.0, 5.0))
+    assert family.ends[1].kind == "hyperbolicity lost"
+    assert "a multiplier crosses +1" in family.ends[1].reason
+    assert family.ends[1].energy == pytest.approx(expected, abs=CROSSING)
+    assert np.all(np.abs(family.floquet_multipliers[:-1, 0]) > 1)
+
+
+def test_a_family_that_may_have_few_members_says_that_it_goes_on(system):
+    family = lyapunov_family(system, "down-up", energies=(-1.0, 1.0), settings=FamilySettings(most_members=5))
+    assert not family.converged
+    assert "allow more" in family.status
+
+
+@pytest.mark.parametrize(
+    ("saddle", "energies", "fragment"),
+    [
+        ("down-up", (-0.4, -0.2), "exist only above its energy of -0.17543"),
+        ("down-up", (0.6, 0.7), "does not reach them; ends in the homoclinics of up-up"),
+        ("up-up", (0.5, 0.6), "no index-1 saddle"),
+        ("down-up", (0.2, -0.1), "the lower first"),
+    ],
+)
+def test_impossible_families_are_refused_with_what_is_possible(system, saddle, energies, fragment):
+    with pytest.raises(InputError, match=fragment):
+        lyapunov_family(system, saddle, energies=energies)
+
+
+def test_the_verb_prints_the_family_and_draws_it(capsys, tmp_path):
+    picture = tmp_path / "family.png"
+    arguments = ["orbit", "lab", "--saddle", "up-down", "--energies", "0.1", "0.2", "--picture", str(picture), "--json"]
+    with pytest.raises(SystemExit) as ended:
+        main(arguments)
+    document = json.loads(capsys.readouterr().out)
+    assert ended.value.code == 0
+    assert [e["kind"] for e in document["ends"]] == ["saddle", "energy bound"]
+    assert document["family"][-1]["period"] == pytest.approx(LYAPUNOV_ORBITS["lab", "up-down", 0.2][1], abs=STATE)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_verb_wants_one_energy_or_two(capsys):
+    with pytest.raises(SystemExit) as ended:
+        main(["orbit", "lab", "--saddle", "up-down"])
+    assert ended.value.code == 2
+    assert "--energies LO HI" in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_written_is_refused(families, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="cannot write"):
+        write_family_figure(families["up-down"], tmp_path / "file" / "family.png")

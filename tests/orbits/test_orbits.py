@@ -1,0 +1,192 @@
+"""Equilibria and Lyapunov orbits, against independent values and the structure of Hamiltonian flows."""
+
+import numpy as np
+import pytest
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.equilibria import equilibria
+from dpcontrol.orbits.lyapunov import ContinuationSettings, lyapunov_orbit
+from dpcontrol.orbits.symmetric_shooting import SymmetricShooting
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.manifold import UnstableManifold
+from dpcontrol.tubes.orbit_curve import OrbitCurve
+from tests.reference_values import LYAPUNOV_ORBITS, SQUARED_EIGENVALUES
+
+EIGENVALUES = 1e-10
+PERIOD = 1e-11
+MULTIPLIER = 1e-8
+RECIPROCAL = 1e-9
+CLOSURE = 5e-14  # times λ (1 + largest state): a few ulp of a rate, amplified over one period
+
+
+@pytest.fixture(scope="module")
+def systems():
+    return {name: load_model(name).system for name in ("lab", "printed", "three-body")}
+
+
+@pytest.fixture(scope="module")
+def orbits(systems):
+    return {key: lyapunov_orbit(systems[key[0]], key[1], energy=key[2]) for key in LYAPUNOV_ORBITS}
+
+
+@pytest.mark.parametrize("key", SQUARED_EIGENVALUES, ids=" ".join)
+def test_equilibria_have_the_reference_energies_and_eigenvalues(systems, key):
+    energy, *squares = SQUARED_EIGENVALUES[key]
+    found = equilibria(systems[key[0]])[key[1]]
+    assert found.energy == pytest.approx(energy, rel=EIGENVALUES)
+    assert np.allclose(sorted((found.eigenvalues**2).real), np.repeat(sorted(squares), 2), rtol=EIGENVALUES)
+    unstable = sum(s > 0 for s in squares)
+    assert found.kind == ("centre" if unstable == 0 else f"index-{unstable} saddle")
+
+
+@pytest.mark.parametrize("key", LYAPUNOV_ORBITS, ids=str)
+def test_lyapunov_orbits_are_the_reference_ones(orbits, key):
+    state, period, multiplier, brake = LYAPUNOV_ORBITS[key]
+    found = orbits[key]
+    assert found.converged
+    assert found.period == pytest.approx(period, rel=PERIOD)
+    assert found.unstable_multiplier == pytest.approx(multiplier, rel=MULTIPLIER)
+    assert np.abs(found.state - state).max() < 1e-11
+    assert found.residual <= CLOSURE * multiplier * (1 + np.abs(found.state).max())
+    quarter = found.system.propagator.flow(found.state, period / 4)
+    assert np.abs(quarter - (*brake, 0.0, 0.0)).max() < 1e-11
+
+
+@pytest.mark.parametrize("key", LYAPUNOV_ORBITS, ids=str)
+def test_multipliers_come_in_reciprocal_pairs_with_a_pair_at_one(orbits, key):
+    multipliers = orbits[key].floquet_multipliers
+    assert len(multipliers) == 4
+    assert abs(multipliers[0] * multipliers[3] - 1) < RECIPROCAL
+    assert np.abs(multipliers[1:3] - 1).max() < 1e-9 * abs(multipliers[0])
+
+
+@pytest.mark.parametrize("key", LYAPUNOV_ORBITS, ids=str)
+def test_monodromy_is_symplectic_in_canonical_coordinates(orbits, key):
+    orbit = orbits[key]
+    to_canonical = np.vstack([np.eye(4)[:2], orbit.system.numeric.momentum_jacobian(orbit.state)])
+    matrix = to_canonical @ orbit.monodromy @ np.linalg.inv(to_canonical)
+    form = np.block([[np.zeros((2, 2)), np.eye(2)], [-np.eye(2), np.zeros((2, 2))]])
+    size = np.abs(matrix).max() ** 2
+    assert np.abs(matrix.T @ form @ matrix - form).max() < 1e-12 * size
+
+
+def test_a_hair_above_the_saddle_the_orbit_is_the_linear_centre(systems):
+    point = equilibria(systems["lab"])["down-up"]
+    orbit = lyapunov_orbit(systems["lab"], "down-up", energy=point.energy + 1e-9)
+    frequency = abs(point.eigenvalues.imag).max()
+    growth = point.eigenvalues.real.max()
+    assert orbit.converged
+    assert orbit.period == pytest.approx(2 * np.pi / frequency, rel=1e-7)
+    assert np.log(orbit.unstable_multiplier) == pytest.approx(growth * orbit.period, rel=1e-6)
+
+
+def test_the_end_of_the_family_is_noticed_and_named(systems):
+    orbit = lyapunov_orbit(systems["lab"], "down-up", energy=1.0)
+    assert not orbit.converged
+    # The family runs into the homoclinics of Up-Up, whose energy bounds it.
+    reached = float(orbit.status.split("only to ")[1].split(" J")[0])
+    assert equilibria(systems["lab"])["up-up"].energy - 1e-3 < reached
+    assert reached < equilibria(systems["lab"])["up-up"].energy + 1e-3
+
+
+def test_the_orbit_does_not_depend_on_the_steps_that_lead_to_it(systems):
+    coarse, fine = (
+        lyapunov_orbit(systems["lab"], "up-down", energy=0.2, settings=ContinuationSettings(step=step))
+        for step in (0.3, 0.01)
+    )
+    assert fine.period == pytest.approx(coarse.period, rel=1e-13)
+    assert np.abs(fine.state - coarse.state).max() < 1e-12
+
+
+@pytest.mark.parametrize("energy", [-1.505, -1.5, -1.495])
+def test_far_up_the_orbit_found_is_of_the_family_whatever_the_steps(systems, energy):
+    """Other families cross nearby: long steps that are not checked end on orbits of less than half the period."""
+    default, fine = (
+        lyapunov_orbit(systems["three-body"], "L1", energy=energy, settings=settings)
+        for settings in (ContinuationSettings(), ContinuationSettings(step=0.02))
+    )
+    assert default.converged
+    assert fine.converged
+    assert default.period == pytest.approx(fine.period, rel=1e-9)
+
+
+def test_where_a_family_ends_is_told_after_few_arcs(systems, monkeypatch):
+    flown = []
+    arc = SymmetricShooting.arc
+
+    def counted(problem, unknowns):
+        flown.append(unknowns[-1])
+        return arc(problem, unknowns)
+
+    monkeypatch.setattr(SymmetricShooting, "arc", counted)
+    orbit = lyapunov_orbit(systems["lab"], "up-down", energy=0.6)
+    assert not orbit.converged
+    assert len(flown) < 300
+    # Newton's method may be led to arcs of any length: the longest that were flown once took a minute.
+    assert max(flown) < 20 * orbit.period
+
+
+@pytest.mark.parametrize(
+    ("saddle", "energy", "fragment"),
+    [
+        ("down-up", -0.2, "exist only above its energy of -0.175429746"),
+        ("up-up", 0.6, "index-2 saddle, no index-1 saddle"),
+        ("down-down", 0.0, "centre"),
+        ("sideways", 0.0, "allowed: down-down, down-up"),
+        ("down-up", float("nan"), "finite"),
+    ],
+)
+def test_impossible_orbits_are_refused_with_what_is_possible(systems, saddle, energy, fragment):
+    with pytest.raises(InputError, match=fragment):
+        lyapunov_orbit(systems["lab"], saddle, energy=energy)
+
+
+def test_a_family_that_does_not_exist_is_refused(systems):
+    with pytest.raises(InputError, match="family = 1 does not exist"):
+        lyapunov_orbit(systems["lab"], "down-up", energy=-0.07, family=1)
+
+
+@pytest.mark.parametrize("key", [("lab", "down-up", 0.2), ("lab", "up-down", 0.2)], ids=str)
+def test_the_local_manifold_is_carried_into_itself_by_the_flow(orbits, key):
+    orbit = orbits[key]
+    manifold = UnstableManifold(orbit)
+    for phase in (0.0, 0.17, 0.43, 0.61, 0.9):
+        errors = []
+        for amplitude in (1e-5, 1e-6):
+            frame = manifold.frame(np.array([phase, phase + 0.3]))
+            start, end = frame.states + np.array([[1], [np.exp(0.3 * manifold.exponent)]]) * amplitude * frame.vectors
+            gap = orbit.system.propagator.flow(start, 0.3 * orbit.period) - end
+            errors.append(orbit.system.scaled_distance(gap, np.zeros(4)))
+        # Linear to first order: the error falls with the square of the amplitude.
+        assert errors[1] < 0.03 * errors[0] + 1e-13
+
+
+def test_the_frame_is_one_smooth_curve_of_period_one(orbits):
+    manifold = UnstableManifold(orbits["lab", "down-up", 0.2])
+    phases = np.linspace(-0.7, 1.6, 24)
+    here, moved, again = (manifold.frame(phases + shift) for shift in (0.0, 1e-6, 1.0))
+    for name, slopes in (("states", here.state_slopes), ("vectors", here.vector_slopes)):
+        assert np.allclose((getattr(moved, name) - getattr(here, name)) / 1e-6, slopes, rtol=1e-4, atol=2e-3)
+        assert np.abs(getattr(again, name) - getattr(here, name)).max() < 1e-9
+
+
+def test_seeds_keep_their_distance_and_the_orbits_energy(orbits):
+    orbit = orbits["lab", "down-up", -0.07]
+    manifold = UnstableManifold(orbit, 1e-4)
+    phases = np.linspace(0, 1, 13)
+    for branch in (1, -1):
+        seeds, _ = manifold.seeds(phases, branch)
+        assert np.abs(orbit.system.numeric.hamiltonian(seeds) - orbit.energy).max() < 1e-15
+        gaps = (seeds - manifold.frame(phases).states) / orbit.system.scale
+        assert np.allclose(np.linalg.norm(gaps, axis=1), 1e-4, rtol=1e-3)
+
+
+def test_the_nearest_phase_of_a_point_on_the_orbit_is_its_own(orbits):
+    orbit = orbits["lab", "down-up", -0.07]
+    curve = OrbitCurve(orbit)
+    state = orbit.system.propagator.flow(orbit.state, 0.3 * orbit.period)
+    shifted = state + np.array([0, 2 * np.pi, 0, 0])
+    for x in (state, shifted):
+        phase, distance = curve.nearest(x)
+        assert phase == pytest.approx(0.3, abs=1e-8)
+        assert distance < 1e-8

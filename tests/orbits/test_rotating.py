@@ -1,0 +1,242 @@
+"""Rotating orbits and their families, against independent values, scipy and the orbits' own symmetries."""
+
+import json
+
+import casadi as ca
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from dpcontrol.cli.main import main
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.rotating import (
+    RotatingFamilySettings,
+    RotatingSettings,
+    rotating_families,
+    rotating_family,
+    rotating_orbits,
+)
+from dpcontrol.scenes.model import load_model
+
+STATE = 1e-9  # the bar; what is reached is about 1e-13
+PERIOD = 1e-11
+MULTIPLIER = 1e-8
+DOP853 = 1e-8  # what scipy's DOP853 at 1e-12 leaves after a period, times multipliers of a few
+LOCATED = 1e-9  # J: two ways to the same change of stability
+
+REFERENCE = {
+    (2, -0.06985): (
+        (0.0, 0.0, -13.01598498635436, 21.243853523780334),
+        0.49753163832685887,
+        (-2.7436245634812297, -0.36448135554347005),
+        "inverse hyperbolic",
+    ),
+    (1, 0.2): (
+        (0.0, 0.0, 20.70428441172521, -20.03102661145952),
+        0.7111087096946145,
+        (-0.2998122599 + 0.9539982227j, -0.2998122599 - 0.9539982227j),
+        "elliptic",
+    ),
+}
+"""(turning arm, energy): state, period, multipliers, kind; computed apart from this project in 113-bit arithmetic."""
+
+
+@pytest.fixture(scope="module")
+def system():
+    return load_model("lab").system
+
+
+@pytest.fixture(scope="module")
+def found(system):
+    return {key: rotating_orbits(system, *key) for key in REFERENCE}
+
+
+@pytest.fixture(scope="module")
+def family(found):
+    return rotating_family(found[2, -0.06985][-1], (-0.12, 0.42))
+
+
+@pytest.mark.parametrize("key", REFERENCE, ids=str)
+def test_the_scan_finds_the_reference_orbits_without_a_guess(found, key):
+    state, period, multipliers, kind = REFERENCE[key]
+    orbit = min(found[key], key=lambda o: np.abs(o.state - state).max())
+    assert np.abs(orbit.state - state).max() < STATE
+    assert orbit.period == pytest.approx(period, abs=PERIOD)
+    assert np.abs(orbit.floquet_multipliers - multipliers).max() < MULTIPLIER
+    assert orbit.kind == kind
+    assert orbit.converged
+
+
+def test_every_orbit_closes_after_one_turn_of_its_arm(system, found):
+    f, p = system.equations.function(), system.parameters
+    for (arm, energy), orbits in found.items():
+        assert orbits
+        for orbit in orbits:
+            assert orbit.winding == tuple(int(k == arm - 1) for k in range(2))
+            assert float(system.numeric.hamiltonian(orbit.state)) == pytest.approx(energy, abs=1e-13)
+            flown = solve_ivp(
+                lambda t, x: np.array(f(x, [], p)).ravel(), (0, orbit.period), orbit.state, "DOP853",
+                rtol=1e-12, atol=1e-12,
+            ).y[:, -1]  # fmt: skip
+            turned = orbit.state + 2 * np.pi * np.append(orbit.winding, [0, 0])
+            assert np.abs(flown - turned).max() < DOP853 * max(1.0, abs(orbit.floquet_multipliers[0]))
+
+
+def test_multipliers_are_those_of_differences_of_the_section_map(system, found):
+    """The return map to the turning arm's hanging position in (angle, momentum) of the other, by finite differences."""
+    orbit = found[1, 0.2][-1]
+    energy = ca.Function("H", [system.equations.state, system.equations.parameters], [system.equations.hamiltonian])
+
+    def on_energy(angle, rate_2):
+        rate_1 = orbit.state[2]
+        for _ in range(30):
+            x = np.array([0.0, angle, rate_1, rate_2])
+            rate_1 -= (float(energy(x, system.parameters)) - orbit.energy) / system.numeric.gradient(x)[2]
+        return np.array([0.0, angle, rate_1, rate_2])
+
+    def returned(angle, rate_2):
+        x, t = on_energy(angle, rate_2), orbit.period
+        for _ in range(8):
+            end = system.propagator.flow(x, t)
+            t -= (end[0] - 2 * np.pi) / end[2]
+        end = system.propagator.flow(x, t)
+        return np.array([end[1], end[3]])
+
+    h = 1e-5
+    base = orbit.state[1], orbit.state[3]
+    columns = [
+        (returned(base[0] + a, base[1] + b) - returned(base[0] - a, base[1] - b)) / (2 * h) for a, b in ((h, 0), (0, h))
+    ]
+    matrix = np.array(columns).T
+    assert np.trace(matrix) == pytest.approx(orbit.trace, abs=1e-5)
+    assert np.linalg.det(matrix) == pytest.approx(1.0, abs=1e-5)
+
+
+def test_both_senses_are_reflections_of_each_other(system, found):
+    back = rotating_orbits(system, 2, -0.06985, sense=-1)
+    assert len(back) == len(found[2, -0.06985])
+    for there, here in zip(found[2, -0.06985], back, strict=True):
+        assert np.abs(there.state + here.state).max() < STATE
+        assert here.winding == (0, -1)
+
+
+def test_a_denser_scan_finds_the_same_orbits(system, found):
+    denser = rotating_orbits(system, 2, -0.06985, settings=RotatingSettings(first_angles=1111, jump=0.1))
+    assert len(denser) == len(found[2, -0.06985])
+    for a, b in zip(denser, found[2, -0.06985], strict=True):
+        assert np.abs(a.state - b.state).max() < STATE
+
+
+def test_the_other_arm_may_stand_upright_on_the_mirror(system):
+    upright = [o for o in rotating_orbits(system, 1, 0.6) if o.state[1] > 3]
+    assert upright
+    assert all(o.state[1] == np.pi for o in upright)
+
+
+def test_a_family_keeps_to_one_curve_and_says_why_it_was_left(family):
+    assert family.converged
+    states = np.array([m.state for m in family.members])
+    assert np.abs(np.diff(states, axis=0)).max() < 2.0
+    assert max(m.residual for m in family.members) < 1e-10
+    assert "left at the asked bound of 0.42 J" in family.ends[1]
+
+
+def test_a_family_changes_stability_where_both_sides_differ(system, family):
+    change = next(c for c in family.changes if abs(c.orbit.energy - -0.07812225474946) < LOCATED)
+    assert (change.critical_trace, change.before, change.after) == (-2.0, "inverse hyperbolic", "elliptic")
+    for step, kind in ((-1e-3, "elliptic"), (1e-3, "inverse hyperbolic")):
+        sides = rotating_orbits(system, 2, change.orbit.energy + step)
+        assert min(sides, key=lambda o: np.abs(o.state - change.orbit.state).max()).kind == kind
+    assert all(c.orbit.kind == "parabolic" or abs(abs(c.orbit.trace) - 2) < 1e-8 for c in family.changes)
+
+
+def test_a_family_turns_back_where_its_multipliers_meet_at_one(family):
+    (fold,) = family.folds
+    lowest = family.energies.min()
+    assert lowest - 1e-3 < fold.energy <= lowest
+    assert fold.trace == pytest.approx(2.0, abs=1e-8)
+
+
+def test_changes_of_stability_do_not_depend_on_the_steps(found, family):
+    finer = rotating_family(found[2, -0.06985][-1], (-0.12, 0.42), settings=RotatingFamilySettings(step=0.02))
+    assert len(finer.changes) == len(family.changes)
+    for a, b in zip(finer.changes, family.changes, strict=True):
+        assert a.orbit.energy == pytest.approx(b.orbit.energy, abs=LOCATED)
+
+
+def test_families_of_one_energy_are_followed_once_each(system, found):
+    """The fold at -0.1107 J joins the two fastest of the six: five families."""
+    families = rotating_families(found[2, -0.06985], (-0.115, -0.05))
+    assert len(found[2, -0.06985]) == 6
+    assert [len(f.folds) for f in families] == [0, 0, 0, 0, 1]
+    folded = families[-1]
+    # Only the folded family has members of both periods at the energy: 0.498 and 0.781 s.
+    there = [m.period for m in folded.members if abs(m.energy + 0.06985) < 0.02]
+    assert min(there) < 0.52
+    assert max(there) > 0.75
+
+
+def test_the_verb_lists_rotating_orbits_with_their_stability(capsys):
+    with pytest.raises(SystemExit) as done:
+        main(["orbit", "lab", "--rotating", "inner", "--energy", "0.2", "--json"])
+    shown = json.loads(capsys.readouterr().out)
+    state, period, multipliers, kind = REFERENCE[1, 0.2]
+    fastest = shown["rotating_orbits"][-1]
+    assert done.value.code == 0
+    assert shown["count"] == len(shown["rotating_orbits"]) == 2
+    assert fastest["kind"] == kind
+    assert fastest["winding"] == [1, 0]
+    assert np.abs(np.array(fastest["state"]) - state).max() < STATE
+    assert fastest["period"] == pytest.approx(period, abs=PERIOD)
+    assert np.abs([complex(*m) for m in fastest["floquet_multipliers"]] - np.array(multipliers)).max() < MULTIPLIER
+
+
+def test_the_verb_follows_their_families_and_draws_them(capsys, tmp_path):
+    picture = tmp_path / "inner.png"
+    with pytest.raises(SystemExit) as done:
+        main(["orbit", "lab", "--rotating", "inner", "--energies", "0.19", "0.21", "--picture", str(picture), "--json"])
+    shown = json.loads(capsys.readouterr().out)
+    assert done.value.code == 0
+    assert shown["count"] == 2
+    for family in shown["families"]:
+        energies = [member["energy"] for member in family["members"]]
+        assert (min(energies), max(energies)) == (0.19, 0.21)
+        assert all("left at the asked bound" in end for end in family["ends"])
+    assert picture.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "fragment"),
+    [
+        ("orbit lab --rotating inner --energy -0.3", 1, "no symmetric orbit that turns the inner arm"),
+        ("orbit lab --rotating inner --saddle down-up --energy 0.2", 2, "either --saddle"),
+        ("orbit lab --energy 0.2", 2, "either --saddle"),
+        ("orbit lab --rotating inner", 2, "give --energy"),
+        ("orbit lab --rotating inner --energies 0.3 0.2", 2, "must enclose"),
+        ("orbit three-body --rotating inner --energy -1.5", 2, "no two arms"),
+    ],
+)
+def test_the_verb_refuses_rotating_orbits_that_there_are_not(capsys, line, code, fragment):
+    with pytest.raises(SystemExit) as done:
+        main(line.split())
+    assert done.value.code == code
+    assert fragment in capsys.readouterr().err
+
+
+def test_where_the_arm_cannot_turn_there_are_no_orbits(system):
+    assert rotating_orbits(system, 1, -0.3) == ()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "fragment"),
+    [((3, 0.2), "must be 1 .inner. or 2"), ((2, float("nan")), "finite")],
+    ids=str,
+)
+def test_impossible_requests_are_refused(system, arguments, fragment):
+    with pytest.raises(InputError, match=fragment):
+        rotating_orbits(system, *arguments)
+
+
+def test_a_family_must_enclose_its_orbit(found):
+    with pytest.raises(InputError, match="must enclose"):
+        rotating_family(found[1, 0.2][-1], (0.3, 0.4))

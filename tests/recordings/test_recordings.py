@@ -1,0 +1,306 @@
+"""Recordings come in as they were measured: units, signs and zeros by their mapping, faults named, mended if asked."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bench_recordings import PERIOD, cells, free_swing, rig_file, rig_variables, table_columns, write_csv, write_mat
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.io import loadmat
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.recordings.importing import import_recording
+from dpcontrol.recordings.recording import Recording, load_recording, write_recording
+
+EXACT = 1e-12  # rad: conversions of units round a few times
+TIME_STEP = 1e-9  # s: logs count nanoseconds
+EVEN = 1e-4  # the period found from jittering times, relative
+FILLED = 1e-6  # rad: a cubic over 6 ms, far below an encoder's count of 1.6e-4
+
+
+def test_the_rigs_file_comes_in_as_it_is_recorded_with_hanging_as_zero() -> None:
+    file = rig_file()
+    recording = import_recording(file)
+    given = loadmat(file)
+    angles = np.concatenate([cell[:2].T for cell in given["Y_id"][:, 0]])
+    rates = np.concatenate([cell[2:].T for cell in given["Y_id"][:, 0]])
+    times = np.concatenate([cell[:, 0] for cell in given["Time_id"][:, 0]])
+    assert np.array_equal(recording.angles, angles - np.pi)
+    assert recording.rates is not None
+    assert np.array_equal(recording.rates, rates)
+    assert np.array_equal(recording.time, times)
+    assert recording.dt == 1e-3
+    assert recording.segments == tuple((2667 * k, 2667 * (k + 1)) for k in range(15))
+    assert recording.notes == ()
+    assert recording.cart is None
+
+
+def test_a_log_gives_back_the_recording_segment_by_segment(tmp_path: Path) -> None:
+    recording = import_recording(write_mat(tmp_path / "swing.mat", rig_variables(segments=3)))
+    back = load_recording(write_recording(recording, tmp_path / "swing.mcap"))
+    assert np.array_equal(back.angles, recording.angles)
+    assert np.array_equal(back.rates, recording.rates)  # type: ignore[arg-type]
+    assert np.abs(back.time - recording.time).max() <= TIME_STEP
+    assert (back.dt, back.segments, back.arm_lengths) == (recording.dt, recording.segments, recording.arm_lengths)
+    for part, (first, end) in zip(back.split(), recording.segments, strict=True):
+        assert np.array_equal(part.angles, recording.angles[first:end])
+        assert part.segments == ((0, end - first),)
+
+
+def test_parts_kept_for_validation_follow_those_for_identification(tmp_path: Path) -> None:
+    all_parts = rig_variables(segments=3)
+    split = {
+        "Y_id": cells(list(all_parts["Y_id"][:2, 0])),
+        "Y_vad": cells(list(all_parts["Y_id"][2:, 0])),
+        "Time_id": cells(list(all_parts["Time_id"][:2, 0])),
+        "Time_vad": cells(list(all_parts["Time_id"][2:, 0])),
+        "dt": PERIOD,
+    }
+    whole = import_recording(write_mat(tmp_path / "whole.mat", all_parts))
+    parts = import_recording(write_mat(tmp_path / "parts.mat", split, compressed=True))
+    assert np.array_equal(parts.angles, whole.angles)
+    assert parts.segments == whole.segments
+
+
+def test_segments_whose_times_start_anew_are_laid_end_to_end_and_say_so(tmp_path: Path) -> None:
+    given = rig_variables(segments=2)
+    given["Time_id"][1, 0] = given["Time_id"][0, 0]
+    recording = import_recording(write_mat(tmp_path / "anew.mat", given))
+    assert np.allclose(np.diff(recording.time), PERIOD, atol=EXACT)
+    assert "segment 1" in recording.notes[0]
+
+
+@pytest.mark.parametrize("version", ["v7", "v7.3"])
+def test_whole_recordings_by_simulink_open_as_structs_and_as_objects(tmp_path: Path, version: str) -> None:
+    matio = pytest.importorskip("matio", reason="mat-io writes MATLAB's objects for this test")
+    from matio.utils.matclass import MatlabOpaque
+
+    times, states = free_swing(400)
+    upright = states + np.array([np.pi, np.pi, 0, 0])
+    structs = [{"Values": {"Data": column[:, None].copy(), "Time": times[:, None].copy()}} for column in upright.T]
+    series = [
+        {"Values": MatlabOpaque({"Data": column[:, None].copy(), "Time": times[:, None].copy()}, "timeseries")}
+        for column in upright.T
+    ]
+    for name, signals in (("structs", structs), ("objects", series)):
+        file = tmp_path / f"{name}.mat"
+        matio.save_to_mat(str(file), {"data": cells(signals)}, version=version)
+        recording = import_recording(file, "multi-arm-raw")
+        assert np.abs(recording.angles - states[:, :2]).max() <= EXACT
+        assert np.array_equal(recording.rates, states[:, 2:])  # type: ignore[arg-type]
+
+
+def test_a_data_set_logged_at_even_times_opens_though_it_stores_no_times(tmp_path: Path) -> None:
+    matio = pytest.importorskip("matio", reason="mat-io writes MATLAB's objects for this test")
+    from matio.utils.matclass import MatlabOpaque
+
+    times, states = free_swing(400)
+    upright = states + np.array([np.pi, np.pi, 0, 0])
+    signals = []
+    for column in upright.T:
+        # The fields that MATLAB's class definitions keep; Start, Increment and End are computed from them.
+        even = {"Start_": [[0.0]], "Increment_": [[PERIOD]], "Length": [[float(len(times))]], "Time_": np.zeros((0, 0))}
+        info = MatlabOpaque({name: np.array(value) for name, value in even.items()}, "tsdata.timemetadata")
+        series = MatlabOpaque({"Data_": column[:, None].copy(), "TimeInfo": info}, "timeseries")
+        signals.append(MatlabOpaque({"Values": series}, "Simulink.SimulationData.Signal"))
+    storage = MatlabOpaque({"Elements_": cells(signals)}, "Simulink.SimulationData.Storage.RamDatasetStorage")
+    data = MatlabOpaque({"Name": "logged", "Storage_": storage}, "Simulink.SimulationData.Dataset")
+    matio.save_to_mat(str(tmp_path / "raw.mat"), {"data": data}, version="v7")
+    recording = import_recording(tmp_path / "raw.mat", "multi-arm-raw")
+    assert np.abs(recording.angles - states[:, :2]).max() <= EXACT
+    assert np.abs(recording.time - times).max() <= TIME_STEP
+
+
+def test_cells_in_the_newest_matlab_format_read_as_those_of_the_old(tmp_path: Path) -> None:
+    matio = pytest.importorskip("matio", reason="mat-io writes MATLAB's HDF5 files for this test")
+    given = rig_variables()
+    matio.save_to_mat(str(tmp_path / "new.mat"), {**given, "dt": np.array([[PERIOD]])}, version="v7.3")
+    old = import_recording(write_mat(tmp_path / "old.mat", given))
+    new = import_recording(tmp_path / "new.mat")
+    assert np.array_equal(new.angles, old.angles)
+    assert new.segments == old.segments
+
+
+MAPPING = """
+title = "another rig"
+arm_lengths = [0.2, 0.3]
+[sampling]
+rate = 1000
+[angles]
+columns = ["inner", "outer"]
+{angles}
+"""
+
+
+def _written(values: NDArray[np.float64], folder: Path, angles: str) -> Recording:
+    file = write_csv(folder / "rig.csv", {"inner": values[:, 0].tolist(), "outer": values[:, 1].tolist()})
+    mapping = folder / "rig.toml"
+    mapping.write_text(MAPPING.format(angles=angles))
+    return import_recording(file, str(mapping))
+
+
+def test_degrees_clockwise_from_upright_are_the_same_motion(tmp_path: Path) -> None:
+    _, states = free_swing(300)
+    told = 180 - np.degrees(states[:, :2])  # clockwise, and 180 degrees where the arm hangs
+    recording = _written(told, tmp_path, 'unit = "deg"\nsign = -1\nzero = -3.141592653589793')
+    assert np.abs(recording.angles - states[:, :2]).max() <= EXACT
+    assert recording.rates is None
+    assert recording.dt == PERIOD
+
+
+def test_counts_of_relative_encoders_are_summed_to_absolute_angles(tmp_path: Path) -> None:
+    _, states = free_swing(300)
+    relative = np.column_stack([states[:, 0], states[:, 1] - states[:, 0]])
+    counts = np.rint(relative * 40_000 / (2 * np.pi))
+    recording = _written(counts, tmp_path, 'unit = "counts"\ncounts_per_turn = 40000\nrelative = true')
+    half_a_count = np.pi / 40_000
+    assert np.abs(recording.angles[:, 0] - states[:, 0]).max() <= half_a_count + EXACT
+    assert np.abs(recording.angles[:, 1] - states[:, 1]).max() <= 2 * half_a_count + EXACT
+
+
+def test_parquet_reads_as_csv(tmp_path: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    columns = table_columns()
+    pq.write_table(pa.table(columns), tmp_path / "swing.parquet")
+    by_csv = import_recording(write_csv(tmp_path / "swing.csv", columns))
+    by_parquet = import_recording(tmp_path / "swing.parquet")
+    assert np.array_equal(by_csv.angles, by_parquet.angles)
+    assert np.array_equal(by_csv.time, by_parquet.time)
+
+
+def test_random_free_swings_are_all_plausible(tmp_path: Path) -> None:
+    random = np.random.default_rng(9)
+    for k in range(25):
+        start = (*random.uniform(-np.pi, np.pi, 2), *random.uniform(-12, 12, 2))
+        times, states = free_swing(1500, tuple(float(v) for v in start))
+        names = ("time", "angle_1", "angle_2", "rate_1", "rate_2")
+        file = write_csv(tmp_path / f"{k}.csv", dict(zip(names, (times, *states.T), strict=True)))
+        assert import_recording(file).arms == 2
+
+
+Fault = Callable[[dict[str, Any]], None]
+
+
+def _missing(columns: dict[str, Any]) -> None:
+    columns["angle_2"][100:105] = [""] * 5
+
+
+def _repeated(columns: dict[str, Any]) -> None:
+    columns["time"][100] = columns["time"][99]
+
+
+def _backward(columns: dict[str, Any]) -> None:
+    columns["time"][100] = columns["time"][97]
+
+
+def _gap(columns: dict[str, Any]) -> None:
+    for values in columns.values():
+        del values[100:130]
+
+
+def _wrapped(columns: dict[str, Any]) -> None:
+    least = columns["angle_1"][99]
+    columns["angle_1"] = [(v - least) % (2 * np.pi) + least for v in columns["angle_1"]]
+
+
+def _spiked(columns: dict[str, Any]) -> None:
+    columns["rate_2"][100] += 300.0
+
+
+def _uneven(columns: dict[str, Any]) -> None:
+    times = np.array(columns["time"]) + 0.3 * PERIOD * np.sin(np.arange(len(columns["time"])))
+    clock, states = free_swing(300)
+    for name, column in zip(("angle_1", "angle_2", "rate_1", "rate_2"), states.T, strict=True):
+        columns[name] = CubicSpline(clock, column)(times).tolist()
+    columns["time"] = times.tolist()
+
+
+@pytest.mark.parametrize(
+    ("fault", "repair", "said"),
+    [
+        (_missing, "nan", "row 101 (t = 0.1 s): angle 2 is no finite number (5 such rows)"),
+        (_repeated, "time", "row 101 (t = 0.099 s) repeats the time of the row before"),
+        (_backward, "time", "row 101 (t = 0.097 s) goes back in time by 0.002 s"),
+        (_gap, "gaps", "row 100 (t = 0.099 s): the next sample comes 0.031 s later, not 0.001 s"),
+        (_wrapped, "wrap", "angle 1 jumps by a turn"),
+        (_spiked, "spikes", "row 101 (t = 0.1 s): rate 2 is 29"),
+        (_uneven, "sampling", "uneven sampling"),
+    ],
+)
+def test_a_fault_is_named_and_mended_only_where_asked(tmp_path: Path, fault: Fault, repair: str, said: str) -> None:
+    columns = table_columns()
+    fault(columns)
+    file = write_csv(tmp_path / "faulty.csv", columns)
+    with pytest.raises(InputError, match="repair " + repair) as refused:
+        import_recording(file)
+    assert said in str(refused.value)
+    other = {"nan", "time", "gaps", "wrap", "spikes", "sampling"} - {repair, "gaps", "sampling"}
+    with pytest.raises(InputError):
+        import_recording(file, repairs=sorted(other))
+    # A row left out for its time leaves a gap.
+    repairs = [repair, "gaps"] if repair == "time" else [repair]
+    recording = import_recording(file, repairs=repairs)
+    assert recording.notes
+    times, states = free_swing(300)
+    turns = 2 * np.pi
+    for part in recording.split():
+        expected = CubicSpline(times, states[:, :2])(part.time)
+        off = part.angles - expected
+        assert np.abs(off - turns * np.round(off / turns)).max() <= FILLED
+        assert np.allclose(np.diff(part.time), PERIOD, rtol=EVEN)
+
+
+def test_a_long_hole_and_a_gap_cut_the_recording_into_segments(tmp_path: Path) -> None:
+    columns = table_columns()
+    columns["angle_1"][100:140] = ["nan"] * 40
+    recording = import_recording(write_csv(tmp_path / "hole.csv", columns), repairs=["nan"])
+    assert [end - first for first, end in recording.segments] == [100, 160]
+    _gap(columns := table_columns())
+    recording = import_recording(write_csv(tmp_path / "gap.csv", columns), repairs=["gaps"])
+    assert [end - first for first, end in recording.segments] == [100, 170]
+
+
+def test_a_jump_is_refused_whatever_is_asked_for(tmp_path: Path) -> None:
+    columns = table_columns()
+    columns["angle_1"][100:] = [v + 2.0 for v in columns["angle_1"][100:]]
+    everything = ["nan", "time", "gaps", "wrap", "spikes", "sampling"]
+    with pytest.raises(InputError, match=r"row 101 .*angle 1 jumps by 2.01 rad in one sample"):
+        import_recording(write_csv(tmp_path / "jump.csv", columns), repairs=everything)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"angle_1": "angle_2", "angle_2": "angle_1"}, "columns swapped"),
+        ({"angle_1": "rate_1", "rate_1": "angle_1"}, "columns swapped"),
+        ({"rate_1": "rate_2", "rate_2": "rate_1"}, "it is rate 2: are columns swapped?"),
+        ({"angle_1": ("angle_1", 57.29578)}, "degrees"),
+        ({"rate_1": ("rate_1", 57.29578), "rate_2": ("rate_2", 57.29578)}, "rates like degrees per second"),
+        ({"rate_1": ("rate_1", -1.0)}, "opposite signs"),
+        ({"time": ("time", 1e3)}, "check the unit of time"),
+    ],
+)
+def test_columns_that_contradict_each_other_tell_what_they_look_like(
+    tmp_path: Path, change: dict[str, Any], said: str
+) -> None:
+    columns = table_columns(2000)
+    changed = dict(columns)
+    for name, source in change.items():
+        source, factor = source if isinstance(source, tuple) else (source, 1.0)
+        changed[name] = [v * factor for v in columns[source]]
+    with pytest.raises(InputError) as refused:
+        import_recording(write_csv(tmp_path / "changed.csv", changed))
+    assert said in str(refused.value)
+
+
+def test_an_arm_that_falls_upward_tells_that_the_zero_is_at_the_other_end(tmp_path: Path) -> None:
+    given = rig_variables(segments=2, samples=1000)
+    for k in range(2):
+        given["Y_id"][k, 0][:2] -= np.pi
+    with pytest.raises(InputError, match="falls upward"):
+        import_recording(write_mat(tmp_path / "upside-down.mat", given))

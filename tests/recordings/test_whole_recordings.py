@@ -1,0 +1,189 @@
+"""Whole files of the MultiArm-Pendulum data set open by what they hold: one, two and three arms, and a moving cart."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bench_recordings import write_csv
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.io import savemat
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.identification.identify import identify
+from dpcontrol.identification.replay import filter_settings, replay_recording
+from dpcontrol.recordings.importing import import_recording
+from dpcontrol.recordings.recording import load_recording, write_recording
+from dpcontrol.recordings.simulated import simulated_recording
+from dpcontrol.scenes.model import load_model
+
+Array = NDArray[np.float64]
+
+EXACT = 1e-12  # rad: the zero is shifted by π and back
+STORED = 1e-9  # m, s: logs count nanoseconds, and hold doubles
+PERIOD = 1e-4  # s, of the data set's recordings of one and three arms
+AMPLITUDE, FREQUENCY = 0.05, 0.47  # m, Hz: the data set's cart went to and fro every 2.1 s
+
+
+def _times(count: int, period: float) -> Array:
+    return np.asarray(np.arange(count) * period, dtype=np.float64)
+
+
+def _variables(angles: Array, rates: Array, times: Array) -> dict[str, Any]:
+    """Return the data set's variables for several arms: one for each angle and rate, from upright."""
+    named: dict[str, Any] = {"Time": times[:, None], "dt": times[1] - times[0]}
+    for i in range(angles.shape[1]):
+        named |= {f"Theta{i + 1}": angles[:, i : i + 1] + np.pi, f"dTheta{i + 1}": rates[:, i : i + 1]}
+    return named
+
+
+def _logged(values: Array, times: Array) -> dict[str, Any]:
+    """Return a signal as Simulink logs it: a structure with time."""
+    return {"time": times[:, None], "signals": {"values": values[:, None], "dimensions": 1.0, "label": ""}}
+
+
+def _swing(model: str, start: list[float], *, seconds: float = 1.0) -> tuple[Array, Array, Array]:
+    arms = load_model(model).arms
+    made = simulated_recording(arms, [np.array(start)], seconds=seconds, period=PERIOD, counts=0)
+    return made.angles, np.gradient(made.angles, PERIOD, axis=0, edge_order=2), made.time
+
+
+@pytest.mark.parametrize(("model", "start"), [("lab", [1.0, -0.4]), ("triple", [0.6, 0.9, -0.5])])
+def test_two_and_three_arms_open_without_a_mapping(tmp_path: Path, model: str, start: list[float]) -> None:
+    angles, rates, times = _swing(model, start)
+    savemat(tmp_path / "whole.mat", _variables(angles, rates, times))
+    recording = import_recording(tmp_path / "whole.mat")
+    assert recording.arms == len(recording.arm_lengths) == len(start)
+    assert recording.dt == pytest.approx(PERIOD, rel=1e-12)
+    assert np.abs(recording.angles - angles).max() <= EXACT
+    assert recording.rates is not None
+    assert np.array_equal(recording.rates, rates)
+    assert recording.cart is None
+
+
+def _one_arm(times: Array, *, driven: bool) -> tuple[Array, Array]:
+    """Return angle and cart (K,) of a mathematical pendulum of 0.15 m whose pivot moves to and fro."""
+    turning, length = 2 * np.pi * FREQUENCY, 0.15
+    amplitude = AMPLITUDE if driven else 0.0
+
+    def motion(t: float, state: Array) -> list[float]:
+        pivot = -amplitude * turning**2 * np.sin(turning * t)
+        return [state[1], -(9.81 * np.sin(state[0]) + pivot * np.cos(state[0])) / length]
+
+    flown = solve_ivp(motion, (0, times[-1]), [0.8, 0.0], t_eval=times, rtol=1e-10, atol=1e-12)
+    return flown.y[0], amplitude * np.sin(turning * times)
+
+
+@pytest.mark.parametrize("driven", [False, True])
+def test_one_arm_logged_as_structures_opens_and_its_cart_where_it_moved(tmp_path: Path, driven: bool) -> None:
+    times = _times(20_000, PERIOD)
+    angle, cart = _one_arm(times, driven=driven)
+    variables = {"Theta1": _logged(angle + np.pi, times)}
+    if driven:
+        variables |= {
+            "Distance": _logged(cart, times),
+            "Velocity": _logged(np.asarray(np.gradient(cart, PERIOD), dtype=np.float64), times),
+        }
+    savemat(tmp_path / "single.mat", variables)
+    recording = import_recording(tmp_path / "single.mat")
+    assert recording.arms == 1
+    assert np.abs(recording.angles[:, 0] - angle).max() <= EXACT
+    assert (recording.cart is not None) == driven
+    if recording.cart is not None:
+        assert np.array_equal(recording.cart, cart)
+
+
+@pytest.mark.parametrize("structure", [True, False])
+@pytest.mark.parametrize(("model", "start"), [("lab", [1.0, -0.4]), ("triple", [0.6, 0.9, -0.5])])
+def test_two_and_three_arms_open_with_the_way_of_their_cart(
+    tmp_path: Path, model: str, start: list[float], structure: bool
+) -> None:
+    angles, rates, times = _swing(model, start)
+    way = np.asarray(AMPLITUDE * np.sin(2 * np.pi * FREQUENCY * times), dtype=np.float64)
+    speed = np.asarray(np.gradient(way, PERIOD), dtype=np.float64)
+    signals = {"Distance": way, "Velocity": speed}
+    cart = {name: _logged(v, times) if structure else v[:, None] for name, v in signals.items()}
+    savemat(tmp_path / "driven.mat", _variables(angles, rates, times) | cart)
+    recording = import_recording(tmp_path / "driven.mat")
+    assert recording.arms == len(start)
+    assert np.abs(recording.angles - angles).max() <= EXACT
+    assert recording.cart is not None
+    assert np.array_equal(recording.cart, way)
+
+
+def test_what_is_no_log_is_to_be_imported_first(tmp_path: Path) -> None:
+    savemat(tmp_path / "swing.mat", {"Theta1": np.zeros(5)})
+    with pytest.raises(InputError, match=r"swing\.mat is no log .*; of a .* `dpcontrol import` makes one"):
+        load_recording(tmp_path / "swing.mat")
+
+
+def test_a_file_that_fits_no_known_layout_says_what_is_missing_and_what_there_is(tmp_path: Path) -> None:
+    savemat(tmp_path / "other.mat", {"phi": np.zeros((5, 1)), "when": np.arange(5.0)})
+    with pytest.raises(InputError, match="phi, when"):
+        import_recording(tmp_path / "other.mat")
+
+
+CART = """
+title = "a rig with a moving cart"
+arm_lengths = [0.17, 0.23]
+[time]
+column = "t"
+unit = "ms"
+[angles]
+columns = ["inner", "outer"]
+[cart]
+position = "way"
+unit = "mm"
+command = "wanted"
+"""
+
+
+def _driven_table(folder: Path) -> tuple[Path, Path, Array]:
+    times = _times(800, 1e-3)
+    way = AMPLITUDE * np.sin(2 * np.pi * times)
+    columns = {"t": 1e3 * times, "inner": 0.3 * np.cos(8 * times), "outer": 0.2 * np.cos(8 * times + 0.3)}
+    columns |= {"way": 1e3 * way, "wanted": -((2 * np.pi) ** 2) * way}
+    mapping = folder / "rig.toml"
+    mapping.write_text(CART)
+    return write_csv(folder / "driven.csv", {k: v.tolist() for k, v in columns.items()}), mapping, way
+
+
+def test_a_cart_and_its_command_come_in_and_survive_the_log(tmp_path: Path) -> None:
+    file, mapping, way = _driven_table(tmp_path)
+    recording = import_recording(file, str(mapping))
+    again = load_recording(write_recording(recording, tmp_path / "driven.mcap"))
+    for one in (recording, again):
+        assert one.cart is not None
+        assert one.command is not None
+        assert np.abs(one.cart - way).max() <= STORED
+        assert np.abs(one.command + (2 * np.pi) ** 2 * way).max() <= STORED
+    assert np.abs(again.time - recording.time).max() <= STORED
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ('unit = "mm"', 'unit = "inch"', "mm"),
+        ('position = "way"', 'positions = "way"', "did you mean 'position'"),
+        ('position = "way"', 'position = "path"', "path"),
+        ('"wanted"', '"inner"', "inner"),
+    ],
+)
+def test_mistakes_about_the_cart_are_named(tmp_path: Path, old: str, new: str, said: str) -> None:
+    file, mapping, _ = _driven_table(tmp_path)
+    mapping.write_text(CART.replace(old, new))
+    with pytest.raises(InputError) as refused:
+        import_recording(file, str(mapping))
+    assert said in str(refused.value)
+
+
+def test_a_recording_of_another_number_of_arms_than_the_models_is_refused(tmp_path: Path) -> None:
+    times = _times(2000, 1e-3)
+    angle, _ = _one_arm(times, driven=False)
+    savemat(tmp_path / "single.mat", {"Theta1": _logged(angle + np.pi, times)})
+    recording = import_recording(tmp_path / "single.mat")
+    with pytest.raises(InputError, match="1 arms and the model 2"):
+        replay_recording(recording, load_model("lab").arms, filter_settings("ekf"))
+    with pytest.raises(InputError, match="of 1 arms, the model has 2"):
+        identify([recording], load_model("lab").arms)

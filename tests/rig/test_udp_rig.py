@@ -1,0 +1,372 @@
+"""A bench at the other end of a UDP socket: what is lost, late, silent or damaged is counted and survived.
+
+No time is asserted: a busy computer may be late, and must then say so.
+"""
+
+import math
+import socket
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pytest
+from shadowing_stand_in import LAB, StandIn
+
+from dpcontrol.control.tracking import tracking_controller
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.loop.control_loop import rehearse
+from dpcontrol.loop.loop import LoopSettings, control_loop, loop_result, sampled_model
+from dpcontrol.loop.result import Ending
+from dpcontrol.loop.rig import Reading
+from dpcontrol.loop.simulated import BenchRecipe
+from dpcontrol.references.reference import Reference
+from dpcontrol.rig import packets as packets
+from dpcontrol.rig.bench import BenchProcess, BenchServerSettings, UdpBench
+from dpcontrol.rig.client import LinkSettings, UdpRig, parse_address
+from dpcontrol.rig.packets import Condition, Kind
+
+KEEPING_TIME = 3  # attempts
+LATE = 0.05  # share of deadlines
+PATIENT = BenchServerSettings(watchdog=60.0)  # So that a stalled test is not taken for a silent loop.
+LONG = LinkSettings(answer=60.0, patience=60.0, silence=60.0)
+
+
+@dataclass
+class Toy:
+    """A rig whose positions are its tick, and which remembers what it was told."""
+
+    period: float = 0.002
+    fault: str = ""
+    tick: int = -1
+    commands: list[tuple[int, float]] = field(default_factory=list)
+    stopped_at: int | None = None
+    truth: None = None
+    acted: None = None
+
+    def read(self) -> Reading:
+        self.tick += 1
+        return Reading(self.tick * self.period, np.full(3, float(self.tick)))
+
+    def command(self, acceleration: float) -> None:
+        self.commands.append((self.tick, acceleration))
+
+    def stop(self) -> None:
+        if self.stopped_at is None:
+            self.stopped_at = self.tick
+
+
+@contextmanager
+def served(toy: Toy, *, settings: BenchServerSettings = PATIENT, ticks: int = 100_000) -> Iterator[UdpBench]:
+    queued: list[float] = []
+
+    def made(commands: tuple[float, ...]) -> Toy:
+        queued.extend(commands)
+        return toy
+
+    with UdpBench(made, arms=2, ticks=ticks, settings=settings) as bench:
+        thread = threading.Thread(target=bench.serve, kwargs={"runs": 1}, daemon=True)
+        thread.start()
+        yield bench
+        thread.join(60)
+        assert not thread.is_alive()
+
+
+@contextmanager
+def relayed(address: tuple[str, int], passes: Callable[[bytes], bool]) -> Iterator[tuple[str, int]]:
+    """Yield the address of a relay that lets only some packets through."""
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as relay:
+        relay.bind(("127.0.0.1", 0))
+        relay.settimeout(0.05)
+        over = threading.Event()
+
+        def carry() -> None:
+            loop: tuple[str, int] | None = None
+            while not over.is_set():
+                with suppress(TimeoutError):
+                    data, sender = relay.recvfrom(4096)
+                    if sender != address:
+                        loop = sender
+                    if passes(data) and loop is not None:
+                        relay.sendto(data, address if sender != address else loop)
+
+        thread = threading.Thread(target=carry, daemon=True)
+        thread.start()
+        yield relay.getsockname()
+        over.set()
+        thread.join()
+
+
+@contextmanager
+def raw(bench: UdpBench) -> Iterator[socket.socket]:
+    """Yield a plain socket that has begun a run, and ends it."""
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as client:
+        client.settimeout(30)
+        client.connect(bench.address)
+        client.send(packets.hello([]))
+        assert packets.unpacked(client.recv(4096))[0] is Kind.WELCOME
+        client.send(packets.start())
+        yield client
+        client.send(packets.bye("done"))
+
+
+def read_on(rig: UdpRig) -> None:
+    for _ in range(10_000):
+        rig.read()
+
+
+def next_reading(client: socket.socket) -> packets.ReadingPacket:
+    content = packets.unpacked(client.recv(4096))[1]
+    assert isinstance(content, packets.ReadingPacket)
+    return content
+
+
+def test_packets_are_laid_out_as_described() -> None:
+    assert packets.command(7, -1.5) == b"dpcb\x01\x04\x00\x00" + struct.pack("<Id", 7, -1.5)
+    assert packets.hello([0.5, -2.0]) == b"dpcb\x01\x01\x02\x00" + struct.pack("<2d", 0.5, -2.0)
+    content = packets.ReadingPacket(9, (0.1, 0.2, 0.3), -1, 4, 0.002, -1, Condition.FAULT, "Ach, die Mühle")
+    text = "Ach, die Mühle".encode()
+    expected = struct.pack("<IIIdbBH", 9, 2**32 - 1, 4, 0.002, -1, 1, len(text)) + struct.pack("<3d", 0.1, 0.2, 0.3)
+    assert packets.reading(content) == b"dpcb\x01\x03\x02\x00" + expected + text
+    assert packets.unpacked(packets.reading(content)) == (Kind.READING, content)
+
+
+def test_what_is_no_packet_is_refused_by_name() -> None:
+    whole = packets.reading(packets.ReadingPacket(9, (0.1, 0.2, 0.3), 8, 4, 0.002, 0, Condition.WELL, "so"))
+    for data, said in (
+        (b"dp", "no head"),
+        (b"HTTP" + whole[4:], "not from a bench"),
+        (whole[:4] + b"\x02" + whole[5:], "version is 2, this program speaks 1"),
+        (whole[:5] + b"\x63" + whole[6:], "99"),
+        (whole[:-1], "damaged"),
+        (whole[:30], "damaged"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            packets.unpacked(data)
+
+
+def test_every_tick_comes_once_and_its_command_goes_back() -> None:
+    toy = Toy()
+    with served(toy) as bench, UdpRig(bench.address, queued=[1.0, 2.0], settings=LONG) as rig:
+        assert (rig.period, rig.welcome.arms, rig.truth, rig.acted) == (0.002, 2, None, None)
+        for k in range(100):
+            reading = rig.read()
+            assert reading.time == pytest.approx(k * 0.002)
+            assert (reading.positions == k).all()
+            assert reading.present is None
+            rig.command(float(k))
+        rig.read()
+    found = rig.deadlines
+    assert (found.ticks, found.lost, found.stale) == (101, 0, 0)
+    assert found.trip_median > 0
+    values = [value for _, value in toy.commands]
+    assert values == sorted(set(values))
+    # None came before the reading that it answers.
+    assert all(tick >= value for tick, value in toy.commands)
+
+
+def test_lost_packets_are_counted_and_the_ticks_stay_the_benchs() -> None:
+    toy, random = Toy(), np.random.default_rng(0)
+    dropped = {Kind.READING: 0, Kind.COMMAND: 0}
+
+    def passes(data: bytes) -> bool:
+        kind = Kind(data[5])
+        if kind not in dropped or random.random() > 0.2:
+            return True
+        dropped[kind] += 1
+        return False
+
+    with (
+        served(toy) as bench,
+        relayed(bench.address, passes) as address,
+        UdpRig(address, settings=replace(LONG, patience=0.5)) as rig,
+    ):
+        absent = 0
+        for k in range(300):
+            reading = rig.read()
+            assert reading.time == pytest.approx(k * 0.002)
+            if reading.present is None:
+                assert (reading.positions == k).all()
+            else:
+                absent += 1
+                assert not reading.present.any()
+                # What is not new holds its last value.
+                assert (reading.positions < k).all() or k == 0
+            rig.command(float(k))
+    assert dropped[Kind.READING] > 20
+    assert dropped[Kind.COMMAND] > 20
+    assert 20 < absent <= dropped[Kind.READING] + rig.deadlines.stale
+    assert rig.deadlines.lost == absent
+    assert rig.deadlines.held > 0
+
+
+def test_readings_that_come_after_their_tick_are_counted_and_dropped() -> None:
+    # A bench of ours that keeps reading 1 back until after reading 3.
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as bench:
+        bench.bind(("127.0.0.1", 0))
+        bench.settimeout(30)
+
+        def shuffled() -> None:
+            _, client = bench.recvfrom(4096)
+            bench.sendto(packets.welcome(packets.Welcome(2, 0.001, 100)), client)
+            while bench.recvfrom(4096)[0][5] != Kind.START:
+                pass
+            for tick in (0, 2, 3, 1, 4):
+                content = packets.ReadingPacket(tick, (float(tick),) * 3, -1, 0, 0.0, 0, Condition.WELL, "")
+                bench.sendto(packets.reading(content), client)
+
+        thread = threading.Thread(target=shuffled)
+        thread.start()
+        with UdpRig(bench.getsockname(), settings=LONG) as rig:
+            readings = [rig.read() for _ in range(5)]
+        thread.join()
+    assert [reading.present is None for reading in readings] == [True, False, True, True, True]
+    assert [reading.positions[0] for reading in readings] == [0.0, 0.0, 2.0, 3.0, 4.0]
+    assert (rig.deadlines.lost, rig.deadlines.stale) == (1, 1)
+
+
+def test_a_loop_that_falls_silent_has_its_cart_stopped_and_is_told() -> None:
+    toy = Toy()
+    with served(toy, settings=BenchServerSettings(watchdog=0.05)) as bench, UdpRig(bench.address) as rig:
+        for _ in range(5):
+            rig.read()
+            rig.command(1.0)
+        threading.Event().wait(0.5)
+        with pytest.raises(ArithmeticError, match=r"stopped the cart: it heard nothing from the loop for 0\.05 s"):
+            read_on(rig)
+    assert toy.stopped_at is not None
+
+
+def test_a_stop_brakes_and_later_commands_do_nothing() -> None:
+    toy = Toy()
+    with served(toy) as bench, UdpRig(bench.address, settings=LONG) as rig:
+        for _ in range(5):
+            rig.read()
+            rig.command(1.0)
+        rig.stop()
+        before = len(toy.commands)
+        for _ in range(20):
+            rig.read()
+            rig.command(9.0)
+    assert toy.stopped_at is not None
+    assert len(toy.commands) <= max(before, 5)
+    assert 9.0 not in [value for _, value in toy.commands]
+
+
+def test_old_and_future_commands_do_not_act_and_one_that_is_no_number_stops() -> None:
+    toy = Toy()
+    with served(toy) as bench, raw(bench) as client:
+        while next_reading(client).tick < 5:
+            pass
+        client.send(packets.command(4, 40.0))
+        client.send(packets.command(3, 30.0))
+        client.send(packets.command(4, 41.0))
+        client.send(packets.command(10**6, 99.0))
+        client.send(b"noise")
+        client.send(packets.command(5, 50.0))
+        while next_reading(client).heard < 5:
+            pass
+        client.send(packets.command(6, math.nan))
+        while (reading := next_reading(client)).condition is Condition.WELL:
+            pass
+    assert [value for _, value in toy.commands] == [40.0, 50.0]
+    assert reading.condition is Condition.FAULT
+    assert "no finite number" in reading.text
+    assert toy.stopped_at is not None
+
+
+def test_the_benchs_grief_becomes_the_rigs_fault() -> None:
+    toy = Toy()
+    with served(toy) as bench, UdpRig(bench.address, settings=LONG) as rig:
+        rig.read()
+        toy.fault = "cart hit its hard stop"
+        for _ in range(10):
+            rig.read()
+        assert rig.fault == "cart hit its hard stop"
+
+
+def test_a_bench_that_is_gone_ends_the_run_by_name() -> None:
+    ends = pytest.raises(ArithmeticError, match="was made for 3 ticks and has run them")
+    with served(Toy(), ticks=3) as bench, UdpRig(bench.address, settings=LONG) as rig, ends:
+        read_on(rig)
+    toy = Toy()
+
+    def passes(data: bytes) -> bool:
+        return data[5] != Kind.READING or toy.tick < 5
+
+    ends = pytest.raises(ArithmeticError, match="is gone: nothing came from it")
+    with (
+        served(toy) as bench,
+        relayed(bench.address, passes) as address,
+        UdpRig(address, settings=LinkSettings(silence=0.2)) as rig,
+        ends,
+    ):
+        read_on(rig)
+
+
+def test_where_no_bench_is_or_it_is_busy_a_sentence_says_so() -> None:
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as nobody:
+        nobody.bind(("127.0.0.1", 0))
+        with pytest.raises(InputError, match=r"no bench answered for 0\.3 s; start one with `dpcontrol rig`"):
+            UdpRig(nobody.getsockname(), settings=LinkSettings(answer=0.3))
+    with served(Toy()) as bench, UdpRig(bench.address, settings=LONG) as rig:
+        rig.read()
+        with pytest.raises(InputError, match="busy with another loop"):
+            UdpRig(bench.address, settings=LONG)
+    with served(Toy()) as bench:
+        with pytest.raises(InputError, match=f"port {bench.address[1]} .*choose another --port"):
+            UdpBench(lambda queued: Toy(), arms=2, ticks=1, port=bench.address[1])
+        with UdpRig(bench.address, settings=LONG) as rig, pytest.raises(ArithmeticError, match="finite"):
+            rig.command(math.inf)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "udp", "127.0.0.1:5", "udp://", "udp://x", "udp://x:0", "udp://x:99999", "tcp://x:5"]
+)
+def test_what_is_no_address_is_refused(text: str) -> None:
+    with pytest.raises(InputError, match=r"must be udp://HOST:PORT"):
+        parse_address(text)
+
+
+@pytest.mark.parametrize("wrong", [{"patience": 0.0}, {"silence": math.nan}, {"answer": -1.0}])
+def test_impossible_waits_are_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        LinkSettings(**wrong)
+    with pytest.raises(InputError, match="watchdog"):
+        BenchServerSettings(watchdog=0.0)
+    with pytest.raises(InputError, match="spin"):
+        BenchServerSettings(spin=-1.0)
+
+
+def test_the_loop_follows_its_reference_on_a_bench_in_a_process_of_its_own(turn: tuple[StandIn, Reference]) -> None:
+    settings = LoopSettings(seed=0, mismatch=0.02, initial_error=0.02)
+    whole = tracking_controller(turn[1], sampled_model(LAB, settings.rate), settings.controller)
+    ticks = 2000
+    short = replace(
+        whole, reference_states=whole.reference_states[: ticks + 1], feedforward=whole.feedforward[:ticks],
+        gains=whole.gains[:ticks],
+    )  # fmt: skip
+    recipe = BenchRecipe(
+        LAB, settings.bench, turn[1].limits, short.first_state, ticks + 2000, 1e-3, seed=0, mismatch=0.02,
+        initial_error=0.02,
+    )  # fmt: skip
+    # A busy machine misses deadlines and so loses the arms: what is asked here is that it follows where it keeps time.
+    for _ in range(KEEPING_TIME):
+        with BenchProcess(recipe, PATIENT) as bench:
+            loop = control_loop(LAB, settings, short, limits=turn[1].limits)
+            rehearse(loop)
+            with UdpRig(bench.address, queued=loop.queued) as rig:
+                result = loop_result(loop.run(rig))
+        assert result.late == rig.deadlines.missed
+        if result.late < LATE * rig.deadlines.ticks:
+            break
+    else:
+        pytest.skip(f"the machine missed {result.late} of {rig.deadlines.ticks} deadlines: too busy for real time")
+    assert result.ending is Ending.FINISHED, result.reason
+    assert result.ticks.truth is None
+    assert len(result.ticks.times) == ticks + 1
+    assert result.rms_tracking_error < 0.1
+    assert rig.deadlines.ticks == ticks + 1
+    assert any("run ended: the run is over" in said for said in bench.said)

@@ -1,0 +1,63 @@
+"""Closed walks become periodic orbits: they close, keep their walk for another round, and have reciprocal multipliers.
+
+The multipliers are found again by QR factors of state-transition matrices that are flown one by one.
+"""
+
+import numpy as np
+import pytest
+from walk_classifier import WalkClassifier
+
+from dpcontrol.scenes.model import load_model
+from dpcontrol.scenes.walks import drawn_requests
+from dpcontrol.walks.edges import find_edges
+from dpcontrol.walks.shadowing import WalkSolver
+
+CLOSURE = 1e-11
+RECIPROCAL = 1e-8  # λ ≈ 1e3 a symbol: rounding of the state-transition matrices' small parts
+
+
+@pytest.fixture(scope="module")
+def edges():
+    return find_edges(load_model("lab").system, 0.2)
+
+
+def exponents(system, orbit, rounds=3):
+    """Return the logarithms of the multipliers' absolute values, by QR iteration around the orbit."""
+    states, durations = orbit.shot.states, orbit.shot.durations
+    scale = system.scale
+    stms = [system.propagator.flow_with_stm(x, h)[1] * scale / scale[:, None]
+            for x, h in zip(states[:-1], durations, strict=True)]  # fmt: skip
+    basis, _ = np.linalg.qr(np.random.default_rng(1).normal(size=(len(scale), len(scale))))
+    growth = np.zeros(len(scale))
+    for _ in range(rounds):
+        growth = np.zeros(len(scale))
+        for stm in stms:
+            basis, factor = np.linalg.qr(stm @ basis)
+            growth += np.log(np.abs(np.diag(factor)))
+    return growth
+
+
+def test_random_closed_walks_become_periodic_orbits(edges):
+    solver, classifier = WalkSolver(edges.connections), WalkClassifier(edges.system, edges.connections)
+    for asked in drawn_requests(edges, 10, lengths=(1, 8), extra=(0, 4), seed=7, periodic=True):
+        wraps = [n + more for n, more in zip(solver.least(asked.chain, periodic=True), asked.extra, strict=True)]
+        orbit = solver.solve(asked.chain, wraps, periodic=True)
+        assert orbit.converged, orbit.status
+        assert orbit.residual < CLOSURE
+        assert classifier.complaints(orbit) == []
+        logs = exponents(edges.system, orbit)
+        assert orbit.certificate.multipliers.log_unstable == pytest.approx(logs[0], rel=1e-10)
+        assert orbit.certificate.multipliers.log_stable == pytest.approx(logs[-1], rel=1e-8)
+        assert abs(orbit.certificate.multipliers.reciprocity) < RECIPROCAL
+        assert logs[0] + logs[-1] == pytest.approx(0.0, abs=RECIPROCAL)
+
+
+def test_a_turn_repeated_four_times_is_one_orbit_run_four_times(edges):
+    solver, classifier = WalkSolver(edges.connections), WalkClassifier(edges.system, edges.connections)
+    turn = edges.between("up-down", "up-down")[0]
+    once, often = (solver.solve([turn] * k, [1] * k, periodic=True) for k in (1, 4))
+    assert classifier.complaints(once) == []
+    assert classifier.complaints(often) == []
+    assert often.duration == pytest.approx(4 * once.duration, abs=1e-10)
+    logs = [orbit.certificate.multipliers.log_unstable for orbit in (once, often)]
+    assert logs[1] == pytest.approx(4 * logs[0], rel=1e-10)

@@ -1,0 +1,132 @@
+"""Shadowing orbits in 113-bit arithmetic: against free flight, other nodes, a mirror, and double precision."""
+
+from dataclasses import replace
+from decimal import Decimal
+
+import numpy as np
+import pytest
+
+from dpcontrol.dynamics.extended import ExtendedPropagator, digits, extended, pi_times
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.rotating import rotating_orbits
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.connections import find_connections, orbits_between
+from dpcontrol.tubes.extended_orbit import RefinementSettings
+from dpcontrol.tubes.lap_connections import find_lap_connections
+from dpcontrol.tubes.orbit_curve import rotating_vertex
+from dpcontrol.walks.extended import refine_shadowing
+from dpcontrol.walks.shadowing import ShadowingSettings, shadow
+from dpcontrol.walks.symbols import choose, parse_symbol
+
+RESIDUAL = 1e-20  # the bar; what is reached is about 2e-32
+AGREES = 1e-10  # with the double nodes; what is reached is about 3e-14
+FREE = 1e-8  # one flight over a whole period with λ = 2e21: 1e-32 grows to 1e-11, 1e-16 to more than the orbit
+SAME = 1e-26  # the same orbit from other nodes; residuals of 1e-32 times a condition number of about 1e4
+SADDLES = ("down-up", "up-down")
+
+
+@pytest.fixture(scope="module")
+def lab():
+    return load_model("lab")
+
+
+@pytest.fixture(scope="module")
+def turns(lab):
+    found = find_connections(*orbits_between(lab.system, "down-up", "down-up", -0.07)).connections
+    return {sense: choose(parse_symbol(f"down-up {sense}", SADDLES), found) for sense in "+-"}
+
+
+@pytest.fixture(scope="module")
+def dance(turns):
+    return shadow([turns["+"], turns["-"]], wraps=[1, 2], periodic=True)
+
+
+@pytest.fixture(scope="module")
+def refined_dance(dance):
+    return refine_shadowing(dance)
+
+
+def test_an_open_walk_of_four_symbols_is_refined(lab, turns):
+    walk = [turns[sense] for sense in "+-++"]
+    orbit = shadow(walk, wraps=[1, 1, 1])
+    refined = refine_shadowing(orbit, energy=Decimal("-0.07"), parameters=lab.parameters.decimal_base())
+    assert refined.converged
+    assert refined.residual < RESIDUAL
+    assert refined.correction < AGREES
+    assert "refined in" in refined.status
+    # What the digits say is what the arrays hold, on the section θ₂ = 2π to 30 digits.
+    state = refined.states[refined.symbols[0]]
+    assert refined.digits == digits(state)
+    assert all(len(text.lstrip("-").replace(".", "")) >= 30 for text in refined.digits[1:])
+    turn = pi_times(2.0 * np.rint(float(state[1]) / (2 * np.pi)))
+    assert abs(state[1] - turn) < 1e-30
+    # Crossings come as in double, but for its accuracy.
+    times = refined.times[refined.symbols].astype(float)
+    assert times == pytest.approx(orbit.symbol_times - orbit.symbol_times[0], abs=AGREES)
+    # One flight over a symbol and both its stops, never restarted.
+    propagator = ExtendedPropagator(lab.system.equations, lab.parameters.decimal_base())
+    flown = propagator.flow(state, refined.times[refined.symbols[2]])
+    assert np.abs(flown - refined.states[refined.symbols[2]]).max() < FREE
+
+
+def test_a_closed_walk_returns_in_one_flight(lab, refined_dance):
+    refined = refined_dance
+    assert refined.converged
+    assert refined.residual < RESIDUAL
+    assert refined.correction < AGREES
+    propagator = ExtendedPropagator(lab.system.equations, lab.system.parameters)
+    state = refined.states[refined.symbols[0]]
+    back = propagator.flow(state, refined.times[-1] - refined.times[0])
+    # One turn forward and one back.
+    assert np.abs(back - state).max() < FREE
+    assert abs(propagator.energy(state) - extended(-0.07)) < 1e-30
+
+
+def test_other_nodes_give_the_same_digits(turns, refined_dance):
+    denser = shadow([turns["+"], turns["-"]], wraps=[1, 2], periodic=True, settings=ShadowingSettings(segments=11))
+    other = refine_shadowing(denser)
+    gap = other.states[other.symbols[0]] - refined_dance.states[refined_dance.symbols[0]]
+    assert np.abs(gap).max() < SAME
+    assert other.duration_digits[:26] == refined_dance.duration_digits[:26]
+
+
+def test_a_symmetric_orbit_lies_on_its_mirror(turns):
+    refined = refine_shadowing(shadow([turns["+"]], wraps=[1], periodic=True))
+    assert refined.converged
+    state = refined.states[refined.symbols[0]]
+    # The mirror keeps (0, 2πk, ω₁, ω₂); nothing in the equations asks for θ₁ = 0.
+    assert abs(state[0]) < SAME
+
+
+@pytest.mark.slow
+def test_connections_of_the_rotating_orbit_mirror_each_other(lab):
+    """Searched and refined apart: one leaves the rotating orbit, the other joins it; λ = -2.74 at that end."""
+    vertex = rotating_vertex(rotating_orbits(lab.system, 2, -0.06985)[-1])
+    saddle = lyapunov_orbit(lab.system, "down-up", energy=-0.06985)
+    section = lab.system.named_sections["outer-down"]
+    # Nearer ends take longer; at 1e-10 their energy is wrong by 1e-20, which the gaps take up.
+    rough = RefinementSettings(amplitude=1e-10, tolerance=1e-20, segments=3)
+    states = []
+    for pair in ((vertex, saddle), (saddle, vertex)):
+        connection = find_lap_connections(*pair, section=section).connections[0]
+        refined = refine_shadowing(shadow([connection], settings=ShadowingSettings(segments=5)), settings=rough)
+        assert refined.converged
+        assert refined.correction < AGREES
+        states.append(refined.states[refined.symbols[0]])
+    signs = np.array([-1.0, 1.0, 1.0, 1.0])
+    gap = (extended(signs) * states[0] - states[1])[[0, 2, 3]]
+    # The local manifolds leave out the square of their amplitude, 1e-20, which grows by λ^0.5 or so on its way.
+    assert np.abs(gap).max() < 1e-18
+
+
+def test_too_few_steps_are_a_status(dance):
+    refined = refine_shadowing(dance, settings=RefinementSettings(iterations=0))
+    assert not refined.converged
+    assert refined.status.startswith("not refined: the gap stays at ")
+    assert "use double precision" in refined.status
+
+
+def test_an_orbit_that_has_not_converged_is_refused(dance):
+    with pytest.raises(InputError, match="only an orbit that has converged"):
+        refine_shadowing(replace(dance, converged=False, status="not converged"))

@@ -1,0 +1,81 @@
+"""The connection graph: orbits and connections as a multigraph whose walks are itineraries."""
+
+from itertools import pairwise
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.walks.graph import connection_graph, walks
+
+
+def orbit(saddle, family=0):
+    name = saddle if family == 0 else f"{saddle} family {family}"
+    multipliers = np.array([100.0, 1.0, 1.0, 0.01], dtype=complex)
+    return SimpleNamespace(
+        name=name, saddle=saddle, family=family, energy=0.2, period=0.9, floquet_multipliers=multipliers
+    )
+
+
+def connection(name, source, target):
+    return SimpleNamespace(
+        name=name,
+        source=source,
+        target=target,
+        winding=(0, 1),
+        sense=1,
+        symmetric=True,
+        hits=(1, 1),
+        transversality_angle=30.0,
+        time_out=1.0,
+        time_in=1.1,
+    )
+
+
+@pytest.fixture
+def graph():
+    """Two loops at a, one at b, one edge each way, and c alone."""
+    edges = [("p", "a", "a"), ("q", "a", "a"), ("r", "b", "b"), ("ab", "a", "b"), ("ba", "b", "a")]
+    atlas = SimpleNamespace(
+        model="toy",
+        energy=0.2,
+        orbits=[orbit("a"), orbit("b"), orbit("c"), orbit("c", 1)],
+        connections=[connection(*edge) for edge in edges],
+    )
+    return connection_graph(atlas)  # type: ignore[arg-type]
+
+
+def test_every_orbit_is_a_node_and_every_connection_an_edge_of_its_own(graph):
+    assert set(graph.nodes) == {"a", "b", "c", "c family 1"}
+    assert graph.number_of_edges("a", "a") == 2
+    assert graph.edges["a", "b", "ab"]["transversality_angle"] == 30.0
+    assert graph.nodes["a"]["multiplier"] == 100.0
+
+
+def test_as_many_walks_as_the_adjacency_matrix_raised_to_their_length_counts(graph):
+    names = list(graph.nodes)
+    adjacency = np.array([[graph.number_of_edges(a, b) for b in names] for a in names])
+    for length in (1, 2, 5):
+        power = np.linalg.matrix_power(adjacency, length)
+        for i, source in enumerate(names):
+            assert len(list(walks(graph, source, length=length))) == power[i].sum()
+            for j, target in enumerate(names):
+                assert len(list(walks(graph, source, target=target, length=length))) == power[i, j]
+
+
+def test_walks_are_connected_and_distinct(graph):
+    ends = {key: (a, b) for a, b, key in graph.edges(keys=True)}
+    found = list(walks(graph, "a", target="b", length=4))
+    assert len(set(found)) == len(found)
+    for walk in found:
+        assert ends[walk[0]][0] == "a"
+        assert ends[walk[-1]][1] == "b"
+        assert all(ends[x][1] == ends[y][0] for x, y in pairwise(walk))
+
+
+def test_unknown_orbits_and_empty_walks_are_refused(graph):
+    with pytest.raises(InputError, match="no orbit 'd'; choose one of a, b, c"):
+        list(walks(graph, "d", length=1))
+    with pytest.raises(InputError, match="length = 0"):
+        list(walks(graph, "a", length=0))

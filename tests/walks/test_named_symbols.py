@@ -1,0 +1,169 @@
+"""Walks whose symbols name what the graph does not hold: other sections and hits, grown edges, rotating orbits."""
+
+import numpy as np
+import pytest
+
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.connections import find_connections, orbits_between
+from dpcontrol.walks.edges import find_edges
+from dpcontrol.walks.rotating import rotating_connections, rotating_named, rotating_names
+from dpcontrol.walks.shadowing import shadow
+from dpcontrol.walks.symbols import choose, expanded, parse_symbol, parse_walk
+from dpcontrol.walks.walks import resolve, through, vertex_names, ways
+
+LOW = -0.06985  # J: the outer arm's fastest rotating orbit has λ = -2.74
+MULTIPLIER = -2.7436245634812297  # computed apart from this project in 113-bit arithmetic
+SAME_ORBIT = 1e-10  # rad, rad/s; two solutions of one orbit with gaps of 1e-12 and a condition number of 1e3
+HAIR = 0.17807033  # J, just above the birth of the inner arm's turns: no wraps at all are too few
+SADDLES = ("down-up", "up-down")
+GROWN = "(down-up +)·1·(down-up -)"
+
+
+@pytest.fixture(scope="module")
+def system():
+    return load_model("lab").system
+
+
+@pytest.fixture(scope="module")
+def edges(system):
+    return find_edges(system, -0.07)
+
+
+def walk_edges(system, energy, *texts, **more):
+    return find_edges(system, energy, symbols=parse_walk(texts, vertex_names(system)), **more)
+
+
+@pytest.fixture(scope="module")
+def aligned(system):
+    pair = orbits_between(system, "down-up", "down-up", -0.07)
+    return find_connections(*pair, hits=(1, 2), section=system.named_sections["aligned"]).connections
+
+
+@pytest.fixture(scope="module")
+def found(system, aligned):
+    return walk_edges(system, -0.07, aligned[0].name, "down-up +")
+
+
+def test_every_connection_of_another_section_can_stand_in_a_walk(aligned, found):
+    assert aligned
+    assert all(":aligned@" in c.name for c in aligned)
+    assert [c.name for c in found.named] == [c.name for c in aligned]
+    for c in aligned:
+        chain = resolve([c.name, "down-up +"], found)
+        assert chain[0].name == c.name
+        assert np.abs(chain[0].state - c.state).max() < SAME_ORBIT
+    orbit = shadow(resolve([aligned[0].name, "down-up +"], found), wraps=[2], rivals=found.known)
+    assert orbit.converged
+    assert orbit.wraps_realised == (2,)
+
+
+def test_what_a_name_asks_for_changes_no_other_symbol_and_no_count(edges, found):
+    """The symbol "down-up +" is the most transversal of the first hits, whatever is searched beside them."""
+    assert found.named
+    assert [c.name for c in found.connections] == [c.name for c in edges.connections]
+    assert resolve(["down-up +"], found)[0].name == resolve(["down-up +"], edges)[0].name
+
+
+def test_second_hits_are_searched_for_the_pair_that_names_them_only(system):
+    pairs = [("down-up", "down-up"), ("up-down", "up-down")]
+    name = "up-down>up-down[1,0]h1.2@0.0000,0.0000"
+    found = walk_edges(system, 0.2, name, pairs=pairs)
+    assert {(c.source.saddle, c.hits) for c in found.named} == {("up-down", (1, 2))}
+    with pytest.raises(InputError, match="no connection is named 'up-down>up-down"):
+        resolve([name], found)
+
+
+def test_a_grown_edge_is_solved_for_by_what_it_is_made_of(edges):
+    (edge,) = resolve([GROWN], edges)
+    plain = resolve(["down-up +", "down-up -"], edges)
+    orbit = shadow(plain, wraps=[1])
+    assert np.abs(edge.state - orbit.sample(orbit.symbol_times[:1])[0]).max() < SAME_ORBIT
+    # Its own name leads to it as well, and people may leave out the dots.
+    assert resolve([edge.name], edges)[0].name == edge.name
+    assert resolve([GROWN.replace("·", " ")], edges)[0].name == edge.name
+    again = resolve([f"({edge.name})·2·(down-up +)"], edges)[0]
+    twice = shadow(resolve(["down-up +", "down-up -", "down-up +"], edges), wraps=[1, 2])
+    assert np.abs(again.state - twice.sample(twice.symbol_times[:1])[0]).max() < SAME_ORBIT
+
+
+def test_grown_edges_know_their_simple_symbols():
+    symbol = parse_symbol(f"({GROWN})·3·(down-up > up-down)", SADDLES)
+    assert [s.text for s in symbol.simple] == ["down-up +", "down-up -", "down-up > up-down"]
+    assert (symbol.source, symbol.target, symbol.wraps) == ("down-up", "up-down", (3,))
+    assert symbol.parts[0].wraps == (1,)
+    walk = (symbol, parse_symbol("up-down +", SADDLES))
+    texts = ("down-up +", "down-up -", "down-up > up-down", "up-down +")
+    assert expanded(walk, (4,)) == (texts, (1, 3, 4))
+    assert expanded(walk, (4, 5)) == (texts, (1, 3, 4, 5))
+
+
+def test_grown_edges_that_cannot_be_are_refused(edges):
+    with pytest.raises(InputError, match='put "up-down > down-up" between them'):
+        resolve(["(down-up > up-down)·1·(down-up +)"], edges)
+    with pytest.raises(InputError, match="leads from down-up to down-up"):
+        resolve([f"down-up>up-down[0,0]h1.2@{GROWN}"], edges)
+    with pytest.raises(InputError, match=r"no edge is named .* makes 'down-up>down-up\[0,0\]h1.2@\(down-up>"):
+        resolve([f"down-up>down-up[0,7]h1.2@{GROWN}"], edges)
+    with pytest.raises(InputError, match="up-down exist only above"):
+        resolve(["(down-up > up-down)·1·(up-down +)"], edges)
+
+
+def test_a_grown_edge_with_too_few_wraps_names_the_least(system):
+    found = find_edges(system, HAIR, pairs=[("up-down", "up-down")])
+    with pytest.raises(GoalMissed, match=r"symbol 1 of 1 .*too few: the least that work are \[\d\]"):
+        resolve(["(up-down +)·0·(up-down +)"], found)
+
+
+def test_rotating_orbits_are_vertices_by_name(system):
+    fastest = rotating_named(system, "outer-rotating", LOW)
+    assert fastest.floquet_multipliers[0].real == pytest.approx(MULTIPLIER, rel=1e-11)
+    back = rotating_named(system, "outer-rotating-back", LOW)
+    assert back.period == pytest.approx(fastest.period, abs=1e-11)
+    assert back.whole_turns.tolist() == [0, -1, 0, 0]
+    second = rotating_named(system, "outer-rotating-2", LOW)
+    assert second.period > fastest.period
+    assert second.saddle == "outer-rotating-2"
+    assert parse_symbol("down-up > outer-rotating-2", vertex_names(system)).target == "outer-rotating-2"
+    assert rotating_names(load_model("three-body").system) == []
+
+
+def test_walks_turn_at_a_rotating_orbit_as_often_as_asked(system):
+    texts = ("down-up > outer-rotating", "outer-rotating > down-up")
+    found = walk_edges(system, LOW, *texts)
+    assert "outer-rotating" in found.saddles
+    orbit = shadow(resolve(texts, found), wraps=[3], rivals=found.known)
+    assert orbit.converged
+    assert orbit.wraps_realised == (3,)
+    longer = shadow(resolve(texts, found), wraps=[5], rivals=found.known)
+    # The turns that the arm makes from end to end.
+    turned = [o.sample(np.array([o.duration]))[0, 1] - o.sample(np.zeros(1))[0, 1] for o in (orbit, longer)]
+    assert turned[1] - turned[0] == pytest.approx(4 * np.pi, abs=1e-3)
+    # Named connections lead to the same walk, and so do stops.
+    named = [c.name for c in resolve(texts, found)]
+    assert [c.name for c in resolve(named, walk_edges(system, LOW, *named))] == named
+    stops = ("down-up", "outer-rotating", "down-up")
+    assert [c.name for c in through(stops, find_edges(system, LOW, symbols=ways(stops)))] == named
+
+
+def test_rotating_orbits_that_are_not_there_are_told_of(system, edges):
+    with pytest.raises(InputError, match=r"there is no 'inner-rotating' at -0.07 J: of 0 orbits found"):
+        walk_edges(system, -0.07, "down-up > inner-rotating")
+    with pytest.raises(InputError, match="go by way of a saddle"):
+        walk_edges(system, -0.07, "outer-rotating +")
+    with pytest.raises(InputError, match=r"up-down exist only above"):
+        resolve(["up-down > outer-rotating"], walk_edges(system, -0.07, "up-down > outer-rotating"))
+    with pytest.raises(InputError, match="names 'sideways-rotating'"):
+        resolve(["down-up > sideways-rotating"], edges)
+    orbit = rotating_named(system, "outer-rotating", LOW)
+    saddle = lyapunov_orbit(system, "down-up", energy=LOW)
+    with pytest.raises(InputError, match="must cross the section"):
+        rotating_connections(saddle, orbit, section="inner-down")
+
+
+def test_symbols_without_names_choose_among_what_they_are_given(edges):
+    """The rule that stands in the documentation: symmetric if there is one, and of those the most transversal."""
+    chosen = choose(parse_symbol("down-up +", SADDLES), edges.connections)
+    rivals = [c for c in edges.connections if c.sense > 0 and c.symmetric]
+    assert chosen.transversality_angle == pytest.approx(max(c.transversality_angle for c in rivals), abs=1e-6)

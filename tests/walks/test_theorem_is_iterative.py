@@ -1,0 +1,159 @@
+"""An orbit found by shadowing is an edge of other walks."""
+
+import numpy as np
+import pytest
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.connections import find_connections, orbits_between
+from dpcontrol.tubes.orbit_curve import OrbitCurve
+from dpcontrol.walks.grow import as_connection
+from dpcontrol.walks.shadowing import ShadowingSettings, shadow
+from dpcontrol.walks.shooting import NewtonSettings
+from dpcontrol.walks.symbols import choose, components, composed, parse_symbol
+
+SAME_ORBIT = 1e-10  # rad, rad/s; two solutions of one orbit with gaps of 1e-12 and a condition number of 1e3
+SAME_FLIGHT = 1e-8  # s and phase: where a slow approach passes 1e-3 is known no better than this
+SAME_ANGLE = 1e-5  # degrees; the search's tangents come from one flight, good to 1e-7
+SADDLES = ("down-up", "up-down")
+
+
+@pytest.fixture(scope="module")
+def system():
+    return load_model("lab").system
+
+
+@pytest.fixture(scope="module")
+def found(system):
+    return find_connections(*orbits_between(system, "down-up", "down-up", -0.07)).connections
+
+
+@pytest.fixture(scope="module")
+def turn(found):
+    return choose(parse_symbol("down-up +", SADDLES), found)
+
+
+@pytest.fixture(scope="module")
+def back(found):
+    return choose(parse_symbol("down-up -", SADDLES), found)
+
+
+@pytest.fixture(scope="module")
+def other(found, turn):
+    return next(c for c in found if c.sense > 0 and c.symmetric and c is not turn)
+
+
+@pytest.fixture(scope="module")
+def grown(turn, back):
+    return as_connection(shadow([turn, back], wraps=[1]))
+
+
+def around(orbit, times):
+    """States at times from the first symbol's crossing."""
+    return orbit.sample(times + orbit.symbol_times[0])
+
+
+def test_a_walk_of_one_symbol_is_its_own_connection(found):
+    for connection in found[:3]:
+        same = as_connection(shadow([connection]))
+        assert np.abs(same.state - connection.state).max() < SAME_ORBIT
+        for name in ("time_out", "time_in", "phase_out", "phase_in"):
+            assert getattr(same, name) == pytest.approx(getattr(connection, name), abs=SAME_FLIGHT)
+        for name in ("winding", "sense", "symmetric", "hits"):
+            assert getattr(same, name) == getattr(connection, name)
+        assert same.transversality_angle == pytest.approx(connection.transversality_angle, abs=SAME_ANGLE)
+
+
+def test_a_grown_edge_is_an_edge_of_longer_walks(turn, back, other, grown):
+    plain = shadow([turn, back, other], wraps=[1, 2])
+    short = shadow([grown, other], wraps=[2])
+    assert short.converged
+    assert short.wraps_realised == (2,)
+    assert plain.wraps_realised == (1, 2)
+    times = np.linspace(-2.0, plain.symbol_times[-1] - plain.symbol_times[0] + 2.0, 300)
+    assert np.abs(around(short, times) - around(plain, times)).max() < SAME_ORBIT
+
+
+def test_a_grown_edge_may_come_later_and_may_be_grown_again(turn, back, other, grown):
+    plain = shadow([other, turn, back, turn], wraps=[2, 1, 2])
+    again = as_connection(shadow([other, grown], wraps=[2]))
+    short = shadow([again, turn], wraps=[2])
+    assert short.converged
+    assert short.wraps_realised == (2,)
+    times = np.linspace(-2.0, plain.symbol_times[-1] - plain.symbol_times[0] + 2.0, 300)
+    assert np.abs(around(short, times) - around(plain, times)).max() < SAME_ORBIT
+
+
+def test_closed_walks_may_hold_grown_edges(turn, back, other, grown):
+    plain = shadow([turn, back, other], wraps=[1, 2, 1], periodic=True)
+    short = shadow([grown, other], wraps=[2, 1], periodic=True)
+    assert short.converged
+    assert short.wraps_realised == (2, 1)
+    assert short.duration == pytest.approx(plain.duration, abs=SAME_ORBIT)
+    logs = []
+    for orbit in (plain, short):
+        assert orbit.certificate is not None
+        assert orbit.certificate.multipliers is not None
+        logs.append(orbit.certificate.multipliers.log_unstable)
+    assert logs[1] == pytest.approx(logs[0], abs=1e-8)
+
+
+def test_a_grown_edge_leaves_as_its_first_symbol_does(turn, back, other, grown):
+    """Its stable tube passes the stop's own within λ^-(2 wraps + 2) or so: there it crosses as the first symbol's."""
+    for edge, crossings in ((grown, 2), (as_connection(shadow([turn, back, other], wraps=[1, 1])), 3)):
+        assert edge.hits == (1, crossings)
+        assert np.abs(edge.state - turn.state).max() < 1e-8
+        assert np.abs(edge.state - turn.state).max() > 0
+        assert edge.time_out == pytest.approx(turn.time_out, abs=SAME_FLIGHT)
+        assert edge.transversality_angle == pytest.approx(turn.transversality_angle, abs=1e-4)
+        # It arrives as its last symbol does, and near its target it is on the manifold to which it belongs.
+        near = edge.orbit.sample(np.array([edge.time_in]))[0]
+        phase, distance = OrbitCurve(edge.target).nearest(near)
+        assert distance == pytest.approx(1e-3, rel=1e-6)
+        assert phase == pytest.approx(edge.phase_in, abs=1e-9)
+
+
+def test_a_symmetric_edge_is_its_own_mirror_image(turn, back, found):
+    """Forth and back is mirrored into itself; a turn and its mirror image's neighbour are not."""
+    assert as_connection(shadow([turn, back], wraps=[2])).symmetric
+    assert as_connection(shadow([turn, turn], wraps=[2])).symmetric
+    lopsided = next(c for c in found if not c.symmetric)
+    assert not as_connection(shadow([turn, lopsided], wraps=[2])).symmetric
+    assert not as_connection(shadow([turn, lopsided, turn], wraps=[2, 2])).symmetric
+
+
+def test_a_heteroclinic_round_trip_becomes_a_homoclinic_edge(system):
+    pairs = [("down-up", "up-down"), ("up-down", "down-up")]
+    there, home = (find_connections(*orbits_between(system, *pair, 0.2)).connections[0] for pair in pairs)
+    edge = as_connection(shadow([there, home], wraps=[1]))
+    assert (edge.source.saddle, edge.target.saddle) == ("down-up", "down-up")
+    assert edge.section is there.section
+    assert edge.winding == tuple(a + b for a, b in zip(there.winding, home.winding, strict=True))
+    orbit = shadow([edge, there], wraps=[2])
+    plain = shadow([there, home, there], wraps=[1, 2])
+    assert orbit.converged
+    assert orbit.wraps_realised == (2,)
+    assert orbit.symbol_times[-1] - orbit.symbol_times[0] == pytest.approx(
+        plain.symbol_times[-1] - plain.symbol_times[0], abs=SAME_ORBIT
+    )
+
+
+def test_the_name_tells_what_a_grown_edge_is_made_of(turn, back, other, grown):
+    assert components(grown.name) == ((turn.name, back.name), (1,))
+    again = as_connection(shadow([grown, other], wraps=[2]))
+    assert components(again.name) == ((grown.name, other.name), (2,))
+    assert composed(("a>b[0,1]h1.1@0,0", "c"), (3,)) == "(a>b[0,1]h1.1@0,0)·3·(c)"
+    for name in (turn.name, "down-up +", "down-up>down-up[0,1]h1.1@(a", "down-up>down-up[0,1]h1.1@(a)·x·(b)"):
+        assert components(name) is None
+
+
+def test_a_grown_edge_can_be_named_in_a_walk(found, grown):
+    assert choose(parse_symbol(grown.name, SADDLES), [*found, grown]) is grown
+
+
+def test_orbits_that_connect_nothing_are_refused(turn):
+    with pytest.raises(InputError, match="a periodic orbit connects nothing"):
+        as_connection(shadow([turn], wraps=[1], periodic=True))
+    hopeless = ShadowingSettings(newton=NewtonSettings(iterations=0))
+    with pytest.raises(InputError, match="only an orbit that has converged"):
+        as_connection(shadow([turn, turn], wraps=[1], settings=hopeless))

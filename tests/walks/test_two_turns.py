@@ -1,0 +1,89 @@
+"""Two turns of the outer arm in one orbit, found twice: by shadowing, and as a second-hit intersection of the tubes.
+
+The unstable tube's second crossing of θ₂ = 2πk is a spiral there: phases within 1e-3 of a turn's own, of which each
+wrap takes a λ-th. It is cut in steps of the logarithm of that distance, and searched like any other cut. From its seed
+to the second crossing an error grows by 1e10 and more, hence the wide acceptance before the orbit is refined.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.connections import find_connections, orbits_between
+from dpcontrol.tubes.cut import Cut, Piece, Sampler, continuous
+from dpcontrol.tubes.intersections import ConnectionSettings, TubeSide
+from dpcontrol.tubes.manifold import UnstableManifold
+from dpcontrol.walks.shadowing import WalkSolver
+
+SAME = 1e-9
+SETTINGS = ConnectionSettings(accept=0.3, same=1e-10)
+NEAREST, FARTHEST = 5e-10, 1e-4  # phases from the turn's own; no wraps lie between, more lie nearer
+PER_FACTOR_E = 20
+
+
+@pytest.fixture(scope="module")
+def turns():
+    orbit, _ = orbits_between(load_model("lab").system, "down-up", "down-up", -0.07)
+    return find_connections(orbit, orbit)
+
+
+def seed_phase(turn, manifold, section):
+    """Return the phase of the seed, at the manifold's distance, whose trajectory is nearest to a connection."""
+    start = turn.orbit.start
+    side = TubeSide(manifold, section, False, 1, int(np.sign(start.amplitude)), 12 * turn.source.period)
+    phase = start.phase
+    for _ in range(50):
+        amplitude = manifold.distance / float(manifold.frame(np.array([phase])).lengths[0])
+        phase = start.phase + np.log(amplitude / abs(start.amplitude)) / manifold.exponent
+    for _ in range(5):
+        state, slope, _ = side.arrive(float(phase))
+        phase -= (state - turn.state) @ slope / (slope @ slope)
+    return phase
+
+
+def cut_direction(turn):
+    """Return the sign with which a turn crosses its section."""
+    return int(np.sign(turn.source.system.numeric.rate(turn.state) @ np.asarray(turn.section.normal)))
+
+
+def spiral(turn, manifold, section):
+    """Return the second-hit cut of the unstable tube beside a turn, on both sides of its phase."""
+    branch = int(np.sign(turn.orbit.start.amplitude))
+    sampler = Sampler(manifold, section, 2, branch, SETTINGS.cut)
+    count = int(PER_FACTOR_E * np.log(FARTHEST / NEAREST))
+    away = np.geomspace(NEAREST, FARTHEST, count)
+    own = seed_phase(turn, manifold, section)
+    pieces = []
+    for phases in (own - away[::-1], own + away):
+        samples = sampler.fly(phases)
+        runs = [[samples[0]]]
+        for a, b in pairwise(samples):
+            if not continuous(a, b, 4 * sampler.chord):
+                runs.append([])
+            runs[-1].append(b)
+        for run in runs:
+            # On the other side of the turn's phase the trajectory falls back instead of turning on.
+            if len(run) > 3 and run[0].direction == cut_direction(turn):
+                arrays = (np.array([getattr(s, name) for s in run]) for name in ("phase", "point", "state", "time"))
+                pieces.append(Piece(branch, *arrays, run[0].direction, closed=False))
+    return Cut(section, 2, tuple(pieces), (), 2 * count, True, "beside one turn")
+
+
+@pytest.mark.parametrize("first", range(4))
+def test_every_pair_of_turns_is_found_again_among_second_hits(turns, first):
+    # Only one branch of a tube is searched where a symmetry mirrors the other.
+    plus = [c for c in turns.connections if c.orbit.start.amplitude > 0]
+    assert len(plus) == 4
+    manifold = UnstableManifold(turns.source, SETTINGS.distance)
+    cut = spiral(plus[first], manifold, plus[first].section)
+    second = find_connections(turns.source, turns.source, hits=(2, 1), cuts=(cut, turns.cuts[1]), settings=SETTINGS)
+    twice = [c for c in second.connections if c.winding == tuple(2 * w for w in plus[first].winding)]
+    solver = WalkSolver(turns.connections)
+    for other in plus:
+        least = solver.least([plus[first], other])
+        orbit = solver.solve([plus[first], other], least)
+        assert orbit.wraps_realised == least
+        at = orbit.shot.states[sorted(orbit.shot.guess.markers)[1]]
+        assert min(float(np.max(np.abs(at - c.state))) for c in twice) < SAME, other.name

@@ -1,0 +1,115 @@
+"""Where a walk has no orbit, or none can be had: each failure names the symbol at fault, and what would help.
+
+Energies are those of the lab's saddle-nodes, at which pairs of connections are born, and a hair above.
+"""
+
+import numpy as np
+import pytest
+from walk_classifier import WalkClassifier
+
+from dpcontrol.scenes.model import load_model
+from dpcontrol.walks.edges import find_edges
+from dpcontrol.walks.shadowing import ShadowingSettings, WalkSolver, described, first_guess, shadow
+from dpcontrol.walks.shooting import NewtonSettings, solve_shooting
+
+TURN_BORN = -0.141987140339  # Down-Up to itself
+CROSSING_BORN = 0.188368752752  # Down-Up to Up-Down
+HAIR = 2e-10  # J; twins 1e-5 apart (scaled), tubes meeting at 0.02° to 0.05°
+
+
+@pytest.fixture(scope="module")
+def system():
+    return load_model("lab").system
+
+
+@pytest.fixture(scope="module")
+def tangent(system):
+    """Down-Up's two pairs of turns just after they were born."""
+    return find_edges(system, TURN_BORN + HAIR, pairs=[("down-up", "down-up")])
+
+
+@pytest.fixture(scope="module")
+def crossing(system):
+    """Transversal turns of Down-Up, and crossings just after they were born."""
+    pairs = [("down-up", "down-up"), ("down-up", "up-down"), ("up-down", "down-up")]
+    return find_edges(system, CROSSING_BORN + HAIR, pairs=pairs)
+
+
+def test_no_wraps_are_too_few_between_turns_that_have_just_been_born(system, tangent):
+    solver, classifier = WalkSolver(tangent.connections), WalkClassifier(system, tangent.connections)
+    plus = [c for c in tangent.connections if c.sense > 0]
+    assert len(plus) == 2
+    for walk in ([plus[0], plus[0]], [plus[0], plus[1]]):
+        failed = solver.solve(walk, [0])
+        assert not failed.converged
+        assert failed.fault in (0, 1)
+        assert failed.status.startswith(f"symbol {failed.fault + 1} of 2 ({walk[failed.fault].name})")
+        assert "ask for more wraps beside it" in failed.status
+        assert "the least that work are [1]" in solver.advice(failed)
+        assert solver.least(walk) == (1,)
+        assert classifier.complaints(solver.solve(walk, [1])) == []
+
+
+def test_the_least_wraps_of_a_closed_walk_cannot_be_lowered_anywhere(system, tangent):
+    solver, classifier = WalkSolver(tangent.connections), WalkClassifier(system, tangent.connections)
+    plus = [c for c in tangent.connections if c.sense > 0]
+    walk = [plus[0], plus[1], plus[0]]
+    least = solver.least(walk, periodic=True)
+    assert max(least) > 0
+    assert classifier.complaints(solver.solve(walk, least, periodic=True)) == []
+    for k in np.flatnonzero(least):
+        fewer = [n - (j == k) for j, n in enumerate(least)]
+        assert not solver.solve(walk, fewer, periodic=True).converged
+
+
+def test_the_nearly_tangent_symbol_among_transversal_ones_is_the_one_at_fault(system, crossing):
+    solver, classifier = WalkSolver(crossing.connections), WalkClassifier(system, crossing.connections)
+    turns = [c for c in crossing.between("down-up", "down-up") if c.symmetric and c.transversality_angle > 20]
+    blamed = 0
+    for edge in crossing.between("down-up", "up-down"):
+        for turn in turns:
+            failed = solver.solve([turn, turn, edge], [0, 0])
+            if failed.converged:
+                continue
+            blamed += 1
+            assert failed.fault == 2
+            assert failed.status.startswith(f"symbol 3 of 3 ({edge.name})")
+            least = solver.least([turn, turn, edge])
+            assert least == (0, 1)
+            assert classifier.complaints(solver.solve([turn, turn, edge], least)) == []
+    assert blamed > 0
+
+
+def test_an_orbit_that_follows_the_twin_is_not_passed_off_as_the_one_asked_for(tangent):
+    """Twins 1e-5 apart: what was solved for one is described as the other's."""
+    first, twin = (c for c in tangent.connections if c.sense > 0)
+    shot = solve_shooting(first_guess([first, twin, first], [2, 2]))
+    assert shot.converged
+    asked = described(shot, (first, twin, first), [2, 2], rivals=tangent.connections)
+    assert asked.converged
+    wrong = described(shot, (first, first, first), [2, 2], rivals=tangent.connections)
+    assert not wrong.converged
+    assert wrong.fault == 1
+    assert f"symbol 2 of 3: converged, but the orbit follows {twin.name} there instead of {first.name}" in wrong.status
+    assert "more wraps" in wrong.status
+
+
+def test_wraps_other_than_asked_are_not_passed_off(tangent):
+    turn = tangent.connections[0]
+    shot = solve_shooting(first_guess([turn, turn], [2]))
+    wrong = described(shot, (turn, turn), [3], rivals=tangent.connections)
+    assert not wrong.converged
+    assert wrong.fault == 0
+    assert "wraps [2] instead of [3]" in wrong.status
+
+
+def test_one_node_a_period_is_too_few_and_the_sentence_says_so(crossing):
+    """λ = 1,880 a period: rounding of rates of 20 rad/s leaves no gap below 1e-12."""
+    walk = [crossing.between("down-up", "up-down")[0], crossing.between("up-down", "down-up")[0]]
+    tight = NewtonSettings(tolerance=1e-12)
+    long = shadow(walk, wraps=[4], settings=ShadowingSettings(1, newton=tight), rivals=crossing.connections)
+    short = shadow(walk, wraps=[4], settings=ShadowingSettings(8, newton=tight), rivals=crossing.connections)
+    assert short.converged
+    assert not long.converged
+    assert long.status.startswith(f"symbol {long.fault + 1} of 2 ({walk[long.fault].name})")
+    assert "nodes nearer together" in long.status
