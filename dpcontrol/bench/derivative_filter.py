@@ -15,27 +15,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import Settings, setting
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class DerivativeFilter:
+class DerivativeFilter(Settings, table="derivative filter"):
     """Differences of positions (m,) over `period` s, smoothed at `cutoff` Hz; inf: not at all."""
 
-    period: float
-    cutoff: float = math.inf
-
-    def __post_init__(self) -> None:
-        """Refuse what smooths nothing in a finite time.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        for name in ("period", "cutoff"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"derivative filter: {name} = {getattr(self, name)!r}: must be positive")
+    period: float = setting(above=0, unit="s")
+    cutoff: float = setting(math.inf, above=0, infinite="no smoothing", unit="Hz")
 
     @property
     def keeps(self) -> float:

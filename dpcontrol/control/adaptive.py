@@ -28,6 +28,7 @@ from dpcontrol.control.model import SampledModel
 from dpcontrol.control.tracking import FeedforwardSettings, terminal_cost, tracking_controller
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.settings import setting
 from dpcontrol.references.reference import Reference
 
 Array = NDArray[np.float64]
@@ -46,17 +47,7 @@ class AdaptiveSettings(ClosingWeights):
     rate: float = 3000.0
     position: float = 300.0
     closing: float = 30.0
-    trust: float = 0.4
-
-    def __post_init__(self) -> None:
-        """Refuse weights without a solution, and a trust without a meaning.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        super().__post_init__()
-        if not 0.0 <= self.trust <= 1.9:
-            raise InputError(f"controller: trust = {self.trust!r}: must be 0 to 1.9")
+    trust: float = setting(0.4, least=0, most=1.9)
 
 
 @dataclass(frozen=True, eq=False)

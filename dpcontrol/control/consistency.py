@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.interface import Estimate, Estimator
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import Settings, setting
 
 Array = NDArray[np.float64]
 
@@ -66,25 +66,15 @@ class Verdict(StrEnum):
 
 
 @dataclass(frozen=True)
-class WatchSettings:
+class WatchSettings(Settings, table="watch"):
     """window s: memory of the mean NIS; gap s: longest time without a position; still s: an encoder that gives the same
     reading for so long while the model says that it moves is stuck; diverged: mean NIS per position.
     """
 
-    window: float = 0.2
-    gap: float = 0.05
-    still: float = 0.02
-    diverged: float = 100.0
-
-    def __post_init__(self) -> None:
-        """Refuse what is no time.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        for name, value in vars(self).items():
-            if not np.isfinite(value) or value <= 0:
-                raise InputError(f"watch: {name} = {value!r}: must be a positive, finite number")
+    window: float = setting(0.2, above=0, unit="s")
+    gap: float = setting(0.05, above=0, unit="s")
+    still: float = setting(0.02, above=0, unit="s")
+    diverged: float = setting(100.0, above=0)
 
 
 class Health(NamedTuple):

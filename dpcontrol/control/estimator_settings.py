@@ -19,8 +19,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.tables import suggest
+from dpcontrol.foundation.settings import Settings, setting
 
 Array = NDArray[np.float64]
 
@@ -55,7 +54,7 @@ def extra_names(arms: int, augment: tuple[Augment, ...]) -> tuple[str, ...]:
 
 
 @dataclass(frozen=True)
-class FilterSettings:
+class FilterSettings(Settings, table="estimator"):
     """Noise that a filter assumes, and what it estimates besides the state.
 
     parameter_error: share by which accelerations may be wrong, and correlation_time s for which such an error
@@ -67,41 +66,31 @@ class FilterSettings:
     """
 
     kind: str = "ekf"
-    parameter_error: float = 0.01
-    correlation_time: float = 0.02
-    rate_noise: float = 0.03
-    cart_noise: float = 1e-3
-    first_angle: float = 0.05
-    first_rate: float = 0.1
-    first_cart: float = 1e-3
-    augment: tuple[str, ...] = ("zeros",)
-    zero_error: float = 0.02
-    disturbance: float = 1.0
-    disturbance_time: float = 0.1
-    drive_error: float = 0.5
-    drive_time: float = 0.01
-    friction_error: float = 0.3
-    model_error: float = 0.1
+    parameter_error: float = setting(0.01, least=0)
+    correlation_time: float = setting(0.02, above=0)
+    rate_noise: float = setting(0.03, above=0)
+    cart_noise: float = setting(1e-3, above=0)
+    first_angle: float = setting(0.05, above=0)
+    first_rate: float = setting(0.1, above=0)
+    first_cart: float = setting(1e-3, above=0)
+    augment: tuple[str, ...] = setting(("zeros",), choices=tuple(Augment))
+    zero_error: float = setting(0.02, above=0)
+    disturbance: float = setting(1.0, above=0)
+    disturbance_time: float = setting(0.1, above=0)
+    drive_error: float = setting(0.5, above=0)
+    drive_time: float = setting(0.01, above=0)
+    friction_error: float = setting(0.3, above=0)
+    model_error: float = setting(0.1, above=0)
 
     def __post_init__(self) -> None:
-        """Refuse what is no standard deviation.
+        """Check the bounds, and that nothing is augmented twice.
 
         Raises:
             InputError: names the setting, its value and what is allowed.
         """
-        for name, value in vars(self).items():
-            if not isinstance(value, float | int):
-                continue
-            low = 0.0 if name == "parameter_error" else np.finfo(float).tiny
-            if not np.isfinite(value) or value < low:
-                raise InputError(f"estimator: {name} = {value!r}: must be a positive, finite number")
-        for name in self.augment:
-            if name not in tuple(Augment):
-                raise InputError(
-                    f"estimator: augment holds {name!r}: {suggest(str(name), [kind.value for kind in Augment])}"
-                )
+        super().__post_init__()
         if len(set(self.augment)) != len(self.augment):
-            raise InputError(f"estimator: augment = {list(self.augment)!r}: name each once")
+            raise self.refusal("augment", "name each once")
 
     @property
     def augments(self) -> tuple[Augment, ...]:

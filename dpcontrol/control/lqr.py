@@ -23,34 +23,23 @@ from dpcontrol.control.model import SampledModel
 from dpcontrol.control.phase import whole_turns
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.references.problem import ANGLE_SCALE, CART_VELOCITY_SCALE, RATE_SCALE, Limits
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class QuadraticWeights:
+class QuadraticWeights(Settings, table="controller"):
     """Weights per second of the squared errors, each scaled: angles by π, rates by 10 rad/s, the cart's velocity
     by 3 m/s; the cart's position by 1 m and the effort by 1 m/s².
     """
 
-    angle: float = 1000.0
-    rate: float = 100.0
-    position: float = 100.0
-    velocity: float = 10.0
-    effort: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Refuse weights without a solution.
-
-        Raises:
-            InputError: names the weight, its value and what is allowed.
-        """
-        for name in ("angle", "rate", "position", "velocity", "effort"):
-            value = getattr(self, name)
-            allowed = "positive" if name in ("position", "effort") else "zero or positive"
-            if not np.isfinite(value) or value < 0 or (value == 0 and allowed == "positive"):
-                raise InputError(f"controller: {name} = {value!r}: must be a finite number, {allowed}")
+    angle: float = setting(1000.0, least=0)
+    rate: float = setting(100.0, least=0)
+    position: float = setting(100.0, above=0)
+    velocity: float = setting(10.0, least=0)
+    effort: float = setting(1.0, above=0)
 
     def weights(self, arms: int, period: float) -> tuple[Array, float]:
         """Return Q's diagonal (N,) and r of one period in s."""
@@ -65,20 +54,8 @@ class ClosingWeights(QuadraticWeights):
     be the model's own orbit whatever the arms would rather do.
     """
 
-    closing: float = 50.0
-    closing_time: float = 1.6
-
-    def __post_init__(self) -> None:
-        """Refuse weights without a solution.
-
-        Raises:
-            InputError: names the weight, its value and what is allowed.
-        """
-        super().__post_init__()
-        for name, low, high in (("closing", 1.0, 1e6), ("closing_time", 0.0, 1e4)):
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise InputError(f"controller: {name} = {value!r}: must be {low:g} to {high:g}")
+    closing: float = setting(50.0, least=1, most=1e6)
+    closing_time: float = setting(1.6, least=0, most=1e4, unit="s")
 
     def along(self, arms: int, period: float, *, count: int) -> Array:
         """Return Q's diagonals (count, N) at a reference's ticks, `period` s apart."""

@@ -23,6 +23,7 @@ from dpcontrol.control.periodic import check_orbit
 from dpcontrol.control.phase import PhaseTable, phase_table
 from dpcontrol.control.section_law import Learning, classic_gains, learning, section_gains
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.references.sustained import SustainedOrbit
 
 if TYPE_CHECKING:
@@ -35,20 +36,12 @@ _EARLY = 0.125
 
 
 @dataclass(frozen=True)
-class ClassicOgySettings:
+class ClassicOgySettings(Settings, table="controller"):
     """OGY as published: sections in a period, and the largest pulse in m/s²."""
 
     kind: str = "ogy-classic"
-    sections: int = 16
-    pulse_limit: float = 5.0
-
-    def __post_init__(self) -> None:
-        """Refuse what gives no pulses.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        _check(self.sections, self.pulse_limit)
+    sections: int = setting(16, least=1, most=1000)
+    pulse_limit: float = setting(5.0, above=0, unit="m/s²")
 
 
 @dataclass(frozen=True)
@@ -63,27 +56,9 @@ class OgySettings(QuadraticWeights):
     velocity: float = 3.0
     effort: float = 0.3
     kind: str = "ogy"
-    sections: int = 16
-    pulse_limit: float = 5.0
-    parameter_error: float = 0.05
-
-    def __post_init__(self) -> None:
-        """Refuse weights without a solution, and what gives no pulses.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        super().__post_init__()
-        _check(self.sections, self.pulse_limit)
-        if not 0 <= self.parameter_error <= 1:
-            raise InputError(f"controller: parameter_error = {self.parameter_error!r}: must be 0 to 1")
-
-
-def _check(sections: int, pulse_limit: float) -> None:
-    if not 1 <= sections <= 1000:
-        raise InputError(f"controller: sections = {sections!r}: must be 1 to 1000 for each period")
-    if not np.isfinite(pulse_limit) or pulse_limit <= 0:
-        raise InputError(f"controller: pulse_limit = {pulse_limit!r}: must be positive and finite, in m/s²")
+    sections: int = setting(16, least=1, most=1000)
+    pulse_limit: float = setting(5.0, above=0, unit="m/s²")
+    parameter_error: float = setting(0.05, least=0, most=1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from dpcontrol.control.interface import Action, Mode
 from dpcontrol.control.lqr import ClosingWeights
 from dpcontrol.control.model import SampledModel
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.tables import suggest
+from dpcontrol.foundation.settings import setting
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
 from dpcontrol.references.reference import Reference
 
@@ -179,17 +179,7 @@ class TvlqrSettings(ClosingWeights):
     rate: float = 1000.0
     position: float = 150.0
     kind: str = "tvlqr"
-    schedule: str = "time"
-
-    def __post_init__(self) -> None:
-        """Refuse weights without a solution, and a schedule that there is not.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        super().__post_init__()
-        if self.schedule not in SCHEDULES:
-            raise InputError(f"controller: schedule = {self.schedule!r}: {suggest(self.schedule, SCHEDULES)}")
+    schedule: str = setting("time", choices=SCHEDULES)
 
 
 ControllerSettings = FeedforwardSettings | TvlqrSettings

@@ -40,6 +40,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.equations import Equations, state_equations
 from dpcontrol.dynamics.lagrangian import Energy, mechanics
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import Settings, setting
 
 Array = NDArray[np.float64]
 
@@ -55,7 +56,7 @@ class Friction(StrEnum):
 
 
 @dataclass(frozen=True)
-class ArmChainParameters:
+class ArmChainParameters(Settings):
     """Physical parameters of n arms, inner arm first; SI units.
 
     mass (n,) kg; centre_of_mass (n,) m from the arm's joint; length (n,) m, the last for pictures only;
@@ -65,41 +66,28 @@ class ArmChainParameters:
     those two fade.
     """
 
-    mass: tuple[float, ...]
-    centre_of_mass: tuple[float, ...]
-    length: tuple[float, ...]
-    inertia: tuple[float, ...]
-    gravity: float
-    viscous: tuple[float, ...]
-    coulomb: tuple[float, ...] = ()
-    quadratic: tuple[float, ...] = ()
-    smoothing: float = 0.05
+    mass: tuple[float, ...] = setting(above=0, most=LARGEST, unit="kg")
+    centre_of_mass: tuple[float, ...] = setting(above=0, most=LARGEST, unit="m")
+    length: tuple[float, ...] = setting(above=0, most=LARGEST, unit="m")
+    inertia: tuple[float, ...] = setting(least=0, most=LARGEST, unit="kg m²")
+    gravity: float = setting(above=0, most=LARGEST, unit="m/s²", key="acceleration")
+    viscous: tuple[float, ...] = setting(least=0, most=LARGEST, unit="N m s/rad")
+    coulomb: tuple[float, ...] = setting((), least=0, most=LARGEST, unit="N m")
+    quadratic: tuple[float, ...] = setting((), least=0, most=LARGEST, unit="N s²/m²")
+    smoothing: float = setting(0.05, above=0, most=LARGEST, unit="rad/s")
 
     def __post_init__(self) -> None:
-        """Refuse what is no pendulum.
+        """Check the bounds, and that each arm has its values.
 
         Raises:
             InputError: names the parameter, its value and what is allowed.
         """
-        count = len(self.mass)
-        if count < 1:
+        super().__post_init__()
+        if not self.mass:
             raise InputError("mass = []: a chain has at least one arm")
-        columns = {  # name: (values, whether zero is allowed)
-            "mass": (self.mass, False),
-            "centre_of_mass": (self.centre_of_mass, False),
-            "length": (self.length, False),
-            "inertia": (self.inertia, True),
-            "viscous": (self.viscous, True),
-            "acceleration": ((self.gravity,), False),
-            "smoothing": ((self.smoothing,), False),
-        } | {law.value: (getattr(self, law), True) for law in self.friction}
-        for name, (values, zero_allowed) in columns.items():
-            if name not in ("acceleration", "smoothing") and len(values) != count:
-                raise InputError(f"{name} has {len(values)} values but mass has {count}; give one for each arm")
-            for value in values:
-                if not np.isfinite(value) or not 0 <= value <= LARGEST or (value == 0 and not zero_allowed):
-                    allowed = "zero or positive" if zero_allowed else "positive"
-                    raise InputError(f"{name} = {value!r}: must be a finite number, {allowed}, at most {LARGEST:g}")
+        for name in ("centre_of_mass", "length", "inertia", "viscous", *self.friction):
+            if len(values := getattr(self, name)) != self.count:
+                raise InputError(f"{name} has {len(values)} values but mass has {self.count}; give one for each arm")
 
     @property
     def count(self) -> int:

@@ -25,6 +25,7 @@ from dpcontrol.dynamics.compiled import Compiled, compiled_step
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.dynamics.lagrangian import mechanics, solve_symmetric
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import Settings, setting
 
 Array = NDArray[np.float64]
 
@@ -43,7 +44,7 @@ class PlantLevel(StrEnum):
 
 
 @dataclass(frozen=True)
-class PlantParameters:
+class PlantParameters(Settings):
     """The arms and what carries them.
 
     lag s: time constant of the drive's velocity loop, zero for one that follows at once. cart_mass kg without the
@@ -52,25 +53,18 @@ class PlantParameters:
     """
 
     arms: ArmChainParameters
-    lag: float = 0.0
-    cart_mass: float = 0.0
-    cart_viscous: float = 0.0
-    tilt: float = 0.0
+    lag: float = setting(0.0, least=1e-5, most=1, zero="a drive that follows at once", unit="s")
+    cart_mass: float = setting(0.0, least=0, most=1e6, unit="kg")
+    cart_viscous: float = setting(0.0, least=0, most=1e6, unit="N s/m")
+    tilt: float = setting(0.0, least=-np.pi / 4, most=np.pi / 4, unit="rad")
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be built.
+        """Check the bounds, and what a cart with mass or friction needs.
 
         Raises:
             InputError: names the parameter, its value and what is allowed.
         """
-        for name, most in (("lag", 1.0), ("cart_mass", 1e6), ("cart_viscous", 1e6)):
-            value = getattr(self, name)
-            if not 0 <= value <= most:
-                raise InputError(f"{name} = {value!r}: must be 0 to {most:g}")
-        if not abs(self.tilt) <= np.pi / 4:
-            raise InputError(f"tilt = {self.tilt!r}: must be -π/4 to π/4 rad")
-        if 0 < self.lag < 1e-5:
-            raise InputError(f"lag = {self.lag!r}: must be zero or at least 1e-05 s")
+        super().__post_init__()
         if self.cart_mass > 0 and self.lag == 0:
             raise InputError(
                 f"cart_mass = {self.cart_mass!r} with lag = 0: a cart with a mass needs the time constant of the "

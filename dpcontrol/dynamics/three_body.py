@@ -20,23 +20,14 @@ from dpcontrol.dynamics.equations import Equations, state_equations
 from dpcontrol.dynamics.lagrangian import mechanics
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import Settings, setting
 
 
 @dataclass(frozen=True)
-class ThreeBodyParameters:
+class ThreeBodyParameters(Settings):
     """mass_ratio μ: the smaller primary's share of the total mass, dimensionless."""
 
-    mass_ratio: float
-
-    def __post_init__(self) -> None:
-        """Refuse what is no mass ratio.
-
-        Raises:
-            InputError: the value and what is allowed.
-        """
-        if not np.isfinite(self.mass_ratio) or not 0 < self.mass_ratio <= 0.5:
-            raise InputError(f"mass_ratio = {self.mass_ratio!r}: must be above 0 and at most 0.5")
+    mass_ratio: float = setting(above=0, most=0.5)
 
     def named(self) -> dict[str, tuple[float, str]]:
         """Return {name: (value, unit)}."""

@@ -133,7 +133,7 @@ class Table:
             return kind(**values)
         except InputError as error:
             # Settings name their table in front, as this table's place already does.
-            message = str(error).removeprefix(f"{self.name.rpartition('.')[2]}: ")
+            message = str(error).removeprefix(f"{getattr(kind, 'TABLE', '')}: ")
             raise InputError(f"{self.where()} {message}") from error
 
     def finish(self, *, also: Iterable[str] = ()) -> None:
@@ -169,7 +169,7 @@ class Table:
 
 def suggest(value: str, choices: Iterable[str]) -> str:
     """Return what is allowed instead of `value`, the nearest spelling first."""
-    choices = list(choices)
+    choices = [str(choice) for choice in choices]
     close = difflib.get_close_matches(value, choices, n=1)
     if close:
         return f"did you mean {close[0]!r}? Allowed: {', '.join(choices)}"

@@ -21,6 +21,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.ratios import base_ratios, ratio_names
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.identification.fit import Swings
 
 Array = NDArray[np.float64]
@@ -30,32 +31,20 @@ _CHAOTIC = 20.0
 
 
 @dataclass(frozen=True)
-class DesignSettings:
+class DesignSettings(Settings, table="design"):
     """What is compared. seconds: of each recording; period s: between samples; counts: of the encoders, per turn.
 
     steps: of each angle's grid over half a turn; amplitudes m/s² and frequencies Hz: of the cart's sine; track m: half
     its length.
     """
 
-    seconds: float = 2.667
-    period: float = 4e-3
-    counts: int = 40_000
-    steps: int = 9
+    seconds: float = setting(2.667, above=0, unit="s")
+    period: float = setting(4e-3, above=0, unit="s")
+    counts: int = setting(40_000, least=1)
+    steps: int = setting(9, least=2)
     amplitudes: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0)
     frequencies: tuple[float, ...] = (0.5, 0.7, 0.9, 1.1, 1.3, 1.5, 1.8, 2.1, 2.5, 3.0)
-    track: float = 0.4
-
-    def __post_init__(self) -> None:
-        """Refuse impossible settings.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        for name in ("seconds", "period", "counts", "track"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise InputError(f"design: {name} = {getattr(self, name)!r}: must be positive")
-        if self.steps < 2:
-            raise InputError(f"design: steps = {self.steps!r}: must be at least 2")
+    track: float = setting(0.4, above=0, unit="m")
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,6 +39,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.ratios import base_from_ratios, ratio_names
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import Settings, setting
 
 Array = NDArray[np.float64]
 
@@ -279,34 +280,19 @@ _HALVINGS = 8
 
 
 @dataclass(frozen=True)
-class FitSettings:
+class FitSettings(Settings, table="fit"):
     """window s: length of a shooting window. robust: where the loss turns from square to straight, in standard
     deviations of the bulk; 0 for squares alone. bend rad: where it turns, if it is to be held there rather than found.
     least_scale rad: the bulk is taken as no narrower; half a count or so.
     tolerance: share of the loss by which the last step may still lessen it.
     """
 
-    window: float = 0.5
-    robust: float = 3.0
-    bend: float = 0.0
-    least_scale: float = 1e-4
-    iterations: int = 40
-    tolerance: float = 1e-7
-
-    def __post_init__(self) -> None:
-        """Refuse impossible settings.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        for name in ("window", "least_scale", "tolerance"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
-                raise InputError(f"fit: {name} = {getattr(self, name)!r}: must be positive")
-        for name in ("robust", "bend"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0):
-                raise InputError(f"fit: {name} = {getattr(self, name)!r}: must be zero or positive")
-        if self.iterations < 1:
-            raise InputError(f"fit: iterations = {self.iterations!r}: must be at least 1")
+    window: float = setting(0.5, above=0, unit="s")
+    robust: float = setting(3.0, least=0)
+    bend: float = setting(0.0, least=0, unit="rad")
+    least_scale: float = setting(1e-4, above=0, unit="rad")
+    iterations: int = setting(40, least=1)
+    tolerance: float = setting(1e-7, above=0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -37,6 +37,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Friction
 from dpcontrol.dynamics.ratios import base_ratios, inertial_count, nearest_arms, ratio_names, unit_name, with_laws
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, fit_swings
 from dpcontrol.identification.segments import Segment, cut_into_swings
 from dpcontrol.recordings.recording import Recording
@@ -148,32 +149,27 @@ LAWS: tuple[tuple[Friction, ...], ...] = (
 
 
 @dataclass(frozen=True)
-class IdentificationSettings:
+class IdentificationSettings(Settings, table="identify"):
     """zeros: "free", "none", or "chosen" by the error on what was left out. left_out: one segment of so many, the last
     of each. longest s: a longer segment is cut into equal ones; None: 4 s, but 1 s where the cart moved, as in runs,
     which stay near saddles. laws: the sets of laws besides the viscous one to try.
     """
 
-    zeros: str = "chosen"
-    left_out: int = 3
-    longest: float | None = None
+    zeros: str = setting("chosen", choices=("free", "none", "chosen"))
+    left_out: int = setting(3, least=2)
+    longest: float | None = setting(None, above=0, unit="s")
     laws: tuple[tuple[Friction, ...], ...] = LAWS
     fit: FitSettings = field(default_factory=FitSettings)
 
     def __post_init__(self) -> None:
-        """Refuse impossible settings.
+        """Check the bounds, and that there are laws to try.
 
         Raises:
             InputError: names the setting, its value and what is allowed.
         """
-        if self.zeros not in ("free", "none", "chosen"):
-            raise InputError(f"identify: zeros = {self.zeros!r}: must be free, none or chosen")
+        super().__post_init__()
         if not self.laws:
-            raise InputError("identify: laws = (): must name at least one set, () for viscous friction alone")
-        if self.left_out < 2:
-            raise InputError(f"identify: left_out = {self.left_out!r}: must be at least 2")
-        if self.longest is not None and not (np.isfinite(self.longest) and self.longest > 0):
-            raise InputError(f"identify: longest = {self.longest!r}: must be a positive number of seconds")
+            raise self.refusal("laws", "must name at least one set, () for viscous friction alone")
 
 
 @dataclass(frozen=True, eq=False)

@@ -45,6 +45,7 @@ from dpcontrol.dynamics.compiled import compiled_step
 from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.tables import suggest
 from dpcontrol.logs import LogWriter, Mode, control_fields
 from dpcontrol.loop.bench import SensorSettings
@@ -375,7 +376,7 @@ _FLOOR = 0.015
 
 
 @dataclass(frozen=True)
-class ReplaySettings:
+class ReplaySettings(Settings, table="replay"):
     """counts: of an encoder per turn, the stated noise; mean_over s: of each mean that the estimator is given;
     ahead: samples of the longer prediction; span s: the longest stretch that is predicted in one piece, longer segments
     are cut into equal parts.
@@ -384,25 +385,16 @@ class ReplaySettings:
     half a second, for near a saddle errors grow fiftyfold in that time.
     """
 
-    counts: int = 40_000
-    mean_over: float | None = None
-    ahead: int = 100
-    span: float | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse what no replay can do.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        if self.counts < 1:
-            raise InputError(f"replay: counts = {self.counts}: must be at least 1 for a turn")
-        if self.mean_over is not None and not 0 <= self.mean_over <= 0.02:
-            raise InputError(f"replay: mean_over = {self.mean_over!r}: must be 0, for single samples, to 0.02 s")
-        if not 1 <= self.ahead <= 100_000:
-            raise InputError(f"replay: ahead = {self.ahead}: must be 1 to 100000 samples")
-        if self.span is not None and not 0.05 <= self.span <= 1000:
-            raise InputError(f"replay: span = {self.span!r}: must be 0.05 to 1000 s")
+    counts: int = setting(40_000, least=1, help="Counts of an encoder per turn, which set the noise that is assumed")
+    mean_over: float | None = setting(
+        None, least=0, most=0.02, unit="s", help="Length of each mean that the estimator is given"
+    )
+    ahead: int = setting(
+        100, least=1, most=100_000, unit="samples", help="Horizon of the n-step error, from the estimate"
+    )
+    span: float | None = setting(
+        None, least=0.05, most=1000, unit="s", help="Longest stretch that is predicted in one piece"
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,13 +36,14 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.plant import PlantParameters
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.references.problem import Limits
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class SensorSettings:
+class SensorSettings(Settings, table="sensors"):
     """The sensors and their faults; what is random is drawn beforehand, see `dpcontrol.loop.draw`.
 
     counts: of a relative arm encoder per turn, 0 for no rounding; cart_resolution: of the cart's scale, m, 0 likewise.
@@ -53,40 +54,31 @@ class SensorSettings:
     rate_noise rad/s: standard deviation of what is added to estimated rates, as where rates are measured.
     """
 
-    counts: int = 40_000
-    cart_resolution: float = 1e-6
-    zero_error: float = 0.0
-    noise: float = 0.0
-    cart_noise: float = 0.0
-    missed_counts: float = 0.0
-    dropout: float = 0.0
-    stuck_at: float = math.inf
-    stuck_sensor: int = 0
-    jitter: float = 0.0
-    rate_noise: float = 0.0
+    counts: int = setting(40_000, least=1, zero="no rounding", help="Counts of an arm's encoder per turn")
+    cart_resolution: float = setting(1e-6, least=1e-12, most=1, zero="no rounding", unit="m")
+    zero_error: float = setting(0.0, least=0, most=np.pi, unit="rad", help="Largest error of each encoder's zero")
+    noise: float = setting(0.0, least=0, most=np.pi, unit="rad", help="Standard deviation of the measured joint angles")
+    cart_noise: float = setting(0.0, least=0, most=1, unit="m")
+    missed_counts: float = setting(
+        0.0, least=0, most=1e6, unit="1/s", help="Counts lost per second by a moving encoder"
+    )
+    dropout: float = setting(0.0, least=0, most=1, help="Share of ticks without any reading")
+    stuck_at: float = setting(math.inf, least=0, infinite="never", unit="s", help="Time at which an encoder sticks")
+    stuck_sensor: int = setting(
+        0, least=0, help="Which one sticks, 0 being the inner arm's, 1 the outer's, 2 the cart's"
+    )
+    jitter: float = setting(0.0, least=0, most=1, unit="s", help="Greatest age of a reading")
+    rate_noise: float = setting(
+        0.0, least=0, most=1000, unit="rad/s", help="Standard deviation of noise added to estimated rates"
+    )
 
     def __post_init__(self) -> None:
-        """Refuse what is no sensor.
+        """Check the bounds, and that an encoder which loses counts has some.
 
         Raises:
             InputError: names the setting, its value and what is allowed.
         """
-        if self.counts < 0:
-            raise InputError(f"sensors: counts = {self.counts!r}: must be at least 1, or 0 for no rounding")
-        if self.cart_resolution and not 1e-12 <= self.cart_resolution <= 1.0:
-            raise InputError(
-                f"sensors: cart_resolution = {self.cart_resolution!r}: must be 1e-12 to 1 metres, or 0 for no rounding"
-            )
-        bounds = {"zero_error": np.pi, "noise": np.pi, "cart_noise": 1.0, "missed_counts": 1e6, "dropout": 1.0,
-                  "jitter": 1.0, "rate_noise": 1e3}  # fmt: skip
-        for name, most in bounds.items():
-            value = getattr(self, name)
-            if not 0 <= value <= most:
-                raise InputError(f"sensors: {name} = {value!r}: must be 0 to {most:.4g}")
-        if not self.stuck_at >= 0:
-            raise InputError(f"sensors: stuck_at = {self.stuck_at!r}: must be zero or positive seconds")
-        if self.stuck_sensor < 0:
-            raise InputError(f"sensors: stuck_sensor = {self.stuck_sensor!r}: must be 0 (inner arm) or more")
+        super().__post_init__()
         if self.missed_counts and not self.counts:
             raise InputError(
                 f"sensors: missed_counts = {self.missed_counts!r} with counts = 0: an encoder that does not count "
@@ -182,7 +174,7 @@ class Encoders:
 
 
 @dataclass(frozen=True)
-class DriveSettings:
+class DriveSettings(Settings, table="drive"):
     """The drive and its cart; what is random is drawn beforehand, see `dpcontrol.loop.draw`.
 
     delay: from reading to acting, in periods, also fractions. lag s: time constant of the velocity loop. cart_mass
@@ -192,35 +184,31 @@ class DriveSettings:
     of position. switch_margin m: so far before them the limit switches are touched.
     """
 
-    delay: float = 1.0
-    lag: float = 0.0
-    cart_mass: float = 0.0
-    cart_viscous: float = 0.0
-    velocity: float = math.inf
-    acceleration: float = math.inf
-    jerk: float = math.inf
-    command_noise: float = 0.0
-    response: float = 1.0
-    track: float = math.inf
-    switch_margin: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse what is no drive; lag, mass and friction are checked with the plant's parameters.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        bounds = {"delay": (1000.0, " periods"), "command_noise": (1e6, " m/s²"), "response": (10.0, ""),
-                  "switch_margin": (1e3, " m")}  # fmt: skip
-        for name, (most, unit) in bounds.items():
-            value = getattr(self, name)
-            if not 0 <= value <= most:
-                raise InputError(f"drive: {name} = {value!r}: must be 0 to {most:g}{unit}")
-        for name in ("velocity", "acceleration", "jerk", "track"):
-            if not getattr(self, name) > 0:
-                raise InputError(
-                    f"drive: {name} = {getattr(self, name)!r}: must be positive, or inf for none of its own"
-                )
+    delay: float = setting(
+        1.0, least=0, most=1000, unit="periods", help="Delay from reading to acting, may be a fraction"
+    )
+    lag: float = setting(
+        0.0,
+        least=0,
+        most=1,
+        unit="s",
+        help="Time constant of the drive's velocity loop, of which the model knows nothing",
+    )
+    cart_mass: float = setting(
+        0.0, least=0, most=1e6, unit="kg", help="Mass of the cart, which the arms then push about"
+    )
+    cart_viscous: float = setting(0.0, least=0, most=1e6, unit="N s/m")
+    velocity: float = setting(math.inf, above=0, infinite="none of its own", unit="m/s")
+    acceleration: float = setting(
+        math.inf, above=0, infinite="none of its own", unit="m/s²", help="Limit of the drive's acceleration"
+    )
+    jerk: float = setting(math.inf, above=0, infinite="none of its own", unit="m/s³", help="Limit of the drive's jerk")
+    command_noise: float = setting(
+        0.0, least=0, most=1e6, unit="m/s²", help="Standard deviation of noise on the command"
+    )
+    response: float = setting(1.0, least=0, most=10, help="Share of a command that the drive gives")
+    track: float = setting(math.inf, above=0, infinite="none of its own", unit="m")
+    switch_margin: float = setting(0.0, least=0, most=1000, unit="m")
 
     def limits(self, limits: Limits) -> Limits:
         """Return what the drive can do: its own bounds where it has them, else those of the scene."""
@@ -273,36 +261,22 @@ class DriveLimits:
 
 
 @dataclass(frozen=True)
-class Push:
+class Push(Settings, table="push"):
     """One blow at `time` s, at the tick next to it: on arm `arm` (0: the inner) and on the cart.
 
     impulse N m s: of a couple on the arm; rate rad/s: jump of the arm's rate in place of or besides it; knock m/s:
     jump of the cart's velocity.
     """
 
-    time: float
-    arm: int = 0
-    impulse: float = 0.0
-    rate: float = 0.0
-    knock: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse what is no blow.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        if not (np.isfinite(self.time) and self.time >= 0):
-            raise InputError(f"push: time = {self.time!r}: must be zero or positive seconds")
-        if self.arm < 0:
-            raise InputError(f"push: arm = {self.arm!r}: must be 0 (inner arm) or more")
-        for name in ("impulse", "rate", "knock"):
-            if not abs(getattr(self, name)) <= 1e3:
-                raise InputError(f"push: {name} = {getattr(self, name)!r}: must be a number of at most 1000")
+    time: float = setting(least=0, unit="s")
+    arm: int = setting(0, least=0)
+    impulse: float = setting(0.0, least=-1000, most=1000, unit="N m s")
+    rate: float = setting(0.0, least=-1000, most=1000, unit="rad/s")
+    knock: float = setting(0.0, least=-1000, most=1000, unit="m/s")
 
 
 @dataclass(frozen=True)
-class DisturbanceSettings:
+class DisturbanceSettings(Settings, table="disturbances"):
     """Seeded and explicit disturbances.
 
     pushes: how many blows on arms in a run, at random times on random arms, each of a uniform ± push_impulse N m s;
@@ -310,25 +284,14 @@ class DisturbanceSettings:
     end down; angles are measured from the track's normal, so hanging arms read `tilt`. explicit: further blows.
     """
 
-    pushes: int = 0
-    push_impulse: float = 0.0
-    knocks: int = 0
-    knock_velocity: float = 0.0
-    tilt: float = 0.0
+    pushes: int = setting(0, least=0, most=10_000, help="Number of random blows on the arms")
+    push_impulse: float = setting(0.0, least=0, most=1000, unit="N m s", help="Their greatest impulse")
+    knocks: int = setting(0, least=0, most=10_000, help="Number of random blows on the cart")
+    knock_velocity: float = setting(
+        0.0, least=0, most=1000, unit="m/s", help="Greatest jump of the cart's velocity by one"
+    )
+    tilt: float = setting(0.0, least=-np.pi / 4, most=np.pi / 4, unit="rad", help="Tilt of the track, right end down")
     explicit: tuple[Push, ...] = ()
-
-    def __post_init__(self) -> None:
-        """Refuse what is no disturbance; the tilt is checked with the plant's parameters.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        for name in ("pushes", "knocks"):
-            if not 0 <= getattr(self, name) <= 10_000:
-                raise InputError(f"disturbances: {name} = {getattr(self, name)!r}: must be 0 to 10000")
-        for name in ("push_impulse", "knock_velocity"):
-            if not 0 <= getattr(self, name) <= 1e3:
-                raise InputError(f"disturbances: {name} = {getattr(self, name)!r}: must be 0 to 1000")
 
 
 @dataclass(frozen=True)

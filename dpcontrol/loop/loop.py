@@ -27,7 +27,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equati
 from dpcontrol.dynamics.ratios import Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.foundation.tables import suggest
+from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.loop.bench import BenchSettings, DisturbanceSettings, DriveSettings, SensorSettings
 from dpcontrol.loop.control_loop import CommandPath, ControlLoop, Fallback, LoopRecord
 from dpcontrol.loop.controllers import KEEPERS, ControllerSettings, make_controller, nearest_keeper
@@ -107,20 +107,24 @@ class NoisyRates:
 
 
 @dataclass(frozen=True)
-class LoopSettings:
+class LoopSettings(Settings, table="run"):
     """A run: rate Hz; initial_error rad, uniform ± on each angle of the true first state; mismatch of the plant's
     parameters (share); model_uncertainty: factor on the standard errors that the model's file gives, by which the plant
     is drawn besides; seed of all that is random. travel m: the cart's greatest distance from the centre, zero for the
     reference's own limit. keep: what keeps the stops of a walk planned so (`programs.KEEPERS`), while TVLQR flies.
     """
 
-    seed: int
-    rate: float = 1000.0
-    initial_error: float = 0.0
-    mismatch: float = 0.0
-    model_uncertainty: float = 0.0
-    travel: float = 0.0
-    keep: str = "none"
+    seed: int = setting(least=0, help="Seed of all that is random")
+    rate: float = setting(1000.0, least=1, most=10_000, unit="Hz", help="Rate of the loop")
+    initial_error: float = setting(0.0, least=0, most=np.pi, unit="rad", help="Largest error of each arm's first angle")
+    mismatch: float = setting(0.0, least=0, most=0.9, help="Share by which the plant's parameters may be off")
+    model_uncertainty: float = setting(
+        0.0, least=0, most=100, help="Draw the plant from an identified model's uncertainty, its errors times this"
+    )
+    travel: float = setting(
+        0.0, least=0, most=1000, unit="m", help="The cart's greatest distance from the centre; 0 for the plan's own"
+    )
+    keep: str = setting("none", choices=KEEPERS, help="What keeps the stops of a walk planned with keep")
     controller: ControllerSettings = field(default_factory=TvlqrSettings)
     estimator: EstimatorSettings = field(default_factory=EkfSettings)
     sensors: SensorSettings = field(default_factory=SensorSettings)
@@ -129,26 +133,14 @@ class LoopSettings:
     supervisor: SupervisorSettings = field(default_factory=SupervisorSettings)
 
     def __post_init__(self) -> None:
-        """Refuse an impossible run.
+        """Check the bounds, and that what keeps the stops goes with the controller.
 
         Raises:
             InputError: names the setting, its value and what is allowed.
         """
-        if not np.isfinite(self.rate) or not 1 <= self.rate <= 10_000:
-            raise InputError(f"run: rate = {self.rate!r}: must be 1 to 10000 Hz")
-        if self.seed < 0:
-            raise InputError(f"run: seed = {self.seed!r}: must be zero or positive")
-        most_of = {"initial_error": np.pi, "mismatch": 0.9, "model_uncertainty": 100.0, "travel": 1000.0}
-        for name, most in most_of.items():
-            value = getattr(self, name)
-            if not 0 <= value <= most:
-                raise InputError(f"run: {name} = {value!r}: must be 0 to {most:.4g}")
-        if self.keep not in KEEPERS:
-            raise InputError(f"run: keep = {self.keep!r}: {suggest(self.keep, KEEPERS)}")
+        super().__post_init__()
         if self.keep != "none" and not isinstance(self.controller, TvlqrSettings):
-            raise InputError(
-                f'run: keep = {self.keep!r}: what flies between the stops is "tvlqr", not "{self.controller.kind}"'
-            )
+            raise self.refusal("keep", f'what flies between the stops is "tvlqr", not "{self.controller.kind}"')
 
     @property
     def bench(self) -> BenchSettings:

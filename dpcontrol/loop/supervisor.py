@@ -23,8 +23,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.tables import suggest
+from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.loop.result import Ending
 
 HOLDS = ("none", "nearest")
@@ -42,7 +41,7 @@ class Outcome(StrEnum):
 
 
 @dataclass(frozen=True)
-class SupervisorSettings:
+class SupervisorSettings(Settings, table="supervisor"):
     """When to step in.
 
     lost_tracking rad: mean distance of an angle from the reference from which no feedback returns (half a turn is π,
@@ -54,35 +53,16 @@ class SupervisorSettings:
     then. hold: "nearest" to hold the nearest orbit or equilibrium, once, where tracking is lost; "none" to stop.
     """
 
-    lost_tracking: float = 1.5
-    resynchronise: float = 0.0
-    lost_estimate: float = 100_000.0
-    restarts: int = 2
-    missing: float = 0.1
-    braking: float = 0.5
-    margin: float = 0.002
-    hold: str = "none"
-
-    def __post_init__(self) -> None:
-        """Refuse what could not stop anything.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        for name, low, high in (
-            ("lost_tracking", 0.05, 100.0),
-            ("resynchronise", 0.0, 100.0),
-            ("lost_estimate", 5.0, 1e12),
-            ("restarts", 0, 1000),
-            ("missing", 1e-4, 60.0),
-            ("braking", 0.01, 1.0),
-            ("margin", 0.0, 1.0),
-        ):
-            value = getattr(self, name)
-            if not math.isfinite(value) or not low <= value <= high:
-                raise InputError(f"supervisor: {name} = {value!r}: must be {low:g} to {high:g}")
-        if self.hold not in HOLDS:
-            raise InputError(f"supervisor: hold = {self.hold!r}: {suggest(self.hold, HOLDS)}")
+    lost_tracking: float = setting(1.5, least=0.05, most=100, unit="rad")
+    resynchronise: float = setting(0.0, least=0, most=100, unit="rad")
+    lost_estimate: float = setting(100_000.0, least=5, most=1e12)
+    restarts: int = setting(2, least=0, most=1000)
+    missing: float = setting(0.1, least=1e-4, most=60, unit="s")
+    braking: float = setting(0.5, least=0.01, most=1)
+    margin: float = setting(0.002, least=0, most=1, unit="m")
+    hold: str = setting(
+        "none", choices=HOLDS, help="Where tracking is lost, hold the nearest orbit or equilibrium, or nothing"
+    )
 
 
 _NEARLY = 1 - 1e-9

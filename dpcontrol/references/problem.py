@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.tables import suggest
+from dpcontrol.foundation.settings import Settings, bounds_of, setting
 
 Array = NDArray[np.float64]
 Guess = Callable[[Array], Array]
@@ -28,28 +28,16 @@ CART_VELOCITY_SCALE = 3.0
 
 
 @dataclass(frozen=True)
-class Limits:
+class Limits(Settings, table="limits"):
     """Symmetric bounds of the cart: position m (half the stroke), velocity m/s, acceleration m/s²; jerk m/s³.
 
     jerk: zero for none; a bound makes the acceleration continuous.
     """
 
-    position: float = 0.4
-    velocity: float = 3.0
-    acceleration: float = 30.0
-    jerk: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Refuse bounds that leave no room.
-
-        Raises:
-            InputError: names the limit and its value.
-        """
-        if not np.isfinite(self.jerk) or self.jerk < 0:
-            raise InputError(f"limits: jerk = {self.jerk!r}: must be zero (no limit) or positive, in m/s³")
-        for name, value in self.named().items():
-            if not 1e-6 <= value <= 1e6:
-                raise InputError(f"limits: {name} = {value!r}: must be 1e-06 to 1e+06 {LIMIT_UNITS[name]}")
+    position: float = setting(0.4, least=1e-6, most=1e6, unit="m")
+    velocity: float = setting(3.0, least=1e-6, most=1e6, unit="m/s")
+    acceleration: float = setting(30.0, least=1e-6, most=1e6, unit="m/s²")
+    jerk: float = setting(0.0, least=1e-6, most=1e6, zero="no limit", unit="m/s³")
 
     def named(self) -> dict[str, float]:
         """Return {name: bound} of those that there are."""
@@ -57,11 +45,11 @@ class Limits:
         return {**bounds, "jerk": self.jerk} if self.jerk > 0 else bounds
 
 
-LIMIT_UNITS = {"position": "m", "velocity": "m/s", "acceleration": "m/s²", "jerk": "m/s³"}
+LIMIT_UNITS = {name: bounds.unit for name, bounds in bounds_of(Limits).items()}
 
 
 @dataclass(frozen=True, eq=False)
-class Ends:
+class Ends(Settings, table="ends"):
     """What holds at the ends of a reference.
 
     start, end (N,): where it starts and ends, not-a-number for what is free; None: the guess's pendulum state with the
@@ -73,7 +61,7 @@ class Ends:
     end: Array | None = None
     closing: Array | None = None
     energy: float | None = None
-    stretch: float = 0.0
+    stretch: float = setting(0.0, least=0, most=0.999)
 
 
 def state_scale(dimension: int, limits: Limits) -> Array:
@@ -125,8 +113,6 @@ class ReferenceProblem:
             value = getattr(self.ends, name)
             if value is not None and np.shape(value) != (e.dimension,):
                 raise InputError(f"ends: {name} has shape {np.shape(value)}: the state is ({e.dimension},)")
-        if not 0 <= self.ends.stretch < 1:
-            raise InputError(f"ends: stretch = {self.ends.stretch!r}: must be zero or more and less than 1")
 
     def end_states(self) -> tuple[Array, Array]:
         """Return the fixed states (N,) at start and end, not-a-number where free."""
@@ -163,7 +149,7 @@ class ReferenceProblem:
 
 
 @dataclass(frozen=True)
-class ReferenceSettings:
+class ReferenceSettings(Settings, table="reference"):
     """How a reference is sought.
 
     level: "cart" (friction, and the cart that makes up for it) or "conservative" (neither: the shadowing orbit itself,
@@ -173,19 +159,20 @@ class ReferenceSettings:
     limits; iterations: of the solver, each round.
     """
 
-    level: str = "cart"
+    level: str = setting("cart", choices=LEVELS)
     method: str = "radau-7"
-    solver: str = "ipopt"
-    interval: float = 0.05
-    tolerance: float = 1e-6
-    pendulum_weight: float = 0.1
-    cart_weight: float = 10.0
-    end_tolerance: float = 0.0
-    rounds: int = 8
-    iterations: int = 100
+    solver: str = setting("ipopt", choices=SOLVERS)
+    # Below the least interval a mesh may have more intervals than memory holds.
+    interval: float = setting(0.05, least=1e-3, most=10, unit="s")
+    tolerance: float = setting(1e-6, least=1e-20, most=1)
+    pendulum_weight: float = setting(0.1, least=0)
+    cart_weight: float = setting(10.0, least=0)
+    end_tolerance: float = setting(0.0, least=0)
+    rounds: int = setting(8, least=1)
+    iterations: int = setting(100, least=1)
 
     def __post_init__(self) -> None:
-        """Refuse impossible settings.
+        """Check the bounds.
 
         Raises:
             InputError: names the setting, its value and what is allowed.
@@ -195,17 +182,4 @@ class ReferenceSettings:
                 'level = "dissipative": with friction and a still cart nothing gives back the energy that is lost; use '
                 '"cart", or "conservative" for neither'
             )
-        if self.level not in LEVELS:
-            raise InputError(f"level = {self.level!r}: {suggest(self.level, LEVELS)}")
-        if self.solver not in SOLVERS:
-            raise InputError(f"solver = {self.solver!r}: {suggest(self.solver, SOLVERS)}")
-        # Below the least interval a mesh may have more intervals than memory holds.
-        for name, least, most in (("interval", 1e-3, 10.0), ("tolerance", 1e-20, 1.0)):
-            if not least <= getattr(self, name) <= most:
-                raise InputError(f"{name} = {getattr(self, name)!r}: must be {least:g} to {most:g}")
-        for name in ("pendulum_weight", "cart_weight", "end_tolerance"):
-            if not np.isfinite(getattr(self, name)) or getattr(self, name) < 0:
-                raise InputError(f"{name} = {getattr(self, name)!r}: must be zero or positive")
-        for name in ("rounds", "iterations"):
-            if getattr(self, name) < 1:
-                raise InputError(f"{name} = {getattr(self, name)!r}: must be at least 1")
+        super().__post_init__()

@@ -24,6 +24,7 @@ from types import TracebackType
 from typing import Any
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.loop.rig import Rig
 from dpcontrol.loop.simulated import BenchRecipe
 from dpcontrol.rig import packets as packets
@@ -41,25 +42,14 @@ _REMEMBERED = 1024
 
 
 @dataclass(frozen=True)
-class BenchServerSettings:
+class BenchServerSettings(Settings, table="bench"):
     """watchdog s: silence of the loop after which the cart is stopped; spin s: of each period spent in polling.
     real_time: ask the system for priority over all ordinary work.
     """
 
-    watchdog: float = 0.1
-    spin: float = 0.0001
+    watchdog: float = setting(0.1, least=0.001, most=60, unit="s")
+    spin: float = setting(0.0001, least=0, most=1, unit="s")
     real_time: bool = False
-
-    def __post_init__(self) -> None:
-        """Refuse what is no time.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        if not 0.001 <= self.watchdog <= 60:
-            raise InputError(f"bench: watchdog = {self.watchdog!r}: must be 0.001 to 60 s")
-        if not 0 <= self.spin <= 1:
-            raise InputError(f"bench: spin = {self.spin!r}: must be 0 to 1 s")
 
 
 class UdpBench:

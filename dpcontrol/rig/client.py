@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.loop.rig import Reading
 from dpcontrol.rig import packets as packets
 from dpcontrol.rig.packets import Condition, Kind, ReadingPacket, Welcome
@@ -119,24 +120,14 @@ _ASK_EVERY = 0.2
 
 
 @dataclass(frozen=True)
-class LinkSettings:
+class LinkSettings(Settings, table="link"):
     """answer s: longest time to wait for the bench to begin; patience s: how long a reading may be overdue before its
     tick goes on without it; silence s: without any packet after which the bench counts as gone.
     """
 
-    answer: float = 10.0
-    patience: float = 0.02
-    silence: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Refuse what is no time.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        for name, value in vars(self).items():
-            if not 0 < value <= 3600:
-                raise InputError(f"link: {name} = {value!r}: must be positive seconds, at most 3600")
+    answer: float = setting(10.0, above=0, most=3600, unit="s")
+    patience: float = setting(0.02, above=0, most=3600, unit="s")
+    silence: float = setting(1.0, above=0, most=3600, unit="s")
 
 
 def parse_address(text: str) -> tuple[str, int]:

@@ -51,6 +51,7 @@ from dpcontrol.foundation.archives import archive
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash, whole_file
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.orbits.equilibria import Equilibrium, equilibria
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.orbits.rotating import RotatingOrbit, can_rotate, rotating_orbits
@@ -413,7 +414,7 @@ FORMAT_ATLAS = 2
 
 
 @dataclass(frozen=True)
-class AtlasSettings:
+class AtlasSettings(Settings, table="atlas"):
     """What an atlas holds.
 
     hits: of the unstable and the stable tube at every section; None means the first of both for each kind, and where
@@ -421,20 +422,11 @@ class AtlasSettings:
     kept for drawing, and their instants.
     """
 
-    hits: tuple[int, int] | None = None
+    hits: tuple[int, int] | None = setting(None, least=1, most=9)
     last_hit: int = 2
     strands: int = 40
     strand_instants: int = 160
     search: ConnectionSettings = field(default_factory=ConnectionSettings)
-
-    def __post_init__(self) -> None:
-        """Refuse what cannot be searched.
-
-        Raises:
-            InputError: the value and what is allowed.
-        """
-        if self.hits is not None and not all(1 <= hit <= 9 for hit in self.hits):
-            raise InputError(f"hits = {list(self.hits)}: both must be from 1 to 9")
 
 
 @dataclass(frozen=True)

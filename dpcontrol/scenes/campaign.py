@@ -43,6 +43,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash, whole_file
 from dpcontrol.foundation.processes import ATTEMPTS, in_processes, processors
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
 from dpcontrol.loop.batch import BatchRun, can_batch, run_batch
 from dpcontrol.loop.control_loop import Fallback
@@ -378,35 +379,20 @@ MOST_TICKS_OF_LOOPS = 120_000
 
 
 @dataclass(frozen=True)
-class CampaignSettings:
+class CampaignSettings(Settings, table="campaign"):
     """runs for each case, from seed `first_seed` on; path: "compiled" runs many seeds in lockstep, "ticks" the loop
     itself; workers: processes, 0 for one on each processor; scheduler: address of a Dask cluster, or empty; batch:
     seeds in a job, fewer where runs are long; replayed: how many of a job's failures in lockstep the loop itself runs
     again, to confirm them.
     """
 
-    runs: int
-    first_seed: int = 0
-    path: str = "compiled"
-    workers: int = 0
+    runs: int = setting(least=1, most=MOST_RUNS, help="Seeds for each case")
+    first_seed: int = setting(0, least=0, most=2**31, help="First seed")
+    path: str = setting("compiled", choices=PATHS, help="Many seeds in lockstep, or the loop itself")
+    workers: int = setting(0, least=1, most=1024, zero="one on each processor", help="Number of processes")
     scheduler: str = ""
-    batch: int = 256
-    replayed: int = 4
-
-    def __post_init__(self) -> None:
-        """Refuse an impossible campaign.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        bounds = {"runs": (1, MOST_RUNS), "first_seed": (0, 2**31), "workers": (0, 1024), "batch": (1, 4096)}
-        bounds["replayed"] = (0, 4096)
-        for name, (low, high) in bounds.items():
-            value = getattr(self, name)
-            if not low <= value <= high:
-                raise InputError(f"campaign: {name} = {value!r}: must be {low} to {high}")
-        if self.path not in PATHS:
-            raise InputError(f"campaign: path = {self.path!r}: must be one of {', '.join(PATHS)}")
+    batch: int = setting(256, least=1, most=4096)
+    replayed: int = setting(4, least=0, most=4096)
 
 
 @dataclass(frozen=True)
