@@ -22,6 +22,7 @@ from dpcontrol.logs.by_message import messages_of
 from dpcontrol.loop.loop import run_loop
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
+from dpcontrol.scenes.run_options import RunOptions
 
 REPEATS = 9
 KILLS, QUICK_KILLS = 20, 5
@@ -101,7 +102,7 @@ def chart(quick: bool, progress: Progress) -> Chart:
 
 def recording(folder: Path, ticks: int) -> Recording:
     """Return the first ticks of a run of the outer turn, with its messages."""
-    scene = load_itinerary("outer-turn").with_run(seed=3, mismatch=0.02, initial_error=0.02)
+    scene = load_itinerary("outer-turn").with_run(RunOptions(mismatch=0.02, initial_error=0.02), seed=3)
     arms = scene.model.arms
     flown = run_loop(make_plan(scene).reference, arms, settings=scene.loop).ticks.head(ticks)
     path = folder / "source.mcap"

@@ -81,6 +81,7 @@ def command(
     """
     from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign
     from dpcontrol.scenes.itinerary import load_itinerary
+    from dpcontrol.scenes.run_options import RunOptions
     from dpcontrol.scenes.standard import standard_cases, standard_scores
 
     scene = load_itinerary(itinerary)
@@ -99,9 +100,9 @@ def command(
         controllers = varied.pop("controller", [own])
         if varied:
             raise InputError(f"--over {next(iter(varied))}: with --standard only controllers can be varied")
-        cases = standard_cases(scene, fixed=overrides, controllers=controllers)
+        cases = standard_cases(scene, fixed=RunOptions(**overrides), controllers=controllers)
     else:
-        cases = cases_of(scene, fixed=overrides, over=varied)
+        cases = cases_of(scene, fixed=RunOptions(**overrides), over=varied)
     with progress_bar("campaign") as progress:
         found = run_campaign(scene, cases, file, settings=settings, progress=progress)
     scores = standard_scores(found.results) if standard else ()

@@ -38,8 +38,9 @@ def command(*, itinerary: str, seed: int, folder: Path, as_json: bool) -> None:
         from dpcontrol.scenes.itinerary import load_itinerary
         from dpcontrol.scenes.plan import make_plan
         from dpcontrol.scenes.run import run_plan
+        from dpcontrol.scenes.run_options import RunOptions
 
-        scene = load_itinerary(itinerary).with_run(seed=seed)
+        scene = load_itinerary(itinerary).with_run(RunOptions(), seed=seed)
         plan = make_plan(scene, progress=lambda what, done: progress(what, 0.05 + 0.45 * done))
         log = folder / f"{scene.name}-{seed}.mcap"
         verdict = run_plan(plan, log, progress=lambda what, done: progress("closed loop", 0.5 + 0.25 * done))

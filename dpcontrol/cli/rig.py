@@ -32,8 +32,9 @@ def command(
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.plan import make_plan
     from dpcontrol.scenes.rig_run import bench_recipe
+    from dpcontrol.scenes.run_options import RunOptions
 
-    scene = load_itinerary(itinerary).with_run(seed=seed, **overrides)
+    scene = load_itinerary(itinerary).with_run(RunOptions(**overrides), seed=seed)
     with progress_bar("rig") as progress:
         plan = make_plan(scene, progress=progress)
     recipe = bench_recipe(plan)

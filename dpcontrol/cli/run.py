@@ -62,10 +62,11 @@ def command(
     from dpcontrol.scenes.levels import run_remarks
     from dpcontrol.scenes.plan import make_plan
     from dpcontrol.scenes.run import default_log, run_plan
+    from dpcontrol.scenes.run_options import RunOptions
 
     if real_time and address is None:
         raise click.UsageError("--real-time is for runs on a rig: give --rig udp as well")
-    scene = load_itinerary(itinerary).with_run(seed=seed, **overrides)
+    scene = load_itinerary(itinerary).with_run(RunOptions(**overrides), seed=seed)
     with progress_bar("run") as progress:
         plan = make_plan(scene, progress=progress)
         verdict = None if address else run_plan(plan, out or default_log(scene), progress=progress)

@@ -53,6 +53,7 @@ from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.review.score import Flown, verdict_on
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.scenes.plan import Plan, make_plan
+from dpcontrol.scenes.run_options import RunOptions
 
 Row = dict[str, Any]
 
@@ -419,10 +420,10 @@ class Campaign:
     file: Path
 
 
-def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[str, Sequence[Any]]) -> tuple[Case, ...]:
-    """Return the cases: every combination of the values in `over`, on top of the overrides in `fixed`.
+def cases_of(itinerary: Itinerary, *, fixed: RunOptions, over: Mapping[str, Sequence[Any]]) -> tuple[Case, ...]:
+    """Return the cases: every combination of the values in `over`, on top of `fixed`.
 
-    Names are those of `Itinerary.with_run`.
+    Names are those of `RunOptions`.
 
     Raises:
         InputError: an unknown name or an impossible value.
@@ -431,7 +432,7 @@ def cases_of(itinerary: Itinerary, *, fixed: Mapping[str, Any], over: Mapping[st
     cases = []
     for values in itertools.product(*over.values()):
         chosen = dict(zip(names, values, strict=True))
-        scene = itinerary.with_run(**{**fixed, **chosen})
+        scene = itinerary.with_run(fixed.over(chosen))
         label = ", ".join(f"{k}={v:g}" if isinstance(v, float) else f"{k}={v}" for k, v in chosen.items())
         cases.append(Case(label or "as the scene", tuple(chosen.items()), scene.loop))
     return tuple(cases)

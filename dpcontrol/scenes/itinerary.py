@@ -11,7 +11,7 @@ Either the file's top level gives one part's keys, or [[parts]] lists several:
 A scene's run settings: [run], [controller], [estimator] and [supervisor] of its file, and what overrides them.
 
 In [run] the keys of sensors, drive and disturbances stand side by side, for a user thinks of one bench; [[run.blows]]
-lists blows at given times. The same names serve as overrides: `mismatch = 0.05` in the file is `--mismatch 0.05`.
+lists blows at given times. `RunOptions` has the same names: `mismatch = 0.05` in the file is `--mismatch 0.05`.
 """
 
 from collections.abc import Mapping
@@ -40,6 +40,7 @@ from dpcontrol.orbits.equilibria import equilibria
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.scenes.model import Model, find, load_model
+from dpcontrol.scenes.run_options import RunOptions
 from dpcontrol.walks.edges import saddles_with_tubes
 from dpcontrol.walks.symbols import expanded, parse_walk
 
@@ -194,17 +195,12 @@ CONTROLLERS: Mapping[str, type[ControllerSettings]] = {
 }  # fmt: skip
 """Kinds of controller and what holds the settings of each."""
 _PARTS: Mapping[str, type] = {"sensors": SensorSettings, "drive": DriveSettings, "disturbances": DisturbanceSettings}
-_OWN = ("rate", "initial_error", "mismatch", "model_uncertainty", "travel", "seed")
+_OWN = ("rate", "initial_error", "mismatch", "model_uncertainty", "travel")
 _LISTS = ("explicit",)
 
 
 def _part_of_name() -> dict[str, str]:
     return {f.name: part for part, kind in _PARTS.items() for f in fields(kind) if f.name not in _LISTS}
-
-
-def setting_names() -> tuple[str, ...]:
-    """Return the names that [run] and overrides may use."""
-    return (*(name for name in _OWN if name != "seed"), *_part_of_name())
 
 
 def read_run_settings(run: Table, *, controller: Table, estimator: Table, supervisor: Table) -> LoopSettings:
@@ -215,7 +211,7 @@ def read_run_settings(run: Table, *, controller: Table, estimator: Table, superv
     """
     blows = [table.settings(Push) for table in run.tables("blows")]
     names, values = _part_of_name(), run.remaining()
-    known = setting_names()
+    known = (*_OWN, *names)
     parts = {}
     for part, kind in _PARTS.items():
         own = {k: v for k, v in values.items() if names.get(k) == part}
@@ -239,20 +235,18 @@ def _kind(table: Table, kinds: Mapping[str, type], default: str) -> Any:
     return table.settings(kinds[table.text("kind", default, allowed=kinds)])
 
 
-def overridden(loop: LoopSettings, overrides: Mapping[str, Any]) -> LoopSettings:
-    """Return the settings with values replaced by name; None keeps. A controller or estimator is named by its kind.
+def overridden(loop: LoopSettings, options: RunOptions) -> LoopSettings:
+    """Return the settings with those that are given replaced. A controller or estimator is named by its kind.
 
     A controller that cannot hand over to what keeps the stops follows the whole reference itself.
 
     Raises:
-        InputError: an unknown name or kind, or an impossible value.
+        InputError: an unknown kind, or an impossible value.
     """
     names = _part_of_name()
     changes: dict[str, dict[str, Any]] = {}
     own: dict[str, Any] = {}
-    for name, value in overrides.items():
-        if value is None:
-            continue
+    for name, value in options.given().items():
         if name in ("controller", "estimator"):
             kinds: Mapping[str, type] = CONTROLLERS if name == "controller" else ESTIMATORS
             if value not in kinds:
@@ -263,12 +257,8 @@ def overridden(loop: LoopSettings, overrides: Mapping[str, Any]) -> LoopSettings
             own[name] = value
         elif name == "hold":
             own["supervisor"] = replace(loop.supervisor, hold=value)
-        elif name in names:
-            changes.setdefault(names[name], {})[name] = value
         else:
-            raise InputError(
-                f"{name} = {value!r}: no such run setting; {suggest(name, (*setting_names(), 'keep', 'hold'))}"
-            )
+            changes.setdefault(names[name], {})[name] = value
     law, filters = own.get("controller", loop.controller), own.get("estimator", loop.estimator)
     knows = Augment.PARAMETERS in filters.augments
     if isinstance(law, AdaptiveSettings) and isinstance(filters, EkfSettings) and not knows:
@@ -340,14 +330,15 @@ class Itinerary:
         """
         return self.model.known_to if self.loop.model_uncertainty else None
 
-    def with_run(self, **overrides: Any) -> "Itinerary":
-        """Return the scene with run settings replaced by name, such as mismatch or controller; None keeps.
+    def with_run(self, options: RunOptions, *, seed: int | None = None) -> "Itinerary":
+        """Return the scene with run settings replaced, such as mismatch or controller, and the seed where it is given.
 
         Raises:
-            InputError: an unknown name or kind, or an impossible value; an uncertainty to draw the plant from that
-                the model's file does not give.
+            InputError: an unknown kind or an impossible value; an uncertainty to draw the plant from that the model's
+                file does not give.
         """
-        scene = replace(self, loop=overridden(self.loop, overrides))
+        loop = overridden(self.loop, options)
+        scene = replace(self, loop=loop if seed is None else replace(loop, seed=seed))
         _ = scene.uncertainty
         return scene
 

@@ -23,13 +23,13 @@ ranges as in the leaderboard's scripts, robustness version 2, of github.com/dfki
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from dpcontrol.foundation.statistics import Share, wilson
 from dpcontrol.scenes.campaign import Case, CaseResult, cases_of
 from dpcontrol.scenes.itinerary import Itinerary
+from dpcontrol.scenes.run_options import RunOptions
 
 LEVELS = 21
 
@@ -75,18 +75,18 @@ STANDARD = (
 """Nine kinds; SI units, encoders in counts per turn."""
 
 
-def standard_cases(itinerary: Itinerary, *, fixed: Mapping[str, Any], controllers: Sequence[str]) -> tuple[Case, ...]:
-    """Return the cases of every controller, kind and level, on top of the overrides in `fixed`.
+def standard_cases(itinerary: Itinerary, *, fixed: RunOptions, controllers: Sequence[str]) -> tuple[Case, ...]:
+    """Return the cases of every controller, kind and level, on top of `fixed`.
 
     Raises:
-        InputError: an unknown controller or override.
+        InputError: an unknown controller.
     """
     cases = []
     for controller in controllers:
         for kind in STANDARD:
             for k in range(LEVELS):
-                values = {**fixed, "controller": controller, **kind.level(k, rate=itinerary.loop.rate)}
-                (case,) = cases_of(itinerary, fixed=values, over={})
+                level = {"controller": controller, **kind.level(k, rate=itinerary.loop.rate)}
+                (case,) = cases_of(itinerary, fixed=fixed.over(level), over={})
                 label = f"{controller}, {kind.name} {k} of {LEVELS - 1}"
                 named = (("controller", controller), ("kind", kind.name), ("level", float(k)))
                 cases.append(Case(label, named, case.loop))

@@ -24,6 +24,7 @@ from dpcontrol.scenes.levels import (
     run_remarks,
 )
 from dpcontrol.scenes.model import load_model
+from dpcontrol.scenes.run_options import RunOptions
 
 SCENES = sorted(path.stem for path in (Path(__file__).parents[2] / "itineraries").glob("*.toml"))
 SAME = 1e-6  # Relative, of errors of 1e-3 that both integrators know to 1e-10.
@@ -142,7 +143,7 @@ def test_a_reference_without_friction_is_called_less_than_the_evidence_supports(
 
 
 def test_a_plant_with_a_drive_and_a_heavy_cart_is_called_more_than_the_evidence_supports():
-    scene = load_itinerary("outer-turn").with_run(lag=0.005, cart_mass=3.0)
+    scene = load_itinerary("outer-turn").with_run(RunOptions(lag=0.005, cart_mass=3.0))
     (text,) = run_remarks(scene)
     assert '[run] plant = "force" is more than the evidence supports: "cart" is enough' in text
     assert "5 of 5 runs completed" in text

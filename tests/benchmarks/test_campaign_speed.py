@@ -9,12 +9,13 @@ import pytest
 from dpcontrol.scenes.campaign import CampaignSettings, Job, cases_of, run_job
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
+from dpcontrol.scenes.run_options import RunOptions
 
 pytestmark = pytest.mark.benchmark
 
 PACE = 300
 """Times quicker than real time on one core."""
-BENCH = {"mismatch": 0.05, "initial_error": 0.05, "lag": 0.005, "command_noise": 0.3}
+BENCH = RunOptions(mismatch=0.05, initial_error=0.05, lag=0.005, command_noise=0.3)
 
 
 def pace(job: Job, *, tries: int = 3) -> float:

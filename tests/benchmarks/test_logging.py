@@ -26,6 +26,7 @@ from dpcontrol.references.reference import Reference
 from dpcontrol.review.of_log import MODEL_METADATA
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
+from dpcontrol.scenes.run_options import RunOptions
 
 pytestmark = pytest.mark.benchmark
 
@@ -43,7 +44,7 @@ GIGABYTES = 1.0
 
 @pytest.fixture(scope="module")
 def planned():
-    scene = load_itinerary("outer-turn").with_run(seed=3, mismatch=0.02, initial_error=0.02)
+    scene = load_itinerary("outer-turn").with_run(RunOptions(mismatch=0.02, initial_error=0.02), seed=3)
     return scene, make_plan(scene)
 
 

@@ -8,6 +8,7 @@ import pytest
 from dpcontrol.scenes.campaign import Job, cases_of, run_job
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
+from dpcontrol.scenes.run_options import RunOptions
 
 pytestmark = pytest.mark.benchmark
 
@@ -15,9 +16,9 @@ SEEDS = 300
 SAME = 0.99
 """Share of seeds whose outcome is the same."""
 BENCHES = {
-    "as it should be": {"mismatch": 0.05, "initial_error": 0.05, "counts": 40_000, "delay": 1, "lag": 0.005},
+    "as it should be": RunOptions(mismatch=0.05, initial_error=0.05, counts=40_000, delay=1, lag=0.005),
     # Where many runs fail, each by its own way out: the hardest place to come to the same outcome.
-    "too hard": {"mismatch": 0.2, "initial_error": 0.1, "counts": 40_000, "delay": 1, "lag": 0.005},
+    "too hard": RunOptions(mismatch=0.2, initial_error=0.1, counts=40_000, delay=1, lag=0.005),
 }
 
 
@@ -25,7 +26,7 @@ BENCHES = {
 def test_rounding_encoders_change_the_outcome_of_one_seed_in_a_hundred_at_most(name: str) -> None:
     scene = load_itinerary("outer-turn")
     archive = make_plan(scene).file.read_bytes()
-    (case,) = cases_of(scene, fixed={**BENCHES[name], "command_noise": 0.3}, over={})
+    (case,) = cases_of(scene, fixed=BENCHES[name].over({"command_noise": 0.3}), over={})
     many = Job(scene.name, archive, scene.model.arms, case, tuple(range(SEEDS)), "compiled", replayed=0)
     pairs = list(zip(run_job(many), run_job(replace(many, path="ticks")), strict=True))
     assert {row["path"] for pair in pairs for row in pair} == {"compiled", "ticks"}

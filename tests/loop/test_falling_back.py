@@ -14,6 +14,7 @@ from dpcontrol.loop.supervisor import LOST_AFTER_FALLBACK, Outcome, Supervisor, 
 from dpcontrol.review.score import plan_of
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
+from dpcontrol.scenes.run_options import RunOptions
 
 TRAVEL = 0.4
 NEAR_ORBIT = 0.2
@@ -102,11 +103,11 @@ def test_what_cannot_be_held_is_refused() -> None:
 
 @pytest.mark.parametrize(("name", "own"), [("hold-up-up", "up-up"), ("keep-up-down", "the orbit about up-down")])
 def test_the_orbits_and_equilibria_of_a_reference_and_hanging_still_are_candidates(name: str, own: str) -> None:
-    itinerary = load_itinerary(name).with_run(hold="nearest")
+    itinerary = load_itinerary(name).with_run(RunOptions(hold="nearest"))
     reference = make_plan(itinerary).reference
     fallback = loop_fallback(reference, itinerary.model.arms, itinerary.loop)
     assert fallback is not None
     assert fallback.session(0, reference.state(0.0))[1].startswith(f"holds {own}")
     hanging = np.array([2 * np.pi, 0.02, 0.0, 0.0, 0.1, 0.0])
     assert fallback.session(0, hanging)[1] == "holds down-down, 0.0064 (scaled) away, by lqr"
-    assert loop_fallback(reference, itinerary.model.arms, itinerary.with_run(hold="none").loop) is None
+    assert loop_fallback(reference, itinerary.model.arms, itinerary.with_run(RunOptions(hold="none")).loop) is None

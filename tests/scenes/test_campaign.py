@@ -27,11 +27,12 @@ from dpcontrol.scenes import campaign as workers
 from dpcontrol.scenes.campaign import Campaign, CampaignSettings, cases_of, read_rows, run_campaign
 from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
 from dpcontrol.scenes.plan import make_plan
+from dpcontrol.scenes.run_options import RunOptions
 from dpcontrol.scenes.standard import LEVELS, STANDARD, standard_cases, standard_scores
 
 DIGITS = 1e-12
 """Of an interval: two ways to add up the same terms."""
-HARD = {"mismatch": 0.15, "initial_error": 0.1}
+HARD = RunOptions(mismatch=0.15, initial_error=0.1)
 """Bench on which some runs fail and some do not."""
 
 
@@ -142,9 +143,11 @@ def test_an_interrupted_campaign_goes_on_where_it_was(
 @pytest.mark.parametrize("loop", [{"path": "ticks"}, {"hold": "nearest"}, {"estimator": "ukf"}, {"dropout": 0.01}])
 def test_runs_that_go_one_by_one_are_kept_a_few_at_a_time(turn: Itinerary, loop: dict[str, Any]) -> None:
     settings = CampaignSettings(runs=100, path=loop.pop("path", "compiled"))
-    cases = cases_of(turn, fixed=loop, over={})
+    cases = cases_of(turn, fixed=RunOptions(**loop), over={})
     assert max(len(job.seeds) for job in campaign_module._jobs(make_plan(turn), cases, settings)) <= 25
-    (whole,) = campaign_module._jobs(make_plan(turn), cases_of(turn, fixed={}, over={}), CampaignSettings(runs=100))
+    (whole,) = campaign_module._jobs(
+        make_plan(turn), cases_of(turn, fixed=RunOptions(), over={}), CampaignSettings(runs=100)
+    )
     assert len(whole.seeds) == 100
 
 
@@ -276,7 +279,7 @@ def test_files_that_are_no_campaigns_say_so(tmp_path: Path) -> None:
 
 
 def test_the_standard_has_nine_kinds_of_twenty_one_levels_each(turn: Itinerary) -> None:
-    cases = standard_cases(turn, fixed={}, controllers=["tvlqr", "feedforward"])
+    cases = standard_cases(turn, fixed=RunOptions(), controllers=["tvlqr", "feedforward"])
     assert len(cases) == 2 * 9 * LEVELS == len({case.label for case in cases})
     by_kind = {
         kind.name: [c.loop for c in cases[: 9 * LEVELS] if dict(c.values)["kind"] == kind.name] for kind in STANDARD
@@ -290,7 +293,7 @@ def test_the_standard_has_nine_kinds_of_twenty_one_levels_each(turn: Itinerary) 
 
 
 def test_a_score_is_the_mean_share_over_the_kinds(turn: Itinerary, tmp_path: Path) -> None:
-    every = standard_cases(turn, fixed={}, controllers=["tvlqr"])
+    every = standard_cases(turn, fixed=RunOptions(), controllers=["tvlqr"])
     chosen = [case for case in every if dict(case.values)["level"] in (0.0, 20.0)]
     found = run_campaign(
         turn, chosen[-2:] + chosen[:2], tmp_path / "score.parquet",

@@ -24,6 +24,7 @@ from dpcontrol.review.stops import decode_run
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import Plan, make_plan, plan_key
 from dpcontrol.scenes.run import run_plan
+from dpcontrol.scenes.run_options import RunOptions
 
 FLOWN_AGAIN = 1e-6
 """Scaled: the tolerance of the mesh, for an interval flown again on its own input."""
@@ -120,13 +121,13 @@ def test_a_stop_without_room_for_a_period_is_flown_through(scene: Writer) -> Non
 
 def test_only_the_file_decides_the_plan(scene: Writer) -> None:
     kept = load_itinerary(str(scene()))
-    assert plan_key(kept.with_run(keep="none", controller="adaptive")) == plan_key(kept)
+    assert plan_key(kept.with_run(RunOptions(keep="none", controller="adaptive"))) == plan_key(kept)
     assert plan_key(load_itinerary(str(scene(keep="")))) != plan_key(kept)
-    assert kept.with_run(controller="adaptive").loop.keep == "none"
+    assert kept.with_run(RunOptions(controller="adaptive")).loop.keep == "none"
 
 
 def flown(plan: Plan, out: Path, seed: int, **settings: float | str) -> RunLog:
-    itinerary = plan.itinerary.with_run(seed=seed, **settings)
+    itinerary = plan.itinerary.with_run(RunOptions(**settings), seed=seed)
     run_plan(replace(plan, itinerary=itinerary), out)
     return read_log(out)
 
@@ -180,15 +181,15 @@ def test_programs_and_fallbacks_are_left_to_the_loop(scene: Writer) -> None:
     assert isinstance(program, Program)
     assert program.kind == "tvlqr, stays by ogy"
     assert not can_batch(itinerary.loop, program)
-    whole = itinerary.with_run(keep="none").loop
+    whole = itinerary.with_run(RunOptions(keep="none")).loop
     tracking = loop_controller(plan.reference, arms, whole)
     assert can_batch(whole, tracking)
-    assert not can_batch(itinerary.with_run(keep="none", hold="nearest").loop, tracking)
+    assert not can_batch(itinerary.with_run(RunOptions(keep="none", hold="nearest")).loop, tracking)
 
 
 def test_a_reference_without_stays_has_nothing_to_keep() -> None:
     plan = make_plan(load_itinerary("outer-turn"))
-    loop = plan.itinerary.with_run(keep="ogy").loop
+    loop = plan.itinerary.with_run(RunOptions(keep="ogy")).loop
     with pytest.raises(InputError, match="the reference was planned without stays"):
         loop_controller(plan.reference, plan.itinerary.model.arms, loop)
 

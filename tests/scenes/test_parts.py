@@ -13,6 +13,7 @@ from dpcontrol.references.trajectory import power_coefficients
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.run import run_plan
+from dpcontrol.scenes.run_options import RunOptions
 
 ROUNDING = 1e-9
 WALK = {"energy": "-0.07", "walk": '["down-up +"]', "wraps": "[]", "lead_in": "1", "lead_out": "1"}
@@ -79,7 +80,7 @@ def test_a_run_through_two_energies_and_a_hold_is_completed(two_energies, tmp_pa
 
 
 def test_a_hold_that_is_lost_is_named(tmp_path):
-    itinerary = load_itinerary("up-up").with_run(controller="feedforward")
+    itinerary = load_itinerary("up-up").with_run(RunOptions(controller="feedforward"))
     done = run_plan(make_plan(itinerary), tmp_path / "run.mcap")
     assert done.completed is False
     assert "rest to up-up" in done.reason or "up-up to rest" in done.reason

@@ -19,6 +19,7 @@ from dpcontrol.scenes.cache import code_hash, module_sources
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan, plan_key
 from dpcontrol.scenes.run import run_plan
+from dpcontrol.scenes.run_options import RunOptions
 
 
 @pytest.fixture
@@ -44,7 +45,7 @@ def test_a_changed_title_or_limit_asks_for_another_plan() -> None:
     scene = load_itinerary("outer-turn")
     assert plan_key(replace(scene, title="Another")) != plan_key(scene)
     assert plan_key(replace(scene, limits=replace(scene.limits, position=0.3))) != plan_key(scene)
-    assert plan_key(scene.with_run(seed=5, mismatch=0.1)) == plan_key(scene)
+    assert plan_key(scene.with_run(RunOptions(mismatch=0.1), seed=5)) == plan_key(scene)
 
 
 PLANS = planning.__name__
