@@ -20,7 +20,7 @@ from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings, state_scale
-from dpcontrol.references.trajectory import Solved, error_between_nodes, first_trajectory, interval_propagator
+from dpcontrol.references.trajectory import Solved, error_between_nodes, first_trajectory
 from dpcontrol.references.transcription import solve
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
@@ -91,7 +91,7 @@ def transcribed(problem: ReferenceProblem, name: str, interval: float, solver: s
     mesh = np.linspace(0.0, problem.duration, int(np.ceil(problem.duration / interval)) + 1)
     settings = ReferenceSettings(method=name, solver=solver, interval=interval)
     first = first_trajectory(problem, method, mesh)
-    return solve(problem, method, settings=settings, first=first, limits=problem.limits)
+    return solve(problem, first, settings=settings, limits=problem.limits)
 
 
 def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> tuple[Panel, Panel]:
@@ -114,10 +114,7 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         if not solved.succeeded:
             missing.append(Missing(name, label, solved.outcome))
             continue
-        method = method_named(name)
-        error = error_between_nodes(
-            problem, solved.trajectory, method=method, propagator=interval_propagator(problem, method)
-        )
+        error = error_between_nodes(problem, solved.trajectory)
         seconds = run.seconds / problem.duration
         others = {"cost": solved.cost, "iterations": float(solved.iterations)}
         errors.append(Point(name, label, seconds, float(error.max()), others=others, yardstick=run.yardstick))

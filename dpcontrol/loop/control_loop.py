@@ -15,14 +15,11 @@ mean over the period from tick k is
 and the command is computed for the state at tick k + round(d): up to half a period of wrong timing is left. At 1 kHz it
 moves the motion in time and harms nothing; at 50 Hz it takes part of the margin for delays. The limits of acceleration
 and velocity are the drive's own, applied before it is believed.
-
-Before the first deadline: a few ticks of estimator and controller that nobody sees.
 """
 
 import math
 import time
 from collections import deque
-from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -31,7 +28,7 @@ from numpy.typing import NDArray
 from dpcontrol.control.interface import Action, Controller, Estimate, Estimator, Mode, Session
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.loop.result import Ending, LoopSink, Ticks
+from dpcontrol.loop.result import Ending, LoopResult, LoopSink, Ticks
 from dpcontrol.loop.rig import Reading, Rig
 from dpcontrol.loop.supervisor import Outcome, StuckWatch, Supervisor
 from dpcontrol.references.problem import Limits
@@ -137,27 +134,13 @@ class Fallback(Protocol):
         ...
 
 
-@dataclass(frozen=True, eq=False)
-class LoopRecord:
-    """A run as the loop saw it: ticks, how it ended and why.
-
-    thinking (K,) s: what estimator, controller and supervisor took in each tick; late: ticks that began too late;
-    elapsed s.
-    """
-
-    ticks: Ticks
-    ending: Ending
-    reason: str
-    thinking: Array
-    late: int
-    elapsed: float
-
-
 class ControlLoop:
     """One run of a controller and an estimator on a rig; `run` may be called once.
 
-    fallback: used when the supervisor gives the reference up; without one the run ends then. The rig's `truth`, where
-    it has one, is recorded and never used.
+    rate_noise (K, n) rad/s: what is added at each tick to the rates that the controller steers by, as where rates are
+    measured and not estimated (Wiebe et al., Open-source dual-purpose acrobot and pendubot platform, IEEE RAM 2024);
+    the estimator itself goes on without it. fallback: used when the supervisor gives the reference up; without one the
+    run ends then. The rig's `truth`, where it has one, is recorded and never used.
     """
 
     def __init__(
@@ -168,11 +151,13 @@ class ControlLoop:
         path: CommandPath,
         supervisor: Supervisor,
         sink: LoopSink,
+        rate_noise: Array | None = None,
         fallback: Fallback | None = None,
         progress: Progress = no_progress,
     ) -> None:
         self.estimator, self.path, self.supervisor, self.sink = estimator, path, supervisor, sink
         self.controller, self.fallback, self.progress = controller, fallback, progress
+        self._rate_noise = rate_noise
         self.session: Session = controller.begin()
         self.count = controller.ticks + 1
         self.ending, self.reason = Ending.FINISHED, "came to the reference's end"
@@ -196,7 +181,17 @@ class ControlLoop:
         """The commands (m/s²) to be on their way when the run begins, oldest first."""
         return [action.feedforward + action.feedback for action in self._coming]
 
-    def run(self, rig: Rig) -> LoopRecord:
+    def rehearse(self) -> None:
+        """Have all that the loop needs compiled and in memory before its first deadline, by ticks that nobody sees."""
+        state, estimator = self.controller.first_state, self.estimator
+        measured = state[[*self._angles, self._n - 2]]
+        estimate = estimator.update(self._first, measured)
+        session = self.controller.begin()
+        for tick in range(50):
+            estimate = estimator.step(estimate, 0.0, measured)
+            session.command(tick, estimator.ahead(estimate, [0.0]), estimate.extra)
+
+    def run(self, rig: Rig) -> LoopResult:
         """Run to the controller's last tick, or to where the supervisor ends it and the cart stands.
 
         Interrupted, the sink gets the rows so far.
@@ -209,7 +204,7 @@ class ControlLoop:
         finally:
             self._flush(self._done)
 
-    def _run(self, rig: Rig) -> LoopRecord:
+    def _run(self, rig: Rig) -> LoopResult:
         path, period, n, estimate = self.path, self.path.period, self._n, self._first
         has_truth = rig.truth is not None
         self._rows = rows = Ticks.empty(self.count, self._arms, has_truth=has_truth, period=period)
@@ -279,7 +274,7 @@ class ControlLoop:
         fine = self.ending is Ending.FINISHED
         self._event(max(done - 1, 0) * period, "info" if fine else "error", self.ending.value, self.reason)
         self.progress("run", 1.0)
-        return LoopRecord(rows.head(done), self.ending, self.reason, thinking[:done], late, elapsed)
+        return LoopResult(rows.head(done), self.ending, self.reason, thinking[:done], late, elapsed)
 
     def _decided(
         self, k: int, now: float, estimate: Estimate, reading: Reading, nis: float, way: list[float]
@@ -293,6 +288,9 @@ class ControlLoop:
             return self._brake(now, wanted), wanted, estimate
         lead = len(way)
         ahead = self.estimator.ahead(estimate, way)
+        if self._rate_noise is not None:
+            ahead = ahead.copy()
+            ahead[self._arms : 2 * self._arms] += self._rate_noise[k]
         action = self.session.command(k + lead, ahead, estimate.extra)
         self._coming.append(action)
         wanted = self._coming.popleft().reference
@@ -355,15 +353,3 @@ class ControlLoop:
             # Noted first: what an interrupt falls into is not handed over twice.
             self._flushed = until
             self.sink.ticks(self._rows.between(first, until))
-
-
-def rehearse(loop: ControlLoop) -> None:
-    """Have all that a loop needs compiled and in memory before its first deadline."""
-    state, estimator = loop.controller.first_state, loop.estimator
-    n = (len(state) - 2) // 2
-    measured = state[[*range(n), 2 * n]]
-    estimate = estimator.update(estimator.first(state), measured)
-    session = loop.controller.begin()
-    for tick in range(50):
-        estimate = estimator.step(estimate, 0.0, measured)
-        session.command(tick, estimator.ahead(estimate, [0.0]), estimate.extra)

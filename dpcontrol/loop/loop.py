@@ -2,25 +2,16 @@
 
 All that is random comes from the seed; the controller and the estimator know the model's parameters and the drive's
 nominal limits and delay, and nothing of what was drawn.
-
-An estimator whose rates are noisy, as where rates are measured and not estimated: one kind of trouble of a bench.
-
-    what the controller is given at tick k:   x̂ + (0, ν_k, 0),   ν_k ~ N(0, σ²) on the arms' rates
-
-The estimator itself goes on without the noise; only the state that the controller steers by carries it.
-Source: Wiebe et al., Open-source dual-purpose acrobot and pendubot platform (IEEE RAM, 2024), section on benchmarking.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.consistency import chi_square_band
 from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings
-from dpcontrol.control.interface import Controller, Estimate, Estimator
+from dpcontrol.control.interface import Controller, Estimator
 from dpcontrol.control.model import SampledModel
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations
@@ -29,7 +20,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.loop.bench import BenchSettings, DisturbanceSettings, DriveSettings, SensorSettings
-from dpcontrol.loop.control_loop import CommandPath, ControlLoop, Fallback, LoopRecord
+from dpcontrol.loop.control_loop import CommandPath, ControlLoop, Fallback
 from dpcontrol.loop.controllers import KEEPERS, ControllerSettings, make_controller, nearest_keeper
 from dpcontrol.loop.draw import draw_bench
 from dpcontrol.loop.result import LoopResult, LoopSink, NoSink
@@ -39,71 +30,6 @@ from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
 
 Array = NDArray[np.float64]
-
-
-class NoisyRates:
-    """An `Estimator` for one run: `inner`, and `noise` (K, n) rad/s on the rates that it predicts at each tick.
-
-    Each update and step is a tick, beginning with tick 0.
-    """
-
-    def __init__(self, inner: Estimator, noise: Array) -> None:
-        self._inner, self._noise = inner, noise
-        self._tick = -1
-
-    @property
-    def kind(self) -> str:
-        """Return the name of its kind."""
-        return self._inner.kind
-
-    @property
-    def extra_names(self) -> tuple[str, ...]:
-        """Return the names of what it is augmented by."""
-        return self._inner.extra_names
-
-    def first(self, state: Array) -> Estimate:
-        """Return the estimate before any measurement, at `state` (N,)."""
-        return self._inner.first(state)
-
-    def update(
-        self, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None = None, *, coming: float = 0.0
-    ) -> Estimate:
-        """Return the estimate after the positions `measured` (n+1,); present (n+1,): which of them count."""
-        self._tick += 1
-        return self._inner.update(estimate, measured, present, coming=coming)
-
-    def step(
-        self,
-        estimate: Estimate,
-        command: float,
-        measured: Array,
-        present: NDArray[np.bool_] | None = None,
-        *,
-        coming: float = 0.0,
-    ) -> Estimate:
-        """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came."""
-        self._tick += 1
-        return self._inner.step(estimate, command, measured, present, coming=coming)
-
-    def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
-        """Return the state (N,) after the commands on their way, this tick's noise on its rates.
-
-        Before the first measurement, where only the start is known, there is none.
-        """
-        state = self._inner.ahead(estimate, commands).copy()
-        if self._tick < 0:
-            return state
-        arms = self._noise.shape[1]
-        state[arms : 2 * arms] += self._noise[self._tick]
-        return state
-
-    def covariance(self, estimate: Estimate) -> Array:
-        """Return the covariance (N+E, N+E) of state and extra."""
-        return self._inner.covariance(estimate)
-
-    def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
-        """Return an estimate that trusts the positions `measured` (n+1,) and little else: for recovery when lost."""
-        return self._inner.restarted(estimate, measured)
 
 
 @dataclass(frozen=True)
@@ -212,16 +138,16 @@ def control_loop(
 ) -> ControlLoop:
     """Return a loop for any rig, simulated or real; believed_delay in periods, the drive's own by default.
 
-    rate_noise (K, n) rad/s: what is added to the rates that the controller is given at each tick.
+    rate_noise (K, n) rad/s: see `ControlLoop`.
     """
-    estimator = loop_estimator(parameters, settings)
     delay = settings.drive.delay if believed_delay is None else believed_delay
     return ControlLoop(
-        estimator if rate_noise is None else NoisyRates(estimator, rate_noise),
+        loop_estimator(parameters, settings),
         controller,
         path=CommandPath(limits, delay=delay, period=1 / settings.rate),
         supervisor=loop_supervisor(settings, limits, can_hold=fallback is not None),
         sink=NoSink() if sink is None else sink,
+        rate_noise=rate_noise,
         fallback=fallback,
         progress=progress,
     )
@@ -267,31 +193,4 @@ def run_loop(
         progress=progress,
     )  # fmt: skip
     rig = SimulatedRig(draw, settings.bench, limits=limits, start=first, queued=loop.queued)
-    return loop_result(loop.run(rig), plant=draw.plant.arms)
-
-
-def loop_result(record: LoopRecord, *, plant: ArmChainParameters | None = None) -> LoopResult:
-    """Return a run with its figures."""
-    ticks, n = record.ticks, record.ticks.measured.shape[1] - 1
-    states = ticks.estimates if ticks.truth is None else ticks.truth
-    away = states[:, :n] - ticks.references[:, :n]
-    nis = ticks.control[:, 5]
-    low, high = chi_square_band(n + 1)
-    known = np.isfinite(nis)
-    inside = (nis >= low) & (nis <= high)
-    period = float(ticks.times[1]) if len(ticks.times) > 1 else 0.0
-    return LoopResult(
-        ticks=ticks,
-        ending=record.ending,
-        reason=record.reason,
-        nis_inside_95=float(inside[known].mean()) if known.any() else float("nan"),
-        rms_tracking_error=float(np.sqrt((away**2).mean())),
-        max_cart_position=float(np.abs(states[:, 2 * n]).max()),
-        rms_cart_acceleration=float(np.sqrt((ticks.control[:, 3] ** 2).mean())),
-        rms_feedback=float(np.sqrt((ticks.control[:, 2] ** 2).mean())),
-        real_time_factor=(float(ticks.times[-1]) + period) / max(record.elapsed, 1e-9),
-        thinking_median=float(np.median(record.thinking)),
-        thinking_99=float(np.percentile(record.thinking, 99)),
-        late=record.late,
-        plant=plant,
-    )
+    return replace(loop.run(rig), plant=draw.plant.arms)

@@ -12,6 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.control.consistency import share_inside
 from dpcontrol.control.interface import Action, Estimate
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.logs import LogWriter
@@ -138,25 +139,16 @@ class NoSink:
 class LoopResult:
     """A run of K ticks, n arms.
 
-    ticks: its rows. ending, and reason, a sentence. nis_inside_95: share of the ticks whose NIS lies in its two-sided
-    95 % band. rms_tracking_error rad: over all angles, truth (where known, else the estimate) against reference.
-    max_cart_position m; rms_cart_acceleration m/s², as applied; rms_feedback m/s². real_time_factor: simulated over
-    elapsed time; thinking_median, thinking_99 s: what estimator, controller and supervisor took of a tick, its median
-    and 99th percentile; late: ticks that began too late. plant: the parameters that were simulated, if any.
+    ticks: its rows. ending, and reason, a sentence. thinking (K,) s: what estimator, controller and supervisor took in
+    each tick; late: ticks that began too late; elapsed s. plant: the parameters that were simulated, if any.
     """
 
     ticks: Ticks
     ending: Ending
     reason: str
-    nis_inside_95: float
-    rms_tracking_error: float
-    max_cart_position: float
-    rms_cart_acceleration: float
-    rms_feedback: float
-    real_time_factor: float
-    thinking_median: float
-    thinking_99: float
+    thinking: Array
     late: int
+    elapsed: float
     plant: ArmChainParameters | None = None
 
     @property
@@ -165,19 +157,47 @@ class LoopResult:
         return self.ending is Ending.FINISHED
 
     @property
-    def status(self) -> str:
-        """Return `reason`."""
-        return self.reason
+    def _states(self) -> Array:
+        return self.ticks.estimates if self.ticks.truth is None else self.ticks.truth
 
     @property
-    def residual(self) -> float:
-        """Return `rms_tracking_error`."""
-        return self.rms_tracking_error
+    def nis_inside_95(self) -> float:
+        """Return the share of the ticks whose NIS lies in its two-sided 95 % band."""
+        nis = self.ticks.control[:, 5]
+        known = nis[np.isfinite(nis)]
+        return share_inside(known, self.ticks.measured.shape[1]) if known.size else math.nan
 
     @property
-    def stats(self) -> dict[str, float]:
-        """Return the run's size and pace."""
-        return {"ticks": len(self.ticks.times), "real_time_factor": self.real_time_factor, "late": self.late}
+    def rms_tracking_error(self) -> float:
+        """Return the rms over all angles, rad, of the truth (where known, else the estimate) less the reference."""
+        n = self.ticks.measured.shape[1] - 1
+        return _rms(self._states[:, :n] - self.ticks.references[:, :n])
+
+    @property
+    def max_cart_position(self) -> float:
+        """Return the cart's greatest distance from the centre, m."""
+        return float(np.abs(self._states[:, -2]).max())
+
+    @property
+    def rms_cart_acceleration(self) -> float:
+        """Return the rms of the cart's acceleration as applied, m/s²."""
+        return _rms(self.ticks.control[:, 3])
+
+    @property
+    def rms_feedback(self) -> float:
+        """Return the rms of the feedback, m/s²."""
+        return _rms(self.ticks.control[:, 2])
+
+    @property
+    def real_time_factor(self) -> float:
+        """Return simulated over elapsed time."""
+        times = self.ticks.times
+        period = float(times[1]) if len(times) > 1 else 0.0
+        return (float(times[-1]) + period) / max(self.elapsed, 1e-9)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt((values**2).mean()))
 
 
 class LogSink:

@@ -35,7 +35,7 @@ from dpcontrol.references.problem import (
     ReferenceSettings,
     state_scale,
 )
-from dpcontrol.references.reference import Reference
+from dpcontrol.references.reference import Reference, reference_of
 from dpcontrol.references.trajectory import (
     DENSE,
     Solved,
@@ -84,10 +84,9 @@ def friction_parameters(problem: ReferenceProblem) -> NDArray[np.bool_]:
 
 def raise_friction(
     problem: ReferenceProblem,
-    method: Method,
+    first: Trajectory,
     *,
     settings: ReferenceSettings,
-    first: Trajectory,
     limits: Limits,
     farthest: float,
 ) -> Raised:
@@ -100,11 +99,11 @@ def raise_friction(
         share = 0.0 if kept is None else min(1.0, reached + step)
         parameters = np.where(friction, share * problem.parameters, problem.parameters)
         solved = solve(
-            replace(problem, parameters=parameters), method, settings=quick,
-            first=first if kept is None else kept.trajectory, limits=limits, warm=kept is not None,
+            replace(problem, parameters=parameters), first if kept is None else kept.trajectory, settings=quick,
+            limits=limits, warm=kept is not None,
         )  # fmt: skip
         iterations, seconds = iterations + solved.iterations, seconds + solved.seconds
-        if solved.succeeded and away_from_guess(problem, solved.trajectory, method=method)[0] <= farthest:
+        if solved.succeeded and away_from_guess(problem, solved.trajectory)[0] <= farthest:
             reached, kept = share, solved
         elif kept is None:
             break
@@ -122,11 +121,9 @@ UNLIMITED = Limits(1e3, 1e3, 1e5)
 _NO_AUTHORITY = 1e-9
 
 
-def without_limits(
-    problem: ReferenceProblem, method: Method, *, settings: ReferenceSettings, first: Trajectory
-) -> Solved:
+def without_limits(problem: ReferenceProblem, first: Trajectory, settings: ReferenceSettings) -> Solved:
     """Solve the same program with limits that nothing reaches."""
-    return solve(problem, method, settings=settings, first=first, limits=UNLIMITED)
+    return solve(problem, first, settings=settings, limits=UNLIMITED)
 
 
 def has_authority(problem: ReferenceProblem, times: Array) -> bool:
@@ -138,12 +135,12 @@ def has_authority(problem: ReferenceProblem, times: Array) -> bool:
     return bool(np.abs(found).max() > _NO_AUTHORITY)
 
 
-def limits_passed(problem: ReferenceProblem, method: Method, trajectory: Trajectory) -> str:
+def limits_passed(problem: ReferenceProblem, trajectory: Trajectory) -> str:
     """Say which of the problem's limits a motion without limits passes, by how much and when; empty if none."""
-    largest = largest_values(trajectory, method=method, limits=problem.limits)
+    largest = largest_values(trajectory, problem.limits)
     passed = [
         f"cart {name} of {largest[name]:.4g} {LIMIT_UNITS[name]} where {bound:.4g} is allowed (at t = "
-        f"{where_largest(trajectory, name, method=method):.2f} s)"
+        f"{where_largest(trajectory, name):.2f} s)"
         for name, bound in problem.limits.named().items()
         if largest[name] > bound
     ]
@@ -155,17 +152,17 @@ def limits_passed(problem: ReferenceProblem, method: Method, trajectory: Traject
     )
 
 
-def wanting(problem: ReferenceProblem, method: Method, *, settings: ReferenceSettings, first: Trajectory) -> str:
+def wanting(problem: ReferenceProblem, first: Trajectory, settings: ReferenceSettings) -> str:
     """Say what stands in the way where nothing was found: the cart's authority, limits, or the guess."""
     if not has_authority(problem, first.mesh):
         return "the cart's acceleration moves no arm, so nothing makes up for friction; check the arms' parameters"
-    free = without_limits(problem, method, settings=settings, first=first)
+    free = without_limits(problem, first, settings)
     if not free.succeeded:
         return (
             "without limits it finds nothing either: check that the guess is an orbit of the same arms, or "
             "lower the friction"
         )
-    return limits_passed(problem, method, free.trajectory) or (
+    return limits_passed(problem, free.trajectory) or (
         "the limits are not the reason, for without them the same motion is found; use shorter intervals"
     )
 
@@ -252,22 +249,23 @@ def first_mesh(problem: ReferenceProblem, settings: ReferenceSettings, *, method
     return split_mesh(mesh, errors, tolerance=settings.tolerance, order=len(method.points))
 
 
-def on_mesh(trajectory: Trajectory, mesh: Array, *, method: Method) -> Trajectory:
+def on_mesh(trajectory: Trajectory, mesh: Array) -> Trajectory:
     """Return `trajectory` evaluated on another mesh of the same span."""
     # Places belong to the interval that holds the middle of their own, also at shared ends.
     middle = (mesh[:-1] + mesh[1:]) / 2
     index = np.searchsorted(trajectory.mesh, middle, side="right") - 1
-    empty = Trajectory(mesh, np.empty(0), np.empty(0))
+    method = trajectory.method
+    empty = Trajectory(method, mesh, np.empty(0), np.empty(0))
 
     def moved(times: Array, places: Array, values: Array) -> Array:
         tau = (times - trajectory.mesh[index][:, None]) / np.diff(trajectory.mesh)[index][:, None]
         rows = interpolation_matrix(places, tau.ravel()).reshape(*tau.shape, -1)
         return np.asarray(np.einsum("ikj,ijn->ikn", rows, values[index]), dtype=np.float64)
 
-    return Trajectory(
-        mesh,
-        moved(empty.node_times(method), method.support, trajectory.states),
-        moved(empty.input_times(method), method.points, trajectory.inputs),
+    return replace(
+        empty,
+        states=moved(empty.node_times, method.support, trajectory.states),
+        inputs=moved(empty.input_times, method.points, trajectory.inputs),
     )
 
 
@@ -282,59 +280,29 @@ def _tightened(limits: Limits, asked: Limits, largest: dict[str, float]) -> Limi
     return replace(limits, **changes) if changes else None
 
 
-def _is_another_motion(
-    problem: ReferenceProblem, solved: Solved, *, method: Method, settings: ReferenceSettings
-) -> bool:
+def _is_another_motion(problem: ReferenceProblem, solved: Solved, settings: ReferenceSettings) -> bool:
     """Tell whether the solver followed the guess to something that is not it; without a weight it follows nothing."""
     followed = settings.pendulum_weight > 0
-    return followed and away_from_guess(problem, solved.trajectory, method=method)[0] > FARTHEST
+    return followed and away_from_guess(problem, solved.trajectory)[0] > FARTHEST
 
 
 def _once_more(
-    problem: ReferenceProblem, method: Method, *, settings: ReferenceSettings, first: Trajectory, limits: Limits,
-    failed: Solved,
-) -> tuple[Raised | None, str]:  # fmt: skip
+    problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits, failed: Solved
+) -> tuple[Raised | None, str]:
     """Return a solution found by raising the friction, or none and a sentence that says why."""
     head = f"no reference: the solver stopped with {failed.outcome!r}"
     if failed.succeeded:
-        head = another_motion(*away_from_guess(problem, failed.trajectory, method=method))
+        head = another_motion(*away_from_guess(problem, failed.trajectory))
     if settings.pendulum_weight == 0 or not has_authority(problem, first.mesh):
-        return None, f"{head}; {wanting(problem, method, settings=settings, first=first)}"
+        return None, f"{head}; {wanting(problem, first, settings)}"
     if not failed.succeeded:
-        free = without_limits(problem, method, settings=settings, first=first)
-        near = free.succeeded and not _is_another_motion(problem, free, method=method, settings=settings)
-        passed = limits_passed(problem, method, free.trajectory) if near else ""
+        free = without_limits(problem, first, settings)
+        near = free.succeeded and not _is_another_motion(problem, free, settings)
+        passed = limits_passed(problem, free.trajectory) if near else ""
         if passed:
             return None, f"{head}; {passed}"
-    raised = raise_friction(problem, method, settings=settings, first=first, limits=limits, farthest=FARTHEST)
+    raised = raise_friction(problem, first, settings=settings, limits=limits, farthest=FARTHEST)
     return (raised, "") if raised.share >= 1.0 else (None, f"{head}; {friction_text(raised)}")
-
-
-def _reference(
-    solved: Solved, *, problem: ReferenceProblem, method: Method, status: str, converged: bool, error: float,
-    iterations: int, seconds: float,
-) -> Reference:  # fmt: skip
-    trajectory = solved.trajectory
-    lengths = np.diff(trajectory.mesh)
-    square = (trajectory.inputs[..., 0] ** 2) @ method.weights
-    largest = largest_values(trajectory, method=method, limits=problem.limits)
-    return Reference(
-        mesh=trajectory.mesh,
-        method=method,
-        states=trajectory.states,
-        inputs=trajectory.inputs,
-        limits=problem.limits,
-        status=status,
-        converged=converged,
-        max_error_between_nodes=error,
-        constraint_violation=solved.violation,
-        max_cart_position=largest["position"],
-        max_cart_velocity=largest["velocity"],
-        max_cart_acceleration=largest["acceleration"],
-        rms_cart_acceleration=float(np.sqrt(square @ lengths / lengths.sum())),
-        iterations=iterations,
-        solve_seconds=seconds,
-    )
 
 
 def find_reference(
@@ -369,31 +337,29 @@ def find_reference(
     iterations, seconds = 0, 0.0
 
     def result(solved: Solved, status: str, *, converged: bool, error: float = np.inf) -> Reference:
-        return _reference(
-            solved, problem=problem, method=method, status=status, converged=converged, error=error,
-            iterations=iterations, seconds=seconds,
+        return reference_of(
+            solved.trajectory, problem.limits, status=status, converged=converged, error=error,
+            violation=solved.violation, iterations=iterations, seconds=seconds,
         )  # fmt: skip
 
     round_number = 0
     while True:
         progress(f"reference, {len(first.mesh) - 1} intervals", round_number / settings.rounds)
         round_number += 1
-        solved = solve(
-            problem, method, settings=settings, first=first, limits=limits, warm=bool(near) or round_number > 1
-        )
+        solved = solve(problem, first, settings=settings, limits=limits, warm=bool(near) or round_number > 1)
         iterations += solved.iterations
         seconds += solved.seconds
-        if not solved.succeeded or _is_another_motion(problem, solved, method=method, settings=settings):
+        if not solved.succeeded or _is_another_motion(problem, solved, settings):
             start = first_trajectory(problem, method, first.mesh)
-            raised, why = _once_more(problem, method, settings=settings, first=start, limits=limits, failed=solved)
+            raised, why = _once_more(problem, start, settings=settings, limits=limits, failed=solved)
             if raised is None or raised.solved is None:
                 return result(replace(solved, trajectory=first), why, converged=False)
             solved = raised.solved
             iterations += raised.iterations
             seconds += raised.seconds
-        errors = error_between_nodes(problem, solved.trajectory, method=method, propagator=propagator)
+        errors = error_between_nodes(problem, solved.trajectory, propagator=propagator)
         worst = float(errors.max())
-        largest = largest_values(solved.trajectory, method=method, limits=problem.limits)
+        largest = largest_values(solved.trajectory, problem.limits)
         tighter = _tightened(limits, problem.limits, largest)
         if worst <= _ACCEPTED * settings.tolerance and tighter is None:
             progress("reference", 1.0)
@@ -406,7 +372,7 @@ def find_reference(
         finer = split_mesh(solved.trajectory.mesh, errors, tolerance=settings.tolerance, order=len(method.points))
         if round_number == settings.rounds or len(finer) > most:
             break
-        first = on_mesh(solved.trajectory, finer, method=method)
+        first = on_mesh(solved.trajectory, finer)
         limits = tighter or limits
     passed = ", ".join(
         f"cart {name} passes its limit by {largest[name] - bound:.1e} {LIMIT_UNITS[name]}"
@@ -438,7 +404,7 @@ def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Referenc
     rounds = 0
     while True:
         trajectory = first_trajectory(problem, method, mesh)
-        errors = error_between_nodes(problem, trajectory, method=method, propagator=propagator)
+        errors = error_between_nodes(problem, trajectory, propagator=propagator)
         worst, rounds = float(errors.max()), rounds + 1
         if worst <= AIMED * settings.tolerance or rounds == settings.rounds:
             break
@@ -450,20 +416,7 @@ def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Referenc
             f"not converged: the guess is {worst:.1e} from a frictionless motion where {settings.tolerance:.1e} is "
             'asked; check that it is an orbit of the same arms, or use level "cart"'
         )
-    return Reference(
-        mesh=trajectory.mesh,
-        method=method,
-        states=trajectory.states,
-        inputs=trajectory.inputs,
-        limits=problem.limits,
-        status=status,
-        converged=converged,
-        max_error_between_nodes=worst,
-        constraint_violation=0.0,
-        max_cart_position=0.0,
-        max_cart_velocity=0.0,
-        max_cart_acceleration=0.0,
-        rms_cart_acceleration=0.0,
-        iterations=0,
-        solve_seconds=time.perf_counter() - began,
-    )
+    return reference_of(
+        trajectory, problem.limits, status=status, converged=converged, error=worst,
+        seconds=time.perf_counter() - began,
+    )  # fmt: skip

@@ -38,6 +38,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.references.method import Method, interpolation_matrix, method_named
 from dpcontrol.references.problem import Limits, state_scale
+from dpcontrol.references.trajectory import Trajectory, largest_values
 
 Array = NDArray[np.float64]
 
@@ -70,6 +71,11 @@ class Reference:
     solve_seconds: float
     extra: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
     notes: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Return its values on the mesh alone."""
+        return Trajectory(self.method, self.mesh, self.states, self.inputs)
 
     @property
     def duration(self) -> float:
@@ -107,27 +113,50 @@ class Reference:
         return self._evaluate(times, self.method.points, self.inputs)
 
 
+def reference_of(
+    trajectory: Trajectory,
+    limits: Limits,
+    *,
+    status: str,
+    converged: bool,
+    error: float,
+    violation: float = 0.0,
+    iterations: int = 0,
+    seconds: float = 0.0,
+) -> Reference:
+    """Return the reference that a trajectory is, with what it asks of the cart.
+
+    error: between nodes, and violation: of constraints, both scaled; iterations and seconds: of the search.
+    """
+    lengths = np.diff(trajectory.mesh)
+    square = (trajectory.inputs[..., 0] ** 2) @ trajectory.method.weights
+    largest = largest_values(trajectory, limits)
+    return Reference(
+        mesh=trajectory.mesh,
+        method=trajectory.method,
+        states=trajectory.states,
+        inputs=trajectory.inputs,
+        limits=limits,
+        status=status,
+        converged=converged,
+        max_error_between_nodes=error,
+        constraint_violation=violation,
+        max_cart_position=largest["position"],
+        max_cart_velocity=largest["velocity"],
+        max_cart_acceleration=largest["acceleration"],
+        rms_cart_acceleration=float(np.sqrt(square @ lengths / lengths.sum())),
+        iterations=iterations,
+        solve_seconds=seconds,
+    )
+
+
 def still(state: Array, seconds: float, *, method: Method, limits: Limits, interval: float) -> Reference:
     """Return the reference that stays at an equilibrium (N,), without input."""
     count = max(1, int(np.ceil(seconds / interval)))
-    shape = (count, len(method.support), len(state))
-    return Reference(
-        mesh=np.linspace(0.0, seconds, count + 1),
-        method=method,
-        states=np.broadcast_to(np.asarray(state, dtype=float), shape).copy(),
-        inputs=np.zeros((count, len(method.points), 1)),
-        limits=limits,
-        status=f"at rest for {seconds:g} s",
-        converged=True,
-        max_error_between_nodes=0.0,
-        constraint_violation=0.0,
-        max_cart_position=float(abs(state[-2])),
-        max_cart_velocity=0.0,
-        max_cart_acceleration=0.0,
-        rms_cart_acceleration=0.0,
-        iterations=0,
-        solve_seconds=0.0,
-    )
+    states = np.tile(np.asarray(state, dtype=float), (count, len(method.support), 1))
+    mesh = np.linspace(0.0, seconds, count + 1)
+    resting = Trajectory(method, mesh, states, np.zeros((count, len(method.points), 1)))
+    return reference_of(resting, limits, status=f"at rest for {seconds:g} s", converged=True, error=0.0)
 
 
 def joined(pieces: Sequence[Reference]) -> tuple[Reference, Array]:

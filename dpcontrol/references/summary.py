@@ -14,10 +14,9 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.references.method import differentiation_matrix, interpolation_matrix
 from dpcontrol.references.problem import LIMIT_UNITS, ReferenceProblem
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.trajectory import DENSE, Trajectory, error_between_nodes, largest_values
+from dpcontrol.references.trajectory import error_between_nodes, largest_values, where_largest
 
 Array = NDArray[np.float64]
 
@@ -66,14 +65,13 @@ def summarised(reference: Reference) -> ReferenceSummary:
     Raises:
         InputError: the notes name arms that cannot be, or others than it has.
     """
-    trajectory = Trajectory(reference.mesh, reference.states, reference.inputs)
     arms = _arms(reference)
     return ReferenceSummary(
         reference=reference,
-        uses=_uses(reference, trajectory),
+        uses=_uses(reference),
         effort=reference.rms_cart_acceleration**2 * reference.duration,
         arms=arms,
-        errors=None if arms is None else _errors(reference, trajectory, arms),
+        errors=None if arms is None else _errors(reference, arms),
     )
 
 
@@ -97,7 +95,7 @@ def _arms(reference: Reference) -> ArmChainParameters | None:
     return arms
 
 
-def _errors(reference: Reference, trajectory: Trajectory, arms: ArmChainParameters) -> Array:
+def _errors(reference: Reference, arms: ArmChainParameters) -> Array:
     nothing = np.zeros(reference.states.shape[-1] - 2)
     problem = ReferenceProblem(
         equations=equations_of(arms, Level.CART),
@@ -106,24 +104,13 @@ def _errors(reference: Reference, trajectory: Trajectory, arms: ArmChainParamete
         duration=reference.duration,
         limits=reference.limits,
     )
-    return error_between_nodes(problem, trajectory, method=reference.method)
+    return error_between_nodes(problem, reference.trajectory)
 
 
-def _uses(reference: Reference, trajectory: Trajectory) -> tuple[LimitUse, ...]:
-    method, mesh = reference.method, reference.mesh
-    tau = np.linspace(0.0, 1.0, DENSE)
-    times = mesh[:-1, None] + np.diff(mesh)[:, None] * tau
-    on_support, on_points = (interpolation_matrix(places, tau).T for places in (method.support, method.points))
-    inputs = reference.inputs[..., 0]
-    slopes = inputs @ differentiation_matrix(method.points).T / np.diff(mesh)[:, None]
-    sampled = {
-        "position": reference.states[..., -2] @ on_support,
-        "velocity": reference.states[..., -1] @ on_support,
-        "acceleration": inputs @ on_points,
-        "jerk": slopes @ on_points,
-    }
-    largest = largest_values(trajectory, method=method, limits=reference.limits)
+def _uses(reference: Reference) -> tuple[LimitUse, ...]:
+    trajectory = reference.trajectory
+    largest = largest_values(trajectory, reference.limits)
     return tuple(
-        LimitUse(name, LIMIT_UNITS[name], bound, largest[name], float(times.flat[int(np.abs(sampled[name]).argmax())]))
+        LimitUse(name, LIMIT_UNITS[name], bound, largest[name], where_largest(trajectory, name))
         for name, bound in reference.limits.named().items()
     )

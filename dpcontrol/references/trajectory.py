@@ -28,17 +28,20 @@ Array = NDArray[np.float64]
 class Trajectory:
     """Values on a mesh: mesh (N+1,) s, states (N, K+1, nx) at the method's support, inputs (N, K, nu) at its points."""
 
+    method: Method
     mesh: Array
     states: Array
     inputs: Array
 
-    def node_times(self, method: Method) -> Array:
+    @property
+    def node_times(self) -> Array:
         """Return the times (N, K+1) of `states`."""
-        return self.mesh[:-1, None] + np.diff(self.mesh)[:, None] * method.support
+        return self.mesh[:-1, None] + np.diff(self.mesh)[:, None] * self.method.support
 
-    def input_times(self, method: Method) -> Array:
+    @property
+    def input_times(self) -> Array:
         """Return the times (N, K) of `inputs`."""
-        return self.mesh[:-1, None] + np.diff(self.mesh)[:, None] * method.points
+        return self.mesh[:-1, None] + np.diff(self.mesh)[:, None] * self.method.points
 
 
 @dataclass(frozen=True)
@@ -56,15 +59,15 @@ class Solved:
 
 def first_trajectory(problem: ReferenceProblem, method: Method, mesh: Array) -> Trajectory:
     """Return the guess on the mesh; the cart rests in the middle unless the problem says where it goes."""
-    empty = Trajectory(mesh, np.empty(0), np.empty(0))
-    times, input_times = empty.node_times(method), empty.input_times(method)
+    empty = Trajectory(method, mesh, np.empty(0), np.empty(0))
+    times, input_times = empty.node_times, empty.input_times
     states = np.zeros((*times.shape, problem.equations.dimension))
     states[..., : problem.pendulum_dimension] = problem.guess_at(times.ravel()).reshape(*times.shape, -1)
     inputs = np.zeros((*input_times.shape, 1))
     if problem.cart_guess is not None:
         states[..., problem.pendulum_dimension :] = problem.cart_guess(times.ravel())[:, :2].reshape(*times.shape, 2)
         inputs[..., 0] = problem.cart_guess(input_times.ravel())[:, 2].reshape(input_times.shape)
-    return Trajectory(mesh, states, inputs)
+    return Trajectory(method, mesh, states, inputs)
 
 
 DENSE = 21
@@ -84,13 +87,13 @@ def error_between_nodes(
     problem: ReferenceProblem,
     trajectory: Trajectory,
     *,
-    method: Method,
     propagator: PolynomialInputPropagator | None = None,
 ) -> Array:
     """Return the largest scaled error in each interval, (N,); infinite where the propagation fails.
 
     propagator: one of the problem's equations with inputs of degree K - 1, to spare its compilation.
     """
+    method = trajectory.method
     if propagator is None:
         propagator = interval_propagator(problem, method)
     scale = state_scale(problem.equations.dimension, problem.limits)
@@ -131,7 +134,7 @@ def largest_on_intervals(points: Array, values: Array, *, above: float) -> float
     return largest
 
 
-def away_from_guess(problem: ReferenceProblem, trajectory: Trajectory, *, method: Method) -> tuple[float, float]:
+def away_from_guess(problem: ReferenceProblem, trajectory: Trajectory) -> tuple[float, float]:
     """Return how far (scaled) the pendulum passes from the guess, and when, s.
 
     At each time the nearest of the guess's states within LATENESS before and after counts: friction makes late.
@@ -141,7 +144,7 @@ def away_from_guess(problem: ReferenceProblem, trajectory: Trajectory, *, method
     times = np.linspace(0.0, problem.duration, max(2, int(np.ceil(problem.duration / _LOOK)) + 1))
     at = mesh[0] + times / factor
     index = np.clip(np.searchsorted(mesh, at, side="right") - 1, 0, len(mesh) - 2)
-    rows = interpolation_matrix(method.support, (at - mesh[index]) / np.diff(mesh)[index])
+    rows = interpolation_matrix(trajectory.method.support, (at - mesh[index]) / np.diff(mesh)[index])
     scale = state_scale(problem.equations.dimension, problem.limits)[:nz]
     found = np.einsum("mk,mkn->mn", rows, trajectory.states[index])[:, :nz] / scale
     guess = problem.guess_at(times) / scale
@@ -155,9 +158,9 @@ def away_from_guess(problem: ReferenceProblem, trajectory: Trajectory, *, method
     return float(nearest[worst]), float(at[worst])
 
 
-def _limited_curves(trajectory: Trajectory, *, method: Method) -> dict[str, tuple[Array, Array]]:
+def _limited_curves(trajectory: Trajectory) -> dict[str, tuple[Array, Array]]:
     """Return the places in an interval and the values (N, …) there of each quantity that a limit may bind."""
-    inputs = trajectory.inputs[..., 0]
+    inputs, method = trajectory.inputs[..., 0], trajectory.method
     slopes = inputs @ differentiation_matrix(method.points).T / np.diff(trajectory.mesh)[:, None]
     return {
         "position": (method.support, trajectory.states[..., -2]),
@@ -167,9 +170,9 @@ def _limited_curves(trajectory: Trajectory, *, method: Method) -> dict[str, tupl
     }
 
 
-def where_largest(trajectory: Trajectory, name: str, *, method: Method) -> float:
+def where_largest(trajectory: Trajectory, name: str) -> float:
     """Return the time, s, at which the limited quantity of that name is largest on the dense grid."""
-    points, values = _limited_curves(trajectory, method=method)[name]
+    points, values = _limited_curves(trajectory)[name]
     tau = np.linspace(0.0, 1.0, DENSE)
     sampled = np.abs(values @ interpolation_matrix(points, tau).T)
     interval, place = np.unravel_index(int(sampled.argmax()), sampled.shape)
@@ -177,8 +180,8 @@ def where_largest(trajectory: Trajectory, name: str, *, method: Method) -> float
     return float(mesh[interval] + tau[place] * (mesh[interval + 1] - mesh[interval]))
 
 
-def largest_values(trajectory: Trajectory, *, method: Method, limits: Limits) -> dict[str, float]:
+def largest_values(trajectory: Trajectory, limits: Limits) -> dict[str, float]:
     """Return the largest size of each limited quantity of the cart, between nodes too."""
-    curves, bounds = _limited_curves(trajectory, method=method), limits.named()
+    curves, bounds = _limited_curves(trajectory), limits.named()
     # A curve that stays below nine tenths of its bound on the dense grid does not pass it in between.
     return {name: largest_on_intervals(*curves[name], above=0.9 * bound) for name, bound in bounds.items()}

@@ -184,17 +184,18 @@ class _Program:
     """
 
     def __init__(
-        self, problem: ReferenceProblem, method: Method, settings: ReferenceSettings, mesh: Array, limits: Limits
+        self, problem: ReferenceProblem, settings: ReferenceSettings, first: Trajectory, limits: Limits
     ) -> None:
-        self.problem, self.method, self.settings, self.mesh, self.limits = problem, method, settings, mesh, limits
+        self.problem, self.settings, self.limits, self.first = problem, settings, limits, first
+        self.method, self.mesh = first.method, first.mesh
         self.nx, self.nz = problem.equations.dimension, problem.pendulum_dimension
-        self.count, self.intervals = len(method.points), len(mesh) - 1
+        self.count, self.intervals = len(self.method.points), len(self.mesh) - 1
         self.scale = state_scale(self.nx, problem.limits)
         self.staged = settings.solver == "fatrop"
-        self.shared = method.closes and not self.staged
+        self.shared = self.method.closes and not self.staged
         self.free = self.count - 1 if self.shared else self.count
         self.stretches = problem.ends.stretch > 0
-        self.coupled = method.shares_inputs or limits.jerk > 0
+        self.coupled = self.method.shares_inputs or limits.jerk > 0
         if self.staged and (self.stretches or self.coupled or problem.ends.closing is not None):
             raise InputError(
                 'solver = "fatrop" takes stages one by one: it serves fixed times, open ends and inputs that may jump; '
@@ -237,8 +238,7 @@ class _Program:
 
     def _aims(self) -> Array:
         """Return the guess (N * K, nz) at the points."""
-        times = self.mesh[:-1, None] + np.diff(self.mesh)[:, None] * self.method.points
-        return self.problem.guess_at(times.ravel())
+        return self.problem.guess_at(self.first.input_times.ravel())
 
     def _assemble(self) -> None:
         nx, count, n, free = self.nx, self.count, self.intervals, self.free
@@ -324,15 +324,11 @@ class _Program:
             low, high = np.append(low, 1 - stretch), np.append(high, 1 + stretch)
         return low, high
 
-    def packed(self, first: Trajectory) -> Array:
-        """Return the variables of a trajectory."""
-        scaled = first.states / self.scale
-        stages = np.hstack(
-            [
-                scaled[:, : 1 + self.free].reshape(self.intervals, -1),
-                first.inputs.reshape(self.intervals, -1),
-            ]
-        )
+    def start(self) -> Array:
+        """Return the variables of the first trajectory."""
+        scaled = self.first.states / self.scale
+        rows = scaled[:, : 1 + self.free].reshape(self.intervals, -1), self.first.inputs.reshape(self.intervals, -1)
+        stages = np.hstack(rows)
         values = np.concatenate([stages.ravel(), self.method.end @ scaled[-1]])
         return np.append(values, 1.0) if self.stretches else values
 
@@ -349,7 +345,7 @@ class _Program:
             states = np.concatenate([states, following[:, None]], axis=1)
         inputs = stages[:, split:].reshape(self.intervals, self.count, 1)
         mesh = self.mesh[0] + (self.mesh - self.mesh[0]) * factor
-        return Trajectory(mesh, states * self.scale, inputs.copy())
+        return Trajectory(self.method, mesh, states * self.scale, inputs.copy())
 
     def structure(self) -> tuple[list[int], list[int], list[int], list[bool]]:
         """Return, stage by stage, the numbers of states, inputs and constraints, and which constraints are equal."""
@@ -361,13 +357,7 @@ class _Program:
 
 
 def solve(
-    problem: ReferenceProblem,
-    method: Method,
-    *,
-    settings: ReferenceSettings,
-    first: Trajectory,
-    limits: Limits,
-    warm: bool = False,
+    problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits, warm: bool = False
 ) -> Solved:
     """Solve the program on the mesh of `first`, starting from it, with `limits` at all nodes.
 
@@ -377,11 +367,11 @@ def solve(
         InputError: a formulation that the solver does not serve.
     """
     began = time.perf_counter()
-    program = _Program(problem, method, settings, first.mesh, limits)
+    program = _Program(problem, settings, first, limits)
     options = solver_options(settings, program.structure() if program.staged else None, warm=warm) | program.options
     solver = ca.nlpsol("reference", settings.solver, program.program, options)
     low, high = program.bounds()
-    x0 = np.clip(program.packed(first), low, high)
+    x0 = np.clip(program.start(), low, high)
     low_g, high_g = np.concatenate(program.low_g), np.concatenate(program.high_g)
     out = solver(x0=x0, lbx=low, ubx=high, lbg=low_g, ubg=high_g)
     found = np.array(out["x"]).ravel()

@@ -88,10 +88,10 @@ def find_transfer(
     for k, (duration, end) in enumerate(tries):
         progress("transfer", k / len(tries))
         problem, first = _try(equations, parameters, start, end, duration, limits, transfer, method)
-        attempt = solve(problem, method, settings=tried, first=first, limits=limits)
+        attempt = solve(problem, first, settings=tried, limits=limits)
         outcome = attempt.outcome
         if attempt.succeeded:
-            share = _share(attempt.trajectory, method, limits)
+            share = _share(attempt.trajectory, limits)
             solved.append((share, problem, attempt.trajectory))
             if share <= transfer.gentle:
                 break
@@ -102,7 +102,7 @@ def find_transfer(
             progress("transfer", 1.0)
             return found
     seconds = ", ".join(f"{duration:g}" for duration in transfer.durations)
-    why = wanting(problem, method, settings=tried, first=first)
+    why = wanting(problem, first, tried)
     raise GoalMissed(f"no transfer in {seconds} s within the cart's limits ({_named(limits)}): {outcome}; {why}")
 
 
@@ -130,9 +130,9 @@ def _try(
     return problem, first_trajectory(problem, method, mesh)
 
 
-def _share(trajectory: Trajectory, method: Method, limits: Limits) -> float:
+def _share(trajectory: Trajectory, limits: Limits) -> float:
     """Return the largest share of a limit that a trajectory uses."""
-    largest = largest_values(trajectory, method=method, limits=limits)
+    largest = largest_values(trajectory, limits)
     return max(largest[name] / bound for name, bound in limits.named().items())
 
 

@@ -11,8 +11,8 @@ from dpcontrol.control.interface import Controller
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.logs import read_log
-from dpcontrol.loop.control_loop import ControlLoop, rehearse
-from dpcontrol.loop.loop import control_loop, loop_controller, loop_fallback, loop_result
+from dpcontrol.loop.control_loop import ControlLoop
+from dpcontrol.loop.loop import control_loop, loop_controller, loop_fallback
 from dpcontrol.loop.result import LogSink, LoopResult
 from dpcontrol.loop.simulated import BenchRecipe
 from dpcontrol.references.reference import Reference
@@ -80,7 +80,7 @@ def run_on_rig(
         loop = control_loop(
             arms, settings, controller, limits=limits, sink=LogSink(writer), fallback=fallback, progress=progress
         )
-        rehearse(loop)
+        loop.rehearse()
         with ExitStack() as stack:
             if where is None:
                 process = stack.enter_context(
@@ -92,10 +92,10 @@ def run_on_rig(
             stack.enter_context(without_collecting())
             if real_time:
                 stack.enter_context(real_time_priority())
-            record = loop.run(rig)
-        if not len(record.ticks.times):
-            raise GoalMissed(record.reason)
-        result, deadlines = loop_result(record), rig.deadlines
+            result = loop.run(rig)
+        if not len(result.ticks.times):
+            raise GoalMissed(result.reason)
+        deadlines = rig.deadlines
         writer.result(
             real_time_factor=repr(result.real_time_factor), ending=result.ending.value, rig=rig.address,
             **deadlines.record(),

@@ -69,9 +69,9 @@ def test_work_and_precision_of_methods_intervals_and_solvers(model, edges, symbo
             began = time.process_time()
             first = first_trajectory(problem, method, mesh)
             settings = ReferenceSettings(solver=solver)
-            solved = solve(problem, method, settings=settings, first=first, limits=problem.limits)
+            solved = solve(problem, first, settings=settings, limits=problem.limits)
             spent = (time.process_time() - began) / problem.duration
-            error = error_between_nodes(problem, solved.trajectory, method=method).max()
+            error = error_between_nodes(problem, solved.trajectory).max()
             sys.stdout.write(
                 f"{name:16s} {interval:8.3f}  {solver:6s}  {error:.1e}  {spent:7.3f}  {solved.iterations:10d}  "
                 f"{solved.cost:.6f}{'' if solved.succeeded else '  ' + solved.outcome}\n"

@@ -14,10 +14,9 @@ from shadowing_stand_in import LAB, StandIn
 from dpcontrol.control.interface import Action, Mode
 from dpcontrol.control.tracking import TrackingController, tracking_controller
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings
-from dpcontrol.loop.control_loop import LoopRecord
 from dpcontrol.loop.draw import draw_bench
 from dpcontrol.loop.loop import LoopSettings, control_loop, sampled_model
-from dpcontrol.loop.result import Ending, Ticks
+from dpcontrol.loop.result import Ending, LoopResult, Ticks
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.loop.supervisor import StuckWatch, SupervisorSettings
 from dpcontrol.references.reference import Reference
@@ -50,7 +49,7 @@ class Kept:
 class Ended:
     """A run that has ended: what the loop and the log have of it, and how far the cart ever was."""
 
-    record: LoopRecord
+    record: LoopResult
     log: Kept
     farthest: float
     speed: float

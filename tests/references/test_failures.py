@@ -15,7 +15,7 @@ from dpcontrol.references.find import FARTHEST, find_reference, friction_paramet
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Ends, Guess, Limits, ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.trajectory import Trajectory, away_from_guess, first_trajectory
+from dpcontrol.references.trajectory import away_from_guess, first_trajectory
 from dpcontrol.references.transcription import solve
 
 EQUATIONS = arm_chain_equations(2, Level.CART)
@@ -34,8 +34,7 @@ def straight(orbit: StandIn) -> Guess:
 
 
 def farthest(problem: ReferenceProblem, reference: Reference) -> float:
-    trajectory = Trajectory(reference.mesh, reference.states, reference.inputs)
-    return away_from_guess(problem, trajectory, method=reference.method)[0]
+    return away_from_guess(problem, reference.trajectory)[0]
 
 
 def test_references_of_orbits_stay_well_within_what_counts_as_the_same_motion(
@@ -60,7 +59,7 @@ def test_another_motion_that_the_solver_is_content_with_does_not_pass() -> None:
     problem = problem_of(guess, orbit.duration)
     method = method_named("radau-7")
     first = first_trajectory(problem, method, np.linspace(0.0, orbit.duration, 15))
-    assert solve(problem, method, settings=QUICK, first=first, limits=problem.limits).succeeded
+    assert solve(problem, first, settings=QUICK, limits=problem.limits).succeeded
     found = find_reference(problem, QUICK)
     assert not found.converged
     assert "so it is another motion than the itinerary's" in found.status
@@ -71,10 +70,8 @@ def test_friction_raised_step_by_step_leads_to_the_solution_that_a_cold_start_fi
     problem = problem_of(orbit.guess, orbit.duration, friction=10.0)
     method = method_named("radau-7")
     first = first_trajectory(problem, method, np.linspace(0.0, orbit.duration, 15))
-    cold = solve(problem, method, settings=QUICK, first=first, limits=problem.limits)
-    raised = raise_friction(
-        problem, method, settings=QUICK, first=first, limits=problem.limits, farthest=FARTHEST
-    )  # fmt: skip
+    cold = solve(problem, first, settings=QUICK, limits=problem.limits)
+    raised = raise_friction(problem, first, settings=QUICK, limits=problem.limits, farthest=FARTHEST)
     assert raised.share == 1.0
     assert raised.solved is not None
     assert raised.solved.cost == pytest.approx(cold.cost, rel=1e-6)

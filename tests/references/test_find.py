@@ -122,10 +122,10 @@ def test_a_mesh_too_coarse_is_seen_between_nodes_though_the_nodes_are_exact() ->
     errors = {}
     for intervals in (5, 10, 20):
         first = first_trajectory(problem, method, np.linspace(0.0, problem.duration, intervals + 1))
-        solved = solve(problem, method, settings=ReferenceSettings(), first=first, limits=problem.limits)
+        solved = solve(problem, first, settings=ReferenceSettings(), limits=problem.limits)
         assert solved.succeeded
         assert solved.violation < 1e-9
-        errors[intervals] = error_between_nodes(problem, solved.trajectory, method=method).max()
+        errors[intervals] = error_between_nodes(problem, solved.trajectory).max()
     assert errors[5] > 100 * TOLERANCE
     # Of order five at least, so a factor of 32 for half the length; the coarse meshes are not asymptotic yet.
     assert errors[5] / errors[10] > 10
@@ -162,8 +162,8 @@ def test_splitting_keeps_good_intervals_and_cuts_bad_ones() -> None:
 def test_a_trajectory_on_a_finer_mesh_is_the_same_polynomial() -> None:
     problem, method = stretch_problem(), radau(5)
     coarse = first_trajectory(problem, method, np.linspace(0.0, problem.duration, 8))
-    fine = on_mesh(coarse, np.sort(np.concatenate([coarse.mesh, [0.03, 0.31]])), method=method)
-    again = on_mesh(fine, coarse.mesh, method=method)
+    fine = on_mesh(coarse, np.sort(np.concatenate([coarse.mesh, [0.03, 0.31]])))
+    again = on_mesh(fine, coarse.mesh)
     # Both halves hold the same polynomial of degree five, extrapolated from one of them.
     assert again.states == pytest.approx(coarse.states, abs=1e-5)
     assert fine.states[0, 0] == pytest.approx(coarse.states[0, 0], abs=EXACT)

@@ -103,7 +103,7 @@ def test_neighbouring_lobatto_intervals_share_the_input_between_them(name: str) 
     problem, method = swing(), method_named(name)
     assert method.shares_inputs
     first = first_trajectory(problem, method, np.linspace(0.0, SECONDS, 26))
-    solved = solve(problem, method, settings=ReferenceSettings(), first=first, limits=problem.limits)
+    solved = solve(problem, first, settings=ReferenceSettings(), limits=problem.limits)
     inputs = solved.trajectory.inputs[..., 0]
     assert np.abs(inputs).max() > 0.1
     assert inputs[1:, 0] == pytest.approx(inputs[:-1, -1], abs=EXACT)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from multiple_shooting import solve_by_shooting
 from numpy.typing import NDArray
 from shadowing_stand_in import LAB, orbit_stretch
 
@@ -11,7 +12,6 @@ from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import Method, interpolation_matrix, method_named
-from dpcontrol.references.multiple_shooting import solve_by_shooting
 from dpcontrol.references.problem import Ends, Limits, ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.trajectory import Solved, first_trajectory
 from dpcontrol.references.transcription import solve
@@ -55,9 +55,7 @@ def states(solved: Solved, method: Method) -> Array:
 def collocated(problem: ReferenceProblem, name: str, interval: float, solver: str) -> Solved:
     method = method_named(name)
     first = first_trajectory(problem, method, mesh_of(interval))
-    return solve(
-        problem, method, settings=ReferenceSettings(solver=solver), first=first, limits=problem.limits
-    )  # fmt: skip
+    return solve(problem, first, settings=ReferenceSettings(solver=solver), limits=problem.limits)
 
 
 @pytest.fixture(scope="module")

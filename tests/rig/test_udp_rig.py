@@ -17,8 +17,7 @@ from shadowing_stand_in import LAB, StandIn
 
 from dpcontrol.control.tracking import tracking_controller
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.loop.control_loop import rehearse
-from dpcontrol.loop.loop import LoopSettings, control_loop, loop_result, sampled_model
+from dpcontrol.loop.loop import LoopSettings, control_loop, sampled_model
 from dpcontrol.loop.result import Ending
 from dpcontrol.loop.rig import Reading
 from dpcontrol.loop.simulated import BenchRecipe
@@ -356,9 +355,9 @@ def test_the_loop_follows_its_reference_on_a_bench_in_a_process_of_its_own(turn:
     for _ in range(KEEPING_TIME):
         with BenchProcess(recipe, PATIENT) as bench:
             loop = control_loop(LAB, settings, short, limits=turn[1].limits)
-            rehearse(loop)
+            loop.rehearse()
             with UdpRig(bench.address, queued=loop.queued) as rig:
-                result = loop_result(loop.run(rig))
+                result = loop.run(rig)
         assert result.late == rig.deadlines.missed
         if result.late < LATE * rig.deadlines.ticks:
             break

@@ -83,7 +83,7 @@ def solve_by_shooting(
     values = found[nx * (n + 1) :].reshape(n, count, 1)
     flown = _flown(interval_propagator(problem, method), method, mesh, states, values)
     return Solved(
-        trajectory=Trajectory(mesh, flown, values),
+        trajectory=Trajectory(method, mesh, flown, values),
         violation=float(np.abs(np.array(out["g"])).max()),
         cost=float(out["f"]),
         iterations=int(stats["iter_count"]),
