@@ -13,17 +13,15 @@ from numpy.typing import NDArray
 
 from dpcontrol.bench.chart import Chart, Missing, Panel, Point
 from dpcontrol.bench.measure import timed, timed_in_turns
-from dpcontrol.dynamics.extended import ExtendedPropagator, extended
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.orbits.lyapunov import ContinuationSettings, LyapunovOrbit, lyapunov_orbit
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections
 from dpcontrol.tubes.cut import CutSettings, tube_cut
-from dpcontrol.tubes.extended import refine_connection
-from dpcontrol.tubes.extended_orbit import RefinementSettings, refine_orbit
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
 from dpcontrol.tubes.orbit_curve import local_manifold
+from dpcontrol.walks.extended import refine_connection, refine_orbit
 
 Array = NDArray[np.float64]
 
@@ -65,10 +63,8 @@ def chart(quick: bool, progress: Progress) -> Chart:
 def orbit_panel(progress: Progress, *, quick: bool) -> Panel:
     """Return the diagram of Lyapunov orbits: continuation step and tolerance against error."""
     system = load_model("lab").system
-    exact = ExtendedPropagator(system.equations, system.parameters)
-    height = extended(np.array(ENERGY))[()]
     found = lyapunov_orbit(system, "down-up", energy=ENERGY)
-    truth = refine_orbit(found, exact, height, RefinementSettings()).state.astype(float)
+    truth = refine_orbit(found).state.astype(float)
     points, start_up = [], {}
     base = ContinuationSettings()
     steps = (0.025, 0.05, 0.1, 0.2, 0.4)

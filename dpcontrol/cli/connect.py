@@ -166,14 +166,15 @@ def _named(search: "ConnectionSearch", name: str) -> "Connection":
 
 def _extended(model: "Model", connection: "Connection", energy: Decimal, as_json: bool) -> None:
     """Refine and print one connection in extended precision."""
-    from dpcontrol.tubes.extended import refine_connection
     from dpcontrol.walks.atlas import connection_document
+    from dpcontrol.walks.extended import refine_connection
 
     with progress_bar("refining in 113-bit arithmetic"):
         refined = refine_connection(connection, energy=energy, parameters=model.exact_parameters)
     if not refined.converged:
         raise GoalMissed(f"{connection.name} in extended precision: {refined.status}")
     state, residual = refined.digits, f"{float(refined.residual):.3e}"
+    ends = dict(zip((connection.source.saddle, connection.target.saddle), refined.ends, strict=True))
     if as_json:
         document = {**connection_document(connection), "state": state, "residual": residual, "precision": "extended"}
         print_json(
@@ -185,20 +186,16 @@ def _extended(model: "Model", connection: "Connection", energy: Decimal, as_json
                 "residual_double": connection.residual,
                 "correction": refined.correction,
                 "orbits": [
-                    {
-                        "saddle": o.orbit.saddle,
-                        "state": o.digits,
-                        "period": o.period_digits,
-                        "residual": f"{float(o.residual):.3e}",
-                    }
-                    for o in dict.fromkeys(refined.orbits)
+                    {"saddle": saddle, "state": end.digits, "period": str(end.duration),
+                     "residual": f"{float(end.residual):.3e}"}
+                    for saddle, end in ends.items()
                 ],
                 "energy": str(energy),
                 "from": connection.source.saddle,
                 "to": connection.target.saddle,
                 "status": refined.status,
             }
-        )
+        )  # fmt: skip
         return
     click.echo(f"{connection.name} at {energy} J in 113-bit arithmetic: {refined.status}")
     half = len(state) // 2

@@ -90,7 +90,7 @@ def print_answer(number: int, answer: "WalkAnswer", file: str | None) -> None:
         for k, value in enumerate(state):
             click.echo(f"    {'position' if k < len(state) // 2 else 'rate'} {k % (len(state) // 2) + 1}  {value}")
         if orbit.periodic:
-            click.echo(f"    period      {answer.refined.duration_digits}")
+            click.echo(f"    period      {answer.refined.duration}")
     if file is not None:
         click.echo(f"  {file}")
 

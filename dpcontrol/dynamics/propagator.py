@@ -56,6 +56,17 @@ class Section:
         """Return n·x - offset for states (…, N): zero, or a multiple of the period, on the section."""
         return np.asarray(states) @ np.asarray(self.normal) - self.offset
 
+    def level(self, state: Array) -> float:
+        """Return n·x on the section: where it is an angle, on the sheet nearest to `state` (N,)."""
+        if self.period is None:
+            return self.offset
+        return self.offset + float(np.rint(self.height(state) / self.period)) * self.period
+
+    def sheets(self, states: Array) -> Array:
+        """Return numbers (…) that change where states (…, N) pass the section: which of its sheets they lie above."""
+        heights = self.height(states)
+        return (heights > 0).astype(float) if self.period is None else np.floor(heights / self.period)
+
     def admits(self, state: Array) -> bool:
         """Tell whether a crossing at `state` (N,) counts."""
         return self.side is None or float(np.dot(self.side, state)) > 0

@@ -13,7 +13,7 @@ from dpcontrol.dynamics.extended import Exact, digits
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.walks.edges import Edges
-from dpcontrol.walks.extended import ExtendedShadowing, refine_shadowing
+from dpcontrol.walks.extended import ExtendedOrbit, refine_shadowing
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
 from dpcontrol.walks.symbols import composed
 from dpcontrol.walks.walks import Walk, is_closed, random_walk
@@ -48,7 +48,7 @@ class WalkAnswer:
     orbit: ShadowingOrbit | None
     seconds: float
     status: str
-    refined: ExtendedShadowing | None = None
+    refined: ExtendedOrbit | None = None
 
     @property
     def converged(self) -> bool:
@@ -169,21 +169,21 @@ def walk_document(answer: WalkAnswer) -> dict[str, Any]:
     if orbit is not None:
         document["symbol_times"] = orbit.symbol_times
         document["certificate"] = certificate_document(orbit)
-    if answer.refined is not None:
-        document |= _refined_document(answer.refined)
+    if answer.refined is not None and orbit is not None:
+        document |= _refined_document(answer.refined, orbit)
     return document
 
 
-def _refined_document(refined: ExtendedShadowing) -> dict[str, Any]:
+def _refined_document(refined: ExtendedOrbit, double: ShadowingOrbit) -> dict[str, Any]:
     """Return what takes the place of double's residual: digits as strings, times from the first symbol's section."""
     return {
         "precision": "extended",
         "state": refined.digits,
-        "state_double": refined.orbit.orbit.states[sorted(refined.orbit.shot.guess.markers)[0]],
-        "period": refined.duration_digits if refined.orbit.periodic else None,
-        "symbol_times_digits": digits(refined.times[refined.symbols]),
+        "state_double": double.orbit.states[sorted(double.shot.guess.markers)[0]],
+        "period": str(refined.duration) if double.periodic else None,
+        "symbol_times_digits": digits(refined.times[refined.marked]),
         "residual": f"{float(refined.residual):.3e}",
-        "residual_double": refined.orbit.residual,
+        "residual_double": double.residual,
         "correction": refined.correction,
     }
 
@@ -217,7 +217,7 @@ def certificate_document(orbit: ShadowingOrbit) -> dict[str, Any] | None:
     return document
 
 
-def save_walk(path: Path, model: str, orbit: ShadowingOrbit, *, refined: ExtendedShadowing | None = None) -> None:
+def save_walk(path: Path, model: str, orbit: ShadowingOrbit, *, refined: ExtendedOrbit | None = None) -> None:
     """Write an orbit to one .npz: `header` (JSON text) and the arrays times, states, symbol_times, turn.
 
     refined: adds times_digits (L + 1,) s from the first symbol's section and states_digits (L + 1, N), decimal strings.

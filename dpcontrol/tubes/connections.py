@@ -148,9 +148,7 @@ def find_connections(
 def _crosses(curve: OrbitCurve, section: Section) -> bool:
     """Whether a periodic orbit meets a section, by its samples."""
     states = np.vstack([curve.samples, curve.samples[:1]])
-    heights = section.height(states)
-    side = heights > 0 if section.period is None else np.floor(heights / section.period)
-    return any(section.admits(states[k]) for k in np.flatnonzero(np.diff(side)))
+    return any(section.admits(states[k]) for k in np.flatnonzero(np.diff(section.sheets(states))))
 
 
 def _known(system: System, connection: Connection, found: list[Connection], tolerance: float) -> bool:
@@ -184,8 +182,7 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ConnectingOrb
     middle = len(times[0]) - 1
     section = crossing.sides[0].section
     # The section itself, not where the flown crossing lies to rounding: states must not depend on how it was flown.
-    off = float(section.height(states[0][-1]))
-    level = section.offset + (0.0 if section.period is None else float(np.rint(off / section.period)) * section.period)
+    level = section.level(states[0][-1])
     return solve_connecting_orbit(
         crossing.sides[0].manifold.orbit.system,
         ends[0],

@@ -108,9 +108,7 @@ def own_crossings(orbit: LyapunovOrbit, section: Section) -> int:
     """Return how often an orbit itself crosses a section in one period."""
     curve = OrbitCurve(orbit)
     states = np.vstack([curve.samples, curve.samples[:1] + orbit.turn])
-    heights = section.height(states)
-    side = (heights > 0).astype(float) if section.period is None else np.floor(heights / section.period)
-    return sum(section.admits(states[k]) for k in np.flatnonzero(np.diff(side)))
+    return sum(section.admits(states[k]) for k in np.flatnonzero(np.diff(section.sheets(states))))
 
 
 def _canonical(connection: Connection, near: float) -> Connection:
@@ -168,7 +166,5 @@ def _hits_since(orbit: ConnectingOrbit, connection: Connection, near: float) -> 
         # The crossing at time zero lies on a node, to rounding on either side of the section.
         count = 2 + int(np.ceil(reach / orbit_end.period * 200))
         times = (np.arange(count) + 0.5) * reach / count
-        heights = section.height(orbit.sample(sign * times))
-        side = (heights > 0).astype(float) if section.period is None else np.floor(heights / section.period)
-        counts.append(1 + int(np.count_nonzero(np.diff(side))))
+        counts.append(1 + int(np.count_nonzero(np.diff(section.sheets(orbit.sample(sign * times))))))
     return counts[0], counts[1]

@@ -1,10 +1,12 @@
-"""An orbit that shadows a walk, refined in 113-bit arithmetic: 30 digits instead of 12.
+"""Orbits refined in 113-bit arithmetic, 30 digits instead of 12: periodic ones, connections, and orbits of walks.
 
-The equations are those of `dpcontrol.walks.shooting_equations`, with free segment lengths, their residuals
-evaluated in 113 bits (module refinement). Open orbits are led out along both local manifolds until their
-amplitude is a < 1e-20: what the linear manifold leaves out, a², and the double Floquet vector's share, a · 1e-12, are
-then far below what is asked. Closed orbits close, at the exact energy, and need no manifold.
+The equations are those of `dpcontrol.walks.shooting_equations`. Their residuals are evaluated in 113 bits and
+divided by the largest before the step is solved for in double, where nothing underflows; so each Newton step leaves
+about 1e-12 of the residual. Open orbits are led out along both local manifolds until their amplitude is a < 1e-20: what
+the linear manifold leaves out, a², and the double Floquet vector's share, a · 1e-12, are then far below what is asked.
+Closed orbits close, at the exact energy, and need no manifold.
 
+Angles are lifted about resting positions, which are π times whole numbers at full precision.
 Source: Higham, Accuracy and Stability of Numerical Algorithms (2002), chapter 12 (refinement with extended residuals).
 """
 
@@ -14,48 +16,111 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.linalg import splu
 
 from dpcontrol.dynamics.extended import Exact, Extended, ExtendedPropagator, digits, extended, pi_times
+from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.tubes.connecting_orbit import ManifoldEnd
 from dpcontrol.tubes.connection import Connection
-from dpcontrol.tubes.extended_orbit import ExtendedOrbit, RefinementSettings, exact_position, refine_orbit
-from dpcontrol.tubes.orbit_curve import HyperbolicOrbit
-from dpcontrol.walks.refinement import ExactTerms, Refined, refined
+from dpcontrol.tubes.orbit_curve import local_manifold
 from dpcontrol.walks.shadowing import ShadowingOrbit
-from dpcontrol.walks.shooting_equations import Guess
+from dpcontrol.walks.shooting_equations import Guess, ShootingEquations
 
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class ExtendedShadowing:
-    """A shadowing orbit in extended precision.
+@dataclass(frozen=True)
+class RefinementSettings:
+    """amplitude: on the local manifolds at the outer nodes, scaled; tolerance: of every residual (rad, rad/s, J).
 
-    times (K + 1,) s, zero where the first symbol crosses its section; states (K + 1, N) of the nodes; symbols (k,):
-    nodes on the symbols' sections. residual: largest gap at a node, distance from a section or energy error (rad,
-    rad/s, J); correction: how far the double nodes were off, largest component.
+    segments: nodes per period of what is led out, half as many as a periodic orbit gets. stalled: refinement ends when
+    a step leaves more than this share of the residual.
     """
 
-    orbit: ShadowingOrbit
+    amplitude: float = 1e-20
+    segments: int = 8
+    iterations: int = 10
+    tolerance: float = 1e-24
+    stalled: float = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class ExtendedOrbit:
+    """An orbit in extended precision: periodic, or between two periodic ones.
+
+    times (K + 1,) s, zero at the first marked node; states (K + 1, N) of the nodes; marked (k,): nodes on the sections
+    of the symbols. residual: largest gap at a node, distance from a section or energy error (rad, rad/s, J);
+    correction: how far the double nodes were off, largest component. ends: the periodic orbits that it leaves and
+    joins, none of a periodic one.
+    """
+
+    guess: Guess
+    propagator: ExtendedPropagator
     times: Extended
     states: Extended
-    symbols: NDArray[np.intp]
+    marked: NDArray[np.intp]
     residual: Any
     correction: float
     iterations: int
     converged: bool
     status: str
+    ends: tuple["ExtendedOrbit", ...] = ()
+
+    @property
+    def state(self) -> Extended:
+        """The state (N,) at the first marked node: on the first symbol's section, or at phase zero."""
+        return self.states[self.marked[0]]
 
     @property
     def digits(self) -> list[str]:
-        """The state at the first symbol's section as decimal digits, one string for each component."""
-        return digits(self.states[self.symbols[0]])
+        """That state as decimal digits, one string for each component."""
+        return digits(self.state)
 
     @property
-    def duration_digits(self) -> str:
-        """Seconds from the first node to the last as decimal digits: of a closed orbit, its period."""
-        return str(self.times[-1] - self.times[0])
+    def duration(self) -> Any:
+        """Seconds from the first node to the last: of a periodic orbit, its period."""
+        return self.times[-1] - self.times[0]
+
+    def at(self, phase: Any) -> Extended:
+        """Return a periodic orbit's state (N,) at a 113-bit phase (period 1), lifted, flown from the node before it."""
+        assert self.guess.turn is not None
+        rounds = float(np.floor(float(phase)))
+        elapsed = (phase - extended(rounds)[()]) * self.duration
+        node = int(np.searchsorted(self.times.astype(float), float(elapsed), side="right")) - 1
+        node = min(max(node, 0), len(self.times) - 2)
+        state = self.propagator.flow(self.states[node], elapsed - self.times[node])
+        return state + exact_position(self.guess.system, rounds * self.guess.turn)
+
+
+def refine_connection(
+    connection: Connection,
+    *,
+    energy: Exact | None = None,
+    parameters: Sequence[Exact] | None = None,
+    settings: RefinementSettings | None = None,
+) -> ExtendedOrbit:
+    """Refine a connection in 113-bit arithmetic; as `refine_shadowing` does a walk.
+
+    Rounding a parameter to double moves a connection by 1e-15 and limits how long free flight follows it to what double
+    precision gives: where the numbers are decimals, give them as decimals or fractions.
+
+    Raises:
+        GoalMissed: a periodic orbit at an end could not be refined, or heyoka has no 113-bit reals.
+    """
+    orbit, section = connection.orbit, connection.section
+    crossing = int(np.argmin(np.abs(orbit.times)))
+    guess = Guess(
+        system=orbit.system,
+        states=orbit.states,
+        durations=np.diff(orbit.times),
+        owners=np.zeros(len(orbit.times), dtype=np.intp),
+        markers={crossing: (np.asarray(section.normal), section.level(connection.state))},
+        energy=connection.source.energy,
+        ends=(orbit.start, orbit.end),
+    )
+    return _refined(guess, energy, parameters, settings)
 
 
 def refine_shadowing(
@@ -64,7 +129,7 @@ def refine_shadowing(
     energy: Exact | None = None,
     parameters: Sequence[Exact] | None = None,
     settings: RefinementSettings | None = None,
-) -> ExtendedShadowing:
+) -> ExtendedOrbit:
     """Refine a converged shadowing orbit, open or closed, in 113-bit arithmetic.
 
     energy: exact, that of the double orbit by default; parameters (p,): exact values of the equations' parameters, by
@@ -75,130 +140,222 @@ def refine_shadowing(
         InputError: the double orbit has not converged.
         GoalMissed: a periodic orbit at an open one's end could not be refined, or heyoka has no 113-bit reals.
     """
-    settings = settings or RefinementSettings()
     if not orbit.converged:
         raise InputError(f"only an orbit that has converged can be refined; this one has not: {orbit.status}")
-    system = orbit.shot.guess.system
+    shot = orbit.shot
+    guess = replace(shot.guess, states=shot.states, durations=shot.durations, ends=shot.ends)
+    return _refined(guess, energy, parameters, settings)
+
+
+def refine_orbit(
+    orbit: LyapunovOrbit,
+    *,
+    energy: Exact | None = None,
+    parameters: Sequence[Exact] | None = None,
+    settings: RefinementSettings | None = None,
+) -> ExtendedOrbit:
+    """Refine a periodic orbit in 113-bit arithmetic; energy and parameters as in `refine_shadowing`.
+
+    Raises:
+        GoalMissed: the residual stays above the tolerance, or heyoka has no 113-bit reals.
+    """
+    system = orbit.system
     propagator = ExtendedPropagator(system.equations, system.parameters if parameters is None else parameters)
-    height = extended(np.array(orbit.shot.guess.energy if energy is None else energy))[()]
-    guess, led = _lengthened(orbit, settings)
-    best = refined(guess, _exact(orbit, guess, propagator, height, settings), propagator, settings)
-    residual, states, iteration = best.residual, best.states, best.iterations
-    converged = bool(residual <= settings.tolerance)
-    symbols = np.array(sorted(guess.markers))
-    times = best.times
-    kept = slice(led, led + len(orbit.shot.states))
-    correction = float(np.abs(states[kept] - extended(orbit.shot.states)).max())
-    if converged:
-        status = f"refined in {iteration} iterations to a gap of {float(residual):.1e}; the double nodes were off by "
-        status += f"{correction:.1e}"
-    else:
-        status = (
-            f"not refined: the gap stays at {float(residual):.1e} after {iteration} iterations{best.failure}; put "
-            "nodes nearer together, or use double precision"
-        )
-    return ExtendedShadowing(
-        orbit, times - times[symbols[0]], states, symbols, residual, correction, iteration, converged, status
-    )
+    height = extended(np.array(orbit.energy if energy is None else energy))[()]
+    return _refined_end(orbit, propagator, height, settings or RefinementSettings())
 
 
-def _exact(
-    orbit: ShadowingOrbit, guess: Guess, propagator: ExtendedPropagator, energy: Any, settings: RefinementSettings
-) -> ExactTerms:
+def exact_position(system: System, state: Array) -> Extended:
+    """Return a resting state (N,) whose angles are whole multiples of π in double as those multiples in extended.
+
+    Other components are taken as the binary numbers that they are.
+    """
+    halves = np.where(np.isfinite(system.periods), state / np.pi, 0.0)
+    whole = np.rint(halves)
+    angular = np.isfinite(system.periods) & (np.abs(halves - whole) < 1e-12)
+    return pi_times(np.where(angular, whole, 0.0)) + extended(np.where(angular, 0.0, state))
+
+
+def _exact_level(system: System, level: float) -> Any:
+    """Return the value of normal · x on a section; of angles, a multiple of π in double is one in extended."""
+    whole = np.rint(level / np.pi)
+    if np.isfinite(system.periods).any() and abs(level / np.pi - whole) < 1e-12:
+        return pi_times(whole)[()]
+    return extended(level)[()]
+
+
+def _refined(
+    guess: Guess,
+    energy: Exact | None,
+    parameters: Sequence[Exact] | None,
+    settings: RefinementSettings | None,
+) -> ExtendedOrbit:
+    """Refine an orbit known in double, led farther out if it is open."""
+    settings = settings or RefinementSettings()
     system = guess.system
-    markers = sorted(guess.markers)
-    levels = {
-        node: _level(connection, guess.markers[node][1])
-        for node, connection in zip(markers, orbit.connections, strict=True)
-    }
-    if guess.turn is not None:
-        return ExactTerms(levels, (), exact_position(system, guess.turn), energy)
-    assert guess.ends is not None
-    known: dict[str, ExtendedOrbit | Refined] = {}
-    bases = []
-    for end in guess.ends:
+    propagator = ExtendedPropagator(system.equations, system.parameters if parameters is None else parameters)
+    height = extended(np.array(guess.energy if energy is None else energy))[()]
+    if guess.ends is None:
+        return _newton(guess, propagator, height, settings)
+    led, first = _lengthened(guess, guess.ends, settings)
+    assert led.ends is not None
+    known: dict[str, ExtendedOrbit] = {}
+    for end in led.ends:
         vertex = end.manifold.orbit
         if vertex.saddle not in known:
-            known[vertex.saddle] = (
-                _refined_vertex(vertex, propagator, energy, settings)
-                if isinstance(vertex, HyperbolicOrbit)
-                else refine_orbit(vertex, propagator, energy, settings)
-            )
-        bases.append(_base(end, known[vertex.saddle], propagator))
-    return ExactTerms(levels, tuple(bases), None, energy)
+            known[vertex.saddle] = _refined_end(vertex, propagator, height, settings)
+    ends = tuple(known[end.manifold.orbit.saddle] for end in led.ends)
+    return _newton(led, propagator, height, settings, kept=slice(first, first + len(guess.states)), ends=ends)
 
 
-def _refined_vertex(
-    vertex: HyperbolicOrbit, propagator: ExtendedPropagator, energy: Any, settings: RefinementSettings
-) -> Refined:
-    """Refine a vertex as what it is, a closed orbit; its nodes keep their phases, across which they alone move.
+def _refined_end(
+    orbit: LyapunovOrbit, propagator: ExtendedPropagator, energy: Any, settings: RefinementSettings
+) -> ExtendedOrbit:
+    """Refine a periodic orbit as a closed one; its first node, which a mirror keeps, stays on that mirror.
 
     Raises:
         GoalMissed: the residual stays above the tolerance; says how large it is.
     """
-    durations = np.diff(vertex.node_times)
+    system, count = orbit.system, 2 * settings.segments
+    states = local_manifold(orbit).frame(np.linspace(0.0, 1.0, count + 1)).states
+    moving = int(np.argmax(np.abs(system.numeric.rate(states[0])) / system.scale))
     guess = Guess(
-        system=vertex.system,
-        states=vertex.node_states,
-        durations=durations,
-        owners=np.zeros(len(vertex.node_states), dtype=np.intp),
-        markers={},
-        energy=vertex.energy,
-        turn=vertex.turn,
+        system=system,
+        states=states,
+        durations=np.full(count, orbit.period / count),
+        owners=np.zeros(count + 1, dtype=np.intp),
+        markers={0: (np.eye(system.dimension)[moving], float(states[0, moving]))},
+        energy=orbit.energy,
+        turn=orbit.turn,
     )
-    best = refined(guess, ExactTerms({}, (), exact_position(vertex.system, vertex.turn), energy), propagator, settings)
-    if not best.residual <= settings.tolerance:
+    found = _newton(guess, propagator, energy, settings)
+    if not found.converged:
         raise GoalMissed(
-            f"{vertex.saddle} could be refined only to a residual of {float(best.residual):.1e}; use double precision"
+            f"the periodic orbit {orbit.saddle} could be refined only to a residual of {float(found.residual):.1e}; "
+            "use double precision"
         )
-    return best
+    return found
 
 
-def _vertex_state(vertex: HyperbolicOrbit, known: Refined, phase: float, propagator: ExtendedPropagator) -> Extended:
-    """Return γ(φ) (N,), lifted, flown from the node before it."""
-    rounds = float(np.floor(phase))
-    times = known.times
-    elapsed = (extended(phase) - extended(rounds))[()] * times[-1]
-    node = int(np.clip(np.searchsorted(times.astype(float), float(elapsed), side="right") - 1, 0, len(times) - 2))
-    state = propagator.flow(known.states[node], elapsed - times[node])
-    return state + exact_position(vertex.system, rounds * vertex.turn)
+def _newton(
+    guess: Guess,
+    propagator: ExtendedPropagator,
+    energy: Any,
+    settings: RefinementSettings,
+    *,
+    kept: slice = slice(None),
+    ends: tuple[ExtendedOrbit, ...] = (),
+) -> ExtendedOrbit:
+    """Refine a double solution by Newton steps with residuals in extended precision; keep the best.
+
+    kept: the nodes whose correction is reported; ends: the refined periodic orbits of an open orbit.
+    """
+    system, equations = guess.system, ShootingEquations(guess)
+    exact = _ExactTerms(guess, energy, ends)
+    states, durations = extended(guess.states), extended(guess.durations)
+    free = extended(np.array([0.0] if guess.ends is None else [*(e.amplitude for e in guess.ends), 0.0]))
+    best: tuple[Any, Extended, Extended] = (np.inf, states, durations)
+    iteration, failure = 0, ""
+    for iteration in range(settings.iterations + 1):
+        exact.place_ends(states, equations, free)
+        try:
+            arrived = np.array([propagator.flow(x, h) for x, h in zip(states[:-1], durations, strict=True)])
+            right, residual = exact.residuals(equations, propagator, states, arrived, free[-1])
+            doubles, segments = states.astype(float), durations.astype(float)
+            flown, stms = system.segments.flows_with_stm(doubles[:-1], segments)
+        except ArithmeticError as error:
+            failure = f" ({error})"
+            break
+        previous = best[0]
+        if residual < previous:
+            best = (residual, states.copy(), durations.copy())
+        if residual == 0 or residual > settings.stalled * previous or iteration == settings.iterations:
+            break
+        matrix = equations.matrix(doubles, stms, flown)
+        # The right-hand side is as large as its own largest entry here, whatever the residual has shrunk to.
+        scaled = (right / residual).astype(float) * equations.rows
+        change = extended(splu(matrix).solve(-scaled) * equations.columns) * residual
+        inner = slice(equations.first_node, equations.first_node + equations.nodes)
+        states[inner] = states[inner] + change[: equations.states_end].reshape(-1, system.dimension)
+        durations = durations + change[equations.states_end : equations.durations_end]
+        free = free + change[equations.durations_end :]
+    residual, states, durations = best
+    correction = float(np.abs(states[kept] - extended(guess.states[kept])).max())
+    converged = bool(residual <= settings.tolerance)
+    status = f"refined in {iteration} iterations to a gap of {float(residual):.1e}; the double nodes were off by "
+    status += f"{correction:.1e}"
+    if not converged:
+        status = (
+            f"not refined: the gap stays at {float(residual):.1e} after {iteration} iterations{failure}; put "
+            "nodes nearer together, or use double precision"
+        )
+    marked = np.array(sorted(guess.markers))
+    times = np.concatenate([extended(np.zeros(1)), np.cumsum(durations)])
+    return ExtendedOrbit(
+        guess, propagator, times - times[marked[0]], states, marked, residual, correction, iteration, converged, status,
+        ends,
+    )  # fmt: skip
 
 
-def _base(end: ManifoldEnd, known: ExtendedOrbit | Refined, propagator: ExtendedPropagator) -> Extended:
+class _ExactTerms:
+    """What the equations need at full precision: levels of the marked nodes' sections, ends or closure, energy."""
+
+    def __init__(self, guess: Guess, energy: Any, ends: tuple[ExtendedOrbit, ...]) -> None:
+        self.energy = energy
+        self.levels = {node: _exact_level(guess.system, level) for node, (_, level) in guess.markers.items()}
+        self.turn = None if guess.turn is None else exact_position(guess.system, guess.turn)
+        self.bases = [_base(end, known) for end, known in zip(guess.ends or (), ends, strict=True)]
+
+    def place_ends(self, states: Extended, equations: ShootingEquations, free: Extended) -> None:
+        """Put the last node (and the first, if open) where closure, or the amplitudes, have it."""
+        if self.turn is not None:
+            states[-1] = states[0] + self.turn
+            return
+        for place, base, slope, amplitude in zip((0, -1), self.bases, equations.ends.slopes, free[:2], strict=True):
+            states[place] = base + extended(slope) * amplitude
+
+    def residuals(
+        self,
+        equations: ShootingEquations,
+        propagator: ExtendedPropagator,
+        states: Extended,
+        arrived: Extended,
+        unfolding: Any,
+    ) -> tuple[Extended, Any]:
+        """Return the right-hand side, unscaled, and the largest gap, distance from a section or energy error."""
+        gaps = arrived - states[1:]
+        off = extended(np.zeros(equations.nodes))
+        for node, level in self.levels.items():
+            normal = equations.guess.markers[node][0]
+            length = extended(np.linalg.norm(normal))
+            off[node - equations.first_node] = (extended(normal) @ states[node] - level) / length
+        first = states[0] if self.turn is not None else states[min(self.levels)]
+        wrong = propagator.energy(first) - self.energy
+        residual = max(np.abs(gaps).max(), np.abs(off).max(), abs(wrong))
+        gradients = equations.system.numeric.gradient(states[1:][equations.unfolded].astype(float))
+        gaps[equations.unfolded] = gaps[equations.unfolded] + extended(gradients) * unfolding
+        parts = [gaps.ravel(), off]
+        if self.turn is not None:
+            parts.append(np.array([wrong]))
+        return np.concatenate(parts), residual
+
+
+def _base(end: ManifoldEnd, known: ExtendedOrbit) -> Extended:
     """Return γ(φ) (N,) at the end's phase, turned around for a stable manifold, lifted by the end's whole turns."""
     orbit = end.manifold.orbit
     system = orbit.system
-    if isinstance(known, ExtendedOrbit):
-        state = known.at(extended(end.phase)[()])
-    else:
-        assert isinstance(orbit, HyperbolicOrbit)
-        state = _vertex_state(orbit, known, end.phase, propagator)
+    state = known.at(extended(end.phase)[()])
     if end.stable:
         centre = exact_position(system, orbit.centre)
         state = extended(orbit.reverser) @ (state - centre) + centre
     return state + exact_position(system, np.asarray(end.turns) * system.turn_lengths)
 
 
-def _level(connection: Connection, value: float) -> Any:
-    """Return the value of normal · x on a connection's section, where it is `value` in double."""
-    section = connection.section
-    if section.period is None:
-        return extended(section.offset)[()]
-    turns = np.rint((value - section.offset) / section.period)
-    if np.isclose(section.period, 2 * np.pi, rtol=1e-15):
-        return (extended(section.offset) + pi_times(2.0 * turns))[()]
-    return (extended(section.offset) + extended(turns) * extended(section.period))[()]
-
-
-def _lengthened(orbit: ShadowingOrbit, settings: RefinementSettings) -> tuple[Guess, int]:
-    """Return the double orbit led farther out on both local manifolds, and how many nodes were put before its own."""
-    shot = orbit.shot
-    guess = replace(shot.guess, states=shot.states, durations=shot.durations, ends=shot.ends)
-    if shot.ends is None:
-        return guess, 0
-    states, durations, owners, ends = [shot.states], [shot.durations], [guess.owners], []
+def _lengthened(guess: Guess, ends: tuple[ManifoldEnd, ManifoldEnd], settings: RefinementSettings) -> tuple[Guess, int]:
+    """Return an open orbit led farther out on both local manifolds, and how many nodes were put before its own."""
+    states, durations, owners, led_ends = [guess.states], [guess.durations], [guess.owners], []
     first = 0
-    for end, before in zip(shot.ends, (True, False), strict=True):
+    for end, before in zip(ends, (True, False), strict=True):
         manifold = end.manifold
         step = manifold.orbit.period / settings.segments
         length = abs(end.amplitude) * float(manifold.frame(np.array([end.phase])).lengths[0])
@@ -206,7 +363,7 @@ def _lengthened(orbit: ShadowingOrbit, settings: RefinementSettings) -> tuple[Gu
         count = int(np.ceil(periods * settings.segments))
         seconds = (-step if before else step) * np.arange(1.0, count + 1.0)
         led = end.states(seconds)
-        ends.append(end.moved(float(seconds[-1])) if count else end)
+        led_ends.append(end.moved(float(seconds[-1])) if count else end)
         owner = np.full(count, 0 if before else guess.owners[-1], dtype=np.intp)
         if before:
             first = count
@@ -221,5 +378,5 @@ def _lengthened(orbit: ShadowingOrbit, settings: RefinementSettings) -> tuple[Gu
         owners=np.concatenate(owners),
         markers={node + first: marker for node, marker in guess.markers.items()},
         joints=tuple(joint + first for joint in guess.joints),
-        ends=(ends[0], ends[1]),
+        ends=(led_ends[0], led_ends[1]),
     ), first

@@ -110,10 +110,8 @@ def section_hits(
     grid = np.append(within.ravel(), orbit.times[-1])
     grid = grid[(grid >= span[0]) & (grid <= span[1])]
     states = orbit.sample(grid)
-    heights = section.height(states)
-    side = (heights > 0).astype(float) if section.period is None else np.floor(heights / section.period)
     # The crossing at time zero lies on a node, to rounding on either side of the section.
-    where = [k for k in np.flatnonzero(np.diff(side)) if section.admits(states[k])]
+    where = [k for k in np.flatnonzero(np.diff(section.sheets(states))) if section.admits(states[k])]
     spacing = float(np.diff(grid).max())
     before = sum(1 for k in where if grid[k + 1] < -spacing / 2)
     after = sum(1 for k in where if grid[k] > spacing / 2)

@@ -202,11 +202,7 @@ def _level(connection: Connection, shift: Array) -> tuple[Array, float]:
     """Return the normal and the value of normal · x on a connection's lifted section."""
     section = connection.section
     normal = np.asarray(section.normal)
-    lift = 0.0
-    if section.period is not None:
-        away = float(normal @ connection.state) - section.offset
-        lift = float(np.rint(away / section.period)) * section.period
-    return normal, section.offset + lift + float(normal @ shift)
+    return normal, section.level(connection.state) + float(normal @ shift)
 
 
 @dataclass(frozen=True)

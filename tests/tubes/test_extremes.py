@@ -10,9 +10,9 @@ from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import tube_cut
-from dpcontrol.tubes.extended import refine_connection
 from dpcontrol.tubes.manifold import UnstableManifold
 from dpcontrol.tubes.orbit_curve import OrbitCurve
+from dpcontrol.walks.extended import refine_connection
 
 STATE = 1e-9  # the bars; what is reached is about 1e-13
 PERIOD = 1e-11
@@ -107,9 +107,9 @@ def test_energies_of_no_reference_value_agree_with_extended_precision(lab, sourc
     assert exact.converged
     assert float(exact.residual) <= 1e-20
     assert exact.correction < STATE
-    for orbit in exact.orbits:
-        assert float(orbit.period) == pytest.approx(orbit.orbit.period, abs=PERIOD)
-        assert np.abs(orbit.state.astype(float) - orbit.orbit.state).max() < STATE
+    for end, orbit in zip(exact.ends, (connection.source, connection.target), strict=True):
+        assert float(end.duration) == pytest.approx(orbit.period, abs=PERIOD)
+        assert np.abs(end.state.astype(float) - orbit.state).max() < STATE
 
 
 @pytest.mark.parametrize("energy", [-0.12, 0.05, 0.15])
