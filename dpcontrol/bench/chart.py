@@ -13,15 +13,79 @@ Source: Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I (19
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, ClassVar
-
-from dpcontrol.bench.page import Page, TextTable
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from typing import Any, ClassVar, Protocol
 
 ALLOWED = 0.2
 """How far off the front a default may stand, with a reason."""
+READING_LINES = 3
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table for people: title, heads of the columns, rows of text; notes follow it, a line each."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    notes: tuple[str, ...] = ()
+
+
+class Part(Protocol):
+    """A diagram of a page."""
+
+    def complaints(self) -> tuple[str, ...]:
+        """Return a sentence for each thing that is not as it should be."""
+        ...
+
+    def document(self) -> dict[str, Any]:
+        """Return everything in JSON's terms."""
+        ...
+
+    def table(self) -> TextTable:
+        """Return what the terminal shows."""
+        ...
+
+
+@dataclass(frozen=True)
+class Page:
+    """What `dpcontrol bench` draws, saves and prints: its name on the command line and of its files, title, three lines
+    on how to read it, what was chosen.
+
+    PARTS: the field that holds its diagrams, and their name in JSON.
+
+    Raises:
+        ValueError: the reading is not of three lines.
+    """
+
+    PARTS: ClassVar[str]
+
+    name: str
+    title: str
+    reading: tuple[str, str, str]
+    chosen: str
+
+    def __post_init__(self) -> None:
+        if len(self.reading) != READING_LINES:
+            raise ValueError(f"{self.name}: {len(self.reading)} lines on how to read it; write {READING_LINES}")
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The diagrams."""
+        return getattr(self, self.PARTS)
+
+    @property
+    def complaints(self) -> tuple[str, ...]:
+        """A sentence for each thing that is not as it should be."""
+        return tuple(text for part in self.parts for text in part.complaints())
+
+    def document(self) -> dict[str, Any]:
+        """Return the page in JSON's terms."""
+        head = {name: getattr(self, name) for name in ("name", "title", "reading", "chosen", "complaints")}
+        return {**head, self.PARTS: [part.document() for part in self.parts]}
+
+    def tables(self) -> tuple[TextTable, ...]:
+        """Return each part's table."""
+        return tuple(part.table() for part in self.parts)
 
 
 @dataclass(frozen=True)
@@ -168,9 +232,3 @@ class Chart(Page):
         super().__post_init__()
         if not any(panel.defaults for panel in self.panels):
             raise ValueError(f"{self.name}: no point is the product's default")
-
-    def figure(self) -> "Figure":
-        """Return the chart's page."""
-        from dpcontrol.bench.drawing import draw
-
-        return draw(self)

@@ -1,4 +1,4 @@
-"""Maps of failure: where a method stops working, found by bisection, beside where theory says that it does.
+"""Maps of failure: where a method stops working, found by bisection, beside the predicted border.
 
 On each line of a map one quantity y is varied between a value that works and one that does not. The border lies at
 
@@ -12,15 +12,12 @@ Source: for bisection on a yes-or-no answer, Press et al., Numerical Recipes, 3r
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
-from dpcontrol.bench.page import Page, TextTable
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from dpcontrol.bench.chart import Page, TextTable
 
 AGREES = 0.25
 """How far measured and predicted borders may be apart, as a share."""
@@ -35,6 +32,15 @@ class Answer:
 
     works: bool
     says: str = ""
+
+
+def half_of(answers: Sequence[Answer], lost: str) -> Answer:
+    """Return whether at least half of the answers work, else how many do not (`lost` in words) and what one says."""
+    said = [answer.says for answer in answers if not answer.works]
+    if 2 * len(said) <= len(answers):
+        return Answer(True)
+    first = next(filter(None, said), "")
+    return Answer(False, first and f"{len(said)} of {len(answers)} {lost}; {first}")
 
 
 Probe = Callable[[float], Answer]
@@ -148,18 +154,16 @@ class EdgeMap:
     agrees: float = AGREES
 
     def complaints(self) -> tuple[str, ...]:
-        """Return a sentence for each border that is not where theory has it, not found, or passed in silence."""
+        """Return a sentence for each border that is not found, not where it is predicted, or passed in silence."""
         found = []
         for b in self.borders:
-            where = f"{self.title}, {b.line}"
-            if b.near is None:
-                if b.predicted is not None:
-                    found.append(f"{where}: nothing works, not even {b.far:.3g}, foretold at {b.predicted:.3g}")
-            elif b.far is None:
-                if b.predicted is not None:
-                    found.append(f"{where}: no border up to {b.near:.3g}, foretold at {b.predicted:.3g}")
+            where, predicted = f"{self.title}, {b.line}", f"predicted at {b.predicted or 0:.3g}"
+            if b.predicted is not None and b.near is None:
+                found.append(f"{where}: nothing works, not even {b.far:.3g}, {predicted}")
+            elif b.predicted is not None and b.far is None:
+                found.append(f"{where}: no border up to {b.near:.3g}, {predicted}")
             elif b.off is not None and b.off > self.agrees:
-                found.append(f"{where}: border at {b.measured:.3g}, foretold at {b.predicted:.3g}, {b.off:.0%} apart")
+                found.append(f"{where}: border at {b.measured:.3g}, {predicted}, {b.off:.0%} apart")
             if b.far is not None and not b.says:
                 found.append(f"{where}: what lies beyond {b.far:.3g} is not reported")
         return tuple(found)
@@ -175,10 +179,10 @@ class EdgeMap:
              shorten(b.says, _SHOWN, placeholder=" …"))
             for b in self.borders
         )  # fmt: skip
-        notes = (f"foretold: {self.theory}",) if self.theory else ()
+        notes = (f"predicted: {self.theory}",) if self.theory else ()
         return TextTable(
             f"{self.title}: {self.y_label}",
-            ("line", self.near, self.far, "foretold", "apart", "what it says"),
+            ("line", self.near, self.far, "predicted", "apart", "what it says"),
             rows,
             notes,
         )
@@ -195,9 +199,3 @@ class EdgeChart(Page):
     PARTS: ClassVar[str] = "maps"
 
     maps: tuple[EdgeMap, ...] = ()
-
-    def figure(self) -> "Figure":
-        """Return the chart's page."""
-        from dpcontrol.bench.edges_drawing import draw
-
-        return draw(self)

@@ -1,12 +1,12 @@
-"""Maps of failure of estimation: how many samples may be lost, and how long a stuck encoder goes unnoticed.
+"""Maps of failure of estimation: how many samples may be lost, and how soon a stuck encoder is reported.
 
 Lost samples: of K ticks each is lost with probability p. A run is ended by a gap of m ticks, longer than the supervisor
-bears; gaps of at least m begin K (1 - p) pᵐ times on average, nearly independently: half of the runs see none at
+allows; gaps of at least m begin K (1 - p) pᵐ times on average, nearly independently: half of the runs see none at
 
     K (1 - p) pᵐ = ln 2
 
-Stuck encoder: it is told from a still arm not before the reference has left the reading's neighbourhood, 0.02 rad, and
-15 ms have passed; the filter's doubt comes on top, so that this is a bound only.
+Stuck encoder: it differs from a still arm only once the reference has moved 0.02 rad from the reading and 15 ms have
+passed; the filter's doubt comes on top, so this is a lower bound.
 
 Source: Feller, An Introduction to Probability Theory and Its Applications I, 3rd ed., section XIII.7, for runs.
 """
@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border
+from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border, half_of
 from dpcontrol.control.lqr import HoldSettings, hold_controller
 from dpcontrol.control.periodic import orbit_controller
 from dpcontrol.control.tracking import TvlqrSettings
@@ -45,7 +45,7 @@ QUICK_PHASES = (0.3,)
 BEFORE = 0.5
 """s of the run before a sensor sticks, at least."""
 MOVED, STILL = 0.02, 0.015
-"""rad and s: what tells a stuck joint from a still one."""
+"""rad and s: what distinguishes a stuck joint from a still one."""
 
 
 def chart(quick: bool, progress: Progress) -> EdgeChart:
@@ -71,10 +71,10 @@ def chart(quick: bool, progress: Progress) -> EdgeChart:
         ),
         reading=(
             "Left: the filter flies through gaps on its model; the supervisor ends the run after 0.1 s without any.",
-            "Right: a stuck encoder is told from a still arm by what the arm should have done.",
-            "Circles come to the end, crosses are ended with the sentence in the data; diamonds are foretold.",
+            "Right: a stuck encoder is recognised by what the arm should have done meanwhile.",
+            "Circles come to the end, crosses end with the sentence in the data; diamonds are predicted.",
         ),
-        chosen="0.1 s without a sample: an error at Down-Up grows 2.2-fold in it, which authority has in plenty.",
+        chosen="0.1 s without a sample: an error at Down-Up grows 2.2-fold in it, far within authority.",
     )  # fmt: skip
 
 
@@ -96,14 +96,11 @@ def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, se
     reference = still(controller.state, SECONDS, method=method_named("radau-7"), limits=Limits(), interval=1.0)
 
     def probe(kept: float) -> Answer:
-        lost, says = 0, ""
-        for seed in range(seeds):
-            sensors = SensorSettings(dropout=1 - kept / rate)
-            run = run_loop(reference, arms, settings=replace(settings, seed=seed, sensors=sensors),
-                           controller=controller)  # fmt: skip
-            if run.ending is not Ending.FINISHED:
-                lost, says = lost + 1, says or run.reason
-        return Answer(2 * lost <= seeds, f"{lost} of {seeds} runs lost; {says}")
+        one = replace(settings, sensors=SensorSettings(dropout=1 - kept / rate))
+        runs = [
+            run_loop(reference, arms, settings=replace(one, seed=seed), controller=controller) for seed in range(seeds)
+        ]
+        return half_of([Answer(run.ending is Ending.FINISHED, run.reason) for run in runs], "runs lost")
 
     predicted = arriving(rate, missing=settings.supervisor.missing, seconds=SECONDS)
     return find_border(
@@ -112,8 +109,8 @@ def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, se
     )  # fmt: skip
 
 
-def told(orbit: SustainedOrbit, since: float, *, sensor: int) -> float:
-    """Return the least seconds after which a joint's reading, the same since `since` s on the clock, betrays itself."""
+def earliest_report(orbit: SustainedOrbit, since: float, *, sensor: int) -> float:
+    """Return the seconds after which a reading that sticks at `since` s on the clock differs from a still arm's."""
     after = np.arange(0.0, orbit.period, 1e-3)
     angles = orbit.state(since + after)
     joint = angles[:, sensor] - (angles[:, sensor - 1] if sensor else 0.0)
@@ -132,5 +129,5 @@ def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: floa
         run = run_loop(orbit.reference, arms, settings=settings, controller=controller)
         return Answer(run.ending is Ending.FINISHED, "" if run.ending is Ending.FINISHED else run.reason)
 
-    least = told(orbit, at % orbit.period, sensor=sensor)
+    least = earliest_report(orbit, at % orbit.period, sensor=sensor)
     return find_border(probe, x=phase, line=f"{phase:g}", near=least / 2, far=8 * least, ratio=1.1, unit=1e-3)

@@ -1,218 +1,132 @@
-"""Where OGY ends: the largest pulse, and encoder counts, by sections in a period; runs beside what is foretold."""
+"""Where OGY ends: the largest pulse, and encoder counts, by sections in a period.
 
-from collections.abc import Callable, Sequence
-from dataclasses import replace
-from functools import cache
+An error grows by about λ^(1/k) from one of k sections to the next, so that few sections need large pulses and fine
+encoders. Readings round as the orbit has it, which no short formula tells: the borders are measured only.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dpcontrol.bench.control_trials import Judge, held
-from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, Trial, find_border
-from dpcontrol.bench.ogy_borders import ESTIMATOR, LIMIT, RATE, Task, encoders, sections_of, task
-from dpcontrol.bench.ogy_ladder import NEARLY, Ladder
-from dpcontrol.bench.ogy_readings import LANES, Foresight, foresight, spread
-from dpcontrol.control.ogy import OgyController
+from dpcontrol.bench.control_trials import held
+from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border, half_of
+from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.ogy import OgyController, OgySettings, ogy_controller
+from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.loop.batch import run_batch
-from dpcontrol.loop.draw import draw_bench
-from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.loop.bench import SensorSettings
+from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.result import Ending
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.problem import Limits
+from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
+from dpcontrol.scenes.model import load_model
 
-Array = NDArray[np.float64]
-
-SEEDS, RATIO = 8, 1.12
-QUICK_SEEDS, QUICK_RATIO, QUICK_SECONDS = 8, 1.6, 4.0
-SECTIONS = (1, 2, 3, 4, 8, 16)
-QUICK_SECTIONS = (8,)
+RATE = 1000.0
+SECONDS, QUICK_SECONDS = 6.0, 4.0
+SEEDS, RATIO = 16, 1.12
+QUICK_SEEDS, QUICK_RATIO = 8, 1.6
+SECTIONS, QUICK_SECTIONS = (1, 2, 3, 4, 8, 16), (8,)
+LIMIT = 0.5
+"""m/s²: of the pulses where counts are varied."""
+COUNTS = 40_000.0
+"""Counts per turn where the pulses are varied."""
 FEWEST, MOST = 50.0, 4e8
 """Counts per turn: from the coarsest encoders to none that there is."""
 WEAKEST, STRONGEST = 0.01, 5.0
 """m/s²: pulses from next to nothing to the shipped ones."""
-COUNTS = 40_000.0
-THEORY = "what readings, rounded as the orbit has them, do to the loop to first order"
-_POOL = 512
-"""Seeds from which runs are chosen by their zeros."""
-_UNKNOWN_RATIO = 1.5
-"""How near the sides of a border are brought that nothing foretells."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stay:
+    """An orbit to be held for `seconds`, and the arms that are believed and simulated alike."""
+
+    orbit: SustainedOrbit
+    arms: ArmChainParameters
+    seconds: float = SECONDS
+
+    def controller(self, sections: int, limit: float = LIMIT) -> OgyController:
+        """Return the law by `sections` pulses a period, of at most `limit` m/s²; it learns nothing."""
+        settings = OgySettings(sections=sections, pulse_limit=limit, parameter_error=0.0)
+        return ogy_controller(self.orbit, sampled_model(self.arms, RATE), settings, seconds=self.seconds)
+
+
+def stay(saddle: str = "down-up", energy: float = -0.07, *, seconds: float = SECONDS) -> Stay:
+    """Return the lab's orbit about a saddle at an energy in J."""
+    lab = load_model("lab")
+    return Stay(sustained_orbit(lyapunov_orbit(lab.system, saddle, energy=energy), lab.arms), lab.arms, seconds)
 
 
 def chart(quick: bool, progress: Progress) -> EdgeChart:
-    """Return the chart; quick: fewer sections, rungs and seeds, and shorter runs."""
-    one, sections, seeds, ratio = task(), SECTIONS, SEEDS, RATIO
-    if quick:
-        one = replace(one, seconds=QUICK_SECONDS)
-        sections, seeds, ratio = QUICK_SECTIONS, QUICK_SEEDS, QUICK_RATIO
+    """Return the chart; quick: fewer sections and seeds, wider borders, and shorter runs."""
+    one = stay(seconds=QUICK_SECONDS if quick else SECONDS)
+    sections, seeds, ratio = (QUICK_SECTIONS, QUICK_SEEDS, QUICK_RATIO) if quick else (SECTIONS, SEEDS, RATIO)
     weak, counted = [], []
     for j, k in enumerate(sections):
         progress(f"edges of OGY, largest pulse, k = {k}", 0.4 * j / len(sections))
-        weak.append(limit_border(one, k, counts=COUNTS, seeds=seeds, ratio=ratio))
+        weak.append(limit_border(one, k, seeds=seeds, ratio=ratio))
     for j, k in enumerate(sections):
         progress(f"edges of OGY, counts, k = {k}", 0.4 + 0.6 * j / len(sections))
         counted.append(counts_border(one, k, seeds=seeds, ratio=ratio))
-    maps = (
-        EdgeMap(f"Authority, {COUNTS:,.0f} counts per turn", "sections in a period, k", "largest pulse, m/s²",
-                tuple(weak), THEORY, far="lost"),
-        EdgeMap(f"Encoders, pulses of {LIMIT:g} m/s²", "sections in a period, k", "counts per turn", tuple(counted),
-                THEORY, far="lost"),
-    )  # fmt: skip
+    x = "sections in a period, k"
     return EdgeChart(
         name="edges-ogy",
         title=f"Where OGY ends: Down-Up at -0.07 J, multiplier {one.orbit.multipliers[0].real:.0f} a period",
-        maps=maps,
+        maps=(
+            EdgeMap(f"Authority, {COUNTS:,.0f} counts per turn", x, "largest pulse, m/s²", tuple(weak), far="lost"),
+            EdgeMap(f"Encoders, pulses of {LIMIT:g} m/s²", x, "counts per turn", tuple(counted), far="lost"),
+        ),
         reading=(
-            "From one section to the next an error grows by about λ^(1/k), so that few sections ask for large pulses "
-            "or for encoders that nobody builds. Zeros of the encoders lie anywhere within a count.",
-            "Circles: half of the runs hold, or more; crosses: fewer. More counts are worse where an arm moves whole "
-            "counts in a tick at a section: a border is therefore the mean of where runs begin to hold "
-            "(Spearman-Kärber).",
-            "Diamonds are foretold without a run: the loop to first order, its readings rounded as the orbit has them; "
-            "none where flights between sections leave the linear range (one and two sections).",
+            "From one section to the next an error grows by about λ^(1/k), so few sections need large pulses or "
+            "encoders that nobody builds.",
+            f"Circles: at least half of {seeds} runs hold; crosses: fewer. Zeros of the encoders lie anywhere within a "
+            "count.",
+            "How readings round depends on the orbit, and more counts may be worse in places: no formula predicts "
+            "these borders.",
         ),
         chosen="16 sections a period and pulses of up to 5 m/s²: encoders of a few hundred counts would still do.",
+    )
+
+
+def holds(one: Stay, controller: OgyController, *, counts: float, seeds: int) -> Answer:
+    """Return whether at least half of the runs hold the orbit, else what ended the first that did not."""
+    whole = max(round(counts), 1)
+    sensors = SensorSettings(counts=whole, cart_resolution=1e-6, zero_error=np.pi / whole)
+    # Zeros being estimated would need a third larger pulses at k = 16.
+    settings = LoopSettings(
+        seed=0, rate=RATE, sensors=sensors, estimator=EkfSettings(augment=()), initial_error=1e-5
     )  # fmt: skip
-
-
-def holds(one: Task, controller: OgyController, *, counts: float, seeds: int, first: int = 0) -> Answer:
-    """Return whether at least half of the runs hold the orbit, else what ended the first that did not.
-
-    first: of the runs' zeros, which follow one another on a lattice over a count.
-    """
-    return _told(*_runs(one, controller, counts=counts, seeds=_spread_seeds(one, first, seeds)))
-
-
-@cache
-def _zeros(one: Task) -> Array:
-    """Return the zeros (_POOL, n) that seeds from 0 on draw, as shares of a count from -½ to ½."""
-    sensors = encoders(COUNTS)
-    settings = LoopSettings(seed=0, rate=RATE, sensors=sensors)
-    draws = [draw_bench(one.arms, settings.bench, seed=k, ticks=1, period=1 / RATE) for k in range(_POOL)]
-    return np.array([draw.zeros for draw in draws]) / (2 * sensors.zero_error)
-
-
-def _spread_seeds(one: Task, first: int, count: int) -> list[int]:
-    """Return `count` seeds whose zeros are next to the lattice's points from `first` on: few leave no part out."""
-    zeros = _zeros(one)
-    points = spread(first + count, one.arms.count).T[first:] - 0.5
-    away = points[:, None, :] - zeros
-    return np.argmin(np.square(away - np.rint(away)).sum(axis=2), axis=1).tolist()
-
-
-def _told(lost: int, seeds: int, text: str) -> Answer:
-    return Answer(2 * lost <= seeds, f"{lost} of {seeds} runs lost; {text}" if lost else "")
-
-
-def _runs(one: Task, controller: OgyController, *, counts: float, seeds: Sequence[int]) -> tuple[int, int, str]:
-    """Return how many runs lose the orbit, of how many, and what ended the first of them."""
-    settings = LoopSettings(seed=0, rate=RATE, sensors=encoders(counts), estimator=ESTIMATOR, initial_error=1e-5)
-    runs = run_batch(one.arms, settings=settings, seeds=seeds, controller=controller,
+    runs = run_batch(one.arms, settings=settings, seeds=range(seeds), controller=controller,
                      limits=Limits(position=5.0, acceleration=30.0))  # fmt: skip
-    judge = _judge(one)
-    lost = [run for run in runs if not judge(run)]
-    stopped = [run.reason for run in lost if run.ending is not Ending.FINISHED]
-    return len(lost), len(runs), stopped[0] if stopped else "finished, but away from the orbit in its last period"
+    period = one.orbit.period
+    judge = held(one.orbit.state(np.linspace(0, period, 1000))[:, : one.arms.count], period=period)
+    away = "finished, but away from the orbit in its last period"
+    return half_of(
+        [Answer(judge(run), away if run.ending is Ending.FINISHED else run.reason) for run in runs], "runs lost"
+    )
 
 
-def _judge(one: Task) -> Judge:
-    return held(one.orbit.state(np.linspace(0, one.orbit.period, 1000))[:, : one.arms.count], period=one.orbit.period)
-
-
-def counts_border(one: Task, sections: int, *, seeds: int = SEEDS, ratio: float = RATIO) -> Border:
-    """Return the fewest counts per turn with which `sections` pulses a period hold the orbit."""
-    controller, known = one.controller(sections), sections_of(one, sections)
-    ladder = Ladder(FEWEST, MOST, ratio)
-    foretold = {}
-    if known.largest_linear_pulse > LIMIT:
-        foretold = foretold_counts(foresight(known, controller), ladder)
-    if foretold:
-        return climbed(
-            lambda counts, first: _runs(one, controller, counts=counts, seeds=_spread_seeds(one, first, seeds)),
-            ladder, foretold, sections=sections, seeds=seeds,
-        )  # fmt: skip
-    return find_border(
-        lambda counts: holds(one, controller, counts=counts, seeds=seeds), x=sections, line=f"k = {sections}",
-        near=MOST, far=FEWEST, ratio=_UNKNOWN_RATIO,
-    )  # fmt: skip
-
-
-def limit_border(
-    one: Task, sections: int, *, counts: float = COUNTS, seeds: int = SEEDS, ratio: float = RATIO
-) -> Border:
+def limit_border(one: Stay, sections: int, *, seeds: int = SEEDS, ratio: float = RATIO) -> Border:
     """Return the smallest limit of the pulses, m/s², with which `sections` of them a period hold the orbit."""
-    controller, known = one.controller(sections), sections_of(one, sections)
+    controller = one.controller(sections)
 
-    def limited(limit: float) -> OgyController:
-        return replace(controller, pulse_limit=limit)
+    def probe(limit: float) -> Answer:
+        return holds(one, replace(controller, pulse_limit=limit), counts=COUNTS, seeds=seeds)
 
-    ladder, foretold = Ladder(WEAKEST, STRONGEST, ratio), {}
-    if (most := min(STRONGEST, known.largest_linear_pulse)) > WEAKEST:
-        foretold = foretold_limits(foresight(known, controller), replace(ladder, high=most), counts)
-    if foretold:
-        return climbed(
-            lambda limit, first: _runs(one, limited(limit), counts=counts, seeds=_spread_seeds(one, first, seeds)),
-            ladder, foretold, sections=sections, seeds=seeds,
-        )  # fmt: skip
-    return find_border(
-        lambda limit: holds(one, limited(limit), counts=counts, seeds=seeds), x=sections, line=f"k = {sections}",
-        near=STRONGEST / 2, far=STRONGEST / 12, ratio=_UNKNOWN_RATIO,
-    )  # fmt: skip
+    return _border(probe, sections, near=STRONGEST, far=WEAKEST, ratio=ratio)
 
 
-def foretold_counts(loop: Foresight, ladder: Ladder, limit: float = LIMIT) -> dict[int, float]:
-    """Return the share of runs that hold by the ladder's rung of counts per turn, with pulses of up to `limit` m/s².
+def counts_border(one: Stay, sections: int, *, seeds: int = SEEDS, ratio: float = RATIO) -> Border:
+    """Return the fewest counts per turn with which `sections` pulses a period hold the orbit."""
+    controller = one.controller(sections)
 
-    A rung stands for all counts that are nearer to it than to another.
-    """
-    *zeros, places = spread(LANES, loop.sections.task.arms.count + 1)
+    def probe(counts: float) -> Answer:
+        return holds(one, controller, counts=counts, seeds=seeds)
 
-    def share(counts: float) -> float:
-        near = counts * ladder.ratio ** (places - 0.5)
-        return float(loop.held(loop.heard(counts), np.array(zeros) - 0.5, counts=near, limits=limit).mean())
-
-    return ladder.foretold(share)
+    return _border(probe, sections, near=MOST, far=FEWEST, ratio=ratio)
 
 
-def foretold_limits(loop: Foresight, ladder: Ladder, counts: float) -> dict[int, float]:
-    """Return the share of runs that hold by the ladder's rung of the pulses' limits in m/s², with so many counts."""
-    *zeros, places = spread(LANES, loop.sections.task.arms.count + 1)
-    heard = loop.heard(counts)
-
-    def share(limit: float) -> float:
-        near = limit * ladder.ratio ** (places - 0.5)
-        return float(loop.held(heard, np.array(zeros) - 0.5, counts=counts, limits=near).mean())
-
-    return ladder.foretold(share)
-
-
-def climbed(
-    probe: Callable[[float, int], tuple[int, int, str]], ladder: Ladder, foretold: dict[int, float], *, sections: int,
-    seeds: int,
-) -> Border:  # fmt: skip
-    """Return the border on rungs from where nearly all runs are lost to where nearly all hold.
-
-    Its sides lie a standard error off it. probe: takes a value and the first of its zeros. The rungs are those that
-    `foretold` has, and further ones where runs are not as foretold. Each has zeros of its own: a few would bring their
-    own luck to all of them.
-    """
-    told: dict[int, tuple[int, int, str]] = {}
-
-    def share(rung: int) -> float:
-        told[rung] = probe(ladder.at(rung), rung * seeds)
-        return 1 - told[rung][0] / told[rung][1]
-
-    shares = {rung: share(rung) for rung in foretold}
-    while shares[low := min(shares)] > 1 - NEARLY + 1 / seeds and low > 0:
-        shares[low - 1] = share(low - 1)
-    while shares[high := max(shares)] < NEARLY - 1 / seeds and high + 1 < ladder.count:
-        shares[high + 1] = share(high + 1)
-    answers = {rung: _told(*told[rung]) for rung in sorted(shares)}
-    trials = tuple(Trial(ladder.at(rung), answer.works, answer.says) for rung, answer in answers.items())
-    border, error, line = ladder.border(shares), ladder.error(shares, seeds), f"k = {sections}"
-    says = next((trial.says for trial in reversed(trials) if trial.y <= border and not trial.works), "")
-    near, far = border * error, border / error
-    if not any(trial.works for trial in trials):
-        near, far = None, trials[-1].y
-    elif all(trial.works for trial in trials):
-        near, far = trials[0].y, None
-    return Border(sections, line, near, far, ladder.border(foretold), says, trials)
+def _border(probe: Callable[[float], Answer], sections: int, *, near: float, far: float, ratio: float) -> Border:
+    return find_border(probe, x=sections, line=f"k = {sections}", near=near, far=far, ratio=ratio)

@@ -5,7 +5,7 @@ About an equilibrium a method multiplies the motion of an eigenvalue s by its st
     R(sh) = 1 + sh bᵀ (I - sh A)⁻¹ 1,      |R(sh)| ≤ 1 for those with Re s < 0
 
 The first step at which |R| passes 1 makes a motion grow that dies out in truth: -λ of a saddle, or an oscillation that
-friction damps. Measured with the product's own compiled steps on the nonlinear equations; foretold from A, b alone.
+friction damps. Measured with the product's own compiled steps on the nonlinear equations; predicted from A, b alone.
 
 Source: Hairer & Wanner, Solving Ordinary Differential Equations II (1996), section IV.2.
 """
@@ -14,19 +14,24 @@ from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
 from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border
+from dpcontrol.bench.edges_control import HELD_ERROR, ROOM, STRONG, held
 from dpcontrol.control.model import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations
 from dpcontrol.dynamics.compiled import compiled_step
 from dpcontrol.dynamics.plant import PlantParameters, longest_step
+from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress
+from dpcontrol.references.problem import Limits
 from dpcontrol.scenes.model import load_model
 
 Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
 Step = Callable[[Array, float], Array]
 """(state (N,), length in s) -> following state (N,)."""
 
@@ -46,7 +51,7 @@ def chart(quick: bool, progress: Progress) -> EdgeChart:
     split = longest_step(PlantParameters(arms))
     maps = []
     for title, tableau, step, says in (
-        ("Model of controllers and filters: Runge-Kutta 4", RK4, model_step(arms), _run_at(arms)),
+        ("Model of controllers and filters: Runge-Kutta 4", RK4, model_step(arms), _run_at),
         ("Plant: 12 stages of DOP853", DOP, plant_step(arms),
          lambda h, saddle: f"never taken: the simulated bench splits what is longer than {split:g} s"),
     ):  # fmt: skip
@@ -97,48 +102,34 @@ def stability(tableau: tuple[Array, Array], z: complex) -> complex:
     return complex(1 + z * b @ np.linalg.solve(np.eye(len(b)) - z * a, np.ones(len(b))))
 
 
-def foretold_step(tableau: tuple[Array, Array], values: NDArray[np.complex128], *, longest: float = 5.0) -> float:
+def predicted_step(tableau: tuple[Array, Array], values: Complex, *, longest: float = 5.0) -> float:
     """Return the step in s at which the first of the eigenvalues `values` in 1/s, all damped, has |R| = 1."""
-    fastest = np.abs(values).max()
-    steps = np.linspace(1e-3, longest, 5000) / fastest * 2
-    for low, high in pairwise(steps.tolist()):
-        if max(abs(stability(tableau, s * high)) for s in values) > 1:
-            for _ in range(40):
-                middle = (low + high) / 2
-                if max(abs(stability(tableau, s * middle)) for s in values) > 1:
-                    high = middle
-                else:
-                    low = middle
-            return float(low)
-    raise ValueError("no border up to the longest step")
+    steps = np.linspace(1e-3, longest, 5000) / np.abs(values).max() * 2
 
+    def stable(step: float) -> bool:
+        return max(abs(stability(tableau, s * step)) for s in values) <= 1
 
-Complex = NDArray[np.complex128]
+    low, high = next(((low, high) for low, high in pairwise(steps.tolist()) if not stable(high)), (0.0, 0.0))
+    if not high:
+        raise ValueError("no border up to the longest step")
+    for _ in range(40):
+        middle = (low + high) / 2
+        low, high = (middle, high) if stable(middle) else (low, middle)
+    return low
 
 
 def decaying(arms: ArmChainParameters, saddle: str) -> tuple[Array, Complex, Complex, Complex]:
     """Return the equilibrium (N,), the damped eigenvalues (m,) in 1/s, their vectors (m, N) and left vectors (m, N)."""
-    equations = arm_chain_equations(arms.count, Level.CART, friction=arms.friction)
+    e = arm_chain_equations(arms.count, Level.CART, friction=arms.friction)
     state = np.concatenate([load_model("lab").system.equilibrium(saddle), np.zeros(2)])
-    jacobian = _jacobian(equations.function(), state, arms.base())
+    linear = ca.Function("linear", [e.state, e.inputs, e.parameters], [ca.jacobian(e.rate, e.state)])
     n = 2 * arms.count
-    pairs = np.linalg.eig(jacobian[:n, :n])
-    values: Complex = np.asarray(pairs[0], dtype=np.complex128)
-    right: Complex = np.asarray(pairs[1], dtype=np.complex128)
-    left: Complex = np.asarray(np.linalg.inv(right), dtype=np.complex128)
+    pairs = np.linalg.eig(np.array(linear(state, 0.0, arms.base()))[:n, :n].astype(np.complex128))
+    values, right = (np.asarray(found, dtype=np.complex128) for found in pairs)
     damped = np.flatnonzero(values.real < -1e-9)
-    pad = np.zeros((len(damped), len(state) - n), dtype=np.complex128)
-    return state, values[damped], np.hstack([right.T[damped], pad]), np.hstack([left[damped], pad])
-
-
-def _jacobian(function: Callable[..., object], state: Array, parameters: Array) -> Array:
-    """Return ∂f/∂x (N, N) by central differences, good to nine digits."""
-    size, nudge = len(state), 1e-5
-    columns = [
-        (np.array(function(state + d, 0.0, parameters)) - np.array(function(state - d, 0.0, parameters))).ravel()
-        for d in nudge * np.eye(size)
-    ]
-    return np.array(columns).T / (2 * nudge)
+    left: Complex = np.asarray(np.linalg.inv(right), dtype=np.complex128)
+    cart = np.zeros((len(damped), len(state) - n), dtype=np.complex128)
+    return state, values[damped], np.hstack([right.T[damped], cart]), np.hstack([left[damped], cart])
 
 
 def step_border(
@@ -147,7 +138,7 @@ def step_border(
 ) -> Border:  # fmt: skip
     """Return the border of the step's length at an equilibrium."""
     state, values, right, left = decaying(arms, saddle)
-    predicted = foretold_step(tableau, values)
+    predicted = predicted_step(tableau, values)
 
     def probe(h: float) -> Answer:
         for vector, dual in zip(right, left, strict=True):
@@ -166,25 +157,11 @@ def step_border(
     return replace(found, says=says(found.far, saddle)) if found.far else found
 
 
-def _run_at(arms: ArmChainParameters) -> Callable[[float, str], str]:
+def _run_at(h: float, saddle: str) -> str:
     """Return what a run says whose period is as long as the step, arms held at the equilibrium."""
-    from dpcontrol.bench.edges_control import INITIAL_ERROR, ROOM
-    from dpcontrol.control.lqr import HoldSettings, hold_controller
-    from dpcontrol.foundation.errors import GoalMissed, InputError
-    from dpcontrol.loop.batch import run_batch
-    from dpcontrol.loop.loop import LoopSettings, sampled_model
-    from dpcontrol.loop.result import Ending
-    from dpcontrol.references.problem import Limits
-
-    def says(h: float, saddle: str) -> str:
-        state = load_model("lab").system.equilibrium(saddle)
-        try:
-            controller = hold_controller(state, sampled_model(arms, 1 / h), HoldSettings(), seconds=60.0)
-        except (InputError, GoalMissed) as error:
-            return str(error)
-        settings = LoopSettings(seed=0, rate=1 / h, initial_error=INITIAL_ERROR)
-        limits = Limits(position=ROOM, velocity=ROOM, acceleration=30.0)
-        run = run_batch(arms, settings=settings, seeds=[0], controller=controller, limits=limits)[0]
-        return run.reason if run.ending is not Ending.FINISHED else f"{run.nis_inside_95:.0%} of NIS inside 95 %"
-
-    return says
+    try:
+        stand = held(1 / h, saddle=saddle, seconds=60.0)
+    except (InputError, GoalMissed) as error:
+        return str(error)
+    limits = Limits(position=ROOM, velocity=ROOM, acceleration=STRONG)
+    return stand.run(limits=limits, error=HELD_ERROR).says

@@ -4,8 +4,8 @@ The error between nodes of a method with K points falls as the interval's length
 
     e(h) = e(h₀) (h/h₀)^K,      so the longest interval for a tolerance ε is  h₀ (ε / e(h₀))^(1/K)
 
-foretold from one solution on a finer mesh. For what track and acceleration must be
-together there is no formula: the border is measured only.
+predicted from one solution on a finer mesh. What acceleration a track needs has no formula: that border is measured
+only.
 
 Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7.
 """
@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 WALK = "outer-turn"
 METHOD, TOLERANCE = ReferenceSettings().method, ReferenceSettings().tolerance
 FINE = 0.012
-"""s: the mesh whose error foretells; the border lies at about one and a half times as much."""
+"""s: the mesh from whose error the border is predicted, about one and a half times as long."""
 FRICTIONS = (0.0, 1.0, 2.0, 4.0)
 QUICK_FRICTIONS = (1.0,)
 TRACKS = (0.4, 0.01, 0.002)

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border
+from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border, half_of
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connection import Connection
@@ -59,7 +59,7 @@ def chart(quick: bool, progress: Progress) -> EdgeChart:
         reading=(
             "The smallest gap between pieces of orbit that Newton's method can reach: what rounding leaves.",
             "Left: it falls as nodes come nearer together. Right: many wraps are as good as none; one is worse.",
-            "Rounding that grows by λ^(1/s) from node to node sets the scale; its constant is luck: none foretold.",
+            "Rounding that grows by λ^(1/s) from node to node sets the scale; its constant is luck: no prediction.",
         ),
         chosen="Eight nodes in a period and a tolerance of 1e-11, three orders above what rounding leaves.",
     )  # fmt: skip
@@ -87,10 +87,7 @@ def tolerance_border(walks: Sequence[Sequence[Connection]], *, segments: int, wr
     def probe(tolerance: float) -> Answer:
         settings = ShadowingSettings(segments, newton=NewtonSettings(tolerance=tolerance))
         orbits = [shadow(walk, wraps=[wraps], settings=settings) for walk in walks]
-        missed = [orbit.status for orbit in orbits if not orbit.converged]
-        if 2 * len(missed) <= len(walks):
-            return Answer(True)
-        return Answer(False, f"{len(missed)} of {len(walks)} not converged; {missed[0]}")
+        return half_of([Answer(orbit.converged, orbit.status) for orbit in orbits], "not converged")
 
     floor = rounding_floor(walks[0], segments=segments)
     line = f"{wraps} wraps, {segments} nodes"

@@ -150,7 +150,7 @@ def _casadi(work: Work, states: Array) -> list[Candidate]:
     ]
     found = []
     for method, label, kind, options in cases:
-        # Its warnings of stalled steps are told by the error.
+        # The error shows where its steps stalled.
         if kind != "rk":
             options = {**options, "disable_internal_warnings": True}
         flow = ca.integrator("flow", kind, program, 0.0, work.duration, options)

@@ -96,8 +96,8 @@ def timed_in_turns(
 
     most: s of a function's own after which it is measured no more, if it was `least` times. worth: says of a first
     result whether its time is of interest; else the first call's is all there is. starts_up: False for work that
-    compiles nothing, whose first call counts like the others. beside: seconds of the yardstick. progress: told of each
-    first call and of each round.
+    compiles nothing, whose first call counts like the others. beside: seconds of the yardstick. progress: called
+    at each first call and each round.
     """
     speed = _Speed(clock, beside)
     measured = {key: _Measured(function, grain, speed) for key, function in functions.items()}

@@ -3,7 +3,7 @@
 import importlib
 from collections.abc import Callable
 
-from dpcontrol.bench.page import Page
+from dpcontrol.bench.chart import Page
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress
 
@@ -11,9 +11,9 @@ Drawer = Callable[[bool, Progress], Page]
 """(quick, progress) -> chart: `quick` takes less of the same work, so that the order on the front stays."""
 
 
-def _of(module: str) -> Drawer:
+def _of(module: str, function: str = "chart") -> Drawer:
     def chart(quick: bool, progress: Progress) -> Page:
-        return importlib.import_module(f"dpcontrol.bench.{module}").chart(quick, progress)
+        return getattr(importlib.import_module(f"dpcontrol.bench.{module}"), function)(quick, progress)
 
     return chart
 
@@ -31,11 +31,10 @@ CHARTS: dict[str, Drawer] = {
     "edges-walks": _of("edges_walks"),
     "edges-references": _of("edges_references"),
     "edges-control": _of("edges_control"),
-    "edges-moving": _of("edges_moving"),
+    "edges-moving": _of("edges_control", "moving_chart"),
     "edges-ogy": _of("edges_ogy"),
     "edges-estimation": _of("edges_estimation"),
 }
-"""Each module has one function `chart(quick, progress)`."""
 GROUPS = {"edges": tuple(name for name in CHARTS if name.startswith("edges-"))}
 """Names that stand for several charts."""
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from dpcontrol.bench.chart import Page
 from dpcontrol.bench.machine import machine, versions
 from dpcontrol.bench.measure import one_core
-from dpcontrol.bench.page import Page
 from dpcontrol.bench.registry import CHARTS, GROUPS, check_names
 from dpcontrol.foundation.checkout import commit
 from dpcontrol.foundation.files import whole_file, write_whole
@@ -81,6 +81,8 @@ def draw_chart(order: Order, progress: Progress = no_progress) -> Drawn:
     began = time.perf_counter()
     chart = CHARTS[order.name](order.quick, progress)
     seconds = time.perf_counter() - began
+    # matplotlib takes half a second to import.
+
     picture, data = save(chart, order.folder, made_with=order.made_with, seconds=seconds)
     return Drawn(chart, picture, data, seconds)
 
@@ -93,9 +95,12 @@ def _at_once(orders: Sequence[Order]) -> Iterator[Drawn]:
 
 def save(chart: Page, folder: Path, *, made_with: Mapping[str, Any], seconds: float) -> tuple[Path, Path]:
     """Write a chart's picture and data to `folder`; return their paths."""
+    # matplotlib takes half a second to import.
+    from dpcontrol.bench.drawing import figure
+
     picture, data = Path(folder) / f"{chart.name}.png", Path(folder) / f"{chart.name}.json"
     with whole_file(picture, suffix=".png") as temporary:
-        chart.figure().savefig(temporary, format="png")
+        figure(chart).savefig(temporary, format="png")
     document = {**chart.document(), "seconds": seconds, **made_with}
     write_whole(data, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
     return picture, data

@@ -1,7 +1,7 @@
 """Chart of transcription: method, order, interval and solver against error between nodes, cost and time.
 
 One crossing between two orbits is transcribed and solved, from the same first guess, once by each. The error is the one
-between nodes; the cost is told by its distance from the finest transcription's. Time holds the building of the program.
+between nodes; the cost is shown as its distance from the finest transcription's. Time includes building the program.
 """
 
 from collections.abc import Callable

@@ -27,7 +27,7 @@ Maps of where a method stops working, found by bisection, beside where theory ha
 {_listed(GROUPS["edges"])}
 
 All are drawn where none is named. What is not as it should be, a default off its front or a border that is not where it
-is foretold, is in the status; with --strict it makes the exit code 1. --against compares with an earlier drawing: the
+is predicted, is in the status; with --strict it makes the exit code 1. --against compares with an earlier drawing: the
 order on each front, times within a fifth of each other being a tie, and what each default takes, twice as much being
 slower, and errs by.
 """

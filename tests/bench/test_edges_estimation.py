@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from dpcontrol.bench.edges_estimation import MOVED, SADDLE, STILL, arriving, lost_border, stuck_border, told
+from dpcontrol.bench.edges_estimation import MOVED, SADDLE, STILL, arriving, earliest_report, lost_border, stuck_border
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.sustained import sustained_orbit
 from dpcontrol.scenes.model import load_model
@@ -15,7 +15,7 @@ LAB = load_model("lab")
 
 
 @pytest.mark.parametrize("rate", [50.0, 200.0])
-def test_half_of_many_drawn_runs_see_a_gap_at_the_foretold_share(rate):
+def test_half_of_many_drawn_runs_see_a_gap_at_the_predicted_share(rate):
     missing, seconds = 0.1, 10.0
     p = 1 - arriving(rate, missing=missing, seconds=seconds) / rate
     gap, ticks = math.floor(missing * rate + 1e-9) + 1, round(seconds * rate)
@@ -26,7 +26,7 @@ def test_half_of_many_drawn_runs_see_a_gap_at_the_foretold_share(rate):
     assert share == pytest.approx(0.5, abs=0.08)
 
 
-def test_runs_end_at_the_foretold_share_of_lost_samples_and_the_supervisor_says_why():
+def test_runs_end_at_the_predicted_share_of_lost_samples_and_the_supervisor_says_why():
     found = lost_border(LAB.arms, LAB.system.equilibrium(SADDLE), rate=60.0, seeds=5)
     assert found.off is not None
     assert found.off < APART
@@ -34,14 +34,14 @@ def test_runs_end_at_the_foretold_share_of_lost_samples_and_the_supervisor_says_
     assert "no measurement for" in found.says
 
 
-def test_a_stuck_encoder_is_told_after_what_must_pass_and_not_long_after():
+def test_a_stuck_encoder_is_reported_after_what_must_pass_and_not_long_after():
     orbit = sustained_orbit(lyapunov_orbit(LAB.system, SADDLE, energy=-0.07), LAB.arms)
     found = stuck_border(LAB.arms, orbit, phase=0.3)
     assert found.near is not None
     assert found.far is not None
     assert "the encoder of joint 2 is stuck" in found.says
-    least = told(orbit, 0.3 * orbit.period, sensor=1)
+    least = earliest_report(orbit, 0.3 * orbit.period, sensor=1)
     assert least >= STILL
     assert least <= found.far < least + 0.1
-    # Far from told: an arm that has moved by less than what is asked for.
+    # Far from being reported: an arm that has moved by less than what is asked for.
     assert 100 * 2 * np.pi / 40_000 < MOVED

@@ -5,7 +5,8 @@ import math
 
 import pytest
 
-from dpcontrol.bench.edges import AGREES, Answer, Border, EdgeChart, EdgeMap, find_border
+from dpcontrol.bench.drawing import figure
+from dpcontrol.bench.edges import AGREES, Answer, Border, EdgeChart, EdgeMap, find_border, half_of
 from dpcontrol.bench.registry import GROUPS, check_names
 from dpcontrol.foundation.errors import InputError
 
@@ -48,8 +49,8 @@ def test_a_side_that_is_not_found_is_none_and_no_number_is_made_up():
     )
     assert (nothing.near, nothing.far, nothing.measured) == (None, 0.1, None)
     assert (everything.near, everything.far, everything.measured) == (1.0, None, None)
-    assert "nothing works, not even 0.1, foretold at 0.3" in one_map(nothing).complaints()[0]
-    assert "no border up to 1, foretold at 0.3" in one_map(everything).complaints()[0]
+    assert "nothing works, not even 0.1, predicted at 0.3" in one_map(nothing).complaints()[0]
+    assert "no border up to 1, predicted at 0.3" in one_map(everything).complaints()[0]
 
 
 @pytest.mark.parametrize("share", [-AGREES, -0.1, 0.1, AGREES])
@@ -67,6 +68,14 @@ def test_a_far_side_that_nobody_reports_is_a_complaint():
     assert "is not reported" in one_map(found).complaints()[0]
 
 
+def test_half_of_the_answers_decide_and_one_that_says_something_speaks_for_the_rest():
+    silent, works, says = Answer(False), Answer(True), Answer(False, "tracking lost")
+    assert half_of([works, silent], "runs lost").works
+    assert half_of([works, silent, says], "runs lost") == Answer(False, "2 of 3 runs lost; tracking lost")
+    # What nobody reports stays a complaint.
+    assert half_of([silent, silent, works], "runs lost") == Answer(False, "")
+
+
 def test_a_chart_of_maps_is_json_and_a_picture(tmp_path):
     found = find_border(below(), x=2.0, line="two", near=0.01, far=5.0, predicted=0.4)
     none = find_border(below(0.0), x=3.0, line="three", near=0.1, far=1.0)
@@ -75,7 +84,7 @@ def test_a_chart_of_maps_is_json_and_a_picture(tmp_path):
     borders = json.loads(text)["maps"][0]["borders"]
     assert borders[0]["measured"] == pytest.approx(BORDER, rel=0.1)
     assert borders[1]["measured"] is None
-    chart.figure().savefig(tmp_path / "map.png")
+    figure(chart).savefig(tmp_path / "map.png")
     assert (tmp_path / "map.png").stat().st_size > 1000
     assert len(chart.tables()[0].rows) == 2
 

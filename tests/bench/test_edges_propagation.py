@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dpcontrol.bench.edges_propagation import DOP, RK4, foretold_step, model_step, plant_step, stability, step_border
+from dpcontrol.bench.edges_propagation import DOP, RK4, model_step, plant_step, predicted_step, stability, step_border
 from dpcontrol.dynamics.plant import PlantParameters, longest_step
 from dpcontrol.scenes.model import load_model
 
@@ -22,8 +22,8 @@ def test_the_stability_function_is_the_exponential_to_the_methods_order():
 
 
 def test_runge_kuttas_borders_on_both_axes_are_the_published_ones():
-    assert foretold_step(RK4, np.array([-1.0 + 0j])) == pytest.approx(REAL_AXIS, abs=2e-3)
-    assert foretold_step(RK4, np.array([-1e-6 + 1j])) == pytest.approx(IMAGINARY_AXIS, abs=2e-3)
+    assert predicted_step(RK4, np.array([-1.0 + 0j])) == pytest.approx(REAL_AXIS, abs=2e-3)
+    assert predicted_step(RK4, np.array([-1e-6 + 1j])) == pytest.approx(IMAGINARY_AXIS, abs=2e-3)
 
 
 @pytest.mark.parametrize("saddle", ["down-down", "up-up"])

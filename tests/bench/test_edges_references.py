@@ -1,4 +1,4 @@
-"""The longest interval of a mesh: foretold by the method's order from one finer mesh, named beyond it."""
+"""The longest interval of a mesh: predicted by the method's order from one finer mesh, named beyond it."""
 
 from dpcontrol.bench.edges_references import TOLERANCE, mesh_border, on_equal_intervals, problem_of
 
