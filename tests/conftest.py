@@ -27,6 +27,14 @@ def plans_of_this_session_only(tmp_path_factory: pytest.TempPathFactory) -> Iter
         yield
 
 
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Keep a module's tests on one worker, which makes the module's expensive fixtures once (`--dist loadgroup`)."""
+    for item in items:
+        if not item.get_closest_marker("xdist_group"):
+            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+
+
 def _tracked(orbit: StandIn) -> tuple[StandIn, Reference]:
     equations = arm_chain_equations(2, Level.CART)
     problem = ReferenceProblem(equations, LAB.base(), orbit.guess, orbit.duration)

@@ -11,7 +11,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from command_line import dpcontrol
+from command_line import Ended, dpcontrol
 
 from dpcontrol.cli.main import VERBS
 
@@ -25,15 +25,43 @@ def blocks(kind: str) -> list[str]:
     return [text for name, text in BLOCKS if name == kind]
 
 
-def conversations() -> list[tuple[str, list[str]]]:
-    """Return each `$ command` of the console blocks with the lines that it is said to print."""
+def conversations(text: str = README) -> list[tuple[str, list[str]]]:
+    """Return each `$ command` of the console blocks of `text` with the lines that it is said to print."""
     found: list[tuple[str, list[str]]] = []
-    for line in "".join(blocks("console")).splitlines():
-        if line.startswith("$ "):
-            found.append((line[2:], []))
-        elif line:
-            found[-1][1].append(line)
+    for block in re.findall(r"^```console\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
+        for line in block.splitlines():
+            if line.startswith("$ "):
+                found.append((line[2:], []))
+            elif line:
+                found[-1][1].append(line)
     return found
+
+
+SECTIONS = {text.split("\n", 1)[0]: conversations(text) for text in README.split("\n## ")[1:] if conversations(text)}
+"""The README's sections that hold commands, by title."""
+
+
+def earlier(section: str) -> list[str]:
+    """Return the commands of earlier sections that write files which those of `section` read.
+
+    A file is known by its name: in what a command prints, after its --out, or for plain runs by the itinerary's.
+    """
+    makers: dict[str, str] = {}
+    needed: list[str] = []
+    for title, shown in SECTIONS.items():
+        for command, lines in shown:
+            if title == section:
+                for word in shlex.split(command, comments=True):
+                    maker = makers.get(word)
+                    if maker is not None and maker not in needed:
+                        needed.append(maker)
+            for line in lines:
+                for name in re.findall(r"^logs/\S+", line):
+                    makers.setdefault(name, command)
+        if title == section:
+            own = {command for command, _ in shown}
+            return [command for command in needed if command not in own]
+    raise KeyError(section)
 
 
 def commands_in_text() -> list[str]:
@@ -41,15 +69,14 @@ def commands_in_text() -> list[str]:
     return re.findall(r"\| `(dpcontrol [^`]+)` \|$", README, re.MULTILINE)
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
     """A folder with the files that the README shows, under the names it gives them."""
-    folder = tmp_path_factory.mktemp("readme")
     for text in blocks("toml"):
         (name,) = re.findall(r"\A# ([\w/-]+\.toml)\n", text)
-        (folder / name).parent.mkdir(exist_ok=True)
-        (folder / name).write_text(text)
-    return folder
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    return tmp_path
 
 
 @pytest.fixture(autouse=True)
@@ -66,30 +93,35 @@ def said(line: str) -> re.Pattern[str]:
     return re.compile(r"\s+".join(words), re.MULTILINE)
 
 
-def test_every_command_of_the_walk_through_prints_what_is_shown() -> None:
-    shown = conversations()
-    assert {command.split()[1] for command, _ in shown} >= {
-        "model", "orbit", "connect", "plan", "run", "score", "review", "atlas", "bifurcations", "figures",
-        "walk", "reference", "campaign", "report", "info", "recover", "import", "identify", "replay", "bench",
-    }  # fmt: skip
-    for command, lines in shown:
-        words = shlex.split(command, comments=True)
-        assert words[0] == "dpcontrol"
-        ended = dpcontrol(*words[1:])
-        assert ended.code == (1 if "exits with 1" in command else 0), (command, ended.stderr)
+def ended_as_said(command: str) -> Ended:
+    """Run a command of the README and check its exit code."""
+    words = shlex.split(command, comments=True)
+    assert words[0] == "dpcontrol"
+    ended = dpcontrol(*words[1:])
+    assert ended.code == (1 if "exits with 1" in command or "feedforward" in command else 0), (command, ended.stderr)
+    return ended
+
+
+def test_the_readme_shows_every_verb_at_work() -> None:
+    assert {command.split()[1] for command, _ in conversations()} >= set(VERBS) - {"demo", "rig"}
+
+
+@pytest.mark.parametrize("section", [pytest.param(s, marks=pytest.mark.xdist_group(f"readme: {s}")) for s in SECTIONS])
+def test_the_commands_of_a_section_print_what_it_shows(section: str) -> None:
+    for command in earlier(section):
+        ended_as_said(command)
+    for command, lines in SECTIONS[section]:
+        ended = ended_as_said(command)
         for line in lines:
             assert said(line).search(ended.stdout), f"{command}\ndid not print\n{line}\nbut\n{ended.stdout}"
-    assert Path("turn.rrd").is_file()
-    assert Path("turn.png").is_file()
-    assert Path("walk.png").is_file()
-    assert len(list(Path("orbits").iterdir())) == 3
+        for name in re.findall(r"--(?:out|save|picture) (\S+)", command):
+            assert Path(name).exists(), f"{command} did not write {name}"
 
 
 def test_the_commands_that_show_the_numbers_run() -> None:
     assert len(commands_in_text()) >= 4
     for command in commands_in_text():
-        ended = dpcontrol(*shlex.split(command)[1:])
-        assert ended.code == (1 if "feedforward" in command else 0), (command, ended.stderr)
+        ended_as_said(command)
 
 
 def test_every_verb_and_option_that_the_text_mentions_exists() -> None:

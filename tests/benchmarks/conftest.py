@@ -15,16 +15,6 @@ STORED = HERE / "ratios.json"
 KEPT = 0.5  # of a stored ratio: other machines and busy ones differ by less, a lost vector unit by more
 
 
-def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Skip benchmarks unless the marker expression names them."""
-    if "benchmark" in config.getoption("markexpr"):
-        return
-    reason = pytest.mark.skip(reason="a benchmark: run it with pytest -m benchmark tests/benchmarks")
-    for item in items:
-        if item.get_closest_marker("benchmark"):
-            item.add_marker(reason)
-
-
 @pytest.fixture
 def one_core() -> Iterator[int]:
     """Keep this process, and those it starts, on one core; its number."""
