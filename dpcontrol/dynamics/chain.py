@@ -31,6 +31,7 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from fractions import Fraction
 from functools import cache
+from itertools import product
 from typing import Any
 
 import casadi as ca
@@ -39,6 +40,8 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.equations import Equations, state_equations
 from dpcontrol.dynamics.lagrangian import Energy, mechanics
+from dpcontrol.dynamics.propagator import Section
+from dpcontrol.dynamics.system import System, described_system
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
 
@@ -267,3 +270,52 @@ def arm_chain_equations(count: int, level: Level, *, friction: tuple[Friction, .
 def equations_of(arms: ArmChainParameters, level: Level) -> Equations:
     """Return the equations at `level` that go with `arms.base()`, with the friction laws that these arms have."""
     return arm_chain_equations(arms.count, level, friction=arms.friction)
+
+
+def _angle_section(name: str, angles: tuple[float, float], along: tuple[float, float]) -> Section:
+    """Return the section angles · θ = 2πk of two arms, with the coordinate that varies along `along`."""
+    # Any arm that moves along the section measures the position on it.
+    measure = (1.0, 0.0) if along[0] else (0.0, 1.0)
+    return Section(name, (*angles, 0.0, 0.0), (*measure, 0.0, 0.0), along, period=2 * np.pi)
+
+
+def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
+    """Return the frictionless pendulum on a fixed pivot as a system: level conservative.
+
+    Saddles are named by the arms' directions, inner arm first. For two arms the sections are those of the paper:
+    the turning arm passes straight down ("outer-down", θ₂ = 2πk, about Down-Up; "inner-down", θ₁ = 2πk, about
+    Up-Down), and between different saddles both arms align ("aligned", θ₁ - θ₂ = 2πk).
+    """
+    n = parameters.count
+    base = parameters.viscous_only().base()
+    weights = base[n * (n + 1) // 2 : n * (n + 1) // 2 + n]
+    sections: dict[str, Section] = {}
+    between: dict[tuple[str, str], str] = {}
+    if n == 2:
+        sections = {
+            "outer-down": _angle_section("angle_2 = 2 pi k", (0.0, 1.0), (1.0, 0.0)),
+            "inner-down": _angle_section("angle_1 = 2 pi k", (1.0, 0.0), (0.0, 1.0)),
+            "aligned": _angle_section("angle_1 = angle_2 + 2 pi k", (1.0, -1.0), (1.0, 1.0)),
+        }
+        between = {
+            ("down-up", "down-up"): "outer-down",
+            ("up-down", "up-down"): "inner-down",
+            ("down-up", "up-down"): "aligned",
+            ("up-down", "down-up"): "aligned",
+        }
+    still, one = np.ones(n), np.ones(n)
+    return described_system(
+        name,
+        arm_chain_equations(n, Level.CONSERVATIVE),
+        base,
+        [f"angle_{i + 1}" for i in range(n)],
+        {"-".join(words): [np.pi * (w == "up") for w in words] for words in product(("down", "up"), repeat=n)},
+        periods=(2 * np.pi,) * n,
+        reversers=(np.diag(np.concatenate([still, -one])), np.diag(np.concatenate([-still, one]))),
+        orientation=np.eye(2 * n)[n],
+        scale=(np.pi,) * n + (10.0,) * n,
+        energy_scale=float(2 * weights.sum()),
+        sections=sections,
+        between=between,
+        section_scale=1.0,
+    )

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.lagrangian import Mechanics
+from dpcontrol.dynamics.lagrangian import Energy, Mechanics, solve_symmetric
 
 Array = NDArray[np.float64]
 
@@ -42,6 +42,24 @@ class Equations:
     def function(self) -> ca.Function:
         """Return the casadi function (state, inputs, parameters) -> rate."""
         return ca.Function("rate", [self.state, self.inputs, self.parameters], [self.rate])
+
+    @cached_property
+    def numeric_functions(self) -> dict[str, ca.Function]:
+        """What `NumericEquations` evaluates: functions of (state, parameters) with the inputs at zero, by name."""
+        rate = ca.substitute(self.rate, self.inputs, ca.SX.zeros(self.input_count)) if self.input_count else self.rate
+        expressions = {
+            "rate": rate,
+            "jacobian": ca.vec(ca.jacobian(rate, self.state).T),
+            "hamiltonian": self.hamiltonian,
+            "gradient": ca.gradient(self.hamiltonian, self.state),
+            "momentum": self.momentum,
+            "momentum_jacobian": ca.vec(ca.jacobian(self.momentum, self.state).T),
+            "mass": ca.vec(self.mass_matrix.T),
+        }
+        return {
+            name: ca.Function(name, [self.state, self.parameters], [ca.densify(value)])
+            for name, value in expressions.items()
+        }
 
     def discrete_step(self, step: float) -> ca.Function:
         """Return (state, inputs, parameters) -> (next state, ∂next/∂state, ∂next/∂inputs) over `step` seconds.
@@ -90,6 +108,17 @@ def state_equations(parts: Mechanics, *, with_cart: bool) -> Equations:
     return Equations(symbols, controls, parts.parameters, ca.cse(rate), hamiltonian, momentum, mass_matrix)
 
 
+def hamiltonian_equations(energy: Energy, *, count: int, parameters: ca.SX) -> Equations:
+    """Return Hamilton's equations of H(q, p, parameters) with `count` coordinates; states are (q, p)."""
+    q, p = ca.SX.sym("q", count), ca.SX.sym("p", count)
+    value = energy(q, p, parameters)
+    by_momenta = ca.gradient(value, p)
+    rate = ca.cse(ca.vertcat(by_momenta, -ca.gradient(value, q)))
+    inverse_mass = ca.jacobian(by_momenta, p)
+    mass = ca.horzcat(*(solve_symmetric(inverse_mass, ca.SX.eye(count)[:, k]) for k in range(count)))
+    return Equations(ca.vertcat(q, p), ca.SX.zeros(0), parameters, rate, value, p, mass)
+
+
 class _Buffered:
     """A function of (state, parameters) with one dense output, called on memory of its own.
 
@@ -132,21 +161,8 @@ class NumericEquations:
 
     @cached_property
     def _functions(self) -> dict[str, _Buffered]:
-        e = self.equations
-        still = ca.substitute(e.rate, e.inputs, ca.SX.zeros(e.input_count)) if e.input_count else e.rate
-        expressions = {
-            "rate": still,
-            "jacobian": ca.vec(ca.jacobian(still, e.state).T),
-            "hamiltonian": e.hamiltonian,
-            "gradient": ca.gradient(e.hamiltonian, e.state),
-            "momentum": e.momentum,
-            "momentum_jacobian": ca.vec(ca.jacobian(e.momentum, e.state).T),
-            "mass": ca.vec(e.mass_matrix.T),
-        }
-        return {
-            name: _Buffered(ca.Function(name, [e.state, e.parameters], [ca.densify(value)]), self.parameters)
-            for name, value in expressions.items()
-        }
+        functions = self.equations.numeric_functions
+        return {name: _Buffered(function, self.parameters) for name, function in functions.items()}
 
     def _call(self, name: str, states: Array) -> Array:
         x = np.asarray(states, dtype=float)

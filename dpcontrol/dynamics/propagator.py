@@ -21,7 +21,8 @@ Eight segments share each vector instruction, which makes one four times cheaper
 symbols flies five thousand of them at every step.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -33,6 +34,7 @@ from dpcontrol.dynamics.equations import Equations
 from dpcontrol.dynamics.taylor import to_heyoka
 
 Array = NDArray[np.float64]
+Row = Sequence[float] | Array
 
 
 @dataclass(frozen=True)
@@ -40,8 +42,8 @@ class Section:
     """A Poincaré section n·x = offset (+ period · k where the coordinate is an angle), and coordinates on it.
 
     normal, position (N,): n and the row that gives the section's coordinate q = position · x. momentum (n,): the
-    combination of canonical momenta conjugate to q. period: of n·x, or None on a line. side: (N,) and the
-    crossing counts only where side · x > 0, or None.
+    combination of canonical momenta conjugate to q. period: of n·x, or None on a line. side (N,): a crossing counts
+    only where side · x > middle or, with a reach, |side · x - middle| > reach; None: everywhere.
     """
 
     name: str
@@ -51,6 +53,25 @@ class Section:
     offset: float = 0.0
     period: float | None = None
     side: tuple[float, ...] | None = None
+    middle: float = 0.0
+    reach: float | None = None
+
+    @classmethod
+    def plane(cls, name: str, normal: Row, *, offset: float = 0.0, period: float | None = None) -> "Section":
+        """Return the section normal · q = offset of two coordinates q, with sheets offset + period · k if given."""
+        row, along = _plane_rows(normal)
+        return cls(name, (*row, 0.0, 0.0), (*along, 0.0, 0.0), along, offset, period)
+
+    @classmethod
+    def turning(cls, name: str, direction: Row) -> "Section":
+        """Return the section direction · v = 0, v the states' second half: where two coordinates turn back."""
+        row, along = _plane_rows(direction)
+        return cls(name, (0.0, 0.0, *row), (*along, 0.0, 0.0), along)
+
+    def where(self, side: Row, *, middle: float = 0.0, reach: float | None = None) -> "Section":
+        """Return the part of the section on one side, or beyond a reach on both; side (2,) is a row of coordinates."""
+        row = (*(float(value) for value in side), 0.0, 0.0)
+        return replace(self, side=row, middle=middle, reach=reach)
 
     def height(self, states: Array) -> Array:
         """Return n·x - offset for states (…, N): zero, or a multiple of the period, on the section."""
@@ -69,7 +90,26 @@ class Section:
 
     def admits(self, state: Array) -> bool:
         """Tell whether a crossing at `state` (N,) counts."""
-        return self.side is None or float(np.dot(self.side, state)) > 0
+        if self.side is None:
+            return True
+        beyond = float(np.dot(self.side, state)) - self.middle
+        return beyond > 0 if self.reach is None else abs(beyond) > self.reach
+
+    def kept_by(self, reverser: Array, centre: Array) -> bool:
+        """Tell whether a reverser (N, N) about a state (N,) maps the section, with its side, onto itself."""
+        shift = centre - reverser @ centre
+
+        def kept(row: tuple[float, ...], level: float, period: float | None, signs: tuple[float, ...]) -> bool:
+            for sign in signs:
+                if np.allclose(np.asarray(row) @ reverser, sign * np.asarray(row)):
+                    apart = (sign - 1) * level + float(np.dot(row, shift))
+                    return abs(apart - (np.rint(apart / period) * period if period else 0.0)) < 1e-9
+            return False
+
+        both = (1.0, -1.0)
+        return kept(self.normal, self.offset, self.period, both) and (
+            self.side is None or kept(self.side, self.middle, None, both if self.reach is not None else both[:1])
+        )
 
 
 @dataclass(frozen=True)
@@ -78,6 +118,13 @@ class Crossing:
 
     state: Array
     time: float
+
+
+def _plane_rows(normal: Row) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return a row of two coordinates, and the row across it with its largest entry positive."""
+    first, second = (float(value) for value in normal)
+    sign = 1.0 if max(first, -second, key=abs) < 0 else -1.0
+    return (first, second), (sign * second + 0.0, -sign * first + 0.0)
 
 
 # Measured on 1,000 tube trajectories of the pendulum, without compact_mode: 8 lanes 0.053 s, 0.5 s to compile the first

@@ -1,24 +1,66 @@
 """A conservative system as the search for orbits sees it: equations, symmetries, saddles, sections.
 
 Nothing here assumes angles: coordinates have periods where they are angles, reversers are matrices, and sections
-are rows of numbers.
+are rows of numbers. A system of one's own is given by its energy as a casadi expression:
+
+    def hamiltonian(q, p, c):
+        (x, y), (px, py) = q, p
+        return (px**2 + py**2) / 2 + (x**2 + y**2) / 2 + c["lambda"] * (x**2 * y - y**3 / 3)
+
+    system = System.from_hamiltonian("henon-heiles", hamiltonian, coordinates=("x", "y"),
+                                     parameters={"lambda": 1.0}, equilibria={"top": (0.0, 1.0)})
+
+Source of the reversers' properties: Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998).
 """
 
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
+from typing import Any, TypedDict, Unpack
 
+import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations
-from dpcontrol.dynamics.equations import Equations, NumericEquations
+from dpcontrol.dynamics.equations import Equations, NumericEquations, hamiltonian_equations, state_equations
+from dpcontrol.dynamics.lagrangian import mechanics
 from dpcontrol.dynamics.propagator import Propagator, Section, SegmentPropagator
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.tables import suggest
 
 Array = NDArray[np.float64]
+EnergyFunction = Callable[[tuple[ca.SX, ...], tuple[ca.SX, ...], dict[str, ca.SX]], ca.SX]
+"""(coordinates, their velocities or momenta, parameters by name) -> energy, casadi scalars throughout."""
+
+_NAME = re.compile(r"\w([\w-]*\w)?")
+_NEWTON_STEPS = 50
+_SAME = 1e-9
+"""Relative difference within which a symmetry holds: rounding, and no near miss."""
+
+
+class SystemOptions(TypedDict, total=False):
+    """What a system may say besides its energy; each entry has a default.
+
+    periods: of each coordinate, None where it is no angle (all). reversers: signs of the coordinates, such as (1, -1),
+    or matrices (N, N); without them sign changes that reverse the motion are looked for. orientation (N,): see System.
+    scale: typical size of the coordinates, a number or one for each, or one for each state (π for angles, else 1).
+    energy_scale: (the energy's rise over that size). sections: by short names; between: (from, to) -> short name, for
+    all pairs to be connected (a plane half-way between two saddles; for the orbits of one, the points beyond half the
+    scale where they turn around).
+    section_scale, flight_periods: see System.
+    """
+
+    periods: Sequence[float | None]
+    reversers: Sequence[ArrayLike]
+    orientation: ArrayLike
+    scale: float | Sequence[float]
+    energy_scale: float
+    sections: Mapping[str, Section]
+    between: Mapping[tuple[str, str], str]
+    section_scale: float
+    flight_periods: float
 
 
 @dataclass(frozen=True)
@@ -26,12 +68,12 @@ class System:
     """A Hamiltonian system with N = 2n states.
 
     equilibria: name -> state (N,). periods (N,): 2π for angles, infinity otherwise. reversers: matrices (N, N)
-    that turn the flow around in time, x(t) -> A x(-t). orientation (N,): a periodic orbit starts where it crosses
-    its saddle's fixed set with orientation · (x - saddle) > 0. scale (N,): divides a state error. energy_scale: in
-    the energy's unit. sections: (from, to) -> section on which connections are sought unless another is named;
-    named_sections: all there are, by short names; section_scale: the size of what happens there in (q, p/p₀).
-    flight_periods: how many periods of its orbit a tube's trajectory is given to
-    reach a section.
+    that turn the flow around in time, x(t) -> A x(-t), about every saddle of index one; of two the product leads each
+    Lyapunov orbit half a period on. orientation (N,): a periodic orbit starts where it crosses its saddle's fixed set
+    with orientation · (x - saddle) > 0. scale (N,): divides a state error. energy_scale: in the energy's unit.
+    sections: (from, to) -> section on which connections are sought unless another is named; named_sections: all there
+    are, by short names; section_scale: the size of what happens there in (q, p/p₀). flight_periods: how many periods
+    of its orbit a tube's trajectory is given to reach a section. coordinates (n,): their names.
     """
 
     name: str
@@ -47,6 +89,52 @@ class System:
     named_sections: Mapping[str, Section] = field(default_factory=dict)
     section_scale: float = 1.0
     flight_periods: float = 12.0
+    coordinates: tuple[str, ...] = ()
+
+    @classmethod
+    def from_lagrangian(
+        cls,
+        name: str,
+        lagrangian: EnergyFunction,
+        *,
+        coordinates: Sequence[str],
+        equilibria: Mapping[str, Sequence[float]],
+        parameters: Mapping[str, float] | None = None,
+        **options: Unpack[SystemOptions],
+    ) -> "System":
+        """Return a system of two coordinates from L(q, v, parameters); its states are coordinates and velocities.
+
+        equilibria: name -> guess of the coordinates (2,), refined by Newton's method; at least one is a saddle.
+
+        Raises:
+            InputError: what is wrong with the energy, a guess, a symmetry or an option, in one sentence.
+        """
+        energy, values = _energy(name, "Lagrangian", lagrangian, coordinates, parameters)
+        parts = mechanics(energy, lambda *_: ca.SX(0), free=2, prescribed=0, parameters=values.symbols)
+        equations = _compilable(name, state_equations(parts, with_cart=False))
+        return described_system(name, equations, values.numbers, coordinates, equilibria, **options)
+
+    @classmethod
+    def from_hamiltonian(
+        cls,
+        name: str,
+        hamiltonian: EnergyFunction,
+        *,
+        coordinates: Sequence[str],
+        equilibria: Mapping[str, Sequence[float]],
+        parameters: Mapping[str, float] | None = None,
+        **options: Unpack[SystemOptions],
+    ) -> "System":
+        """Return a system of two coordinates from H(q, p, parameters); its states are coordinates and momenta.
+
+        equilibria: as in `from_lagrangian`; the momenta there are found.
+
+        Raises:
+            InputError: what is wrong with the energy, a guess, a symmetry or an option, in one sentence.
+        """
+        energy, values = _energy(name, "Hamiltonian", hamiltonian, coordinates, parameters)
+        equations = _compilable(name, hamiltonian_equations(energy, count=2, parameters=values.symbols))
+        return described_system(name, equations, values.numbers, coordinates, equilibria, **options)
 
     @property
     def dimension(self) -> int:
@@ -72,6 +160,11 @@ class System:
     def segments(self) -> SegmentPropagator:
         """The propagator of many segments at once, compiled when first used."""
         return SegmentPropagator(self.propagator)
+
+    @cached_property
+    def saddles(self) -> tuple[str, ...]:
+        """Names of the equilibria of index one, which have Lyapunov orbits and tubes."""
+        return tuple(name for name, state in self.equilibria.items() if saddle_index(self.numeric, state) == 1)
 
     def equilibrium(self, name: str) -> Array:
         """Return the state (N,) of the named equilibrium.
@@ -111,71 +204,333 @@ class System:
         return np.max(np.abs(difference) / self.scale, axis=-1)
 
 
-def _angle_section(name: str, angles: tuple[float, ...], along: tuple[float, ...]) -> Section:
-    """Return the section angles · θ = 2πk of a chain, with the coordinate that varies along `along`."""
-    n = len(angles)
-    rest = (0.0,) * n
-    # Any arm that moves along the section measures the position on it.
-    measure = tuple(1.0 if i == along.index(1.0) else 0.0 for i in range(n))
-    return Section(name, angles + rest, measure + rest, along, period=2 * np.pi)
-
-
-def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
-    """Return the frictionless pendulum on a fixed pivot as a system: level conservative.
-
-    Saddles are named by the arms' directions, inner arm first. For two arms the sections are those of the paper:
-    the turning arm passes straight down ("outer-down", θ₂ = 2πk, about Down-Up; "inner-down", θ₁ = 2πk, about
-    Up-Down), and between different saddles both arms align ("aligned", θ₁ - θ₂ = 2πk).
-    """
-    n = parameters.count
-    equations = arm_chain_equations(n, Level.CONSERVATIVE)
-    base = parameters.viscous_only().base()
-    weights = base[n * (n + 1) // 2 : n * (n + 1) // 2 + n]
-    equilibria = {
-        "-".join(words): np.array([np.pi * (w == "up") for w in words] + [0.0] * n)
-        for words in product(("down", "up"), repeat=n)
-    }
-    sections: dict[tuple[str, str], Section] = {}
-    named: dict[str, Section] = {}
-    if n == 2:
-        outer = _angle_section("angle_2 = 2 pi k", (0.0, 1.0), (1.0, 0.0))
-        inner = _angle_section("angle_1 = 2 pi k", (1.0, 0.0), (0.0, 1.0))
-        aligned = _angle_section("angle_1 = angle_2 + 2 pi k", (1.0, -1.0), (1.0, 1.0))
-        named = {"outer-down": outer, "inner-down": inner, "aligned": aligned}
-        sections = {
-            ("down-up", "down-up"): outer,
-            ("up-down", "up-down"): inner,
-            ("down-up", "up-down"): aligned,
-            ("up-down", "down-up"): aligned,
-        }
-    still, one = np.ones(n), np.ones(n)
-    return System(
-        name=name,
-        equations=equations,
-        parameters=base,
-        equilibria=equilibria,
-        periods=np.concatenate([np.full(n, 2 * np.pi), np.full(n, np.inf)]),
-        reversers=(np.diag(np.concatenate([still, -one])), np.diag(np.concatenate([-still, one]))),
-        orientation=np.eye(2 * n)[n],
-        scale=np.concatenate([np.full(n, np.pi), np.full(n, 10.0)]),
-        energy_scale=float(2 * weights.sum()),
-        sections=sections,
-        named_sections=named,
-    )
+def saddle_index(numeric: NumericEquations, state: Array) -> int:
+    """Return the number of unstable directions of an equilibrium (N,): the index of the saddle, zero for a centre."""
+    eigenvalues = np.asarray(np.linalg.eigvals(numeric.jacobian(state)), dtype=complex)
+    # Eigenvalues are real or imaginary here, so a part a million times smaller is rounding.
+    return int(np.sum(np.real(eigenvalues) > 1e-6 * np.abs(eigenvalues)))
 
 
 def momentum_scale(system: System, section: Section) -> float:
-    """Return p₀ = √(M_qq G_q), the momentum that makes a section's (q, p/p₀) dimensionless.
+    """Return p₀, the momentum that makes a section's (q, p/p₀) dimensionless.
 
-    M_qq and G_q are the kinetic and potential stiffness along the section, at the lowest equilibrium; 1 where the
-    potential is not of that kind (coordinates that are not angles).
+    Among angles it is √(M_qq G_q), M_qq and G_q the kinetic and potential stiffness along the section at the lowest
+    equilibrium; elsewhere what the states' scale makes of it.
     """
-    if not np.isfinite(system.periods).any():
-        return 1.0
-    n = system.dimension // 2
-    lowest = min(system.equilibria.values(), key=lambda x: float(system.numeric.hamiltonian(x)))
-    along = np.asarray(section.momentum)
-    mass = along @ system.numeric.mass_matrix(lowest) @ along
-    # At rest ∂(momentum rate)/∂q = -V'', and momentum rate = M · acceleration.
-    stiffness = -system.numeric.mass_matrix(lowest) @ system.numeric.jacobian(lowest)[n:, :n]
-    return float(np.sqrt(mass * (along @ stiffness @ along)))
+    n, numeric, along = system.dimension // 2, system.numeric, np.asarray(section.momentum)
+    if np.isfinite(system.periods).any():
+        lowest = min(system.equilibria.values(), key=lambda x: float(numeric.hamiltonian(x)))
+        mass = along @ numeric.mass_matrix(lowest) @ along
+        # At rest ∂(momentum rate)/∂q = -V'', and momentum rate = M · acceleration.
+        stiffness = -numeric.mass_matrix(lowest) @ numeric.jacobian(lowest)[n:, :n]
+        squared = float(mass * (along @ stiffness @ along))
+        if squared > 0:
+            return float(np.sqrt(squared))
+    units = np.abs(numeric.momentum_jacobian(next(iter(system.equilibria.values())))[:, n:] @ system.scale[n:])
+    return float(np.abs(along) @ units / (np.abs(along) @ system.scale[:n]))
+
+
+@dataclass(frozen=True)
+class _Parameters:
+    symbols: ca.SX
+    numbers: Array
+
+
+def _energy(
+    name: str,
+    kind: str,
+    function: EnergyFunction,
+    coordinates: Sequence[str],
+    parameters: Mapping[str, float] | None,
+) -> tuple[Callable[[ca.SX, ca.SX, ca.SX], ca.SX], _Parameters]:
+    """Return a user's energy as a function of casadi vectors, checked, and its parameters.
+
+    Raises:
+        InputError: what is wrong with it.
+    """
+    where, given = f"the {kind} of {name}", dict(parameters or {})
+    if len(coordinates) != 2 or isinstance(coordinates, str) or len(set(coordinates)) != 2:
+        raise InputError(
+            f"coordinates = {coordinates!r}: a system of one's own has two, with different names; tubes separate the "
+            "motions of two degrees of freedom only"
+        )
+    for key, value in given.items():
+        if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not np.isfinite(value):
+            raise InputError(f"parameter {key} = {value!r} of {name}: must be a finite number")
+    symbols = ca.SX.sym("c", len(given))
+
+    def energy(q: ca.SX, v: ca.SX, _: ca.SX) -> ca.SX:
+        named = {key: symbols[k] for k, key in enumerate(given)}
+        try:
+            value = ca.SX(function((q[0], q[1]), (v[0], v[1]), named))
+        except Exception as error:
+            raise InputError(
+                f"{where} fails on casadi's SX symbols ({type(error).__name__}: {error}); write it with their "
+                "arithmetic and casadi's functions, such as ca.sqrt"
+            ) from error
+        if value.shape != (1, 1):
+            raise InputError(f"{where} has the shape {value.shape}: an energy is one number")
+        known = {symbol.element_hash() for part in (q, v, symbols) for symbol in ca.symvar(part)}
+        others = [str(symbol) for symbol in ca.symvar(value) if symbol.element_hash() not in known]
+        if others:
+            raise InputError(
+                f"{where} depends on {others[0]!r}, which is no coordinate, {'momentum' if kind[0] == 'H' else 'rate'} "
+                "or parameter; energy is conserved only where it does not depend on time or anything else"
+            )
+        return value
+
+    return energy, _Parameters(symbols, np.array([float(value) for value in given.values()]))
+
+
+def _compilable(name: str, equations: Equations) -> Equations:
+    """Return the equations.
+
+    Raises:
+        InputError: they hold an operation that cannot be compiled.
+    """
+    try:
+        Propagator(equations, np.ones(equations.parameters.shape[0])).taylor_system  # noqa: B018 - translated, that is
+    except NotImplementedError as error:
+        raise InputError(f"{name} cannot be compiled: {error}") from error
+    return equations
+
+
+def described_system(
+    name: str,
+    equations: Equations,
+    parameters: Array,
+    coordinates: Sequence[str],
+    equilibria: Mapping[str, Sequence[float]],
+    **options: Unpack[SystemOptions],
+) -> System:
+    """Return a system of equations (N = 2n states), with the defaults of all options that are not given.
+
+    Raises:
+        InputError: what is wrong with a guess, a symmetry or an option.
+    """
+    n, numeric = len(coordinates), NumericEquations(equations, parameters)
+    states = _equilibria(name, numeric, equilibria, n)
+    saddles = {key: state for key, state in states.items() if saddle_index(numeric, state) == 1}
+    if not saddles:
+        kinds = ", ".join(f"{key} has index {saddle_index(numeric, state)}" for key, state in states.items())
+        raise InputError(f"{name} has no saddle of index one among its equilibria ({kinds}): give a guess near one")
+    first = next(iter(saddles.values()))
+    periods = _periods(name, numeric, options.get("periods", (None,) * n), first)
+    scale = _scale(name, options.get("scale"), numeric, periods, first)
+    reversers = _reversers(name, numeric, saddles, scale, options.get("reversers"))
+    named = dict(options.get("sections", {}))
+    sections: dict[tuple[str, str], Section] = {}
+    if "between" not in options and n == 2 and reversers:
+        sections = _default_sections(saddles, reversers[0], numeric, scale, coordinates)
+    for pair, key in options.get("between", {}).items():
+        for wanted, choices in ((key, named), (pair[0], saddles), (pair[1], saddles)):
+            if wanted not in choices:
+                raise InputError(f"between {pair} of {name} names {wanted!r}: {suggest(wanted, choices)}")
+        sections[pair] = named[key]
+    rises = numeric.hamiltonian(first + np.diag(scale) / 10) - numeric.hamiltonian(first)
+    return System(
+        name=name,
+        equations=equations,
+        parameters=parameters,
+        equilibria=states,
+        periods=periods,
+        reversers=reversers,
+        # The first coordinate, or its rate, that an orbit changes at all tells where it starts.
+        orientation=np.asarray(options.get("orientation", np.tile(1e-3 ** np.arange(n), 2) / scale), dtype=float),
+        scale=scale,
+        energy_scale=options.get("energy_scale", 100 * float(np.nanmax(np.abs(rises)))),
+        sections=sections,
+        named_sections=named,
+        section_scale=options.get("section_scale", float(np.min(scale[:n]))),
+        flight_periods=options.get("flight_periods", 12.0),
+        coordinates=tuple(coordinates),
+    )
+
+
+def _equilibria(
+    name: str, numeric: NumericEquations, guesses: Mapping[str, Sequence[float]], n: int
+) -> dict[str, Array]:
+    """Return the equilibria (N,) that Newton's method finds from guesses (n,) or (N,), exact ones unchanged.
+
+    Raises:
+        InputError: names the guess that is none, leads nowhere, or to another's equilibrium.
+    """
+    found: dict[str, Array] = {}
+    for key, guess in guesses.items():
+        if not isinstance(key, str) or not _NAME.fullmatch(key):
+            raise InputError(f"{key!r} is no name for an equilibrium of {name}: use letters, digits and dashes")
+        try:
+            given = np.asarray(guess, dtype=float)
+        except (TypeError, ValueError):
+            given = np.empty(0)
+        if given.shape not in ((n,), (2 * n,)) or not np.isfinite(given).all():
+            raise InputError(f"{key} of {name} is guessed at {guess!r}: give {n} finite coordinates, one for each")
+        state = np.concatenate([given, np.zeros(2 * n - len(given))])
+        for _ in range(_NEWTON_STEPS):
+            rate, slope = numeric.rate(state), numeric.jacobian(state)
+            if not (np.isfinite(rate).all() and np.isfinite(slope).all()):
+                raise InputError(
+                    f"the equations of {name} are not finite at {np.array2string(state, precision=6)}, on the way from "
+                    f"the guess of {key}: the energy must be smooth there and its second derivatives by rates or "
+                    "momenta must not vanish"
+                )
+            step = np.linalg.lstsq(slope, -rate, rcond=1e-12)[0]
+            if np.abs(step).max() <= 4e-16 * max(1.0, float(np.abs(state).max())):
+                break
+            state = state + step
+        residual = float(np.abs(numeric.rate(state)).max())
+        if not residual < 1e-10 * max(1.0, float(np.abs(numeric.jacobian(state)).max())):
+            raise InputError(
+                f"no equilibrium of {name} was found from the guess {list(map(float, given))} of {key}: after "
+                f"{_NEWTON_STEPS} Newton steps the rate is still {residual:.1e}; give a nearer guess"
+            )
+        state = np.where(np.abs(state) < 1e-16, 0.0, state)
+        for other, there in found.items():
+            if np.allclose(state, there, rtol=0, atol=1e-9):
+                raise InputError(
+                    f"the guesses of {other} and {key} lead to one equilibrium of {name}; give one of them"
+                )
+        found[key] = state
+    return found
+
+
+def _periods(name: str, numeric: NumericEquations, periods: Sequence[float | None], near: Array) -> Array:
+    """Return the periods (N,) of the coordinates (n,), infinite where there is none.
+
+    Raises:
+        InputError: not one for each, or the energy does not repeat.
+    """
+    n = len(near) // 2
+    if len(periods) != n or any(p is not None and not p > 0 for p in periods):
+        raise InputError(f"periods = {list(periods)} of {name}: give {n}, each positive or None")
+    lengths = np.array([np.inf if p is None else float(p) for p in periods] + [np.inf] * n)
+    for k in np.flatnonzero(np.isfinite(lengths)):
+        states = _around(near, np.ones(2 * n))
+        before, after = numeric.rate(states), numeric.rate(states + lengths[k] * np.eye(2 * n)[k])
+        if not np.allclose(before, after, rtol=_SAME, atol=_SAME, equal_nan=True):
+            raise InputError(
+                f"periods = {list(periods)} of {name}: coordinate {k + 1} does not repeat after its period"
+            )
+    return lengths
+
+
+def _scale(
+    name: str, given: float | Sequence[float] | None, numeric: NumericEquations, periods: Array, saddle: Array
+) -> Array:
+    """Return the typical size (N,) of each state, of those of the second half by the fastest eigenvalue at a saddle.
+
+    Raises:
+        InputError: it is not positive, or not one number, one for each coordinate or one for each state.
+    """
+    n = len(periods) // 2
+    turning = np.isfinite(periods[:n])
+    sizes = np.where(turning, periods[:n] / 2, 1.0) if given is None else np.asarray(given, dtype=float)
+    if sizes.shape not in ((), (n,), (2 * n,)) or not np.isfinite(sizes).all() or not (sizes > 0).all():
+        raise InputError(f"scale = {given!r} of {name}: give one positive number, or one for each of {n} coordinates")
+    if sizes.shape == (2 * n,):
+        return sizes
+    positions = np.broadcast_to(sizes, n)
+    fastest = float(np.abs(np.linalg.eigvals(numeric.jacobian(saddle))).max())
+    # The rates' share of the momenta: ones where the states are rates, or momenta of unit masses.
+    shares = np.linalg.norm(np.linalg.inv(numeric.jacobian(saddle)[:n, n:]), axis=1)
+    return np.concatenate([positions, positions * fastest * shares])
+
+
+def _around(state: Array, scale: Array) -> Array:
+    """Return states (K, N) scattered about one (N,), always the same, on no symmetry's fixed set."""
+    return state + 0.3 * scale * np.random.default_rng(1).uniform(-1.0, 1.0, (12, len(state)))
+
+
+def _reverses(numeric: NumericEquations, reverser: Array, saddle: Array, scale: Array) -> bool:
+    """Tell whether f(R x) = -R f(x) for a reverser R about a saddle, at scattered states."""
+    states = _around(saddle, scale)
+    rates = numeric.rate(states) @ reverser.T
+    images = numeric.rate((states - saddle) @ reverser.T + saddle)
+    finite = np.isfinite(rates).all(axis=1) & np.isfinite(images).all(axis=1)
+    return bool(finite.sum() >= 3 and np.allclose(images[finite], -rates[finite], rtol=_SAME, atol=_SAME))
+
+
+def _reversers(
+    name: str,
+    numeric: NumericEquations,
+    saddles: Mapping[str, Array],
+    scale: Array,
+    declared: Sequence[ArrayLike] | None,
+) -> tuple[Array, ...]:
+    """Return at most two reversers (N, N) about every saddle: those declared, or sign changes that are found.
+
+    The second is one whose product with the first leads each Lyapunov orbit half a period on.
+
+    Raises:
+        InputError: one that is declared is none.
+    """
+    n = len(scale) // 2
+    if declared is None:
+        # Time reversal, if it holds, comes first.
+        signs = product((1.0, -1.0), repeat=n)
+        given = [np.diag([*row, *(-s for s in row)]) for row in signs]
+        found = [r for r in given if all(_reverses(numeric, r, saddle, scale) for saddle in saddles.values())]
+    else:
+        found = []
+        for value in declared:
+            row = np.asarray(value, dtype=float)
+            reverser = np.diag(np.concatenate([row, -row])) if row.shape == (n,) else row
+            if reverser.shape != (2 * n, 2 * n) or not np.allclose(reverser @ reverser, np.eye(2 * n)):
+                raise InputError(
+                    f"reverser {np.array2string(row)} of {name}: give {n} signs of the coordinates, or a matrix "
+                    f"({2 * n}, {2 * n}) that is its own inverse"
+                )
+            for key, saddle in saddles.items():
+                if not _reverses(numeric, reverser, saddle, scale):
+                    raise InputError(
+                        f"reverser {np.array2string(row)} of {name} does not reverse its motion about {key}"
+                    )
+            found.append(reverser)
+    for other in found[1:]:
+        if all(_is_half_turn(numeric, saddle, other @ found[0]) for saddle in saddles.values()):
+            return (found[0], other)
+    return tuple(found[:1])
+
+
+def _is_half_turn(numeric: NumericEquations, saddle: Array, symmetry: Array) -> bool:
+    """Tell whether a symmetry (N, N) is -1 on all oscillations about a saddle."""
+    values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(numeric.jacobian(saddle)))
+    swings = vectors[:, np.abs(np.imag(values)) > 1e-6 * np.abs(values)]
+    return bool(np.allclose(symmetry @ swings, -swings, atol=1e-9))
+
+
+def _default_sections(
+    saddles: Mapping[str, Array], reverser: Array, numeric: NumericEquations, scale: Array, names: Sequence[str]
+) -> dict[tuple[str, str], Section]:
+    """Return sections between all saddles of two coordinates that a reverser keeps, as far as there are any.
+
+    Between two saddles: the plane half-way. For the orbits of one: the plane in which the reverser's fixed set lies,
+    which symmetric connections cross half-way; under time reversal where the motion along the unstable direction turns.
+    """
+    sections: dict[tuple[str, str], Section] = {}
+    for first, second in product(saddles, repeat=2):
+        low, high = sorted((first, second))
+        here, there = saddles[low], saddles[high]
+        if first == second:
+            values, vectors = (np.asarray(a, dtype=complex) for a in np.linalg.eig(numeric.jacobian(here)))
+            side, section = _unit_row(vectors[:2, int(np.argmax(np.real(values)))]), None
+            for k in range(2):
+                if section is None and np.allclose(reverser[k], -np.eye(4)[k]):
+                    side, flat = np.eye(2)[1 - k], np.eye(2)[k]
+                    section = Section.plane(f"{names[k]} as at {first}", flat, offset=float(here[k]))
+            section = section or Section.turning(f"turning back to {first}", side)
+            reach = 0.5 * float(np.linalg.norm(side * scale[:2]))
+            section = section.where(side, middle=float(side @ here[:2]), reach=reach)
+        else:
+            row = _unit_row((there - here)[:2])
+            section = Section.plane(f"between {low} and {high}", row, offset=float(row @ (here + there)[:2]) / 2)
+        if section.kept_by(reverser, saddles[second]):
+            sections[first, second] = section
+    return sections
+
+
+def _unit_row(direction: NDArray[Any]) -> Array:
+    """Return a row of unit length along a real direction, its largest entry positive, rounding cut off."""
+    row = np.real(direction) / np.linalg.norm(np.real(direction))
+    row = np.where(np.abs(row) > 1e-12, row, 0.0)
+    return row * np.sign(row[np.argmax(np.abs(np.round(row, 9)))]) + 0.0

@@ -10,14 +10,10 @@ appendix A.
 """
 
 from dataclasses import dataclass
-from functools import cache
 
 import casadi as ca
 import numpy as np
-from scipy.optimize import root_scalar
 
-from dpcontrol.dynamics.equations import Equations, state_equations
-from dpcontrol.dynamics.lagrangian import mechanics
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.settings import Settings, setting
@@ -34,34 +30,11 @@ class ThreeBodyParameters(Settings):
         return {"mu": (self.mass_ratio, "1")}
 
 
-@cache
-def three_body_equations() -> Equations:
-    """Return the equations with state (x, y, ẋ, ẏ) and the parameter μ."""
-    mu = ca.SX.sym("mu")
-
-    def lagrangian(q: ca.SX, v: ca.SX, _: ca.SX) -> ca.SX:
-        x, y = q[0], q[1]
-        first, second = (x + mu) ** 2 + y**2, (x - 1 + mu) ** 2 + y**2
-        potential = -((1 - mu) * first + mu * second) / 2 - (1 - mu) / ca.sqrt(first) - mu / ca.sqrt(second)
-        return (v[0] ** 2 + v[1] ** 2) / 2 + x * v[1] - y * v[0] - potential
-
-    def no_dissipation(q: ca.SX, v: ca.SX, _: ca.SX) -> ca.SX:
-        return ca.SX(0)
-
-    parts = mechanics(lagrangian, no_dissipation, free=2, prescribed=0, parameters=mu)
-    return state_equations(parts, with_cart=False)
-
-
-def _collinear_points(mu: float) -> dict[str, float]:
-    """Return x of L1, L2, L3: where the force on the axis vanishes."""
-
-    def force(x: float) -> float:
-        a, b = x + mu, x - 1 + mu
-        return x - (1 - mu) * a / abs(a) ** 3 - mu * b / abs(b) ** 3
-
-    tiny = 1e-9
-    brackets = {"L1": (-mu + tiny, 1 - mu - tiny), "L2": (1 - mu + tiny, 2.5), "L3": (-2.5, -mu - tiny)}
-    return {name: float(root_scalar(force, bracket=b, xtol=1e-16).root) for name, b in brackets.items()}
+def _lagrangian(q: tuple[ca.SX, ...], v: tuple[ca.SX, ...], parameters: dict[str, ca.SX]) -> ca.SX:
+    (x, y), (vx, vy), mu = q, v, parameters["mu"]
+    first, second = (x + mu) ** 2 + y**2, (x - 1 + mu) ** 2 + y**2
+    potential = -((1 - mu) * first + mu * second) / 2 - (1 - mu) / ca.sqrt(first) - mu / ca.sqrt(second)
+    return (vx**2 + vy**2) / 2 + x * vy - y * vx - potential
 
 
 def three_body_system(name: str, parameters: ThreeBodyParameters) -> System:
@@ -70,27 +43,27 @@ def three_body_system(name: str, parameters: ThreeBodyParameters) -> System:
     Homoclinics are cut on y = 0, x < 0; connections between L1 and L2 on x = 1 - μ.
     """
     mu = parameters.mass_ratio
-    opposite = Section("y = 0, x < 0", (0, 1, 0, 0), (1, 0, 0, 0), (1, 0), side=(-1, 0, 0, 0))
-    between = Section("x = 1 - mu", (1, 0, 0, 0), (0, 1, 0, 0), (0, 1), offset=1 - mu)
-    return System(
-        name=name,
-        equations=three_body_equations(),
-        parameters=np.array([mu]),
-        equilibria={key: np.array([x, 0.0, 0.0, 0.0]) for key, x in _collinear_points(mu).items()},
-        periods=np.full(4, np.inf),
-        reversers=(np.diag([1.0, -1.0, -1.0, 1.0]),),
-        orientation=np.array([0.0, 0.0, 0.0, 1.0]),
+    hill_radius = (mu / 3) ** (1 / 3)
+    return System.from_lagrangian(
+        name,
+        _lagrangian,
+        coordinates=("x", "y"),
+        parameters={"mu": mu},
+        equilibria={"L1": (1 - mu - hill_radius, 0), "L2": (1 - mu + hill_radius, 0), "L3": (-1 - 5 * mu / 12, 0)},
+        orientation=(0, 0, 0, 1),
         # Orbits about L1 and L2 are about a tenth of the primaries' distance in size.
-        scale=np.full(4, 0.1),
+        scale=(0.1,) * 4,
         energy_scale=0.1,
         sections={
-            ("L1", "L1"): opposite,
-            ("L2", "L2"): opposite,
-            ("L1", "L2"): between,
-            ("L2", "L1"): between,
+            "opposite": Section.plane("y = 0, x < 0", (0, 1)).where((-1, 0)),
+            "between": Section.plane("x = 1 - mu", (1, 0), offset=1 - mu),
         },
-        named_sections={"opposite": opposite, "between": between},
-        section_scale=0.1,
+        between={
+            ("L1", "L1"): "opposite",
+            ("L2", "L2"): "opposite",
+            ("L1", "L2"): "between",
+            ("L2", "L1"): "between",
+        },
         # Half a lap of the larger primary takes three; beyond four, passages of the smaller one scatter the tubes.
         flight_periods=4.0,
     )

@@ -24,8 +24,7 @@ from dpcontrol.control.model import SampledModel
 from dpcontrol.control.ogy import ClassicOgySettings, OgyController, OgySettings, ogy_controller
 from dpcontrol.control.periodic import OrbitController, orbit_controller
 from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings, tracking_controller
-from dpcontrol.dynamics.chain import ArmChainParameters
-from dpcontrol.dynamics.system import pendulum_system
+from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.orbits.equilibria import equilibria
 from dpcontrol.orbits.lyapunov import lyapunov_orbit

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.chain import ArmChainParameters
-from dpcontrol.dynamics.system import System, pendulum_system
+from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
+from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog
 from dpcontrol.recordings.recording import SUMMARY

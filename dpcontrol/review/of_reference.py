@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dpcontrol.dynamics.system import pendulum_system
+from dpcontrol.dynamics.chain import pendulum_system
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.reference import FORMAT, load_reference
 from dpcontrol.references.summary import ReferenceSummary, summarised

@@ -20,9 +20,9 @@ from typing import Any
 import numpy as np
 
 import dpcontrol
-from dpcontrol.dynamics.chain import ArmChainParameters, Friction
+from dpcontrol.dynamics.chain import ArmChainParameters, Friction, pendulum_system
 from dpcontrol.dynamics.ratios import Uncertainty, ratio_names, unit_name
-from dpcontrol.dynamics.system import System, pendulum_system
+from dpcontrol.dynamics.system import System
 from dpcontrol.dynamics.three_body import ThreeBodyParameters, three_body_system
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole

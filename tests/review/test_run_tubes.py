@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from dpcontrol.dynamics.system import pendulum_system
+from dpcontrol.dynamics.chain import pendulum_system
 from dpcontrol.review.run_tubes import tubes_of
 from dpcontrol.scenes.model import load_model
 
