@@ -12,7 +12,6 @@ appendix A.
 from dataclasses import dataclass
 
 import casadi as ca
-import numpy as np
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
