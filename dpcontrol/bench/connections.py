@@ -15,12 +15,12 @@ from dpcontrol.bench.chart import Chart, Missing, Panel, Point
 from dpcontrol.bench.measure import timed, timed_in_turns
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, part_of
+from dpcontrol.orbits.curve import local_manifold
 from dpcontrol.orbits.lyapunov import ContinuationSettings, LyapunovOrbit, lyapunov_orbit
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections
 from dpcontrol.tubes.cut import CutSettings, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
-from dpcontrol.tubes.orbit_curve import local_manifold
 from dpcontrol.walks.extended import refine_connection, refine_orbit
 
 Array = NDArray[np.float64]

@@ -21,10 +21,10 @@ import numpy as np
 from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border, half_of
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.scenes.model import load_model
+from dpcontrol.shooting.newton import NewtonSettings
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import ShadowingSettings, shadow
-from dpcontrol.walks.shooting import NewtonSettings
 
 ENERGY = 0.2
 WRAPS = (0, 1, 2, 4, 8)

@@ -18,8 +18,8 @@ from dpcontrol.bench.ticks import tick_panels
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.manifold import UnstableManifold
 
 Array = NDArray[np.float64]
 

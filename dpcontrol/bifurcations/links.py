@@ -35,8 +35,8 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, described_orbit, lyapunov_orbit
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.orbits.symmetric_shooting import SymmetricShooting, symmetric_shooting
-from dpcontrol.tubes.manifold import UnstableManifold
 
 Array = NDArray[np.float64]
 

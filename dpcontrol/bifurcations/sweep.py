@@ -16,9 +16,9 @@ from dpcontrol.bifurcations.events import Located, locate_graze, locate_turn
 from dpcontrol.bifurcations.links import Link, LinkProblem, Path, PathPoint, carry, crossing_states, follow, profile
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.tubes.cut import section_points, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
-from dpcontrol.tubes.manifold import UnstableManifold
 
 Array = NDArray[np.float64]
 

@@ -36,12 +36,12 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import gauss
 from dpcontrol.references.problem import Ends, Limits, ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.reference import Reference
-from dpcontrol.tubes.orbit_curve import OrbitCurve
 
 Array = NDArray[np.float64]
 Signal = Callable[[Array], Array]

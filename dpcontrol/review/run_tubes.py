@@ -18,8 +18,8 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.review.context import TubeCurve
-from dpcontrol.tubes.manifold import UnstableManifold
 
 Array = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.tubes.connection import Connection
-from dpcontrol.tubes.orbit_curve import OrbitCurve
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
 Array = NDArray[np.float64]

@@ -54,6 +54,7 @@ from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.orbits.equilibria import Equilibrium, equilibria
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.orbits.rotating import RotatingOrbit, can_rotate, rotating_orbits
 from dpcontrol.scenes.cache import cache_folder, code_hash
 from dpcontrol.scenes.model import Model
@@ -61,7 +62,6 @@ from dpcontrol.tubes.connection import Connection
 from dpcontrol.tubes.connections import ConnectionSearch, can_be_reversed, find_connections, reversed_search
 from dpcontrol.tubes.cut import Cut, Piece, section_points, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings
-from dpcontrol.tubes.manifold import UnstableManifold
 from dpcontrol.walks.atlas import (
     Atlas,
     AtlasConnection,

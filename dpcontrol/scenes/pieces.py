@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.references.find import find_reference, shadowed
 from dpcontrol.references.method import method_named
@@ -21,8 +22,7 @@ from dpcontrol.references.problem import Ends, Guess, ReferenceProblem
 from dpcontrol.references.reference import Reference, still
 from dpcontrol.references.transfer import find_transfer
 from dpcontrol.scenes.itinerary import Itinerary
-from dpcontrol.tubes.connecting_orbit import ConnectingOrbit
-from dpcontrol.tubes.orbit_curve import OrbitCurve
+from dpcontrol.shooting.orbit import ConnectingOrbit
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
 Array = NDArray[np.float64]

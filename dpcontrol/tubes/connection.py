@@ -12,10 +12,10 @@ from scipy.optimize import root_scalar
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
-from dpcontrol.tubes.connecting_orbit import ConnectingOrbit
+from dpcontrol.shooting.orbit import ConnectingOrbit
 from dpcontrol.tubes.intersections import ConnectionSettings, Intersection
-from dpcontrol.tubes.orbit_curve import OrbitCurve
 
 Array = NDArray[np.float64]
 

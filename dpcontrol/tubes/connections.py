@@ -20,12 +20,12 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.orbits.curve import OrbitCurve, local_manifold
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
-from dpcontrol.tubes.connecting_orbit import Anchor, ConnectingOrbit, ManifoldEnd, solve_connecting_orbit
+from dpcontrol.shooting.orbit import Anchor, ConnectingOrbit, ManifoldEnd, solve_connecting_orbit
 from dpcontrol.tubes.connection import Connection, connection_name, described_connection, mirrored
 from dpcontrol.tubes.cut import Cut, OpenEnd, section_points, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, Intersection, balanced, intersect_cuts
-from dpcontrol.tubes.orbit_curve import OrbitCurve, local_manifold
 
 Array = NDArray[np.float64]
 

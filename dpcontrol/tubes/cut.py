@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
-from dpcontrol.tubes.manifold import UnstableManifold
+from dpcontrol.orbits.manifold import UnstableManifold
 
 Array = NDArray[np.float64]
 

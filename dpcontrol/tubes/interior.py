@@ -28,9 +28,9 @@ from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.tubes.cut import Cut, section_points
 from dpcontrol.tubes.intersections import TubeSide
-from dpcontrol.tubes.manifold import UnstableManifold
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]

@@ -19,8 +19,8 @@ from scipy.spatial import KDTree
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.tubes.cut import Cut, CutSettings, Piece, longest_flight, section_points
-from dpcontrol.tubes.manifold import UnstableManifold
 
 Array = NDArray[np.float64]
 

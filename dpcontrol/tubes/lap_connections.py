@@ -21,13 +21,13 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.orbits.curve import HyperbolicOrbit, OrbitCurve, local_manifold
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
-from dpcontrol.tubes.connecting_orbit import ConnectingOrbit
+from dpcontrol.shooting.orbit import ConnectingOrbit
 from dpcontrol.tubes.connection import Connection, connection_name
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections
 from dpcontrol.tubes.cut import section_points, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings
-from dpcontrol.tubes.orbit_curve import HyperbolicOrbit, OrbitCurve, local_manifold
 
 Array = NDArray[np.float64]
 

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System
+from dpcontrol.orbits.curve import OrbitCurve
+from dpcontrol.shooting.newton import Shot
 from dpcontrol.tubes.connection import Connection
-from dpcontrol.tubes.orbit_curve import OrbitCurve
-from dpcontrol.walks.shooting import Shot
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
 """Orbits refined in 113-bit arithmetic, 30 digits instead of 12: periodic ones, connections, and orbits of walks.
 
-The equations are those of `dpcontrol.walks.shooting_equations`. Their residuals are evaluated in 113 bits and
+The equations are those of `dpcontrol.shooting.equations`. Their residuals are evaluated in 113 bits and
 divided by the largest before the step is solved for in double, where nothing underflows; so each Newton step leaves
 about 1e-12 of the residual. Open orbits are led out along both local manifolds until their amplitude is a < 1e-20: what
 the linear manifold leaves out, a², and the double Floquet vector's share, a · 1e-12, are then far below what is asked.
@@ -21,12 +21,12 @@ from scipy.sparse.linalg import splu
 from dpcontrol.dynamics.extended import Exact, Extended, ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.orbits.curve import local_manifold
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
-from dpcontrol.tubes.connecting_orbit import ManifoldEnd
+from dpcontrol.shooting.equations import Guess, ShootingEquations
+from dpcontrol.shooting.orbit import ManifoldEnd
 from dpcontrol.tubes.connection import Connection
-from dpcontrol.tubes.orbit_curve import local_manifold
 from dpcontrol.walks.shadowing import ShadowingOrbit
-from dpcontrol.walks.shooting_equations import Guess, ShootingEquations
 
 Array = NDArray[np.float64]
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.tubes.connecting_orbit import ConnectingOrbit
+from dpcontrol.orbits.curve import OrbitCurve
+from dpcontrol.shooting.orbit import ConnectingOrbit
 from dpcontrol.tubes.connection import Connection, approach
 from dpcontrol.tubes.intersections import ConnectionSettings
-from dpcontrol.tubes.orbit_curve import OrbitCurve
 from dpcontrol.walks.shadowing import ShadowingOrbit
 from dpcontrol.walks.symbols import composed
 

@@ -14,11 +14,11 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.orbits.curve import HyperbolicOrbit, rotating_vertex
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.rotating import can_rotate, rotating_orbits
 from dpcontrol.tubes.connections import ConnectionSearch
 from dpcontrol.tubes.lap_connections import find_lap_connections, grown_crossing, own_crossings
-from dpcontrol.tubes.orbit_curve import HyperbolicOrbit, rotating_vertex
 
 _ROTATING = re.compile(r"^(?P<arm>inner|outer)-rotating(?P<back>-back)?(?:-(?P<number>[2-9]))?$")
 _LONGER = 3

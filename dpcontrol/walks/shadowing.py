@@ -28,11 +28,11 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.tubes.connecting_orbit import ConnectingOrbit, ManifoldEnd
+from dpcontrol.shooting.equations import Guess
+from dpcontrol.shooting.newton import NewtonSettings, Shot, solve_shooting
+from dpcontrol.shooting.orbit import ConnectingOrbit, ManifoldEnd
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.walks.certificate import Certificate, ClosedOrbit, certify
-from dpcontrol.walks.shooting import NewtonSettings, Shot, solve_shooting
-from dpcontrol.walks.shooting_equations import Guess
 
 Array = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from scipy.integrate import solve_ivp
 
 from dpcontrol.dynamics.extended import ExtendedPropagator, extended, pi_times
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.manifold import UnstableManifold
 
 ENERGY = 0.2
 COUNT = 1000

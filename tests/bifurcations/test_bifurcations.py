@@ -12,12 +12,12 @@ from dpcontrol.bifurcations.links import LinkProblem, carry, follow
 from dpcontrol.bifurcations.sweep import Sweep, SweepSettings
 from dpcontrol.cli.main import main
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.connecting_orbit import Anchor, solve_connecting_orbit
+from dpcontrol.shooting.orbit import Anchor, solve_connecting_orbit
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import CutSettings, section_points
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
-from dpcontrol.tubes.manifold import UnstableManifold
 
 REPEATABLE = 1e-7  # J: the bar; 1e-11 is reached
 RESIDUAL = 1e-8

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.orbits.equilibria import equilibria
 from dpcontrol.orbits.lyapunov import ContinuationSettings, lyapunov_orbit
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.orbits.symmetric_shooting import SymmetricShooting
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.manifold import UnstableManifold
-from dpcontrol.tubes.orbit_curve import OrbitCurve
 from tests.reference_values import LYAPUNOV_ORBITS, SQUARED_EIGENVALUES
 
 EIGENVALUES = 1e-10

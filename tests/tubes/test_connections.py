@@ -5,13 +5,13 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import CutSettings, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, near_touches, polyline_crossings
-from dpcontrol.tubes.manifold import UnstableManifold
-from dpcontrol.tubes.orbit_curve import OrbitCurve
 from tests.reference_values import CONNECTIONS
 
 STATE = 1e-9  # the bar; what is reached is about 1e-12

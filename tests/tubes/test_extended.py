@@ -12,9 +12,9 @@ from dpcontrol.cli.main import main
 from dpcontrol.dynamics.extended import ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.dynamics.taylor import to_heyoka
 from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.tubes.orbit_curve import OrbitCurve
 from dpcontrol.walks.extended import RefinementSettings, refine_connection
 from tests.reference_values import CONNECTIONS, LYAPUNOV_ORBITS
 

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from dpcontrol.dynamics.system import momentum_scale
+from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import tube_cut
-from dpcontrol.tubes.manifold import UnstableManifold
-from dpcontrol.tubes.orbit_curve import OrbitCurve
 from dpcontrol.walks.extended import refine_connection
 
 STATE = 1e-9  # the bars; what is reached is about 1e-13

@@ -7,6 +7,7 @@ from scipy.integrate import solve_ivp
 from dpcontrol.dynamics.system import momentum_scale
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.review.interior_figure import draw_interior, save_interior
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.cut import CutSettings, section_points, tube_cut
@@ -19,7 +20,6 @@ from dpcontrol.tubes.interior import (
     tube_interior,
     turned_around,
 )
-from dpcontrol.tubes.manifold import UnstableManifold
 
 ENERGY = 1e-14  # J: states are solved for, not corrected
 NEAR_CUT = 0.01  # share of points that may lie within a chord's height of a cut, where a polygon cannot tell

@@ -6,12 +6,12 @@ import pytest
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.equilibria import equilibria
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import CutSettings, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings
-from dpcontrol.tubes.manifold import UnstableManifold
 
 ENERGY = -1.5175
 # Independent values in double precision (Taylor integration), good to about 1e-11.

@@ -7,11 +7,11 @@ error of phase; too far, the straight vector leaves the curved manifold. The def
 import numpy as np
 import pytest
 
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
-from dpcontrol.tubes.manifold import UnstableManifold
 from tests.reference_values import CONNECTIONS
 
 DISTANCES = (1e-6, 1e-5, 3e-5, 1e-4, 3e-4, 1e-3, 1e-2)

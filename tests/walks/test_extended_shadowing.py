@@ -8,12 +8,12 @@ import pytest
 
 from dpcontrol.dynamics.extended import ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.curve import rotating_vertex
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.rotating import rotating_orbits
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.lap_connections import find_lap_connections
-from dpcontrol.tubes.orbit_curve import rotating_vertex
 from dpcontrol.walks.extended import RefinementSettings, refine_shadowing
 from dpcontrol.walks.shadowing import ShadowingSettings, shadow
 from dpcontrol.walks.symbols import choose, parse_symbol

@@ -7,9 +7,9 @@ import pytest
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.scenes.model import load_model
+from dpcontrol.shooting.newton import NewtonSettings, solve_shooting
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.walks.shadowing import ShadowingSettings, described, first_guess, phase_gap, shadow
-from dpcontrol.walks.shooting import NewtonSettings, solve_shooting
 from dpcontrol.walks.symbols import choose, parse_symbol, parse_walk
 
 SADDLES = ("down-up", "up-down")

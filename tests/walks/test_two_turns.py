@@ -10,11 +10,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import Cut, Piece, Sampler, continuous
 from dpcontrol.tubes.intersections import ConnectionSettings, TubeSide
-from dpcontrol.tubes.manifold import UnstableManifold
 from dpcontrol.walks.shadowing import WalkSolver
 
 SAME = 1e-9

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.orbits.curve import OrbitCurve, local_manifold, rotating_vertex
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.rotating import rotating_orbits
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.lap_connections import find_lap_connections
-from dpcontrol.tubes.orbit_curve import OrbitCurve, local_manifold, rotating_vertex
 from dpcontrol.walks.grow import as_connection
 from dpcontrol.walks.shadowing import shadow
 

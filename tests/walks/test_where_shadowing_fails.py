@@ -8,9 +8,9 @@ import pytest
 from walk_classifier import WalkClassifier
 
 from dpcontrol.scenes.model import load_model
+from dpcontrol.shooting.newton import NewtonSettings, solve_shooting
 from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import ShadowingSettings, WalkSolver, described, first_guess, shadow
-from dpcontrol.walks.shooting import NewtonSettings, solve_shooting
 
 TURN_BORN = -0.141987140339  # Down-Up to itself
 CROSSING_BORN = 0.188368752752  # Down-Up to Up-Down

@@ -1,11 +1,11 @@
 """Colour wheels: the inside of Down-Up's tube carried through returns to the section."""
 
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.review.figures.page import Gallery, Page
 from dpcontrol.review.interior_figure import draw_interior
 from dpcontrol.tubes.cut import tube_cut
 from dpcontrol.tubes.interior import InteriorSettings, tube_interior
-from dpcontrol.tubes.manifold import UnstableManifold
 
 ENERGY = -0.07
 SADDLE = "down-up"

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
-from dpcontrol.tubes.connecting_orbit import ManifoldEnd
-from dpcontrol.walks.shooting_equations import Guess, ShootingEquations, Unknowns
+from dpcontrol.shooting.equations import Guess, ShootingEquations, Unknowns
+from dpcontrol.shooting.orbit import ManifoldEnd
 
 Array = NDArray[np.float64]
 

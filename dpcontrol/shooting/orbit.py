@@ -21,7 +21,7 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 from dpcontrol.dynamics.system import System
-from dpcontrol.tubes.manifold import UnstableManifold
+from dpcontrol.orbits.manifold import UnstableManifold
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.intp]

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 
 from dpcontrol.dynamics.system import System
-from dpcontrol.tubes.connecting_orbit import ManifoldEnd
+from dpcontrol.shooting.orbit import ManifoldEnd
 
 Array = NDArray[np.float64]
 

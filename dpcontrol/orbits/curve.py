@@ -24,8 +24,8 @@ from scipy.spatial import KDTree
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.orbits.manifold import Frame, UnstableManifold
 from dpcontrol.orbits.rotating import RotatingOrbit
-from dpcontrol.tubes.manifold import Frame, UnstableManifold
 
 Array = NDArray[np.float64]
 

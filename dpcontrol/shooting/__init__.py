@@ -1,0 +1,1 @@
+"""Multiple shooting: orbits as nodes, solved by Newton's method, open or closed, and refined in 113 bits."""
