@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.system import System
+from dpcontrol.dynamics.system import System, saddle_index
 
 Array = NDArray[np.float64]
 
@@ -29,8 +29,7 @@ def equilibrium(system: System, name: str) -> Equilibrium:
     """
     state = system.equilibrium(name)
     eigenvalues = np.asarray(np.linalg.eigvals(system.numeric.jacobian(state)), dtype=complex)
-    # Eigenvalues are real or imaginary here, so a part a million times smaller is rounding.
-    index = int(np.sum(np.real(eigenvalues) > 1e-6 * np.abs(eigenvalues)))
+    index = saddle_index(system.numeric, state)
     order = np.lexsort((np.imag(eigenvalues), -np.real(eigenvalues)))
     return Equilibrium(
         name=name,

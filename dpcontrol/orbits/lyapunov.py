@@ -171,7 +171,8 @@ def _follow(
     residual = np.inf
     while passed[-1].s < goal:
         last = passed[-1]
-        s = min(last.s + step, goal)
+        # A last step that rounding alone leaves over would have no length to judge corrections by.
+        s = goal if last.s + (1 + 1e-6) * step >= goal else last.s + step
         ends = s == goal
         enough = 0.0 if ends else _ON_THE_WAY
         guess = _predicted(passed[-2:], s)

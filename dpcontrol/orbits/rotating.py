@@ -184,7 +184,7 @@ def kind_of(trace: float) -> str:
 
 def can_rotate(system: System) -> bool:
     """Tell whether a system has two arms and both reversers, as the search for rotating orbits needs."""
-    return system.dimension == 4 and bool(np.isfinite(system.periods[:2]).all()) and len(system.reversers) > 1
+    return {"outer-down", "inner-down", "aligned"} <= set(system.named_sections) and len(system.reversers) > 1
 
 
 def _check(system: System, arm: int, energy: float, sense: int) -> None:

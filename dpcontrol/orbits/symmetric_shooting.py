@@ -172,13 +172,18 @@ def symmetric_shooting(system: System, saddle: str, family: int) -> tuple[Symmet
     """Return the shooting problem of one family of Lyapunov orbits, and the linear centre from which it grows.
 
     Raises:
-        InputError: unknown saddle or family, or a point that is no index-1 saddle.
+        InputError: unknown saddle or family, a point that is no index-1 saddle, or a system without reversers.
     """
     point = equilibrium(system, saddle)
-    if not point.kind.startswith("index-1"):
+    if saddle not in system.saddles:
         raise InputError(
             f"{saddle} of {system.name} is: {point.kind}, no index-1 saddle: it has no tubes; choose one of "
-            + ", ".join(k for k in system.equilibria if equilibrium(system, k).kind.startswith("index-1"))
+            + ", ".join(system.saddles)
+        )
+    if not system.reversers:
+        raise InputError(
+            f"{system.name} has no known symmetry that reverses its motion about {', '.join(system.saddles)} in time, "
+            "with which Lyapunov orbits are found; declare its reversers, or leave out the saddles that they move"
         )
     first, last = system.reversers[-1], system.reversers[0]
     start, _ = fixed_and_moved(first)

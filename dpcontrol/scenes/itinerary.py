@@ -14,7 +14,7 @@ In [run] the keys of sensors, drive and disturbances stand side by side, for a u
 lists blows at given times. `RunOptions` has the same names: `mismatch = 0.05` in the file is `--mismatch 0.05`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,6 @@ from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.scenes.model import Model, find, load_model
 from dpcontrol.scenes.run_options import RunOptions
-from dpcontrol.walks.edges import saddles_with_tubes
 from dpcontrol.walks.symbols import expanded, parse_walk
 
 
@@ -105,7 +104,7 @@ def _part(table: Table, model: Model) -> Part:
     if "orbit" in table:
         return _orbit(table, model)
     energy = table.number("energy")
-    saddles = saddles_with_tubes(model.system)
+    saddles = model.system.saddles
     walk, wraps, repeat = _walk(table, saddles)
     _check_energy(table, walk, saddles, model, energy)
     return WalkPart(energy, walk, wraps, repeat, table.integer("lead_in", 2), table.integer("lead_out", 2))
@@ -117,7 +116,7 @@ def _orbit(table: Table, model: Model) -> OrbitPart:
             raise InputError(
                 f"{table.where('orbit')}: an itinerary that keeps an orbit has no {key}; remove one of them"
             )
-    saddles = saddles_with_tubes(model.system)
+    saddles = model.system.saddles
     name = table.text("orbit", allowed=saddles)
     energy, point = table.number("energy"), equilibria(model.system)[name]
     if energy <= point.energy:
@@ -145,7 +144,7 @@ def _hold(table: Table, model: Model) -> HoldPart:
     return HoldPart(name, _seconds(table, 2.0))
 
 
-def _walk(table: Table, saddles: list[str]) -> tuple[tuple[str, ...], tuple[int, ...], int]:
+def _walk(table: Table, saddles: Sequence[str]) -> tuple[tuple[str, ...], tuple[int, ...], int]:
     """Return the walk and its wraps, grown edges written out, repeated as often as asked, and how often that is.
 
     Raises:
@@ -178,7 +177,7 @@ def _walk(table: Table, saddles: list[str]) -> tuple[tuple[str, ...], tuple[int,
     return walk * repeat, (wraps * repeat)[:-1], repeat
 
 
-def _check_energy(table: Table, walk: tuple[str, ...], saddles: list[str], model: Model, energy: float) -> None:
+def _check_energy(table: Table, walk: tuple[str, ...], saddles: Sequence[str], model: Model, energy: float) -> None:
     """Refuse an energy at which a saddle of the walk has no orbits."""
     points = equilibria(model.system)
     for saddle in {name for s in parse_walk(walk, saddles) for name in (s.source, s.target)}:

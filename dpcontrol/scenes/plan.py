@@ -21,7 +21,7 @@ from dpcontrol.scenes.notes import plan_notes
 from dpcontrol.scenes.pieces import REST, REST_AFTER, REST_BEFORE, Goal, solve_pieces, stay_goal, walk_goal
 from dpcontrol.scenes.stays import plan_stay
 from dpcontrol.tubes.connection import Connection
-from dpcontrol.walks.edges import find_edges, saddles_with_tubes
+from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
 from dpcontrol.walks.symbols import parse_walk
 from dpcontrol.walks.walks import resolve
@@ -146,7 +146,7 @@ def shadowing_orbit(
 def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tuple[tuple[Connection, ...], WalkSolver]:
     """Return the connections of a part's walk, and what finds the orbits that shadow them."""
     system = itinerary.model.system
-    symbols = parse_walk(part.walk, saddles_with_tubes(system))
+    symbols = parse_walk(part.walk, system.saddles)
     pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
     edges = find_edges(system, part.energy, pairs=pairs, symbols=symbols, progress=progress)
     if edges.absent:

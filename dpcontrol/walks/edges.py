@@ -11,7 +11,6 @@ import networkx as nx
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.orbits.equilibria import equilibria
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.tubes.connections import can_be_reversed, find_connections, reversed_search
@@ -64,11 +63,6 @@ class Edges:
         return graph
 
 
-def saddles_with_tubes(system: System) -> list[str]:
-    """Return the names of the saddles of index one: those that have Lyapunov orbits and tubes."""
-    return [name for name, point in equilibria(system).items() if point.kind.startswith("index-1")]
-
-
 def find_edges(
     system: System,
     energy: float,
@@ -87,7 +81,7 @@ def find_edges(
         InputError: no saddle has an orbit at this energy, a saddle of `pairs` or a rotating orbit of `symbols` has
             none, or a symbol names a section that there is not.
     """
-    wanted = dict.fromkeys(s for pair in pairs for s in pair) if pairs else dict.fromkeys(saddles_with_tubes(system))
+    wanted = dict.fromkeys(s for pair in pairs for s in pair) if pairs else dict.fromkeys(system.saddles)
     orbits: dict[str, LyapunovOrbit] = {}
     absent: list[tuple[str, str]] = []
     for saddle in wanted:

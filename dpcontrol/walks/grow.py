@@ -55,7 +55,8 @@ def as_connection(orbit: ShadowingOrbit, *, settings: ConnectionSettings | None 
     stay = float(orbit.symbol_times[-1] - orbit.symbol_times[0])
     along = whole.sample(np.linspace(0.0, stay, 1 + 16 * (len(orbit.walk) - 1)))
     symmetric = homoclinic and any(
-        float(system.scaled_distance(along[::-1] @ reverser.T, along).max()) < _MIRRORED
+        float(system.scaled_distance((along[::-1] - source.centre) @ reverser.T + source.centre, along).max())
+        < _MIRRORED
         for reverser in system.reversers
     )
     time_out, phase_out = approach(whole, OrbitCurve(source), -1, settings.near)

@@ -15,7 +15,7 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.tables import suggest
 from dpcontrol.tubes.connection import Connection
-from dpcontrol.walks.edges import Edges, saddles_with_tubes
+from dpcontrol.walks.edges import Edges
 from dpcontrol.walks.graph import walks
 from dpcontrol.walks.grow import as_connection
 from dpcontrol.walks.rotating import is_rotating, rotating_names
@@ -49,7 +49,7 @@ def resolve(texts: Sequence[str], edges: Edges) -> Walk:
 
 def vertex_names(system: System) -> list[str]:
     """Return the names of the orbits that a walk may stop at: those of saddles, and rotating ones."""
-    return [*saddles_with_tubes(system), *rotating_names(system)]
+    return [*system.saddles, *rotating_names(system)]
 
 
 def _connection(symbol: Symbol, edges: Edges) -> Connection:
