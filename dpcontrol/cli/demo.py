@@ -32,7 +32,7 @@ def command(*, itinerary: str, seed: int, folder: Path, as_json: bool) -> None:
     with progress_bar("demo") as progress:
         progress("loading", 0.0)
         from dpcontrol.logs import read_log
-        from dpcontrol.review.of_log import review_context
+        from dpcontrol.review.of_log import run_view
         from dpcontrol.review.picture import write_picture
         from dpcontrol.review.recording import write_recording
         from dpcontrol.scenes.itinerary import load_itinerary
@@ -44,13 +44,12 @@ def command(*, itinerary: str, seed: int, folder: Path, as_json: bool) -> None:
         plan = make_plan(scene, progress=lambda what, done: progress(what, 0.05 + 0.45 * done))
         log = folder / f"{scene.name}-{seed}.mcap"
         verdict = run_plan(plan, log, progress=lambda what, done: progress("closed loop", 0.5 + 0.25 * done))
-        run = read_log(log)
-        context = review_context(run)
+        view = run_view(read_log(log))
         progress("recording", 0.8)
         recording = log.with_suffix(".rrd")
-        write_recording(run, context, recording)
+        write_recording(view, recording)
         progress("picture", 0.85)
-        picture = write_picture(run, context, log.with_suffix(".png"))
+        picture = write_picture(view, log.with_suffix(".png"))
     seconds = time.perf_counter() - began
     if as_json:
         document = score_document(verdict)

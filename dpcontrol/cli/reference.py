@@ -37,9 +37,10 @@ def command(*, file: Path, picture: Path | None, as_json: bool) -> None:
         summary = summarised(reference)
         document = _document(summary)
         if picture is not None:
-            from dpcontrol.review.reference_figure import write_reference_figure
+            from dpcontrol.review.drawing import draw, save_figure
+            from dpcontrol.review.of_reference import reference_view
 
-            write_reference_figure(summary, picture)
+            save_figure(draw(reference_view(summary, file)), picture)
     except InputError as error:
         raise InputError(f"{file}: {error}") from error
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:

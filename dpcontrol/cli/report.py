@@ -46,21 +46,21 @@ def command(*, file: Path, picture: Path | None, as_json: bool) -> None:
 def _log(file: Path, picture: Path, *, as_json: bool) -> dict[str, Any]:
     from dpcontrol.cli.score import print_score, score_document
     from dpcontrol.logs import read_log
-    from dpcontrol.review.drawing import write_drawing
-    from dpcontrol.review.of_log import review_context
+    from dpcontrol.review.drawing import draw, save_figure
+    from dpcontrol.review.of_log import run_view
     from dpcontrol.review.score import REFERENCE_ATTACHMENT, score
 
     log = read_log(file)
-    context = review_context(log)
-    write_drawing(log, context, picture)
+    view = run_view(log)
+    save_figure(draw(view), picture)
     if REFERENCE_ATTACHMENT in log.attachments and "reference" in log.states:
         verdict = score(log)
         if not as_json:
             print_score(verdict)
         return score_document(verdict)
     if not as_json:
-        click.echo(f"{file}\n  {context.verdict}")
-    return {"log": str(file), "completed": None, "reason": context.verdict}
+        click.echo(f"{file}\n  {view.verdict}")
+    return {"log": str(file), "completed": None, "reason": view.verdict}
 
 
 def _campaign(file: Path, picture: Path, *, as_json: bool) -> dict[str, Any]:

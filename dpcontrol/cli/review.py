@@ -71,89 +71,46 @@ Writers = tuple[Callable[[Path], None], Callable[[Path], "Picture"]]
 
 
 def _writers(file: Path) -> Writers:
-    from dpcontrol.review.of_reference import is_reference
-    from dpcontrol.scenes.atlas import is_atlas
-
-    if is_reference(file):
-        return _reference_writers(file)
-    return _atlas_writers(file) if is_atlas(file) else _log_writers(file)
-
-
-def _log_writers(file: Path) -> Writers:
     from dpcontrol.logs import read_log
-    from dpcontrol.review.of_log import review_context
+    from dpcontrol.review.of_log import run_view
+    from dpcontrol.review.of_reference import is_reference, read_reference_view
+    from dpcontrol.review.picture import write_atlas_picture, write_picture
+    from dpcontrol.scenes.atlas import is_atlas, load_atlas
 
-    run = read_log(file)
-    context = review_context(run)
+    reference = is_reference(file)
+    if not reference and is_atlas(file):
+        atlas = load_atlas(file)
 
-    def recording(path: Path) -> None:
+        def record_atlas(path: Path) -> None:
+            from dpcontrol.review.atlas_recording import write_atlas_recording
+
+            write_atlas_recording(atlas, path)
+
+        return record_atlas, lambda path: write_atlas_picture(atlas, path)
+    view = read_reference_view(file) if reference else run_view(read_log(file))
+
+    def record(path: Path) -> None:
         from dpcontrol.review.recording import write_recording
 
-        write_recording(run, context, path)
+        write_recording(view, path)
 
-    def picture(path: Path) -> "Picture":
-        from dpcontrol.review.picture import write_picture
-
-        return write_picture(run, context, path)
-
-    return recording, picture
+    return record, lambda path: write_picture(view, path)
 
 
 def _comparison_writers(files: tuple[Path, ...], symbol: int) -> tuple[Callable, Callable, str]:
     from dpcontrol.logs import read_log
     from dpcontrol.review.comparison import compare
-    from dpcontrol.review.of_log import review_context
+    from dpcontrol.review.of_log import run_view
+    from dpcontrol.review.picture import write_comparison_picture
 
     other = [file for file in files if file.suffix.lower() == ".npz"]
     if other:
         raise InputError(f"{other[0]} is no log: several files are compared only if all are logs; review it alone")
-    logs = [read_log(file) for file in files]
-    comparison = compare([(log, review_context(log)) for log in logs], symbol=symbol)
+    comparison = compare([run_view(read_log(file)) for file in files], symbol=symbol)
 
-    def recording(path: Path) -> None:
+    def record(path: Path) -> None:
         from dpcontrol.review.comparison_recording import write_comparison_recording
 
         write_comparison_recording(comparison, path)
 
-    def picture(path: Path) -> "Picture":
-        from dpcontrol.review.picture import write_comparison_picture
-
-        return write_comparison_picture(comparison, path)
-
-    return recording, picture, comparison.status
-
-
-def _reference_writers(file: Path) -> Writers:
-    from dpcontrol.review.of_reference import reference_review
-
-    reference = reference_review(file)
-
-    def recording(path: Path) -> None:
-        from dpcontrol.review.recording import write_motion_recording
-
-        write_motion_recording(reference.motion, reference.context, path)
-
-    def picture(path: Path) -> "Picture":
-        from dpcontrol.review.picture import write_reference_picture
-
-        return write_reference_picture(reference, path)
-
-    return recording, picture
-
-
-def _atlas_writers(file: Path) -> Writers:
-    from dpcontrol.scenes.atlas import load_atlas
-
-    atlas = load_atlas(file)
-
-    def recording(path: Path) -> None:
-        from dpcontrol.review.atlas_recording import write_atlas_recording
-
-        write_atlas_recording(atlas, path)
-
-    def picture(path: Path) -> "Picture":
-        from dpcontrol.review.atlas_picture import write_atlas_picture
-
-        return write_atlas_picture(atlas, path)
-
-    return recording, picture
+    return record, lambda path: write_comparison_picture(comparison, path), comparison.status

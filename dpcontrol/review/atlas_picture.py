@@ -1,45 +1,12 @@
-"""A picture of an atlas: the viewer's where it can draw without a screen, else one drawn by matplotlib."""
-
-from pathlib import Path
+"""An atlas on one page, drawn by matplotlib: tubes, orbits and connections in space, and the cuts of every kind."""
 
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from dpcontrol.foundation.files import whole_file
 from dpcontrol.review.figures.cuts import connections_of, draw_cuts
 from dpcontrol.review.figures.page import STABLE, UNSTABLE, new_figure, saddle_colour
 from dpcontrol.review.figures.space import CUT, FLIGHT, draw_space
-from dpcontrol.review.picture import Picture
-from dpcontrol.review.viewer import picture_of
 from dpcontrol.walks.atlas import Atlas
-
-
-def write_atlas_picture(atlas: Atlas, path: Path | str) -> Picture:
-    """Write a PNG of the atlas: of the Rerun viewer if this machine can render it, else drawn by matplotlib.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    from dpcontrol.review.atlas_recording import write_atlas_recording
-
-    path = Path(path)
-    reason = picture_of(lambda file: write_atlas_recording(atlas, file), path, moment=0.0)
-    if reason is None:
-        return Picture(path, "viewer", f"{path} shows the Rerun viewer, rendered without a screen.")
-    return write_drawn_atlas(atlas, path, reason=reason)
-
-
-def write_drawn_atlas(atlas: Atlas, path: Path | str, *, reason: str = "it was asked for") -> Picture:
-    """Write a PNG of the atlas drawn by matplotlib, for `reason`.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    path = Path(path)
-    figure = draw_atlas(atlas)
-    with whole_file(path, suffix=".png") as temporary:
-        figure.savefig(temporary, format="png")
-    return Picture(path, "matplotlib", f"{path} was drawn by matplotlib, not by the Rerun viewer: {reason}.")
 
 
 def draw_atlas(atlas: Atlas) -> Figure:

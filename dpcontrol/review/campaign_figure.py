@@ -15,7 +15,6 @@ from dpcontrol.foundation.statistics import Share
 from dpcontrol.review import style
 from dpcontrol.review.campaign import CampaignSummary
 from dpcontrol.review.figures.page import new_figure, quiet
-from dpcontrol.review.panel_frame import NOTE
 
 _GOOD, _BAD = "#1e7a3c", style.LIMIT
 _MOST = 28
@@ -51,7 +50,7 @@ def _bars(axes: Axes, labels: Sequence[str], shares: Sequence[Share], colours: S
         axes.barh(place, share.rate, color=colour, height=0.62, alpha=0.85)
         axes.plot([share.low, share.high], [place, place], color=style.INK, linewidth=1.4)
         text = f"{share.successes} of {share.runs}"
-        axes.text(1.02, place, text, va="center", fontsize=_letters(len(labels)), color=NOTE)
+        axes.text(1.02, place, text, va="center", fontsize=_letters(len(labels)), color=style.NOTE)
     axes.set_yticks(places, [shorten(label, 44, placeholder=" …") for label in labels])
     axes.tick_params(axis="y", labelsize=_letters(len(labels)))
     axes.set_xlim(0, 1)
@@ -70,7 +69,7 @@ def _groups(axes: Axes, summary: CampaignSummary) -> None:
     _bars(axes, [g.label for g in groups], [g.share for g in groups], _colours(summary, [g.family for g in groups]))
     hidden = len(summary.groups) - len(groups)
     if hidden:
-        axes.set_xlabel(f"… and {hidden} groups more", fontsize=8.5, color=NOTE)
+        axes.set_xlabel(f"… and {hidden} groups more", fontsize=8.5, color=style.NOTE)
 
 
 def _colours(summary: CampaignSummary, labels: Sequence[str]) -> list[str]:
@@ -100,12 +99,12 @@ def _levels(axes: Axes, summary: CampaignSummary) -> None:
     else:
         axes.xaxis.set_major_formatter(PercentFormatter(1.0))
     text = "level of each kind of trouble" if standard else "mismatch, share of each parameter"
-    axes.set_xlabel(text, fontsize=8.5, color=NOTE)
+    axes.set_xlabel(text, fontsize=8.5, color=style.NOTE)
     if len(labels) > 1:
-        axes.set_title("colours as on the left", loc="right", fontsize=8.5, color=NOTE)
+        axes.set_title("colours as on the left", loc="right", fontsize=8.5, color=style.NOTE)
     if len(labels) > len(shown):
         axes.text(0.99, 1.01, f"first {len(shown)} of {len(labels)} groups", transform=axes.transAxes, fontsize=8,
-                  ha="right", color=NOTE)  # fmt: skip
+                  ha="right", color=style.NOTE)  # fmt: skip
 
 
 def _symbols(axes: Axes, summary: CampaignSummary) -> None:
@@ -122,7 +121,7 @@ def _symbols(axes: Axes, summary: CampaignSummary) -> None:
                  label=shorten(label, 40, placeholder=" …"))  # fmt: skip
         for symbol, count in counts.items():
             bottoms[symbol] += count
-    axes.set_xlabel("symbol, from 1; beyond the last: not held to the end", fontsize=8.5, color=NOTE)
+    axes.set_xlabel("symbol, from 1; beyond the last: not held to the end", fontsize=8.5, color=style.NOTE)
     axes.set_xticks(numbers, ["not said" if symbol == 0 else str(symbol) for symbol in numbers])
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylim(0, 1.1 * max(bottoms.values()) + 0.5)
@@ -159,6 +158,6 @@ def _spread(axes: Axes, summary: CampaignSummary, name: str, *, title: str, scal
 
 
 def _empty(axes: Axes, why: str) -> None:
-    axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", fontsize=9, color=NOTE)
+    axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", fontsize=9, color=style.NOTE)
     axes.set_xticks([])
     axes.set_yticks([])

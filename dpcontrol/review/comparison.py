@@ -5,14 +5,16 @@ known; for a symbol without a section, or one that was not done, it is the plan'
 its start. Which it was is said for each run.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs import RunLog
 from dpcontrol.review import style
-from dpcontrol.review.context import ReviewContext, Stay
-from dpcontrol.review.motion import Motion, motion_of
+from dpcontrol.review.motion import RunView
+from dpcontrol.review.series import Chart, Line, Range, charts
 
 MOST = len(style.RUNS)
 
@@ -24,21 +26,20 @@ class ComparedRun:
     Attributes:
         name: of its file, with a number where another has the same.
         colour: its own.
-        motion, context: on the common clock.
+        view: on the common clock.
         delay: s, by which its own clock was moved.
         aligned_by: a phrase.
     """
 
     name: str
     colour: str
-    motion: Motion
-    context: ReviewContext
+    view: RunView
     delay: float
     aligned_by: str
 
 
 @dataclass(frozen=True)
-class Comparison:
+class RunComparison:
     """Runs on one clock, the symbol at which they are aligned (from 1), and when that is, s."""
 
     runs: tuple[ComparedRun, ...]
@@ -54,11 +55,17 @@ class Comparison:
     @property
     def title(self) -> str:
         """A title for a page."""
-        titles = list(dict.fromkeys(run.context.title.split(" — ")[0] for run in self.runs))
+        titles = list(dict.fromkeys(run.view.title.split(" — ")[0] for run in self.runs))
         return f"{len(self.runs)} runs: {titles[0]}" if len(titles) == 1 else f"{len(self.runs)} runs compared"
 
+    @property
+    def span(self) -> Range:
+        """From the first begin to the last end of the runs and their plans, s."""
+        ends = [run.view.span for run in self.runs]
+        return min(begin for begin, _ in ends), max(end for _, end in ends)
 
-def compare(runs: Sequence[tuple[RunLog, ReviewContext]], *, symbol: int = 1) -> Comparison:
+
+def compare(runs: Sequence[RunView], *, symbol: int = 1) -> RunComparison:
     """Return runs on one clock, aligned at a symbol, counted from 1.
 
     Raises:
@@ -66,46 +73,78 @@ def compare(runs: Sequence[tuple[RunLog, ReviewContext]], *, symbol: int = 1) ->
     """
     if len(runs) > MOST:
         raise InputError(f"{len(runs)} logs are too many for one picture: compare up to {MOST}")
-    if len({len(log.arm_lengths) for log, _ in runs}) > 1:
+    if len({view.arms for view in runs}) > 1:
         raise InputError("the logs are of pendulums with different numbers of arms: compare those that have the same")
-    most = max(len(context.symbols) for _, context in runs)
+    most = max(len(view.symbols) for view in runs)
     if not 1 <= symbol <= max(most, 1):
         raise InputError(f"--align {symbol}: these runs have symbols 1 to {most}" if most else "no log has symbols")
-    moments = [_moment(log, context, symbol - 1) for log, context in runs]
+    moments = [_moment(view, symbol - 1) for view in runs]
     latest = max(moment for moment, _ in moments)
-    names = [log.path.stem for log, _ in runs]
+    names = [view.path.stem for view in runs]
     compared = []
-    for k, ((log, context), (moment, said)) in enumerate(zip(runs, moments, strict=True)):
+    for k, (view, (moment, said)) in enumerate(zip(runs, moments, strict=True)):
         delay = latest - moment
         name = names[k] if names.count(names[k]) == 1 else f"{names[k]} ({k + 1})"
-        motion = motion_of(log).shifted(-delay)
-        compared.append(ComparedRun(name, style.RUNS[k], motion, delayed(context, delay), delay, said))
-    return Comparison(tuple(compared), symbol, latest)
+        compared.append(ComparedRun(name, style.RUNS[k], view.delayed(delay), delay, said))
+    return RunComparison(tuple(compared), symbol, latest)
 
 
-def _moment(log: RunLog, context: ReviewContext, k: int) -> tuple[float, str]:
-    done = context.crossings[k] if k < len(context.crossings) else None
+def _moment(view: RunView, k: int) -> tuple[float, str]:
+    done = view.crossings[k] if k < len(view.crossings) else None
     if done is not None:
-        known = "true" if log.truth is not None else "estimated"
+        known = "estimated" if view.what == "estimate" else "true"
         return done, f"by its own crossing ({known} angles)"
-    if k < len(context.symbols):
-        reached = k < len(context.crossings)
-        return context.symbols[k][0], f"by its plan's time ({'a swing' if reached else 'not done'})"
-    return float(log.time[0]), "by its start (no such symbol)"
+    if k < len(view.symbols):
+        reached = k < len(view.crossings)
+        return view.plan.symbols[k][0], f"by its plan's time ({'a swing' if reached else 'not done'})"
+    return float(view.time[0]), "by its start (no such symbol)"
 
 
-def delayed(context: ReviewContext, seconds: float) -> ReviewContext:
-    """Return a context with its times `seconds` later."""
+def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
+    """Return the charts in which all runs are drawn: a line for each, and the first's reference and levels."""
+    first = comparison.runs[0].view
+    every = [charts(run.view) for run in comparison.runs]
+    found = []
+    for arm in range(first.arms):
+        title = f"Arm {arm + 1}'s angle θ{style.number(arm)} (rad)"
+        prefix = f"arm_{arm + 1}/"
+        found.append(_chart(comparison, every, "angles", f"angle_{arm + 1}", title, prefix=prefix, legend=arm == 0))
+    limits = first.limits
+    track = f", track ±{1000 * limits[0]:g}" if limits else ""
+    found += [
+        _chart(comparison, every, "cart", "cart", f"Cart position (mm){track}"),
+        _chart(comparison, every, "tracking_error", "tracking_error", "Tracking error: largest of the angles (rad)"),
+        _chart(comparison, every, "acceleration", "acceleration", "Acceleration applied (m/s²)", prefix="applied"),
+        _chart(comparison, every, "energy", "energy", "Energy of the pendulum (J)"),
+        _chart(comparison, every, "nis", "nis", "NIS, means of 50 updates"),
+    ]
+    return tuple(chart for chart in found if chart.lines)
 
-    def later(stays: tuple[Stay, ...]) -> tuple[Stay, ...]:
-        return tuple(replace(stay, first=stay.first + seconds, last=stay.last + seconds) for stay in stays)
 
-    return replace(
-        context,
-        symbols=tuple((at + seconds, name) for at, name in context.symbols),
-        planned=later(context.planned),
-        done=later(context.done),
-        transfers=tuple((a + seconds, b + seconds) for a, b in context.transfers),
-        crossings=tuple(None if at is None else at + seconds for at in context.crossings),
-        duration=None if context.duration is None else context.duration + seconds,
-    )
+def _chart(
+    comparison: RunComparison, every: list[dict[str, Chart]], source: str, key: str, title: str, *, prefix: str = "",
+    legend: bool = False,
+) -> Chart:  # fmt: skip
+    """Return one chart of all runs, made of the lines that each shows itself by under a prefix in a chart of its own.
+
+    Of several such lines, as errors of several arms, it has the largest size.
+    """
+    lines: list[Line] = []
+    known = [one[source] for one in every if source in one]
+    for k, (run, own) in enumerate(zip(comparison.runs, every, strict=True)):
+        shown = [line for line in own[source].lines if line.key.startswith(prefix)] if source in own else []
+        wanted = [line for line in shown if line.role == "reference"] if k == 0 else []
+        lines += [replace(line, key="0_reference", name=f"reference of {run.name}", label="the first's reference",
+                          colour=style.REFERENCE) for line in wanted]  # fmt: skip
+        parts = [line for line in shown if line.role == "run"]
+        if parts:
+            values = parts[0].values if len(parts) == 1 else np.max([np.abs(line.values) for line in parts], axis=0)
+            place = f"{k + 1}_{re.sub(r'[^A-Za-z0-9]+', '_', run.name)}"
+            line = Line(place, run.name, "", parts[0].time, values, run.colour, dashed=k > 0)
+            lines.append(line)
+    if not known:
+        return Chart(key, title, title, ())
+    levels = tuple(level for level in known[0].levels if level.kind == "limit" or source == "energy")
+    named = title.replace("(mm)", "(m)").split(", track")[0] + (", reference grey" if legend else "")
+    half_turns, scale = known[0].half_turns, known[0].scale
+    return Chart(key, title, named, tuple(lines), levels=levels, scale=scale, half_turns=half_turns, legend=legend)

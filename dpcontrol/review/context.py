@@ -1,6 +1,6 @@
-"""What a review needs besides the log: orbits, tubes, energies, the plan, what was done of it, and the verdict."""
+"""What a plan asks for, as pictures show it: its stays and symbols over time, its orbits and tubes in space."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +9,7 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class OrbitCurve:
+class PlacedOrbit:
     """A periodic orbit of the pendulum, or an equilibrium, at a place where a plan stops.
 
     Attributes:
@@ -55,40 +55,39 @@ class Stay:
     text: str
     wanted: bool = True
 
+    def delayed(self, seconds: float) -> "Stay":
+        """Return the stay `seconds` later."""
+        return replace(self, first=self.first + seconds, last=self.last + seconds)
+
 
 @dataclass(frozen=True)
-class ReviewContext:
-    """What the log does not say and the caller knows.
+class PlanView:
+    """What a plan asks for.
 
     Attributes:
-        title: of the recording and the picture.
-        arm_lengths: (n,) in m.
-        limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s²; or None.
         orbits: the itinerary's orbits, at each place where it stops.
         saddle_energies: energy of each saddle in J, by name.
         symbols: for each symbol of the itinerary, the planned time of its section crossing in s, and its name.
-        energy: (N,) in J, of the pendulum in each tick, true if known, else estimated; or None.
-        verdict: one line, such as "completed: 1 of 1 symbols".
-        good: whether that is good news; None where nothing was asked.
         tubes: parts of tubes that the plan uses.
-        planned, done: the itinerary as stays, as planned and as decoded from the angles.
+        planned: the itinerary as stays.
         transfers: times in s between which the plan has the pendulum on its way from piece to piece.
-        crossings: when each symbol that was done crossed its section, in s; None for a transfer.
-        duration: of the plan in s, or None.
+        duration: in s, or None.
     """
 
-    title: str
-    arm_lengths: tuple[float, ...]
-    limits: tuple[float, float, float] | None = None
-    orbits: tuple[OrbitCurve, ...] = ()
+    orbits: tuple[PlacedOrbit, ...] = ()
     saddle_energies: dict[str, float] = field(default_factory=dict)
     symbols: tuple[tuple[float, str], ...] = ()
-    energy: Array | None = None
-    verdict: str = ""
-    good: bool | None = None
     tubes: tuple[TubeCurve, ...] = ()
     planned: tuple[Stay, ...] = ()
-    done: tuple[Stay, ...] = ()
     transfers: tuple[tuple[float, float], ...] = ()
-    crossings: tuple[float | None, ...] = ()
     duration: float | None = None
+
+    def delayed(self, seconds: float) -> "PlanView":
+        """Return the plan with its times `seconds` later."""
+        return replace(
+            self,
+            symbols=tuple((at + seconds, name) for at, name in self.symbols),
+            planned=tuple(stay.delayed(seconds) for stay in self.planned),
+            transfers=tuple((a + seconds, b + seconds) for a, b in self.transfers),
+            duration=None if self.duration is None else self.duration + seconds,
+        )

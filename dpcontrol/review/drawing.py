@@ -1,28 +1,21 @@
-"""A motion on one page, drawn by matplotlib: what happened, how well it was tracked and estimated, where it went."""
+"""A run, a recording or a reference on one page, drawn by matplotlib: what happened, how well, and where it went."""
 
-from collections.abc import Callable
 from pathlib import Path
 from textwrap import shorten, wrap
 
-from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from dpcontrol.foundation.files import whole_file
-from dpcontrol.logs import RunLog
-from dpcontrol.review import check_panels, film, panels, series, story_panels, style
-from dpcontrol.review.context import ReviewContext
-from dpcontrol.review.motion import Motion, motion_of
-from dpcontrol.review.panel_frame import NOTE, mark_symbols
-
-Panel = Callable[[Axes, Motion, ReviewContext], None]
+from dpcontrol.review import film, panels, series, story_panels, style
+from dpcontrol.review.motion import RunView
+from dpcontrol.review.panel_frame import mark_times
 
 _SIZE = (16.0, 11.6)
 _DPI = 110
 _FRAMES = 8
 _NOTES = 0.185
 _NOTE_LINES = 13
-_GOOD, _BAD = "#1e7a3c", style.LIMIT
 _COLUMNS, _WIDTH = (0.045, 0.372, 0.70), 0.285
 _ROW = 0.019
 """Height of a row of the story."""
@@ -30,109 +23,83 @@ _ABOVE = 0.04
 """Between two panels, for the title of the lower."""
 
 
-def draw(log: RunLog, context: ReviewContext) -> Figure:
-    """Return the page of a log as a figure."""
-    return draw_motion(motion_of(log), context)
-
-
-def draw_motion(motion: Motion, context: ReviewContext) -> Figure:
-    """Return the page of a motion as a figure."""
-    figure = Figure(figsize=_SIZE, dpi=_DPI, facecolor="white")
+def new_page(width: float, height: float) -> Figure:
+    """Return an empty white figure of a size in inches."""
+    figure = Figure(figsize=(width, height), dpi=_DPI, facecolor="white")
     FigureCanvasAgg(figure)
-    heading(figure, motion, context)
-    top = 0.925
-    rows = story_panels.story_rows(motion, context)
-    if rows:
-        tall = _ROW * len(rows)
-        top -= 0.022
-        story_panels.story(figure.add_axes((0.062, top - tall, 0.925, tall)), motion, context)
-        top -= tall + 0.032
-    horizontal, vertical = film.film_extent(motion, context, frames=_FRAMES)
-    # As tall as its width makes it with equal scales; the panels below take what is left.
-    tall = 0.98 * _SIZE[0] / _SIZE[1] * (vertical[1] - vertical[0]) / (horizontal[1] - horizontal[0])
-    film.draw_film(figure.add_axes((0.01, top - tall, 0.98, tall)), motion, context, frames=_FRAMES)
-    top -= tall + 0.03
-    bottom = 0.005
-    for column, chosen in zip(_COLUMNS, _columns(motion, context), strict=False):
-        _stack(figure, chosen, motion, context, left=column, top=top, bottom=bottom + 0.035)
-    arms = min(motion.arms, 2)
-    share = (top - bottom - _NOTES) / 2
-    for arm in range(arms):
-        axes = figure.add_axes((_COLUMNS[2], top - arm * share - (share - 0.05), 0.28, share - 0.05))
-        panels.phase_plane(axes, motion, context, arm=arm)
-    place = figure.add_axes((_COLUMNS[2], bottom, 0.28, _NOTES))
-    story_panels.notes(place, motion, context, lines=_NOTE_LINES)
     return figure
 
 
-def _columns(motion: Motion, context: ReviewContext) -> tuple[list[Panel], list[Panel]]:
-    """Return the panels of the left and the middle column: only those for which there is something to show."""
-    left: list[Panel] = [panels.angles, panels.rates]
-    left += [panels.cart] if motion.has_cart else []
-    left += [panels.command] if motion.control is not None else []
-    middle: list[Panel] = [check_panels.tracking_error] if motion.reference is not None else []
-    middle += [check_panels.estimation_error] if motion.error is not None or motion.sigma is not None else []
-    middle += [check_panels.energy] if series.energy_of(motion, context) is not None else []
-    middle += [check_panels.innovations] if motion.nis is not None else []
+def draw(view: RunView) -> Figure:
+    """Return the page as a figure."""
+    figure = new_page(*_SIZE)
+    _heading(figure, view)
+    top = 0.925
+    rows = story_panels.story_rows(view)
+    if rows:
+        tall = _ROW * len(rows)
+        top -= 0.022
+        story_panels.story(figure.add_axes((0.062, top - tall, 0.925, tall)), view)
+        top -= tall + 0.032
+    horizontal, vertical = film.film_extent(view, frames=_FRAMES)
+    # As tall as its width makes it with equal scales; the panels below take what is left.
+    tall = 0.98 * _SIZE[0] / _SIZE[1] * (vertical[1] - vertical[0]) / (horizontal[1] - horizontal[0])
+    film.draw_film(figure.add_axes((0.01, top - tall, 0.98, tall)), view, frames=_FRAMES)
+    top -= tall + 0.03
+    bottom = 0.005
+    left, middle = list(series.motion_charts(view)), list(series.check_charts(view))
     while len(left) > len(middle) + 1:
         middle.insert(0, left.pop())
-    return left, middle
+    for column, chosen in zip(_COLUMNS, (left, middle), strict=False):
+        _stack(figure, chosen, view, left=column, top=top, bottom=bottom + 0.035)
+    share = (top - bottom - _NOTES) / 2
+    for arm in range(min(view.arms, 2)):
+        axes = figure.add_axes((_COLUMNS[2], top - arm * share - (share - 0.05), 0.28, share - 0.05))
+        panels.draw_plane(axes, [(series.plane(view, arm), style.INK)])
+    story_panels.notes(figure.add_axes((_COLUMNS[2], bottom, 0.28, _NOTES)), view, lines=_NOTE_LINES)
+    return figure
 
 
 def _stack(
-    figure: Figure,
-    chosen: list[Panel],
-    motion: Motion,
-    context: ReviewContext,
-    *,
-    left: float,
-    top: float,
-    bottom: float,
+    figure: Figure, chosen: list[series.Chart], view: RunView, *, left: float, top: float, bottom: float
 ) -> None:
-    """Draw panels one below the other, on one axis of time."""
+    """Draw charts one below the other, on one axis of time."""
     tall = (top - bottom + _ABOVE) / max(len(chosen), 1)
-    for row, panel in enumerate(chosen):
+    begin, end = view.time_range
+    for row, chart in enumerate(chosen):
         axes = figure.add_axes((left, top - row * tall - (tall - _ABOVE), _WIDTH, tall - _ABOVE))
-        panel(axes, motion, context)
-        axes.set_xlim(*motion.time_range)
+        panels.draw_chart(axes, chart, view)
+        axes.set_xlim(begin, end)
         last = row == len(chosen) - 1
         axes.tick_params(labelbottom=last)
         if last:
-            axes.set_xlabel("time (s)", fontsize=8.5, color=NOTE, labelpad=1)
-        mark_symbols(axes, motion, context)
+            axes.set_xlabel("time (s)", fontsize=8.5, color=style.NOTE, labelpad=1)
+        mark_times(axes, [at for at, _ in view.plan.symbols if begin <= at <= end])
 
 
-def heading(figure: Figure, motion: Motion, context: ReviewContext) -> None:
+def _heading(figure: Figure, view: RunView) -> None:
     """Write title, origin and verdict at the top of a page."""
-    title = shorten(context.title, 112, placeholder=" …")
-    figure.text(
-        0.022, 0.975, title, fontsize=17 if len(title) < 72 else 14, weight="bold", color=style.INK, va="center"
-    )
-    about = [motion.path.name, motion.metadata.get("program", "")]
-    figure.text(0.985, 0.975, "   ".join(about), fontsize=8.5, color="#7a828b", va="center", ha="right")
-    lines = wrap(context.verdict, 120) or [""]
+    title = shorten(view.title, 112, placeholder=" …")
+    size = 17 if len(title) < 72 else 14
+    figure.text(0.022, 0.975, title, fontsize=size, weight="bold", color=style.INK, va="center")
+    about = "   ".join([view.path.name, view.metadata.get("program", "")])
+    figure.text(0.985, 0.975, about, fontsize=8.5, color=style.MARK, va="center", ha="right")
+    lines = wrap(view.verdict, 120) or [""]
     if len(lines) > 1:
-        lines = wrap(context.verdict, 150, max_lines=2, placeholder=" …")
+        lines = wrap(view.verdict, 150, max_lines=2, placeholder=" …")
     size = 12 if len(lines) == 1 else 9.5
-    colour = {True: _GOOD, False: _BAD, None: NOTE}[context.good]
-    figure.text(0.022, 0.947, "\n".join(lines), fontsize=size, color=colour, va="center")
+    figure.text(
+        0.022, 0.947, "\n".join(lines), fontsize=size, color=style.verdict_colour(view.good), va="center"
+    )  # fmt: skip
 
 
-def write_drawing(log: RunLog, context: ReviewContext, path: Path) -> None:
-    """Write the page as PNG or PDF, by the name's suffix.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    save_figure(draw(log, context), path)
-
-
-def save_figure(figure: Figure, path: Path) -> None:
+def save_figure(figure: Figure, path: Path | str) -> None:
     """Write a figure as PNG or PDF, by the name's suffix.
 
     Raises:
         InputError: the file cannot be written.
     """
-    kind = "pdf" if Path(path).suffix.lower() == ".pdf" else "png"
+    path = Path(path)
+    kind = "pdf" if path.suffix.lower() == ".pdf" else "png"
     with whole_file(path, suffix=f".{kind}") as temporary:
         figure.savefig(temporary, format=kind)

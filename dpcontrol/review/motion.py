@@ -1,10 +1,10 @@
-"""A motion as a review shows it: of a log with whatever it holds, or of a reference alone.
+"""What there is to see of a run: of a log with whatever it holds, or of a reference alone.
 
 A simulated run knows truth, estimate, reference and command; a recording from the bench the measured angles only, in
-segments. What is missing, or only stands in for something missing, is None here, and what no picture can show is nan.
+segments.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,56 +14,78 @@ from numpy.typing import NDArray
 from dpcontrol.logs import Mode, RunLog
 from dpcontrol.logs.reader import Event
 from dpcontrol.recordings.recording import REPLAYED
-from dpcontrol.references.reference import Reference
+from dpcontrol.references.summary import ReferenceSummary
+from dpcontrol.review.context import PlanView, Stay
 
 Array = NDArray[np.float64]
 
 LARGEST = 1e6
 """In rad, rad/s, m …: no run that is worth a look comes near, and drawing libraries fail far beyond."""
-_REFERENCE_RATE = 500.0
 ACTUAL = "actual"
 """In `control`: what the simulated cart did, where the truth is known."""
 _DRIVEN = ("command", "applied", "feedforward")
 
 
 @dataclass(frozen=True, eq=False)
-class Motion:
-    """N ticks of a pendulum of n arms; states are angles, rates and, with a cart, its position and velocity.
+class RunView:
+    """What there is to see of a run, a recording or a reference: N ticks of a pendulum of n arms, and their plan.
+
+    States are angles, rates and, with a cart, its position and velocity: 2n + 2 columns, or 2n. What is missing, or
+    only stands in for something missing, is None; what no picture can show is nan.
 
     Attributes:
         path: the file it came from.
+        title: of the recording and the page.
         time: (N,) in s.
-        state: (N, 2n+2) to draw (2n without a cart), and `what` it is: "plant", "estimate", "measured", "reference".
+        state: (N, 2n+2) to draw, and `what` it is: "plant", "estimate", "measured", "reference".
+        arm_lengths: (n,) in m. has_cart: whether the pivot is on a cart. rate_hz: of the ticks.
         estimate, reference: (N, 2n+2), or None.
         error: (N, 2n+2) estimate minus truth, or None.
         sigma: (N, 2n+2) standard deviations of the estimate, or None.
         control: (N,) `command`, `applied`, `feedforward`, `saturated`, `mode` by name, and `actual`; or None.
         nis: (N,) nan where there was no measurement; or None. sensors: numbers in a measurement.
-        events, metadata, arm_lengths, has_cart, rate_hz: as in the log.
+        energy: (N,) in J, of the pendulum at each tick, true if known, else estimated; or None.
+        limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s²; or None.
         breaks: rows that follow a gap in time.
         differenced: whether the rates are differences of the measured angles.
         against: what `reference` is: "reference", or "prediction" where a model was replayed on a recording.
+        events, metadata: as in the log.
+        verdict: one line, such as "completed: 1 of 1 symbols".
+        good: whether that is good news; None where nothing was asked.
+        plan: what the plan asks for; empty where there is none.
+        done: the itinerary as decoded from the angles.
+        crossings: when each symbol that was done crossed its section, in s; None for a transfer.
+        summary: of a reference, else None.
     """
 
     path: Path
+    title: str
     time: Array
     state: Array
     what: str
-    estimate: Array | None
-    reference: Array | None
-    error: Array | None
-    sigma: Array | None
-    control: dict[str, Array] | None
-    nis: Array | None
-    sensors: int
-    events: tuple[Event, ...]
-    metadata: dict[str, str]
     arm_lengths: tuple[float, ...]
     has_cart: bool
     rate_hz: float
-    breaks: NDArray[np.int64]
+    estimate: Array | None = None
+    reference: Array | None = None
+    error: Array | None = None
+    sigma: Array | None = None
+    control: dict[str, Array] | None = None
+    nis: Array | None = None
+    sensors: int = 0
+    energy: Array | None = None
+    limits: tuple[float, float, float] | None = None
+    breaks: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     differenced: bool = False
     against: str = "reference"
+    events: tuple[Event, ...] = ()
+    metadata: dict[str, str] = field(default_factory=dict)
+    verdict: str = ""
+    good: bool | None = None
+    plan: PlanView = field(default_factory=PlanView)
+    done: tuple[Stay, ...] = ()
+    crossings: tuple[float | None, ...] = ()
+    summary: ReferenceSummary | None = None
 
     @property
     def arms(self) -> int:
@@ -82,18 +104,45 @@ class Motion:
         return first, max(float(self.time[-1]), first + 1 / self.rate_hz)
 
     @property
+    def span(self) -> tuple[float, float]:
+        """The time range in s, to the end of the plan if that is later."""
+        begin, end = self.time_range
+        return begin, max(end, self.plan.duration or end)
+
+    @property
+    def symbols(self) -> tuple[tuple[str, float, float | None], ...]:
+        """For each symbol its name, the planned time of its crossing and the actual one, or None; s."""
+        done = (*self.crossings, *[None] * len(self.plan.symbols))
+        return tuple((name, at, seen) for (at, name), seen in zip(self.plan.symbols, done, strict=False))
+
+    @property
+    def moment(self) -> float:
+        """The time in s at which a still picture shows most: the first symbol, or the middle."""
+        first, last = self.time_range
+        at = self.plan.symbols[0][0] if self.plan.symbols else (first + last) / 2
+        # Of a run that ended before its first symbol the last moments say most.
+        return at if at < last else first + 0.8 * (last - first)
+
+    @property
     def pivot(self) -> Array:
         """(N,) the pivot's position in m, zero without a cart."""
         return self.state[:, 2 * self.arms] if self.has_cart else np.zeros(len(self.time))
 
-    def shifted(self, seconds: float) -> "Motion":
-        """Return the motion with its clock set back by `seconds`."""
-        events = tuple(event._replace(time=event.time - seconds) for event in self.events)
-        return replace(self, time=self.time - seconds, events=events)
+    def delayed(self, seconds: float) -> "RunView":
+        """Return the view with all its times `seconds` later."""
+        events = tuple(event._replace(time=event.time + seconds) for event in self.events)
+        return replace(
+            self,
+            time=self.time + seconds,
+            events=events,
+            plan=self.plan.delayed(seconds),
+            done=tuple(stay.delayed(seconds) for stay in self.done),
+            crossings=tuple(None if at is None else at + seconds for at in self.crossings),
+        )
 
 
-def motion_of(log: RunLog) -> Motion:
-    """Return what a log says, as it can be drawn."""
+def series_of(log: RunLog) -> RunView:
+    """Return what a log's series say, as it can be drawn, without its plan and verdict."""
     n = len(log.arm_lengths)
     truth, estimate, reference = (_cleaned(log.states.get(part)) for part in ("truth", "estimate", "reference"))
     if estimate is not None and reference is not None and np.array_equal(estimate, reference, equal_nan=True):
@@ -102,7 +151,7 @@ def motion_of(log: RunLog) -> Motion:
     state, what = (estimate, "estimate") if truth is None else (truth, "plant")
     if state is None or (what == "estimate" and _stands_in(state, log.measured, n)):
         state, what, estimate = _measured(log, breaks), "measured", None
-    control = {name: _clean(values) for name, values in log.controls.items()}
+    control = {name: clean(values) for name, values in log.controls.items()}
     sigma = None
     if "sigma_1" in control:
         sigma = np.column_stack([control[f"sigma_{i + 1}"] for i in range(state.shape[1])])
@@ -116,11 +165,15 @@ def motion_of(log: RunLog) -> Motion:
     if not busy:
         # Where nothing controlled there was no plan, and no mode worth a strip.
         control = {name: values for name, values in control.items() if name not in ("feedforward", "feedback", "mode")}
-    return Motion(
+    return RunView(
         path=log.path,
+        title=log.metadata.get("title") or log.path.stem,
         time=log.time,
         state=state,
         what=what,
+        arm_lengths=log.arm_lengths,
+        has_cart=log.has_cart,
+        rate_hz=log.rate_hz,
         estimate=estimate,
         reference=reference,
         error=None if truth is None or estimate is None else estimate - truth,
@@ -128,39 +181,12 @@ def motion_of(log: RunLog) -> Motion:
         control=control if driven or busy else None,
         nis=nis if nis is not None and np.isfinite(nis).any() else None,
         sensors=n if replayed else log.measured.shape[1],
-        events=log.events,
-        metadata=log.metadata,
-        arm_lengths=log.arm_lengths,
-        has_cart=log.has_cart,
-        rate_hz=log.rate_hz,
+        limits=log.limits,
         breaks=breaks,
         differenced=what == "measured" and log.rates is None,
         against="prediction" if replayed else "reference",
-    )
-
-
-def motion_of_reference(reference: Reference, path: Path, *, arm_lengths: tuple[float, ...]) -> Motion:
-    """Return a reference as a motion, its input as the command."""
-    time = np.arange(reference.mesh[0], reference.mesh[-1], 1 / _REFERENCE_RATE)
-    states, inputs = reference.state(time), reference.input(time)[:, 0]
-    return Motion(
-        path=path,
-        time=time,
-        state=states,
-        what="reference",
-        estimate=None,
-        reference=None,
-        error=None,
-        sigma=None,
-        control={"feedforward": inputs},
-        nis=None,
-        sensors=0,
-        events=(),
-        metadata={"program": str((reference.notes.get("made_from") or {}).get("program", ""))},
-        arm_lengths=arm_lengths,
-        has_cart=True,
-        rate_hz=_REFERENCE_RATE,
-        breaks=np.zeros(0, dtype=np.int64),
+        events=log.events,
+        metadata=log.metadata,
     )
 
 
@@ -175,7 +201,7 @@ def _cart_acceleration(velocity: Array, time: Array) -> Array:
     return np.append(mean, mean[-1])
 
 
-def _clean(values: Array) -> Array:
+def clean(values: Array) -> Array:
     """Return values with nan for those beyond all sense; the same array where there are none, for logs are long."""
     with np.errstate(invalid="ignore"):
         sound = np.abs(values) < LARGEST
@@ -183,7 +209,7 @@ def _clean(values: Array) -> Array:
 
 
 def _cleaned(values: Array | None) -> Array | None:
-    return None if values is None else _clean(values)
+    return None if values is None else clean(values)
 
 
 def _stands_in(state: Array, measured: Array, arms: int) -> bool:
@@ -194,7 +220,7 @@ def _stands_in(state: Array, measured: Array, arms: int) -> bool:
 def _measured(log: RunLog, breaks: NDArray[np.int64]) -> Array:
     """Return the measured positions in state order, with rates by differences within each segment if none are given."""
     n, size = len(log.arm_lengths), log.measured.shape[1]
-    positions = _clean(log.measured)
+    positions = clean(log.measured)
     rates = log.rates
     if rates is None:
         edges = [0, *breaks.tolist(), len(log.time)]
@@ -203,6 +229,6 @@ def _measured(log: RunLog, breaks: NDArray[np.int64]) -> Array:
             for a, b in pairwise(edges)
         ]
         rates = np.concatenate(parts)
-    rates = _clean(rates)
+    rates = clean(rates)
     arms = [positions[:, :n], rates[:, :n]]
     return np.column_stack([*arms, positions[:, n], rates[:, n]] if log.has_cart else arms)

@@ -1,7 +1,8 @@
-"""What a review of a log needs, from the log alone: its plan, model and score where it carries them."""
+"""What there is to see of a log, from the log alone: its series, and its plan, model and score where it has them."""
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -14,7 +15,8 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog
 from dpcontrol.recordings.recording import SUMMARY
 from dpcontrol.references.reference import Reference
-from dpcontrol.review.context import OrbitCurve, ReviewContext, Stay
+from dpcontrol.review.context import PlacedOrbit, PlanView, Stay
+from dpcontrol.review.motion import RunView, series_of
 from dpcontrol.review.run_tubes import tubes_of
 from dpcontrol.review.score import REFERENCE_ATTACHMENT, plan_of, recovered_note, score
 from dpcontrol.review.stops import Decoded, decode_run, orbit_index
@@ -25,43 +27,42 @@ MODEL_METADATA = "model_parameters"
 """Metadata that holds the arms' parameters as JSON."""
 
 
-def review_context(log: RunLog) -> ReviewContext:
-    """Return what a review shows besides the log's own series; a log without a plan, as from a bench, has little.
+def run_view(log: RunLog) -> RunView:
+    """Return what there is to see of a log; one without a plan, as from a bench, has little.
 
     Raises:
         InputError: the plan that the log carries is damaged.
     """
-    if REFERENCE_ATTACHMENT not in log.attachments or "reference" not in log.states:
-        return _without_plan(log)
+    view, system = series_of(log), _system(log)
+    n = len(log.arm_lengths)
+    states = log.states.get("truth", log.states.get("estimate"))
+    if states is not None and system is not None:
+        view = replace(view, energy=system.numeric.hamiltonian(states[:, : 2 * n]))
+    if states is None or REFERENCE_ATTACHMENT not in log.attachments or "reference" not in log.states:
+        return replace(view, verdict=_without_plan(log))
     plan = plan_of(log)
     notes: dict[str, Any] = dict(plan.notes)
     verdict = score(log)
-    n = len(log.arm_lengths)
-    states = log.estimate if log.truth is None else log.truth
     decoded = decode_run(log.time, states[:, :n], log.reference[:, :n], notes=notes, rate_hz=log.rate_hz)
-    system = _system(log)
     seed = "" if verdict.seed is None else f", seed {verdict.seed}"
-    context = plan_context(plan, system=system)
-    return ReviewContext(
+    return replace(
+        view,
         title=f"{notes['title']} — {notes['itinerary']}{seed}",
-        arm_lengths=log.arm_lengths,
-        limits=context.limits,
-        orbits=context.orbits,
-        saddle_energies=context.saddle_energies,
-        symbols=context.symbols,
-        energy=_energy(system, states, n),
+        limits=limits_of(plan),
         verdict=verdict.headline,
         good=verdict.completed,
-        tubes=context.tubes,
-        planned=context.planned,
+        plan=plan_view(plan, system=system),
         done=_done(decoded, notes, log.time),
-        transfers=context.transfers,
         crossings=decoded.crossings,
-        duration=plan.duration,
     )
 
 
-def plan_context(plan: Reference, *, system: System | None) -> ReviewContext:
+def limits_of(plan: Reference) -> tuple[float, float, float]:
+    """Return the cart's limits in a plan: position in m, velocity in m/s, acceleration in m/s²."""
+    return plan.limits.position, plan.limits.velocity, plan.limits.acceleration
+
+
+def plan_view(plan: Reference, *, system: System | None) -> PlanView:
     """Return what a plan says of itself, before any run; with its tubes where the pendulum is known.
 
     Raises:
@@ -70,33 +71,24 @@ def plan_context(plan: Reference, *, system: System | None) -> ReviewContext:
     notes: dict[str, Any] = dict(plan.notes)
     try:
         symbols = tuple((float(s["time"]), str(s["text"])) for s in notes.get("symbols") or [])
-        orbits = _placed_orbits(plan, notes)
-        saddles = {str(name): float(s["energy"]) for name, s in (notes.get("saddles") or {}).items()}
         stops = [str(stop["saddle"]) for stop in notes.get("stops") or []]
         edges = [float(plan.mesh[0]), *(at for at, _ in symbols), float(plan.mesh[-1])]
         transfers = tuple((float(a), float(b)) for a, b in notes.get("transfers") or [])
-        planned = tuple(
-            Stay(a, b, name, name)
-            for (first, last), name in zip(pairwise(edges), stops, strict=False)
-            for a, b in _outside(transfers, first, last)
+        return PlanView(
+            orbits=_placed_orbits(plan, notes),
+            saddle_energies={str(name): float(s["energy"]) for name, s in (notes.get("saddles") or {}).items()},
+            symbols=symbols,
+            tubes=tubes_of(notes, system) if system is not None and symbols else (),
+            planned=tuple(
+                Stay(a, b, name, name)
+                for (first, last), name in zip(pairwise(edges), stops, strict=False)
+                for a, b in _outside(transfers, first, last)
+            ),
+            transfers=transfers,
+            duration=plan.duration,
         )
-        tubes = tubes_of(notes, system) if system is not None and symbols else ()
     except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
         raise InputError(f"the reference's notes are not those of a plan ({error}); plan again") from error
-    made_from = notes.get("made_from") or {}
-    lengths = (made_from.get("parameters") or {}).get("length") or [0.2] * (plan.states.shape[-1] // 2 - 1)
-    return ReviewContext(
-        title=str(notes.get("title") or notes.get("itinerary") or "A reference"),
-        arm_lengths=tuple(float(length) for length in lengths),
-        limits=(plan.limits.position, plan.limits.velocity, plan.limits.acceleration),
-        orbits=orbits,
-        saddle_energies=saddles,
-        symbols=symbols,
-        tubes=tubes,
-        planned=planned,
-        transfers=transfers,
-        duration=plan.duration,
-    )
 
 
 def _outside(transfers: tuple[tuple[float, float], ...], first: float, last: float) -> Iterator[tuple[float, float]]:
@@ -110,9 +102,9 @@ def _outside(transfers: tuple[tuple[float, float], ...], first: float, last: flo
         yield first, last
 
 
-def _placed_orbits(plan: Reference, notes: dict[str, Any]) -> tuple[OrbitCurve, ...]:
+def _placed_orbits(plan: Reference, notes: dict[str, Any]) -> tuple[PlacedOrbit, ...]:
     """Return the orbits of a plan at each place where it stops."""
-    placed: dict[tuple[Any, ...], OrbitCurve] = {}
+    placed: dict[tuple[Any, ...], PlacedOrbit] = {}
     for stop in notes.get("stops") or []:
         for k in {orbit_index(notes, stop), stop.get("arrived_on", orbit_index(notes, stop))}:
             note = notes["orbits"][k]
@@ -120,27 +112,18 @@ def _placed_orbits(plan: Reference, notes: dict[str, Any]) -> tuple[OrbitCurve, 
             lift = np.asarray(stop["angles"]) - home
             states = np.asarray(plan.extra[f"orbit_{k}"]) + np.concatenate([lift, np.zeros_like(lift)])
             name = f"{note['saddle']} at {note['energy']:.4g} J"
-            placed[(k, *np.rint(lift).tolist())] = OrbitCurve(name, states, note["saddle"])
+            placed[(k, *np.rint(lift).tolist())] = PlacedOrbit(name, states, note["saddle"])
     return tuple(placed.values())
 
 
-def _without_plan(log: RunLog) -> ReviewContext:
-    n = len(log.arm_lengths)
-    states = log.states.get("truth", log.states.get("estimate"))
+def _without_plan(log: RunLog) -> str:
+    """Return what to say of a log instead of a verdict."""
     seconds = float(log.time[-1] - log.time[0])
-    system = _system(log)
-    return ReviewContext(
-        title=log.metadata.get("title") or log.path.stem,
-        arm_lengths=log.arm_lengths,
-        limits=log.limits,
-        energy=None if states is None else _energy(system, states, n),
-        verdict=(
-            log.metadata.get(SUMMARY)
-            or f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; it carries no plan, so nothing was "
-            "asked and nothing is judged"
-        )
-        + (f"; {recovered_note(log)}" if log.recovered else ""),
+    said = log.metadata.get(SUMMARY) or (
+        f"{len(log.time):,} samples at {log.rate_hz:g} Hz, {seconds:.4g} s; it carries no plan, so nothing was asked "
+        "and nothing is judged"
     )
+    return f"{said}; {recovered_note(log)}" if log.recovered else said
 
 
 def _system(log: RunLog) -> System | None:
@@ -151,10 +134,6 @@ def _system(log: RunLog) -> System | None:
         return pendulum_system(log.metadata.get("model", "model"), ArmChainParameters(**plain))
     except (KeyError, TypeError, ValueError, AttributeError, InputError):
         return None
-
-
-def _energy(system: System | None, states: Array, arms: int) -> Array | None:
-    return None if system is None else system.numeric.hamiltonian(states[:, : 2 * arms])
 
 
 def _done(decoded: Decoded, notes: dict[str, Any], time: Array) -> tuple[Stay, ...]:

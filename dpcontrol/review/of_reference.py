@@ -1,9 +1,10 @@
-"""What a review of a reference needs, from its file alone."""
+"""What there is to see of a reference, from its file alone."""
 
 import json
 import zipfile
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -11,18 +12,11 @@ from dpcontrol.dynamics.chain import pendulum_system
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.reference import FORMAT, load_reference
 from dpcontrol.references.summary import ReferenceSummary, summarised
-from dpcontrol.review.context import ReviewContext
-from dpcontrol.review.motion import Motion, motion_of_reference
-from dpcontrol.review.of_log import plan_context
+from dpcontrol.review.motion import RunView
+from dpcontrol.review.of_log import limits_of, plan_view
 
-
-@dataclass(frozen=True, eq=False)
-class ReferenceReview:
-    """A reference as a motion, with what its plan says, and the summary that its page shows."""
-
-    summary: ReferenceSummary
-    motion: Motion
-    context: ReviewContext
+_RATE = 500.0  # Hz
+_ARM = 0.2  # m: drawn where a reference does not say for which arms it was made
 
 
 def is_reference(file: Path) -> bool:
@@ -34,23 +28,49 @@ def is_reference(file: Path) -> bool:
         return False
 
 
-def reference_review(file: Path) -> ReferenceReview:
-    """Return a reference for review; its error between nodes is measured anew.
+def read_reference_view(file: Path) -> RunView:
+    """Return what there is to see of a reference's file; its error between nodes is measured anew.
 
     Raises:
         InputError: the file is no reference, or its notes are not those of a plan.
     """
     reference = load_reference(file)
     try:
-        summary = summarised(reference)
-        system = None if summary.arms is None else pendulum_system("model", summary.arms)
-        context = plan_context(reference, system=system)
+        return reference_view(summarised(reference), Path(file))
     except InputError as error:
         raise InputError(f"{file}: {error}") from error
-    motion = motion_of_reference(reference, Path(file), arm_lengths=context.arm_lengths)
+
+
+def reference_view(summary: ReferenceSummary, path: Path) -> RunView:
+    """Return what there is to see of a reference, its input as the command.
+
+    Raises:
+        InputError: its notes are not those of a plan.
+    """
+    reference = summary.reference
+    notes: Mapping[str, Any] = reference.notes
+    system = None if summary.arms is None else pendulum_system("model", summary.arms)
+    plan = plan_view(reference, system=system)
+    time = np.arange(reference.mesh[0], reference.mesh[-1], 1 / _RATE)
+    states = reference.state(time)
+    state = "" if reference.converged else "NOT CONVERGED: "
     effort = f"{reference.duration:.4g} s, {reference.rms_cart_acceleration:.3g} m/s² rms"
-    good = None if reference.converged else False
-    context = replace(
-        context, energy=summary.energies(motion.state), verdict=f"{reference.status}; {effort}", good=good
+    made_from = notes.get("made_from") or {}
+    return RunView(
+        path=path,
+        title=str(notes.get("title") or notes.get("itinerary") or "A reference"),
+        time=time,
+        state=states,
+        what="reference",
+        arm_lengths=(_ARM,) * (states.shape[1] // 2 - 1) if summary.arms is None else summary.arms.length,
+        has_cart=True,
+        rate_hz=_RATE,
+        control={"feedforward": reference.input(time)[:, 0]},
+        energy=summary.energies(states),
+        limits=limits_of(reference),
+        metadata={"program": str(made_from.get("program", ""))},
+        verdict=f"{state}{reference.status}; {effort}",
+        good=None if reference.converged else False,
+        plan=plan,
+        summary=summary,
     )
-    return ReferenceReview(summary, motion, context)

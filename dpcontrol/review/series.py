@@ -1,24 +1,423 @@
-"""Series derived from a motion for recordings and pictures: arms, means of the NIS, lattice copies, modes."""
+"""The story of a run, made once for every renderer: charts over time, strips of what was asked and done, phase planes.
 
-from collections.abc import Sequence
-from dataclasses import replace
+The viewer's recording (`recorded`) and the drawn page (`panels`) show the same story. Values are in SI units; a page
+shows a chart in a handier unit by its `scale`.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cache
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.logs import Mode
-from dpcontrol.review.context import ReviewContext
-from dpcontrol.review.motion import LARGEST, Motion
+from dpcontrol.review import style
+from dpcontrol.review.context import Stay
+from dpcontrol.review.motion import ACTUAL, RunView, clean
 
 Array = NDArray[np.float64]
+Range = tuple[float, float]
 
 NIS_LOST = 10.0
 """Times the expected NIS: beyond, an estimate is lost."""
-_TURN = 2 * np.pi
+_MOST = 20_000
+"""Points of a run in a phase plane."""
+DRIVEN = {
+    ACTUAL: ("plant", "green", style.ARMS[2], 2.6),
+    "command": ("command", "grey", style.REFERENCE, 1.3),
+    "applied": ("applied", "blue", style.ARMS[0], 1.2),
+    "feedforward": ("plan", "orange", style.ARMS[1], 1.4),
+}
+"""Accelerations in the order in which they are drawn: name, colour in words, colour, width."""
 
 
-def arm_points(angles: NDArray[np.float64], arm_lengths: Sequence[float]) -> NDArray[np.float64]:
+@dataclass(frozen=True, eq=False)
+class Line:
+    """A curve over time.
+
+    Attributes:
+        key: its place in a recording, under its chart's.
+        name: in the viewer. label: in a page's legend, "" for none.
+        time, values: (K,) in s and in SI units, nan where there is nothing.
+        colour, width: width in points.
+        reach: (K,) of a band on either side, or None.
+        role: "run"; "reference", broad and pale behind the others; "detail", which only the viewer has room for.
+        dashed: on a page, where it would cover another.
+    """
+
+    key: str
+    name: str
+    label: str
+    time: Array
+    values: Array
+    colour: str
+    width: float = 1.3
+    reach: Array | None = None
+    role: str = "run"
+    dashed: bool = False
+
+
+@dataclass(frozen=True)
+class Level:
+    """A constant in a chart; kind: "limit" of the cart, end of a "band" where values belong, or "named" level."""
+
+    key: str
+    name: str
+    value: float
+    colour: str
+    kind: str
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """Curves over time that share an axis.
+
+    Attributes:
+        key: its place in a recording; "" for what only a page shows.
+        title: on a page. named: in the viewer, which has no legends.
+        lines, levels: what it shows.
+        cut: start and end in s of the stretches in which the command was cut at a limit.
+        shown: least and greatest value to show at first, or None for all.
+        scale: what a page multiplies values by.
+        half_turns, log: how a page ticks its axis.
+        legend: whether the viewer shows one.
+    """
+
+    key: str
+    title: str
+    named: str
+    lines: tuple[Line, ...]
+    levels: tuple[Level, ...] = ()
+    cut: tuple[Range, ...] = ()
+    shown: Range | None = None
+    scale: float = 1.0
+    half_turns: bool = False
+    log: bool = False
+    legend: bool = False
+
+
+@dataclass(frozen=True)
+class Span:
+    """A stretch of a strip, s; kind: "stay", or "astray" if not asked for; "transfer", "symbol", "mode", "ended"."""
+
+    first: float
+    last: float
+    text: str
+    colour: str
+    kind: str
+
+
+@dataclass(frozen=True)
+class Strip:
+    """Spans in the order of time; key: its place in a recording; name: on a page, "" for what only the viewer shows."""
+
+    key: str
+    name: str
+    spans: tuple[Span, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Plane:
+    """An arm's phase plane: curves (K, 2) of angles in rad and rates in rad/s, whole turns counted.
+
+    Attributes:
+        arm: counted from zero.
+        strands, cuts: of the tubes, by whether these are stable.
+        orbits: closed, with their colours; a single point for an equilibrium.
+        run: the stretches between gaps.
+        ends: the run's first and last point, (2, 2).
+    """
+
+    arm: int
+    strands: dict[bool, list[Array]]
+    cuts: dict[bool, list[Array]]
+    orbits: list[tuple[str, Array]]
+    run: list[Array]
+    ends: Array
+
+
+def motion_charts(view: RunView) -> tuple[Chart, ...]:
+    """Return the charts of what was done: angles, rates, and, where there are such, cart and acceleration."""
+    n = view.arms
+    found = [_angles(view), _rates(view)]
+    if view.has_cart:
+        lines = _followed(view, "", 2 * n, name="cart", label=view.what, colour=style.CART)
+        title = f"Cart position (mm){_use(view, 0, 1000, 'track ')}"
+        shown = padded(np.concatenate([line.values for line in lines if line.role != "detail"]))
+        levels = _limits(view, 0, ("limit_left", "limit_right"), ("left limit", "right limit"))
+        named = f"Cart position (m){_grey(view)}"
+        found.append(Chart("cart", title, named, lines, levels=levels, shown=shown, scale=1000))
+    if view.control is not None:
+        found.append(_acceleration(view, view.control))
+    return tuple(found)
+
+
+def check_charts(view: RunView) -> tuple[Chart, ...]:
+    """Return the charts of how well it went, as far as is known: errors, energy, NIS; of a reference, its mesh."""
+    makers = (_velocity, _tracking_error, _estimation_error, _energy, _nis, _mesh, _node_errors)
+    return tuple(chart for make in makers if (chart := make(view)) is not None)
+
+
+def charts(view: RunView) -> dict[str, Chart]:
+    """Return all charts by key."""
+    return {chart.key: chart for chart in (*motion_charts(view), *check_charts(view))}
+
+
+def _grey(view: RunView) -> str:
+    return f", {view.against} grey" if view.reference is not None else ""
+
+
+def _followed(
+    view: RunView, key: str, column: int, *, name: str, label: str, colour: str, first: bool = True
+) -> tuple[Line, ...]:
+    """Return one column of reference, estimate and state; an estimate shows where it differs from the plant."""
+    lines = []
+    if view.reference is not None:
+        lines.append(
+            Line(f"{key}1_reference", f"{name} {view.against}", view.against if first else "", view.time,
+                 view.reference[:, column], colour, 3.0, role="reference")
+        )  # fmt: skip
+    if view.estimate is not None and view.what != "estimate":
+        values = view.estimate[:, column]
+        lines.append(Line(f"{key}2_estimate", f"{name} estimate", "", view.time, values, style.INK, 1.0, role="detail"))
+    lines.append(Line(f"{key}3_{view.what}", f"{name} {view.what}", label, view.time, view.state[:, column], colour))
+    return tuple(lines)
+
+
+def _angles(view: RunView) -> Chart:
+    lines: list[Line] = []
+    for arm in range(view.arms):
+        label = f"θ{style.number(arm)} {view.what}"
+        look = {"name": f"θ{arm + 1}", "label": label, "colour": style.arm_colour(arm), "first": arm == 0}
+        lines += _followed(view, f"arm_{arm + 1}/", arm, **look)
+    arms = "arm 1 blue, arm 2 orange" if view.arms == 2 else "one colour for each arm"
+    # An estimate's legend takes the room of the longer title.
+    title = "Angles (rad)" if view.what == "estimate" else "Angles from hanging (rad)"
+    return Chart("angles", title, f"Angles (rad): {arms}{_grey(view)}", tuple(lines), half_turns=True)
+
+
+def _rates(view: RunView) -> Chart:
+    lines: list[Line] = []
+    for arm in range(view.arms):
+        look = {"name": f"ω{arm + 1}", "label": f"ω{style.number(arm)}", "colour": style.arm_colour(arm)}
+        lines += _followed(view, f"arm_{arm + 1}/", view.arms + arm, first=False, **look)
+    title = "Rates (rad/s)" + (", by differences" if view.differenced else "")
+    return Chart("rates", title, title, tuple(lines))
+
+
+def _use(view: RunView, which: int, scale: float, before: str = "") -> str:
+    """Return what a title says of one of the cart's limits: how much of it a reference uses, else how wide it is."""
+    if view.limits is None:
+        return ""
+    bound = scale * view.limits[which]
+    if view.summary is None:
+        return f", {before}±{bound:.4g}"
+    return f": {scale * view.summary.uses[which].largest:.3g} of ±{bound:.4g} used"
+
+
+def _limits(view: RunView, which: int, keys: tuple[str, str], names: tuple[str, str]) -> tuple[Level, ...]:
+    if view.limits is None:
+        return ()
+    bounds = (-view.limits[which], view.limits[which])
+    return tuple(Level(k, n, b, style.LIMIT, "limit") for k, n, b in zip(keys, names, bounds, strict=True))
+
+
+def _acceleration(view: RunView, control: dict[str, Array]) -> Chart:
+    lines = tuple(
+        Line(key, name, name, view.time, control[key], colour, width, role="detail" if key == "command" else "run")
+        for key, (name, _, colour, width) in DRIVEN.items()
+        if key in control
+    )
+    words = ", ".join(f"{name} {hue}" for key, (name, hue, _, _) in DRIVEN.items() if key in control)
+    limit = f"±{view.limits[2]:g} m/s²" if view.limits else "(m/s²)"
+    saturated = control.get("saturated", np.zeros(0)) > 0
+    return Chart(
+        "acceleration",
+        f"Acceleration (m/s²){_use(view, 2, 1)}",
+        f"Acceleration {limit}: {words}",
+        lines,
+        levels=_limits(view, 2, ("least", "greatest"), ("least allowed", "greatest allowed")),
+        cut=tuple(spans(view.time, saturated)),
+        shown=padded(np.concatenate([line.values for line in lines if line.role != "detail"])),
+    )
+
+
+def _velocity(view: RunView) -> Chart | None:
+    """Of a reference, which keeps within a limit of it; a run's cart shows enough by its position."""
+    if view.summary is None:
+        return None
+    values = view.state[:, -1]
+    line = Line("cart", "cart", "", view.time, values, style.CART)
+    title = f"Cart velocity (m/s){_use(view, 1, 1)}"
+    levels = _limits(view, 1, ("least", "greatest"), ("least allowed", "greatest allowed"))
+    return Chart("velocity", title, title, (line,), levels=levels, shown=padded(values))
+
+
+def _tracking_error(view: RunView) -> Chart | None:
+    if view.reference is None:
+        return None
+    lines = tuple(
+        Line(f"arm_{arm + 1}", f"arm {arm + 1}", f"θ{style.number(arm)}", view.time,
+             view.state[:, arm] - view.reference[:, arm], style.arm_colour(arm), 1.1)
+        for arm in range(view.arms)
+    )  # fmt: skip
+    title = f"{view.error_name}: {view.what} minus {view.against} (rad)"
+    return Chart("tracking_error", title, f"{view.error_name} of the angles (rad)", lines)
+
+
+def _estimation_error(view: RunView) -> Chart | None:
+    """Show the estimate's error with two standard deviations either side; of an unknown error these alone."""
+    error, sigma = view.error, view.sigma
+    if error is None and sigma is None:
+        return None
+    lines = tuple(
+        Line(f"arm_{arm + 1}", f"arm {arm + 1}", f"θ{style.number(arm)}", view.time,
+             np.full(len(view.time), np.nan) if error is None else error[:, arm], style.arm_colour(arm), 1.0,
+             reach=None if sigma is None else 2 * sigma[:, arm])
+        for arm in range(view.arms)
+    )  # fmt: skip
+    most = error_reach(view)
+    known = error is not None
+    return Chart(
+        "estimation_error" if known and sigma is not None else "",
+        "Estimation error, lines ±2σ (mrad)" if known else "Estimate's ±2σ (mrad); the truth is not known",
+        "Estimation error of the angles (rad), band ±2σ",
+        lines,
+        shown=(-most, most),
+        scale=1000,
+    )
+
+
+def _energy(view: RunView) -> Chart | None:
+    energy = None if view.energy is None else clean(np.asarray(view.energy, dtype=float))
+    if energy is None or not np.isfinite(energy).any():
+        return None
+    levels = tuple(
+        Level(name.replace("-", "_"), name, value, style.saddle_colour(name), "named")
+        for name, value in view.plan.saddle_energies.items()
+    )
+    title = "Energy of the pendulum (J)" + (", dashed: the saddles'" if levels else "")
+    line = Line("pendulum", "pendulum", "", view.time, energy, style.INK, 1.1)
+    shown = energy_range(energy, view.plan.saddle_energies)
+    return Chart("energy", title, "Energy and saddles (J)", (line,), levels=levels, shown=shown, legend=True)
+
+
+def _nis(view: RunView) -> Chart | None:
+    """Show means of the NIS over windows, and where 95 % of them lie if the estimator is consistent."""
+    if view.nis is None:
+        return None
+    time, means, spread = smoothed_nis(view)
+    ends = (max(view.sensors - spread, 0.0), view.sensors + spread)
+    levels = [
+        Level(name, f"{name} for 95 %", value, style.ARMS[2], "band")
+        for name, value in zip(("least", "greatest"), ends, strict=True)
+    ]
+    highest = float(np.nanquantile(means, 0.98)) if len(means) else 0.0
+    # An estimate that is lost would press all that went before into the axis.
+    lost = highest > NIS_LOST * view.sensors
+    return Chart(
+        "nis",
+        f"NIS, means of 50 updates; 95 % belong in {ends[0]:.1f} to {ends[1]:.1f}",
+        "NIS: means of 50 updates; 95 % belong between the green lines",
+        (Line("mean", "mean of 50 updates", "", time, means, style.CART, 1.0),),
+        levels=tuple(levels),
+        shown=(0.0, NIS_LOST * view.sensors if lost else max(1.15 * highest, 1.6 * view.sensors)),
+        log=lost,
+    )
+
+
+def _mesh(view: RunView) -> Chart | None:
+    if view.summary is None:
+        return None
+    lengths = np.diff(view.summary.reference.mesh)
+    title = f"Mesh: length of {len(lengths)} intervals of {view.summary.reference.method.name} (ms)"
+    line = _stairs(view, lengths, style.arm_colour(2))
+    return Chart("", title, "", (line,), shown=(0.0, 1.15 * float(lengths.max())), scale=1000)
+
+
+def _node_errors(view: RunView) -> Chart | None:
+    if view.summary is None:
+        return None
+    title = "Error between nodes, measured anew (scaled)"
+    if view.summary.errors is None:
+        return Chart("", f"{title}: the arms are not known", "", ())
+    errors = view.summary.errors
+    shown = np.where(np.isfinite(errors), np.maximum(errors, 1e-17), np.nan)
+    stored = view.summary.reference.max_error_between_nodes
+    known = np.isfinite(stored) and stored > 0
+    levels = (Level("", "largest, as stored", stored, style.LIMIT, "named"),) if known else ()
+    return Chart("", title, "", (_stairs(view, shown, style.arm_colour(3)),), levels=levels, log=True)
+
+
+def _stairs(view: RunView, values: Array, colour: str) -> Line:
+    """Return a line of one value (I,) for each interval of a reference's mesh (I + 1,)."""
+    assert view.summary is not None
+    return Line("", "", "", np.repeat(view.summary.reference.mesh, 2)[1:-1], np.repeat(values, 2), colour, 1.1)
+
+
+def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
+    """Return the itinerary as asked and as done, its symbols, and the controller's modes, as far as there are such.
+
+    until: s, when the run should have ended; the plan's end if not given.
+    """
+    begin, end = view.time_range
+    due = view.plan.duration if until is None else until
+    stopped = due is not None and end < due - 2 / view.rate_hz
+    ended = (Span(end, due, "ended", style.FAINT, "ended"),) if due is not None and stopped else ()
+    found = []
+    if view.plan.planned:
+        between = [Span(a, b, "change of orbit", style.FAINT, "transfer") for a, b in view.plan.transfers]
+        found.append(Strip("1_asked", "asked", (*_stays(view.plan.planned), *between)))
+        if view.what != "reference":
+            found.append(Strip("2_done", "done", (*_stays(view.done), *ended)))
+    if view.plan.symbols:
+        moments = [begin, *(at for at, _ in view.plan.symbols), end]
+        names = ["before the first", *(f"{k + 1}: {name}" for k, (_, name) in enumerate(view.plan.symbols))]
+        tints = [style.FAINT, *(style.RUNS[k % len(style.RUNS)] for k in range(len(view.plan.symbols)))]
+        parts = zip(pairwise(moments), names, tints, strict=True)
+        found.append(Strip("3_symbol", "", tuple(Span(a, b, name, tint, "symbol") for (a, b), name, tint in parts)))
+    modes = tuple(Span(a, b, name, style.MODES.get(name, style.FAINT), "mode") for a, b, name in mode_spans(view))
+    if modes:
+        found.append(Strip("4_controller", "controller", (*modes, *ended)))
+    return tuple(found)
+
+
+def _stays(stays: tuple[Stay, ...]) -> Iterator[Span]:
+    for stay in stays:
+        colour = style.saddle_colour(stay.saddle) if stay.wanted else style.LIMIT
+        yield Span(stay.first, stay.last, stay.text, colour, "stay" if stay.wanted else "astray")
+
+
+def plane(view: RunView, arm: int) -> Plane:
+    """Return an arm's phase plane, over the orbits and tubes that the plan uses."""
+    columns = [arm, view.arms + arm]
+    step = max(1, len(view.time) // _MOST)
+    walked = view.state[:, columns]
+    edges = [0, *view.breaks.tolist(), len(walked)]
+    tubes = {stable: [tube for tube in view.plan.tubes if tube.stable == stable] for stable in (False, True)}
+    return Plane(
+        arm,
+        strands={stable: [s[:, columns] for tube in some for s in tube.strands] for stable, some in tubes.items()},
+        cuts={stable: [run for tube in some for run in _known(tube.cut[:, columns])] for stable, some in tubes.items()},
+        orbits=[
+            (style.saddle_colour(orbit.saddle), np.vstack([orbit.states, orbit.states[:1]])[:, columns])
+            for orbit in view.plan.orbits
+        ],
+        run=[run for a, b in pairwise(edges) for run in _known(walked[a:b][::step])],
+        ends=walked[[0, -1]],
+    )
+
+
+def _known(points: Array) -> list[Array]:
+    """Return the stretches of points (K, 2) between those that are nan."""
+    known = np.isfinite(points).all(axis=1)
+    edges = np.flatnonzero(np.diff(known.astype(int))) + 1
+    return [run for run in np.split(points, edges) if len(run) > 1 and np.isfinite(run).all()]
+
+
+def arm_points(angles: Array, arm_lengths: Sequence[float]) -> Array:
     """Return the pivot, the elbows and the tip, seen from the pivot, x right and y up.
 
     Args:
@@ -33,40 +432,40 @@ def arm_points(angles: NDArray[np.float64], arm_lengths: Sequence[float]) -> NDA
     return np.concatenate([np.zeros((len(angles), 1, 2)), np.cumsum(steps, axis=1)], axis=1)
 
 
-def smoothed_nis(motion: Motion, *, window: int = 50) -> tuple[Array, Array, float]:
+def smoothed_nis(view: RunView, *, window: int = 50) -> tuple[Array, Array, float]:
     """Return times (K,), means (K,) of the NIS over windows of ticks that have one, and two sigmas of such a mean.
 
     With a consistent filter the NIS of m measurements has mean m and variance 2m (chi-square), so that the mean
     over a window of w ticks has variance 2m/w.
     """
-    nis = np.full(len(motion.time), np.nan) if motion.nis is None else motion.nis
+    nis = np.full(len(view.time), np.nan) if view.nis is None else view.nis
     known = np.isfinite(nis)
-    values, times = nis[known], motion.time[known]
+    values, times = nis[known], view.time[known]
     count = len(values) // window
     if count < 1:
-        return times, values, 2 * float(np.sqrt(2 * motion.sensors))
+        return times, values, 2 * float(np.sqrt(2 * view.sensors))
     kept = count * window
     means = values[:kept].reshape(count, window).mean(axis=1)
     moments = times[:kept].reshape(count, window).mean(axis=1)
-    return moments, means, 2 * float(np.sqrt(2 * motion.sensors / window))
+    return moments, means, 2 * float(np.sqrt(2 * view.sensors / window))
 
 
-def spans(time: Array, flags: NDArray[np.bool_]) -> list[tuple[float, float]]:
+def spans(time: Array, flags: NDArray[np.bool_]) -> list[Range]:
     """Return start and end in s of each stretch of ticks at which (N,) `flags` hold, a tick's width at least."""
     padded_flags = np.concatenate([[False], flags, [False]])
     edges = np.flatnonzero(padded_flags[1:] != padded_flags[:-1])
     return [(float(time[a]), float(time[min(b, len(time) - 1)])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 
 
-def mode_spans(motion: Motion) -> list[tuple[float, float, str]]:
+def mode_spans(view: RunView) -> list[tuple[float, float, str]]:
     """Return start and end in s and the name of each stretch of constant mode."""
-    if motion.control is None or "mode" not in motion.control:
+    if view.control is None or "mode" not in view.control:
         return []
-    modes = np.nan_to_num(motion.control["mode"], nan=-1.0)
+    modes = np.nan_to_num(view.control["mode"], nan=-1.0)
     starts = np.concatenate([[0], np.flatnonzero(np.diff(modes) != 0) + 1])
     ends = np.concatenate([starts[1:], [len(modes) - 1]])
     return [
-        (float(motion.time[a]), float(motion.time[b]), mode_name(float(modes[a])))
+        (float(view.time[a]), float(view.time[b]), mode_name(float(modes[a])))
         for a, b in zip(starts, ends, strict=True)
     ]
 
@@ -78,12 +477,6 @@ def mode_name(number: float) -> str:
         return Mode(int(number)).name.lower()
     except ValueError:
         return "unknown mode"
-
-
-def thinned(time: Array, values: Array, *, bins: int = 1500) -> tuple[Array, Array]:
-    """Return a curve that looks the same with at most two points, the least and the greatest, in each of `bins`."""
-    chosen = telling_rows(values, bins=bins)
-    return time[chosen], values[chosen]
 
 
 def telling_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
@@ -99,48 +492,7 @@ def telling_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
     return np.unique(np.concatenate([(ends + size * np.arange(len(block))[:, None]).ravel(), [len(values) - 1]]))
 
 
-def curve(motion: Motion, values: Array) -> tuple[Array, Array]:
-    """Return a series (N,) of a motion, thinned, with nan in its gaps so that no line is drawn across them."""
-    time, shown = thinned(motion.time, values)
-    if not len(motion.breaks):
-        return time, shown
-    gaps = (motion.time[motion.breaks] + motion.time[motion.breaks - 1]) / 2
-    places = np.searchsorted(time, gaps)
-    return np.insert(time, places, gaps), np.insert(shown, places, np.nan)
-
-
-def film_times(context: ReviewContext, time: Array, *, frames: int) -> Array:
-    """Return (frames,) instants for a filmstrip, shared out among the symbols' crossings; without any, evenly spread.
-
-    Around a crossing they span a third of the period of a simple pendulum as long as all arms, on either side. Of a run
-    that went wrong the last quarter of the frames shows how it ended.
-    """
-    if context.good is False and frames > 3 and time[-1] > time[0]:
-        last = frames // 4
-        # Of a run that ended at once no more than its share.
-        length = min(0.2 * last, (time[-1] - time[0]) * last / frames)
-        ending = np.linspace(time[-1] - length, time[-1], last + 1)
-        before = film_times(replace(context, good=None), time[time <= ending[0]], frames=frames - last)
-        return np.concatenate([before, ending[1:]])
-    actual = (*context.crossings, *[None] * len(context.symbols))
-    moments = np.array([done or planned for (planned, _), done in zip(context.symbols, actual, strict=False)])
-    moments = moments[(moments >= time[0]) & (moments <= time[-1])] if len(moments) else moments
-    if not len(moments):
-        return np.linspace(time[0], time[-1], frames)
-    moments = moments[np.linspace(0, len(moments) - 1, min(len(moments), frames)).astype(int)]
-    half = 0.33 * _TURN * np.sqrt(sum(context.arm_lengths) / 9.81)
-    parts = []
-    for i, moment in enumerate(moments):
-        share = frames // len(moments) + (i < frames % len(moments))
-        parts.append(
-            moment + half * np.linspace(-1, 1, share)
-            if share > 2
-            else np.linspace(moment - half / 2, moment, share + 1)[1:]
-        )
-    return np.sort(np.clip(np.concatenate(parts), time[0], time[-1]))
-
-
-def padded(values: NDArray[np.float64]) -> tuple[float, float]:
+def padded(values: Array) -> Range:
     """Return the least and the greatest of finite `values`, with a tenth of their distance to either side."""
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
@@ -148,25 +500,16 @@ def padded(values: NDArray[np.float64]) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def energy_of(motion: Motion, context: ReviewContext) -> Array | None:
-    """Return (N,) the energy in J with nan where no picture can show it, or None where it is not known."""
-    energy = None if context.energy is None else np.asarray(context.energy, dtype=float)
-    if energy is None or len(energy) != len(motion.time) or not np.isfinite(energy).any():
-        return None
-    with np.errstate(invalid="ignore"):
-        return np.where(np.abs(energy) < LARGEST, energy, np.nan)
-
-
-def error_reach(motion: Motion) -> float:
+def error_reach(view: RunView) -> float:
     """Return how far an estimation error's axis must reach, in rad; the first instants' large errors are left out."""
-    parts = [] if motion.sigma is None else [2 * motion.sigma[:, : motion.arms]]
-    parts += [] if motion.error is None else [np.abs(motion.error[:, : motion.arms])]
+    parts = [] if view.sigma is None else [2 * view.sigma[:, : view.arms]]
+    parts += [] if view.error is None else [np.abs(view.error[:, : view.arms])]
     finite = [part[np.isfinite(part)] for part in parts]
     most = max((1.6 * float(np.quantile(part, 0.97)) for part in finite if part.size), default=0.0)
     return most if most > 0 else 1e-6
 
 
-def energy_range(values: NDArray[np.float64], saddle_energies: dict[str, float]) -> tuple[float, float]:
+def energy_range(values: Array, saddle_energies: dict[str, float]) -> Range:
     """Return a range that holds the energy and the nearest saddle's level below and above it.
 
     The energy's extremes are left out: they are those of the first instants, with the initial error.

@@ -1,4 +1,4 @@
-"""Colours and small manners shared by recordings and pictures."""
+"""Colours and small manners shared by recordings, pages and figures."""
 
 ARMS = ("#1f6fb4", "#d9640d", "#2c8a4b", "#8a4fa3", "#9a6b15")
 """One colour for each arm, from the pivot outwards; repeated beyond the fifth."""
@@ -7,9 +7,13 @@ CART = "#5b6470"
 REFERENCE = "#9aa3ad"
 INK = "#22262b"
 PALE_INK = "#e8ebee"
-"""For lines on the viewer's dark plots."""
+"""Instead of ink on the viewer's dark plots."""
+NOTE = "#555c64"
+MARK = "#7a828b"
 FAINT = "#c9ced4"
+GRID = "#e6e9ec"
 LIMIT = "#b3261e"
+GOOD = "#1e7a3c"
 MODES = {
     "idle": "#d5d9de",
     "tracking": "#8fbce6",
@@ -21,16 +25,25 @@ MODES = {
 }
 
 
-SADDLES = {"down-down": "#8d96a0", "down-up": "#0f8b8d", "up-down": "#8a4fa3", "up-up": "#b0851e"}
-"""Where a run stays, apart from the arms' colours."""
+SADDLES = {
+    "down-down": "#8d96a0",
+    "down-up": "#0f8b8d",
+    "up-down": "#8a4fa3",
+    "up-up": "#b0851e",
+    "L1": "#0f8b8d",
+    "L2": "#8a4fa3",
+    "L3": "#b0851e",
+}
+"""Of all that belongs to a saddle, apart from the arms' colours."""
 UNSTABLE, STABLE = "#d4544b", "#3c9c5f"
 """The usual red for tubes that leave an orbit and green for those that come to it."""
 RUNS = ("#1f6fb4", "#d9640d", "#2c8a4b", "#8a4fa3", "#9a6b15", "#c2185b")
 """One colour for each of several runs compared."""
+_SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 
 def saddle_colour(saddle: str) -> str:
-    """Return the colour of a stay near a saddle."""
+    """Return the colour of what belongs to a saddle."""
     return SADDLES.get(saddle, CART)
 
 
@@ -39,6 +52,24 @@ def arm_colour(arm: int) -> str:
     return ARMS[arm % len(ARMS)]
 
 
+def verdict_colour(good: bool | None) -> str:
+    """Return the colour of a verdict; None where nothing was asked."""
+    return {True: GOOD, False: LIMIT, None: NOTE}[good]
+
+
 def rgb(colour: str) -> tuple[int, int, int]:
     """Return `#rrggbb` as three numbers from 0 to 255."""
     return int(colour[1:3], 16), int(colour[3:5], 16), int(colour[5:7], 16)
+
+
+def number(i: int) -> str:
+    """Return the number of an arm, counted from zero, as a subscript from one."""
+    return str(i + 1).translate(_SUBSCRIPTS)
+
+
+def in_pi(half_turns: float, *, digits: int = 3) -> str:
+    """Return a number of half turns as an angle in units of π."""
+    if abs(half_turns) < 1e-9:
+        return "0"
+    text = f"{half_turns:.{digits}g}"
+    return {"1": "π", "-1": "−π"}.get(text, f"{text}π".replace("-", "−"))

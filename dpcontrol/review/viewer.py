@@ -10,8 +10,6 @@ from pathlib import Path
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
-from dpcontrol.logs import RunLog
-from dpcontrol.review.context import ReviewContext
 
 _SECONDS = 120.0
 """A software renderer on a busy machine takes half of it."""
@@ -64,34 +62,10 @@ def missing_renderer() -> str | None:
     return None if found else f"no Vulkan driver is installed (on Debian or Ubuntu: {_PACKAGES})"
 
 
-def screenshot(log: RunLog, context: ReviewContext, path: Path, *, seconds: float = _SECONDS) -> str | None:
-    """Write a picture of the viewer showing the run at its first symbol's crossing, or in its middle.
-
-    The viewer runs under a process of its own, which is ended with all its children when its time is up.
-
-    Args:
-        log, context: the run.
-        path: the PNG.
-        seconds: how long it may take in all.
-
-    Returns:
-        None if the picture was written, else why not.
-
-    Raises:
-        InputError: the picture cannot be written to `path`.
-    """
-    from dpcontrol.review.recording import write_recording
-
-    middle = float(log.time[0] + log.time[-1]) / 2
-    moment = context.symbols[0][0] if context.symbols else middle
-    # Of a run that ended before its first symbol the last moments tell most.
-    moment = moment if moment < log.time[-1] else float(log.time[0] + 0.8 * (log.time[-1] - log.time[0]))
-    return picture_of(lambda file: write_recording(log, context, file), path, moment=moment, seconds=seconds)
-
-
 def picture_of(write: Callable[[Path], None], path: Path, *, moment: float, seconds: float = _SECONDS) -> str | None:
-    """Write a picture of the viewer showing the recording that `write` writes, at `moment` (s).
+    """Write a picture (PNG) of the viewer showing the recording that `write` writes, at `moment` (s).
 
+    The viewer runs under a process of its own, which is ended with all its children after `seconds`.
     Returns None if the picture was written, else why not.
 
     Raises:

@@ -8,7 +8,7 @@ import pytest
 from command_line import Ended, dpcontrol
 
 from dpcontrol.logs import read_log
-from dpcontrol.review.of_log import review_context
+from dpcontrol.review.of_log import run_view
 
 PNG, RECORDING = b"\x89PNG\r\n\x1a\n", b"RRF2"
 """First bytes of a picture (PNG specification) and of a Rerun recording."""
@@ -126,11 +126,11 @@ def test_report_refuses_a_page_of_another_kind(demo: tuple[Path, Ended], tmp_pat
 
 def test_the_tubes_shown_meet_where_the_plan_crosses_the_section(demo: tuple[Path, Ended]) -> None:
     log = read_log(demo[0] / "logs/outer-turn-0.mcap")
-    context = review_context(log)
-    assert sorted(tube.stable for tube in context.tubes) == [False, True]
+    view = run_view(log)
+    assert sorted(tube.stable for tube in view.plan.tubes) == [False, True]
     # The outer arm's section is θ₂ = 2πk; the plan turns it from π to 3π.
     crossing = log.reference[np.argmin(np.abs(log.reference[:, 1] - 2 * np.pi)), :4]
-    for tube in context.tubes:
+    for tube in view.plan.tubes:
         known = tube.cut[np.isfinite(tube.cut).all(axis=1)]
         assert known[:, 1] == pytest.approx(2 * np.pi)
         assert tube.strands[:, 0, 1] == pytest.approx(3 * np.pi if tube.stable else np.pi, abs=0.5)
@@ -140,10 +140,10 @@ def test_the_tubes_shown_meet_where_the_plan_crosses_the_section(demo: tuple[Pat
 
 def test_what_was_done_is_told_beside_what_was_asked(demo: tuple[Path, Ended]) -> None:
     log = read_log(demo[0] / "logs/outer-turn-0.mcap")
-    context = review_context(log)
-    assert [stay.text for stay in context.planned] == [stay.text for stay in context.done] == ["down-up", "down-up"]
-    assert all(stay.wanted for stay in context.done)
+    view = run_view(log)
+    assert [stay.text for stay in view.plan.planned] == [stay.text for stay in view.done] == ["down-up", "down-up"]
+    assert all(stay.wanted for stay in view.done)
     truth = log.truth
     assert truth is not None
     passed = float(log.time[np.flatnonzero(truth[:, 1] > 2 * np.pi)[0]])
-    assert context.crossings[0] == pytest.approx(passed, abs=2 / log.rate_hz)
+    assert view.crossings[0] == pytest.approx(passed, abs=2 / log.rate_hz)

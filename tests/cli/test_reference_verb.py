@@ -13,7 +13,8 @@ from command_line import dpcontrol
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import load_reference
 from dpcontrol.references.summary import summarised
-from dpcontrol.review.reference_figure import draw_reference
+from dpcontrol.review.drawing import draw
+from dpcontrol.review.of_reference import reference_view
 
 AGREES = 1e-9
 """Relative; sums and interpolation in double precision."""
@@ -124,10 +125,11 @@ def test_a_limit_is_in_view_where_the_reference_comes_near_it(file: Path) -> Non
     reference = load_reference(file)
     near = Limits(position=1.02 * reference.max_cart_position)
     panels = [
-        next(axes for axes in draw_reference(summarised(one)).axes if axes.get_title(loc="left").startswith("Cart pos"))
+        next(axes for axes in page.axes if axes.get_title(loc="left").startswith("Cart pos"))
         for one in (reference, replace(reference, limits=near))
+        for page in (draw(reference_view(summarised(one), file)),)
     ]
-    views = [panel.get_ylim()[1] for panel in panels]
+    views = [panel.get_ylim()[1] / 1000 for panel in panels]
     assert reference.max_cart_position < views[0] < reference.limits.position
     assert reference.max_cart_position < near.position < views[1]
 

@@ -1,12 +1,13 @@
 """A small plausible run, made with numpy only: one full turn of the second arm in five seconds."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from dpcontrol.logs import LogWriter, Mode
-from dpcontrol.review.context import OrbitCurve, ReviewContext
+from dpcontrol.logs import LogWriter, Mode, read_log
+from dpcontrol.review.context import PlacedOrbit, PlanView
+from dpcontrol.review.motion import RunView, series_of
 
 ARM_LENGTHS = (0.1738, 0.2490)
 LIMITS = (0.9, 3.0, 30.0)
@@ -85,21 +86,23 @@ def write_log(path: Path, run: SyntheticRun, *, with_truth: bool = True) -> Path
     return path
 
 
-def context_for(run: SyntheticRun) -> ReviewContext:
-    """Return a context with an orbit, saddle energies, one symbol and an energy."""
+def view_of(path: Path, run: SyntheticRun) -> RunView:
+    """Write a run as a log and return what there is to see of it: an orbit, saddle energies, one symbol, an energy."""
     phase = np.linspace(0, 2 * np.pi, 200)
     rate = 2 * np.pi * 1.6
     states = np.column_stack(
         [0.25 * np.sin(phase), np.pi + 0.4 * np.sin(phase), 0.25 * rate * np.cos(phase), 0.4 * rate * np.cos(phase)]
     )
-    return ReviewContext(
-        title="Turn the outer arm once",
-        arm_lengths=ARM_LENGTHS,
-        limits=LIMITS,
-        orbits=(OrbitCurve("down-up at -0.07 J", states, "down-up"),),
+    plan = PlanView(
+        orbits=(PlacedOrbit("down-up at -0.07 J", states, "down-up"),),
         saddle_energies={"down-down": -0.4906, "down-up": -0.1754, "up-down": 0.1754, "up-up": 0.4906},
         symbols=((float(run.time[-1]) / 2, "down-up +"),),
+    )
+    return replace(
+        series_of(read_log(write_log(path, run))),
+        title="Turn the outer arm once",
         energy=-0.07 + 0.02 * np.sin(3 * run.time) + 0.05 * np.exp(-run.time / 0.3),
         verdict="completed: 1 of 1 symbols",
         good=True,
+        plan=plan,
     )

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.review.atlas_picture import draw_atlas, write_atlas_picture
+from dpcontrol.review.atlas_picture import draw_atlas
 from dpcontrol.review.atlas_recording import write_atlas_recording
 from dpcontrol.review.figures.cuts import colours, connections_of, kind_of, one_of_each, stable_direction
 from dpcontrol.review.figures.page import Gallery, in_pi, wrapped_runs
 from dpcontrol.review.figures.registry import FIGURES, draw_figures
 from dpcontrol.review.figures.space import FLIGHT
+from dpcontrol.review.picture import write_atlas_picture
 from dpcontrol.review.viewer import viewer_program
 from dpcontrol.scenes.atlas import AtlasSettings, compute_atlas, make_atlas
 from dpcontrol.scenes.branches import make_branches

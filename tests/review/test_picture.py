@@ -8,14 +8,14 @@ import numpy as np
 import psutil
 import pytest
 from matplotlib.image import imread
-from synthetic_run import context_for, synthetic_run, write_log
-from test_recording import bare_context, bare_log
+from synthetic_run import synthetic_run, view_of
+from test_recording import bare_log
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs import RunLog, read_log
-from dpcontrol.review import drawing, series, viewer
-from dpcontrol.review.context import ReviewContext
-from dpcontrol.review.picture import write_drawn_picture, write_picture
+from dpcontrol.review import drawing, viewer
+from dpcontrol.review.motion import RunView, series_of
+from dpcontrol.review.panel_frame import curve
+from dpcontrol.review.picture import write_picture
 from dpcontrol.review.recording import write_recording
 
 PIXELS_SET = 0.02
@@ -23,9 +23,8 @@ PIXELS_SET = 0.02
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunLog, ReviewContext]:
-    made = synthetic_run()
-    return read_log(write_log(tmp_path_factory.mktemp("runs") / "run.mcap", made)), context_for(made)
+def run(tmp_path_factory: pytest.TempPathFactory) -> RunView:
+    return view_of(tmp_path_factory.mktemp("runs") / "run.mcap", synthetic_run())
 
 
 def _share_set(path: Path) -> float:
@@ -34,24 +33,24 @@ def _share_set(path: Path) -> float:
 
 
 def test_a_drawn_picture_shows_something_and_says_why_it_was_drawn(
-    run: tuple[RunLog, ReviewContext], tmp_path: Path
+    run: RunView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    made = write_drawn_picture(*run, tmp_path / "run.png", reason="no driver")
+    monkeypatch.setattr(viewer, "missing_renderer", lambda: "no driver")
+    made = write_picture(run, tmp_path / "run.png")
     assert made.renderer == "matplotlib"
     assert "no driver" in made.status
     assert imread(made.path).shape[:2] == (1276, 1760)
     assert _share_set(made.path) > PIXELS_SET
 
 
-def test_texts_in_the_drawn_picture_do_not_overlap(run: tuple[RunLog, ReviewContext]) -> None:
-    log, context = run
+def test_texts_in_the_drawn_picture_do_not_overlap(run: RunView) -> None:
     steps = tuple((0.5 + 0.6 * i, f"symbol {i + 1}") for i in range(6))
     for shown in (
-        context,
-        replace(context, symbols=steps),
-        replace(context, symbols=(), verdict="stopped: " + "why " * 70),
+        run,
+        replace(run, plan=replace(run.plan, symbols=steps)),
+        replace(run, plan=replace(run.plan, symbols=()), verdict="stopped: " + "why " * 70),
     ):
-        figure = drawing.draw(log, shown)
+        figure = drawing.draw(shown)
         figure.canvas.draw()
         boxes = []
         for axes in figure.axes:
@@ -71,32 +70,32 @@ def test_texts_in_the_drawn_picture_do_not_overlap(run: tuple[RunLog, ReviewCont
                 assert not box.padded(-1).overlaps(another.padded(-1)), f"{name!r} overlaps {other!r}"
 
 
-def test_without_a_driver_the_picture_is_drawn(
-    run: tuple[RunLog, ReviewContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_driver_the_picture_is_drawn(run: RunView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(viewer, "missing_renderer", lambda: "no Vulkan driver is installed")
-    made = write_picture(*run, tmp_path / "run.png")
+    made = write_picture(run, tmp_path / "run.png")
     assert made.renderer == "matplotlib"
     assert "no Vulkan driver" in made.status
 
 
-def test_the_viewer_renders_without_a_screen(run: tuple[RunLog, ReviewContext], tmp_path: Path) -> None:
+def test_the_viewer_renders_without_a_screen(run: RunView, tmp_path: Path) -> None:
     reason = viewer.missing_renderer()
     if reason is not None:
         pytest.skip(reason)
-    made = write_picture(*run, tmp_path / "run.png")
+    made = write_picture(run, tmp_path / "run.png")
     assert made.renderer == "viewer", made.status
     assert _share_set(made.path) > PIXELS_SET
 
 
 @pytest.mark.skipif(viewer.missing_renderer() is not None, reason="no renderer for the viewer")
 def test_a_viewer_out_of_time_is_ended_with_its_children(
-    run: tuple[RunLog, ReviewContext], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    run: RunView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Whatever is started inherits the mark, also what was orphaned.
     monkeypatch.setenv("DPCONTROL_TEST_MARK", str(tmp_path))
     for seconds in (0.2, 1.2, 1.8):
-        reason = viewer.screenshot(*run, tmp_path / "run.png", seconds=seconds)
+        reason = viewer.picture_of(
+            lambda file: write_recording(run, file), tmp_path / "run.png", moment=1.0, seconds=seconds
+        )
         assert reason is not None
         assert f"longer than {seconds} s" in reason
     assert not list(tmp_path.iterdir())
@@ -114,21 +113,21 @@ def _mark(process: psutil.Process) -> str | None:
 @pytest.mark.parametrize(("arms", "has_cart", "ticks"), [(1, True, 50), (2, False, 50), (3, True, 50), (2, True, 1)])
 def test_other_shapes_are_drawn_too(tmp_path: Path, arms: int, has_cart: bool, ticks: int) -> None:
     log = bare_log(tmp_path / "run.mcap", arms=arms, has_cart=has_cart, ticks=ticks)
-    made = write_drawn_picture(log, bare_context(arms), tmp_path / "run.png")
-    assert _share_set(made.path) > PIXELS_SET / 4
+    drawing.save_figure(drawing.draw(series_of(log)), tmp_path / "run.png")
+    assert _share_set(tmp_path / "run.png") > PIXELS_SET / 4
 
 
-def test_a_picture_that_cannot_be_written_is_an_input_error(run: tuple[RunLog, ReviewContext], tmp_path: Path) -> None:
+def test_a_picture_that_cannot_be_written_is_an_input_error(run: RunView, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot write"):
-        write_drawn_picture(*run, tmp_path / "file" / "run.png")
+        drawing.save_figure(drawing.draw(run), tmp_path / "file" / "run.png")
 
 
-def test_thinned_curves_keep_every_peak() -> None:
+def test_thinned_curves_keep_every_peak(run: RunView) -> None:
     time_s = np.linspace(0, 1, 100_000)
     values = np.sin(40 * time_s)
     values[[777, 50_000]] = 5.0, -5.0
-    thin_time, thin_values = series.thinned(time_s, values)
+    thin_time, thin_values = curve(run, time_s, values)
     assert len(thin_time) < 3_100
     assert (thin_values.max(), thin_values.min()) == (5.0, -5.0)
     assert (np.diff(thin_time) > 0).all()
@@ -141,7 +140,7 @@ def test_a_run_that_went_wrong_beyond_numbers_is_still_shown(tmp_path: Path) -> 
         for array in (estimate, truth, control):
             array[since:] = spoilt
         bad = replace(made, estimate=estimate, truth=truth, control=control)
-        log = read_log(write_log(tmp_path / "run.mcap", bad))
-        context = replace(context_for(made), energy=truth[:, 0])
-        write_recording(log, context, tmp_path / "run.rrd")
-        assert _share_set(write_drawn_picture(log, context, tmp_path / "run.png").path) > PIXELS_SET
+        view = replace(view_of(tmp_path / "run.mcap", bad), energy=truth[:, 0])
+        write_recording(view, tmp_path / "run.rrd")
+        drawing.save_figure(drawing.draw(view), tmp_path / "run.png")
+        assert _share_set(tmp_path / "run.png") > PIXELS_SET

@@ -7,12 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_run import RATE, context_for, synthetic_run, write_log
+from synthetic_run import RATE, synthetic_run, view_of, write_log
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
-from dpcontrol.review.context import ReviewContext
-from dpcontrol.review.motion import ACTUAL, motion_of
+from dpcontrol.review.motion import ACTUAL, RunView, series_of
 from dpcontrol.review.recording import write_recording
 from dpcontrol.review.viewer import open_viewer, viewer_program
 
@@ -20,9 +19,8 @@ ACCELERATION = 1e-9  # m/s²: velocities of 1 m/s differ by rounding, over 1 ms
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> tuple[RunLog, ReviewContext]:
-    made = synthetic_run()
-    return read_log(write_log(tmp_path_factory.mktemp("runs") / "run.mcap", made)), context_for(made)
+def run(tmp_path_factory: pytest.TempPathFactory) -> RunView:
+    return view_of(tmp_path_factory.mktemp("runs") / "run.mcap", synthetic_run())
 
 
 def _rerun(*arguments: str) -> str:
@@ -48,19 +46,14 @@ def bare_log(path: Path, *, arms: int, has_cart: bool, ticks: int) -> RunLog:
     return read_log(path)
 
 
-def bare_context(arms: int) -> ReviewContext:
-    """Return a context with nothing but what must be there."""
-    return ReviewContext(title="bare", arm_lengths=(0.2,) * arms, limits=(0.5, 3.0, 30.0))
-
-
-def test_a_recording_is_verified_by_the_viewers_own_tool(run: tuple[RunLog, ReviewContext], tmp_path: Path) -> None:
-    write_recording(*run, tmp_path / "run.rrd")
+def test_a_recording_is_verified_by_the_viewers_own_tool(run: RunView, tmp_path: Path) -> None:
+    write_recording(run, tmp_path / "run.rrd")
     _rerun("rrd", "verify", str(tmp_path / "run.rrd"))
     assert [path.name for path in tmp_path.iterdir()] == ["run.rrd"]
 
 
-def test_a_recording_holds_scene_plots_events_and_blueprint(run: tuple[RunLog, ReviewContext], tmp_path: Path) -> None:
-    write_recording(*run, tmp_path / "run.rrd")
+def test_a_recording_holds_scene_plots_events_and_blueprint(run: RunView, tmp_path: Path) -> None:
+    write_recording(run, tmp_path / "run.rrd")
     found = _rerun("rrd", "stats", str(tmp_path / "run.rrd"))
     for entity in (
         "/tf",
@@ -87,22 +80,22 @@ def test_what_the_plants_cart_did_stands_beside_what_was_believed(tmp_path: Path
     # A drive that gives half of what it was told: known from the truth alone.
     told = made.control[:, 3]
     made.truth[:, 5] = np.concatenate([[0.0], np.cumsum(0.5 * told[:-1])]) / RATE
-    motion = motion_of(read_log(write_log(tmp_path / "weak.mcap", made)))
-    assert motion.control is not None
-    assert np.abs(motion.control[ACTUAL][:-1] - 0.5 * told[:-1]).max() <= ACCELERATION
-    assert np.array_equal(motion.control["applied"], told)
+    view = series_of(read_log(write_log(tmp_path / "weak.mcap", made)))
+    assert view.control is not None
+    assert np.abs(view.control[ACTUAL][:-1] - 0.5 * told[:-1]).max() <= ACCELERATION
+    assert np.array_equal(view.control["applied"], told)
 
 
 def test_a_blow_on_the_cart_is_no_acceleration_of_its_drive(tmp_path: Path) -> None:
     made = synthetic_run(seconds=1.0)
     made.truth[500:, 5] += 1.0
-    motion = motion_of(read_log(write_log(tmp_path / "knocked.mcap", made)))
-    assert motion.control is not None
-    assert np.flatnonzero(np.isnan(motion.control[ACTUAL])).tolist() == [499]
+    view = series_of(read_log(write_log(tmp_path / "knocked.mcap", made)))
+    assert view.control is not None
+    assert np.flatnonzero(np.isnan(view.control[ACTUAL])).tolist() == [499]
 
 
-def test_the_log_alone_passes_the_viewers_own_check(run: tuple[RunLog, ReviewContext]) -> None:
-    found = _rerun("mcap", "check", str(run[0].path))
+def test_the_log_alone_passes_the_viewers_own_check(run: RunView) -> None:
+    found = _rerun("mcap", "check", str(run.path))
     assert "/reference/joint_states" in found
     assert "error" not in found.lower()
 
@@ -110,14 +103,14 @@ def test_the_log_alone_passes_the_viewers_own_check(run: tuple[RunLog, ReviewCon
 @pytest.mark.parametrize(("arms", "has_cart", "ticks"), [(1, True, 50), (2, False, 50), (3, True, 50), (2, True, 1)])
 def test_other_shapes_are_recorded_too(tmp_path: Path, arms: int, has_cart: bool, ticks: int) -> None:
     log = bare_log(tmp_path / "run.mcap", arms=arms, has_cart=has_cart, ticks=ticks)
-    write_recording(log, bare_context(arms), tmp_path / "run.rrd")
+    write_recording(series_of(log), tmp_path / "run.rrd")
     _rerun("rrd", "verify", str(tmp_path / "run.rrd"))
 
 
-def test_a_log_that_has_gone_is_an_input_error(run: tuple[RunLog, ReviewContext], tmp_path: Path) -> None:
-    log = replace(run[0], path=tmp_path / "gone.mcap")
+def test_a_log_that_has_gone_is_an_input_error(run: RunView, tmp_path: Path) -> None:
+    view = replace(run, path=tmp_path / "gone.mcap")
     with pytest.raises(InputError, match="any more"):
-        write_recording(log, run[1], tmp_path / "run.rrd")
+        write_recording(view, tmp_path / "run.rrd")
     assert not list(tmp_path.iterdir())
 
 

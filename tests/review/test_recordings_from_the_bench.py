@@ -8,10 +8,12 @@ import pytest
 from synthetic_run import ARM_LENGTHS, synthetic_run, write_log
 
 from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
-from dpcontrol.review import drawing, series
-from dpcontrol.review.motion import motion_of
-from dpcontrol.review.of_log import review_context
+from dpcontrol.review import drawing
+from dpcontrol.review.motion import series_of
+from dpcontrol.review.of_log import run_view
+from dpcontrol.review.panel_frame import curve
 from dpcontrol.review.recording import write_recording
+from dpcontrol.review.series import mode_spans
 
 RATE_ERROR = 0.02
 """rad/s: central differences of 1.6 Hz over 1 ms are off by ω³h²/6 · 0.25 rad, 4e-5; at the ends by ω²h/2, 0.013."""
@@ -29,17 +31,17 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> RunLog:
 
 
 def test_rates_are_differences_within_each_segment(bench: RunLog) -> None:
-    motion = motion_of(bench)
-    assert (motion.what, motion.differenced) == ("measured", True)
+    view = series_of(bench)
+    assert (view.what, view.differenced) == ("measured", True)
     expected = 0.25 * 2 * np.pi * 1.6 * np.cos(2 * np.pi * 1.6 * bench.time[:, None] + [0.0, 1.0])
-    assert motion.state[:, 2:] == pytest.approx(expected, abs=RATE_ERROR)
+    assert view.state[:, 2:] == pytest.approx(expected, abs=RATE_ERROR)
 
 
 def test_what_was_not_logged_is_not_shown(bench: RunLog) -> None:
-    motion = motion_of(bench)
-    for part in (motion.reference, motion.estimate, motion.error, motion.sigma, motion.control, motion.nis):
+    view = series_of(bench)
+    for part in (view.reference, view.estimate, view.error, view.sigma, view.control, view.nis):
         assert part is None
-    titles = [axes.get_title(loc="left") for axes in drawing.draw(bench, review_context(bench)).figure.axes]
+    titles = [axes.get_title(loc="left") for axes in drawing.draw(run_view(bench)).axes]
     assert [title for title in titles if title] == [
         "Angles from hanging (rad)",
         "Rates (rad/s), by differences",
@@ -49,22 +51,22 @@ def test_what_was_not_logged_is_not_shown(bench: RunLog) -> None:
 
 
 def test_no_line_is_drawn_across_a_gap(bench: RunLog) -> None:
-    motion = motion_of(bench)
-    time, values = series.curve(motion, motion.state[:, 0])
-    assert motion.breaks.tolist() == [1000]
+    view = series_of(bench)
+    time, values = curve(view, view.time, view.state[:, 0])
+    assert view.breaks.tolist() == [1000]
     between = (time > 0.9995) & (time < 1.9995)
     assert np.isnan(values[between]).all()
     assert between.sum() == 1
 
 
 def test_nothing_is_judged_where_nothing_was_asked(bench: RunLog) -> None:
-    context = review_context(bench)
-    assert context.good is None
-    assert "no plan" in context.verdict
+    shown = run_view(bench)
+    assert shown.good is None
+    assert "no plan" in shown.verdict
 
 
 def test_a_recording_from_the_bench_can_be_recorded_for_the_viewer(bench: RunLog, tmp_path: Path) -> None:
-    write_recording(bench, review_context(bench), tmp_path / "bench.rrd")
+    write_recording(run_view(bench), tmp_path / "bench.rrd")
     assert (tmp_path / "bench.rrd").stat().st_size > 10_000
 
 
@@ -81,18 +83,18 @@ def test_a_replay_with_a_cart_shows_its_nis_for_the_arms_and_no_controller(tmp_p
             np.arange(500) / 1000, measured=np.zeros((500, 3)), estimate=estimate, reference=reference, control=control
         )
     run = read_log(tmp_path / "replay.mcap")
-    motion = motion_of(run)
-    assert (motion.sensors, motion.against) == (2, "prediction")
-    assert motion.control is not None
-    assert "applied" in motion.control
-    assert "feedforward" not in motion.control
-    assert series.mode_spans(motion) == []
-    assert review_context(run).verdict == "0.5 s predicted by lab"
-    write_recording(run, review_context(run), tmp_path / "replay.rrd")
+    view = series_of(run)
+    assert (view.sensors, view.against) == (2, "prediction")
+    assert view.control is not None
+    assert "applied" in view.control
+    assert "feedforward" not in view.control
+    assert mode_spans(view) == []
+    assert run_view(run).verdict == "0.5 s predicted by lab"
+    write_recording(run_view(run), tmp_path / "replay.rrd")
 
 
 def test_an_estimate_that_repeats_the_reference_is_no_reference(tmp_path: Path) -> None:
     made = synthetic_run(seconds=1.0)
     same = replace(made, reference=made.estimate)
-    assert motion_of(read_log(write_log(tmp_path / "same.mcap", same))).reference is None
-    assert motion_of(read_log(write_log(tmp_path / "run.mcap", made))).reference is not None
+    assert series_of(read_log(write_log(tmp_path / "same.mcap", same))).reference is None
+    assert series_of(read_log(write_log(tmp_path / "run.mcap", made))).reference is not None

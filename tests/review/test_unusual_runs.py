@@ -5,14 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from synthetic_run import ARM_LENGTHS, context_for, synthetic_run, write_log
+from synthetic_run import ARM_LENGTHS, synthetic_run, view_of, write_log
 
 from dpcontrol.logs import LogWriter, read_log, recover
 from dpcontrol.recordings.recording import REPLAYED
-from dpcontrol.review import drawing, series
-from dpcontrol.review.context import ReviewContext
-from dpcontrol.review.motion import motion_of
-from dpcontrol.review.of_log import review_context
+from dpcontrol.review import drawing
+from dpcontrol.review.context import PlanView
+from dpcontrol.review.film import film_times
+from dpcontrol.review.motion import series_of
+from dpcontrol.review.of_log import run_view
 from dpcontrol.review.score import Score
 
 
@@ -32,12 +33,12 @@ def test_a_run_that_had_no_symbols_to_do_counts_none(symbols: int, said: str) ->
 
 def test_a_recovered_log_says_what_it_lacks_wherever_it_is_shown(tmp_path: Path) -> None:
     whole = write_log(tmp_path / "run.mcap", synthetic_run())
-    assert "recovered" not in review_context(read_log(whole)).verdict
+    assert "recovered" not in run_view(read_log(whole)).verdict
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
     log = read_log(recover(cut).log)
     assert log.recovered
-    assert f"recovered and lacks {log.recovered}" in review_context(log).verdict
+    assert f"recovered and lacks {log.recovered}" in run_view(log).verdict
 
 
 def test_a_replay_is_judged_as_a_prediction_not_as_tracking(tmp_path: Path) -> None:
@@ -47,10 +48,10 @@ def test_a_replay_is_judged_as_a_prediction_not_as_tracking(tmp_path: Path) -> N
         with LogWriter(path, arm_lengths=ARM_LENGTHS, rate_hz=1000.0, metadata={"kind": kind}) as log:
             log.ticks(run.time, measured=run.measured, estimate=run.estimate, reference=run.reference)
         read = read_log(path)
-        errors = [t for t in left_titles(drawing.draw(read, review_context(read))) if "error" in t]
+        errors = [t for t in left_titles(drawing.draw(run_view(read))) if "error" in t]
         assert [title.split(":")[0] for title in errors] == [name]
-        assert motion_of(read).error_name == name
-        figure = drawing.draw(read, review_context(read))
+        assert series_of(read).error_name == name
+        figure = drawing.draw(run_view(read))
         figure.canvas.draw()
         for axes in figure.axes:
             legend = axes.get_legend()
@@ -60,10 +61,10 @@ def test_a_replay_is_judged_as_a_prediction_not_as_tracking(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("seconds", [0.3, 0.6, 5.0])
-def test_the_film_of_a_failed_run_leaves_no_long_stretch_out(seconds: float) -> None:
-    time = np.arange(0.0, seconds, 1e-3)
-    context = ReviewContext(title="failed", arm_lengths=ARM_LENGTHS, symbols=((2.4, "down-up +"),), good=False)
-    shown = series.film_times(context, time, frames=8)
+def test_the_film_of_a_failed_run_leaves_no_long_stretch_out(tmp_path: Path, seconds: float) -> None:
+    run = view_of(tmp_path / "run.mcap", synthetic_run(seconds=seconds))
+    time = run.time
+    shown = film_times(replace(run, plan=PlanView(symbols=((2.4, "down-up +"),)), good=False), frames=8)
     assert len(shown) == 8
     assert (np.diff(shown) > 0).all()
     assert shown[-1] == pytest.approx(time[-1])
@@ -73,13 +74,13 @@ def test_the_film_of_a_failed_run_leaves_no_long_stretch_out(seconds: float) -> 
 
 
 def test_what_came_before_an_estimate_was_lost_stays_visible(tmp_path: Path) -> None:
-    run = synthetic_run()
-    log = read_log(write_log(tmp_path / "run.mcap", run))
-    nis = log.control["nis"].copy()
+    view = view_of(tmp_path / "run.mcap", synthetic_run())
+    assert view.nis is not None
+    nis = view.nis.copy()
     nis[-400:] = 1e5
-    lost = replace(log, controls={**log.control, "nis": nis})
-    for case, least in ((log, 0.3), (lost, 0.05)):
-        figure = drawing.draw(case, context_for(run))
+    lost = replace(view, nis=nis)
+    for case, least in ((view, 0.3), (lost, 0.05)):
+        figure = drawing.draw(case)
         figure.canvas.draw()
         (axes,) = [axes for axes in figure.axes if axes.get_title(loc="left").startswith("NIS")]
         box = axes.get_window_extent()
@@ -95,8 +96,8 @@ def test_labels_of_an_angle_tell_its_ticks_apart(tmp_path: Path, span: float) ->
     run = synthetic_run()
     held = np.pi + span * (run.truth[:, :2] - run.truth[:, :2].min()) / np.ptp(run.truth[:, :2])
     still = replace(run, truth=np.column_stack([held, run.truth[:, 2:]]))
-    log = read_log(write_log(tmp_path / "run.mcap", still))
-    figure = drawing.draw(log, replace(context_for(run), orbits=()))
+    view = view_of(tmp_path / "run.mcap", still)
+    figure = drawing.draw(replace(view, plan=replace(view.plan, orbits=())))
     figure.canvas.draw()
     for axes in figure.axes:
         title = axes.get_title(loc="left")

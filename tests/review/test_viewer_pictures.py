@@ -10,18 +10,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.image import imread
-from synthetic_run import ARM_LENGTHS, context_for, synthetic_run, write_log
+from synthetic_run import ARM_LENGTHS, synthetic_run, view_of
 
-from dpcontrol.logs import LogWriter, RunLog, read_log
+from dpcontrol.logs import LogWriter, read_log
 from dpcontrol.references.reference import Reference
+from dpcontrol.references.summary import summarised
 from dpcontrol.review import viewer
 from dpcontrol.review.atlas_recording import write_atlas_recording
 from dpcontrol.review.comparison import compare
 from dpcontrol.review.comparison_recording import write_comparison_recording
-from dpcontrol.review.context import ReviewContext, Stay
-from dpcontrol.review.motion import motion_of_reference
-from dpcontrol.review.of_log import plan_context, review_context
-from dpcontrol.review.recording import write_motion_recording, write_recording
+from dpcontrol.review.context import Stay
+from dpcontrol.review.motion import RunView
+from dpcontrol.review.of_log import run_view
+from dpcontrol.review.of_reference import reference_view
+from dpcontrol.review.recording import write_recording
 from dpcontrol.scenes.atlas import AtlasSettings, make_atlas
 from dpcontrol.scenes.model import load_model
 from dpcontrol.walks.atlas import Atlas
@@ -32,13 +34,13 @@ SEEN = 0.02
 pytestmark = pytest.mark.skipif(viewer.missing_renderer() is not None, reason=str(viewer.missing_renderer()))
 
 
-def logged(folder: Path, name: str, *, good: bool) -> tuple[RunLog, ReviewContext]:
+def logged(folder: Path, name: str, *, good: bool) -> RunView:
     """Return a run of three seconds that was done, or one that went astray and was cut at a limit."""
-    run = synthetic_run(seconds=3.0)
+    view = view_of(folder / f"{name}.mcap", synthetic_run(seconds=3.0))
     asked = (Stay(0.0, 1.5, "down-up", "down-up"), Stay(1.5, 3.0, "down-up", "down-up"))
     strayed = (asked[0], Stay(2.0, 3.0, "up-down", "up-down (−1π, 0π)", wanted=False))
-    context = replace(context_for(run), planned=asked, done=asked if good else strayed, duration=3.0, good=good)
-    return read_log(write_log(folder / f"{name}.mcap", run)), context
+    plan = replace(view.plan, planned=asked, duration=3.0)
+    return replace(view, plan=plan, done=asked if good else strayed, good=good)
 
 
 def shown(write: Callable[[Path], None], folder: Path) -> None:
@@ -50,8 +52,8 @@ def shown(write: Callable[[Path], None], folder: Path) -> None:
 
 @pytest.mark.parametrize("good", [True, False])
 def test_a_run_is_shown_without_complaint(good: bool, tmp_path: Path) -> None:
-    log, context = logged(tmp_path, "run", good=good)
-    shown(lambda file: write_recording(log, context, file), tmp_path)
+    view = logged(tmp_path, "run", good=good)
+    shown(lambda file: write_recording(view, file), tmp_path)
 
 
 def test_a_pair_is_shown_without_complaint(tmp_path: Path) -> None:
@@ -64,14 +66,12 @@ def test_a_recording_from_the_bench_is_shown_without_complaint(tmp_path: Path) -
     with LogWriter(tmp_path / "bench.mcap", arm_lengths=ARM_LENGTHS, rate_hz=1000.0, has_cart=False) as log:
         log.ticks(time, measured=0.25 * np.sin(10 * time[:, None] + [0.0, 1.0]))
     run = read_log(tmp_path / "bench.mcap")
-    shown(lambda file: write_recording(run, review_context(run), file), tmp_path)
+    shown(lambda file: write_recording(run_view(run), file), tmp_path)
 
 
 def test_a_reference_is_shown_without_complaint(turn: tuple[object, Reference], tmp_path: Path) -> None:
-    reference = turn[1]
-    context = plan_context(reference, system=None)
-    motion = motion_of_reference(reference, tmp_path / "turn.npz", arm_lengths=context.arm_lengths)
-    shown(lambda file: write_motion_recording(motion, context, file), tmp_path)
+    view = reference_view(summarised(turn[1]), tmp_path / "turn.npz")
+    shown(lambda file: write_recording(view, file), tmp_path)
 
 
 def test_an_atlas_is_shown_without_complaint(tmp_path: Path) -> None:
