@@ -31,6 +31,7 @@ from dpcontrol.bifurcations.links import Link
 from dpcontrol.bifurcations.sweep import Change, Found, Run, Sweep, SweepSettings
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.documents import picked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.equilibria import equilibrium
@@ -101,6 +102,20 @@ class BifurcationSearch:
     scatters_from: float | None
     complete: bool
     status: str
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol bifurcations --json` prints, the energies that were asked for apart."""
+        event = ("energy", "kind", "state", "count_below", "count_above", "at_least", "symmetric", "winding")
+        return {
+            "events": [picked(e, *event, "residual", "point") for e in self.events],
+            "counts": [picked(c, "energy", "count", "complete", "caveat") for c in self.counts],
+            "unexplained": [{"energies": [low, high], "reason": reason} for low, high, reason in self.unexplained],
+            **picked(self, "scatters_from", "complete", "status"),
+            "section": self.section.name,
+            "from": self.source,
+            "to": self.target,
+            "hits": self.crossings,
+        }
 
 
 def find_bifurcations(

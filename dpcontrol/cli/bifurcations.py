@@ -1,28 +1,27 @@
 """dpcontrol bifurcations"""
 
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
 import click
 
-from dpcontrol.cli.output import json_option, print_json, print_table, progress_bar, reports_failure
-from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.cli.output import progress_bar
+from dpcontrol.cli.verbs import Answer, TextTable, verb
+
+if TYPE_CHECKING:
+    from dpcontrol.bifurcations.bifurcations import BifurcationSearch
 
 
-@click.command(
-    "bifurcations",
-    epilog="Example:  dpcontrol bifurcations lab --from down-up --to down-up --energies -0.11 -0.09",
-)
+@verb("bifurcations", example="dpcontrol bifurcations lab --from down-up --to down-up --energies -0.11 -0.09")
 @click.argument("model")
 @click.option("--from", "source", required=True, help="Saddle whose orbit the connections leave.")
 @click.option("--to", "target", required=True, help="Saddle whose orbit they join.")
-@click.option("--energies", required=True, type=float, nargs=2, metavar="LO HI", help="Energies in J between which.")
+@click.option("--energies", required=True, type=float, nargs=2, metavar="LO HI", help="Range of energies in J.")
 @click.option(
     "--hits", default=1, show_default=True, type=click.IntRange(1), help="How often the connections cross the section."
 )
 @click.option("--samples", default=24, show_default=True, type=click.IntRange(2), help="Energies searched at first.")
-@json_option
-@reports_failure
-def command(
-    *, model: str, source: str, target: str, energies: tuple[float, float], hits: int, samples: int, as_json: bool
-) -> None:
+def command(*, model: str, source: str, target: str, energies: tuple[float, float], hits: int, samples: int) -> Answer:
     """Find the energies at which connections appear, vanish or split, and those at which they only seem to.
 
     saddle-node: two connections meet and vanish. pitchfork: a symmetric connection sheds a mirror pair.
@@ -34,65 +33,29 @@ def command(
     from dpcontrol.bifurcations.sweep import SweepSettings
     from dpcontrol.scenes.model import load_model
 
-    system = load_model(model).system
+    system, settings = load_model(model).system, SweepSettings(energies=samples)
     with progress_bar("bifurcations") as progress:
         found = find_bifurcations(
-            system,
-            source,
-            target,
-            energies=energies,
-            crossings=hits,
-            settings=SweepSettings(energies=samples),
-            progress=progress,
+            system, source, target, energies=energies, crossings=hits, settings=settings, progress=progress
         )
-    if as_json:
-        print_json(
-            {
-                "events": [
-                    {
-                        "energy": e.energy,
-                        "kind": e.kind,
-                        "state": e.state,
-                        "count_below": e.count_below,
-                        "count_above": e.count_above,
-                        "at_least": e.at_least,
-                        "symmetric": e.symmetric,
-                        "winding": e.winding,
-                        "residual": e.residual,
-                        "point": e.point,
-                    }
-                    for e in found.events
-                ],
-                "counts": [
-                    {"energy": c.energy, "count": c.count, "complete": c.complete, "caveat": c.caveat}
-                    for c in found.counts
-                ],
-                "unexplained": [{"energies": [low, high], "reason": reason} for low, high, reason in found.unexplained],
-                "scatters_from": found.scatters_from,
-                "complete": found.complete,
-                "status": found.status,
-                "section": found.section.name,
-                "from": source,
-                "to": target,
-                "energies": energies,
-                "hits": hits,
-            }
+    missed = f"not every change of the count was located: {found.status}" if found.unexplained else ""
+    return Answer({**found.document(), "energies": energies}, _text(found), missed)
+
+
+def _text(found: "BifurcationSearch") -> Iterator[str | TextTable]:
+    rows = [
+        (
+            f"{e.energy:.10f}",
+            e.kind,
+            f"{'at least ' if e.at_least else ''}{e.count_below} → {e.count_above}",
+            "yes" if e.symmetric else "pair",
+            ", ".join(str(k) for k in e.winding),
+            f"{e.residual:.0e}",
+            "  ".join(f"{v:.6f}" for v in e.state),
         )
-    else:
-        rows = [
-            (
-                f"{e.energy:.10f}",
-                e.kind,
-                f"{'at least ' if e.at_least else ''}{e.count_below} → {e.count_above}",
-                "yes" if e.symmetric else "pair",
-                ", ".join(str(k) for k in e.winding),
-                f"{e.residual:.0e}",
-                "  ".join(f"{v:.6f}" for v in e.state),
-            )
-            for e in found.events
-        ]
-        columns = ("energy (J)", "kind", "count", "symmetric", "winding", "residual", "state (rad, rad/s)")
-        print_table(f"{source} → {target}, {hits} crossing(s) of {found.section.name}", columns, rows)
-        click.echo(found.status)
-    if found.unexplained:
-        raise GoalMissed(f"not every change of the count was located: {found.status}")
+        for e in found.events
+    ]
+    columns = ("energy (J)", "kind", "count", "symmetric", "winding", "residual", "state (rad, rad/s)")
+    title = f"{found.source} → {found.target}, {found.crossings} crossing(s) of {found.section.name}"
+    yield TextTable(title, columns, rows)
+    yield found.status

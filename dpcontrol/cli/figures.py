@@ -6,27 +6,28 @@ from textwrap import fill
 
 import click
 
-from dpcontrol.cli.output import json_option, print_json, progress_bar, reports_failure
+from dpcontrol.cli.output import progress_bar
+from dpcontrol.cli.verbs import OUTPUT, Answer, option, verb
 
 
-@click.command("figures", epilog="Example:  dpcontrol figures tubes heteroclinics --out pictures")
+@verb("figures", example="dpcontrol figures tubes heteroclinics --out pictures")
 @click.argument("names", nargs=-1, metavar="[NAME]...")
-@click.option(
+@option(
     "--out",
     type=click.Path(file_okay=False, path_type=Path),
     default=Path("figures"),
     show_default=True,
+    group=OUTPUT,
     help="Folder for the pictures and captions.json.",
 )
-@json_option
-@reports_failure
-def command(*, names: tuple[str, ...], out: Path, as_json: bool) -> None:
+def command(*, names: tuple[str, ...], out: Path) -> Answer:
     """Draw the paper's computational figures from atlases: each a PNG with a caption and what differs from the paper.
 
     Names: energy-landscape, families, tubes, homoclinics-low, homoclinics-high, heteroclinics, branches, graph,
     double-homoclinics, triple-homoclinics, colour-wheels, three-body. All are drawn where none is named. Atlases are
     kept by content.
     """
+    from dpcontrol.foundation.documents import picked
     from dpcontrol.review.figures.page import Gallery
     from dpcontrol.review.figures.registry import CAPTIONS, draw_figures
     from dpcontrol.scenes.atlas import AtlasSettings, make_atlas
@@ -41,21 +42,17 @@ def command(*, names: tuple[str, ...], out: Path, as_json: bool) -> None:
     )
     with progress_bar("figures") as progress:
         drawn = draw_figures(names, gallery, out, progress=progress)
-    if as_json:
-        print_json(
-            {
-                "figures": [
-                    {"name": d.name, "file": str(d.file), "caption": d.caption, "differs": d.differs,
-                     "seconds": d.seconds}
-                    for d in drawn
-                ],
-                "captions": str(out / CAPTIONS),
-                "status": f"{len(drawn)} figures drawn",
-            }
-        )  # fmt: skip
-        return
-    for d in drawn:
-        click.echo(f"{d.file}")
-        click.echo(fill(d.caption, 110, initial_indent="  ", subsequent_indent="  "))
-        click.echo(fill(f"Differs from the paper: {d.differs}", 110, initial_indent="  ", subsequent_indent="  "))
-    click.echo(f"captions  {out / CAPTIONS}")
+    document = {
+        "figures": [{"file": str(d.file), **picked(d, "name", "caption", "differs", "seconds")} for d in drawn],
+        "captions": str(out / CAPTIONS),
+        "status": f"{len(drawn)} figures drawn",
+    }
+    lines = [
+        "\n".join([str(d.file), _paragraph(d.caption), _paragraph(f"Differs from the paper: {d.differs}")])
+        for d in drawn
+    ]
+    return Answer(document, [*lines, f"captions  {out / CAPTIONS}"])
+
+
+def _paragraph(text: str) -> str:
+    return fill(text, 110, initial_indent="  ", subsequent_indent="  ")

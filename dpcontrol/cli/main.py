@@ -16,30 +16,44 @@ import click
 import dpcontrol
 from dpcontrol.foundation.errors import GoalMissed, InputError
 
-VERBS = {
-    "demo": "Plan, run, score and picture one itinerary.",
-    "model": "Show a model: parameters, equilibria, eigenvalues.",
-    "orbit": "Compute a Lyapunov orbit, or its family, and its Floquet multipliers.",
-    "connect": "Find all homoclinic or heteroclinic connections of an energy.",
-    "bifurcations": "Find the energies at which connections appear, split or change their hits.",
-    "atlas": "Compute all of an energy: orbits, tubes, connections, their graph.",
-    "walk": "List, count and make walks on the connection graph, and their orbits.",
-    "plan": "Plan an itinerary: shadowing orbit and reference.",
-    "reference": "Show a reference that a plan made: limits, effort, mesh, error, picture.",
-    "run": "Run an itinerary in closed loop and write its log.",
-    "campaign": "Run an itinerary with many seeds; say how often it is completed.",
-    "rig": "Start an example bench that runs can be made on over UDP, in real time.",
-    "score": "Say whether logged runs did what was asked.",
-    "info": "Show what is in a log: topics, rates, metadata, attachments.",
-    "recover": "Rebuild a log that is cut or damaged, and say what is lost.",
-    "review": "Open a log in the viewer, or save a recording or a picture.",
-    "import": "Import a recording of the bench as a log.",
-    "identify": "Identify a model from recordings of the bench.",
-    "replay": "Predict a recording by a model, and run an estimator over it.",
-    "report": "Write one page of a log or of a campaign.",
-    "figures": "Draw the paper's computational figures, with captions.",
-    "bench": "Chart speed against accuracy, and where methods stop working.",
+GROUPS = {
+    "Start": {
+        "demo": "Plan, run, score and picture one itinerary.",
+        "model": "Show a model: parameters, equilibria, eigenvalues.",
+    },
+    "Design": {
+        "orbit": "Compute a Lyapunov orbit, or its family, and its Floquet multipliers.",
+        "connect": "Find all homoclinic or heteroclinic connections of an energy.",
+        "bifurcations": "Find the energies at which connections appear, split or change their hits.",
+        "atlas": "Compute all of an energy: orbits, tubes, connections, their graph.",
+        "walk": "List, count and make walks on the connection graph, and their orbits.",
+        "plan": "Plan an itinerary: shadowing orbit and reference.",
+        "reference": "Show a reference that a plan made: limits, effort, mesh, error, picture.",
+    },
+    "Run": {
+        "run": "Run an itinerary in closed loop and write its log.",
+        "campaign": "Run an itinerary with many seeds; report how often it is completed.",
+        "rig": "Start an example bench for runs over UDP in real time.",
+    },
+    "Review": {
+        "score": "Report whether logged runs did what was asked.",
+        "review": "Open a log in the viewer, or save a recording or a picture.",
+        "report": "Write one page on a log or a campaign.",
+        "info": "Show what is in a log: topics, rates, metadata, attachments.",
+        "recover": "Rebuild a log that is cut or damaged, and report what is lost.",
+    },
+    "Recordings": {
+        "import": "Import a recording of the bench as a log.",
+        "identify": "Identify a model from recordings of the bench.",
+        "replay": "Predict a recording by a model, and run an estimator over it.",
+    },
+    "Charts": {
+        "figures": "Draw the paper's computational figures, with captions.",
+        "bench": "Chart speed against accuracy, and where methods stop working.",
+    },
 }
+"""Verbs by heading, in the order of work, each with what it does."""
+VERBS = {verb: text for verbs in GROUPS.values() for verb, text in verbs.items()}
 
 
 class _Verbs(click.Group):
@@ -64,8 +78,10 @@ class _Verbs(click.Group):
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        with formatter.section("Verbs"):
-            formatter.write_dl(list(VERBS.items()))
+        width = max(map(len, VERBS))
+        for heading, verbs in GROUPS.items():
+            with formatter.section(heading):
+                formatter.write_dl([(verb.ljust(width), text) for verb, text in verbs.items()])
 
 
 @click.group(

@@ -1,67 +1,67 @@
 """dpcontrol orbit"""
 
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
-from dpcontrol.cli.output import (
-    checked_suffix,
-    json_option,
-    multiplier_text,
-    print_json,
-    print_table,
-    progress_bar,
-    reports_failure,
-)
+from dpcontrol.cli.output import progress_bar
+from dpcontrol.cli.verbs import Answer, TextTable, drawn_to, file_option, multiplier_text, option, verb
 from dpcontrol.foundation.errors import GoalMissed, InputError
 
 if TYPE_CHECKING:
-    from dpcontrol.dynamics.system import System
+    from dpcontrol.orbits.family import LyapunovFamily
+    from dpcontrol.orbits.lyapunov import LyapunovOrbit
+    from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
+    from dpcontrol.references.sustained import SustainedOrbit
+    from dpcontrol.scenes.model import Model
+
+ARMS = {"inner": 1, "outer": 2}
+KIND = "Kind of orbit"
+_ROTATING = ("energy (J)", "period (s)", "stability", "multipliers", "state (rad, rad/s)")
+Range = tuple[float, float]
 
 
-@click.command(
-    "orbit",
-    epilog="Example:  dpcontrol orbit lab --saddle down-up --energy -0.07",
-)
+@verb("orbit", example="dpcontrol orbit lab --saddle down-up --energy -0.07")
 @click.argument("model")
-@click.option("--saddle", help="Saddle that the orbit surrounds, inner arm first: down-up, up-down.")
-@click.option(
-    "--rotating", type=click.Choice(["inner", "outer"]), help="Orbits that turn this arm over and over, instead."
+@option("--saddle", group=KIND, help="Saddle that the orbit surrounds, inner arm first: down-up, up-down.")
+@option("--family", default=0, show_default=True, group=KIND, help="Which of the saddle's families, slowest first.")
+@option(
+    "--rotating",
+    type=click.Choice(["inner", "outer"]),
+    group=KIND,
+    help="Orbits that turn this arm over and over, instead.",
 )
-@click.option("--energy", type=float, help="Energy in J, zero at the pivot's height.")
-@click.option("--energies", type=float, nargs=2, metavar="LO HI", help="Follow the family between two energies in J.")
-@click.option("--family", default=0, show_default=True, help="Which of the saddle's families, slowest first.")
-@click.option(
-    "--picture",
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Draw the family, or the sustained orbit, to this PNG.",
+@option(
+    "--sustained",
+    is_flag=True,
+    group=KIND,
+    help="The orbit that friction and cart sustain with the least effort, instead.",
 )
-@click.option(
-    "--sustained", is_flag=True, help="The orbit that friction and cart sustain, with the least effort, instead."
-)
-@click.option(
+@option(
     "--sections",
     type=click.IntRange(1, 1000),
     default=4,
     show_default=True,
+    group=KIND,
     help="For --sustained: how often in a period the input's clock is reset.",
 )
-@json_option
-@reports_failure
+@click.option("--energy", type=float, help="Energy in J, zero at the pivot's height.")
+@click.option("--energies", type=float, nargs=2, metavar="LO HI", help="Follow the family between two energies in J.")
+@file_option("--picture", suffix=".png", help="Draw the family, or the sustained orbit, to this PNG.")
 def command(
     *,
     model: str,
     saddle: str | None,
-    rotating: str | None,
-    energy: float | None,
-    energies: tuple[float, float] | None,
     family: int,
-    picture: Path | None,
+    rotating: str | None,
     sustained: bool,
     sections: int,
-    as_json: bool,
-) -> None:
+    energy: float | None,
+    energies: Range | None,
+    picture: Path | None,
+) -> Answer:
     """Compute the Lyapunov orbit about a saddle at an energy, or its family, with Floquet multipliers.
 
     A family is followed from its saddle until it ends, loses hyperbolicity or leaves the energies asked for.
@@ -80,113 +80,201 @@ def command(
     if sustained:
         if saddle is None or energy is None or energies is not None:
             raise InputError("--sustained makes one orbit about a saddle: give --saddle and --energy with it")
-        _sustained(model, saddle, energy, family, sections, picture, as_json)
-        return
+        return _sustained(load_model(model), saddle, energy, family, sections, picture)
     if picture is not None and energies is None:
         raise InputError("--picture draws a family or a sustained orbit: give --energies LO HI or --sustained with it")
-    if rotating is not None:
-        _rotating(model, rotating, energy, energies, picture, as_json)
-        return
-    assert saddle is not None
-    if (energy is None) == (energies is None):
-        raise InputError("give either --energy for one orbit or --energies LO HI for its family")
-    system = load_model(model).system
-    if energies is not None:
-        _family(system, saddle, energies, family, picture, as_json)
-    else:
-        assert energy is not None
-        _orbit(system, saddle, energy, family, as_json)
-
-
-def _sustained(
-    model: str, saddle: str, energy: float, family: int, sections: int, picture: Path | None, as_json: bool
-) -> None:
-    from dpcontrol.cli.orbit_sustained import show_sustained
-    from dpcontrol.scenes.model import load_model
-
-    if picture is not None:
-        checked_suffix(picture, ".png", option="--picture")
+    if energy is None and energies is None:
+        raise InputError("give --energy for the orbits of one energy or --energies LO HI for their families")
     loaded = load_model(model)
-    show_sustained(loaded, saddle, energy, family=family, sections=sections, picture=picture, as_json=as_json)
+    if rotating is not None:
+        return _rotating(loaded, rotating, energy, energies, picture)
+    assert saddle is not None
+    if energies is None:
+        assert energy is not None
+        orbit = _lyapunov(loaded, saddle, energy, family)
+        return Answer(_orbit_document(orbit), _orbit_text(orbit))
+    if energy is not None:
+        raise InputError("give either --energy for one orbit or --energies LO HI for its family")
+    return _family(loaded, saddle, energies, family, picture)
 
 
-def _rotating(
-    model: str,
-    arm: str,
-    energy: float | None,
-    energies: tuple[float, float] | None,
-    picture: Path | None,
-    as_json: bool,
-) -> None:
-    from dpcontrol.cli.rotating import show_families, show_orbits
-    from dpcontrol.scenes.model import load_model
-
-    if energies is not None:
-        start = (energies[0] + energies[1]) / 2 if energy is None else energy
-        show_families(load_model(model).system, arm, start, energies, picture, as_json=as_json)
-    elif energy is not None:
-        show_orbits(load_model(model).system, arm, energy, as_json=as_json)
-    else:
-        raise InputError("give --energy for the orbits of an energy or --energies LO HI for their families")
-
-
-def _orbit(system: "System", saddle: str, energy: float, family: int, as_json: bool) -> None:
+def _lyapunov(model: "Model", saddle: str, energy: float, family: int) -> "LyapunovOrbit":
     from dpcontrol.orbits.lyapunov import lyapunov_orbit
-    from dpcontrol.walks.atlas import orbit_document
 
-    orbit = lyapunov_orbit(system, saddle, energy=energy, family=family)
+    orbit = lyapunov_orbit(model.system, saddle, energy=energy, family=family)
     if not orbit.converged:
         raise GoalMissed(f"the Lyapunov orbit about {saddle} at {energy:g} J: {orbit.status}")
-    if as_json:
-        print_json(orbit_document(orbit))
-        return
-    click.echo(f"Lyapunov orbit about {saddle} at {energy:g} J: {orbit.status}")
-    click.echo(f"  period       {orbit.period:.15g} s")
-    click.echo(f"  state        {'  '.join(f'{v:.15g}' for v in orbit.state)}   (rad, rad/s)")
-    click.echo(f"  multipliers  {'  '.join(multiplier_text(complex(m)) for m in orbit.floquet_multipliers)}")
-    click.echo(f"  closure      {orbit.residual:.1e} (largest component of x(T) - x(0))")
+    return orbit
 
 
-def _family(
-    system: "System", saddle: str, energies: tuple[float, float], family: int, picture: Path | None, as_json: bool
-) -> None:
-    from dpcontrol.orbits.family import lyapunov_family
+def _orbit_document(orbit: "LyapunovOrbit") -> dict[str, object]:
     from dpcontrol.walks.atlas import orbit_document
 
+    return orbit_document(orbit)
+
+
+def _orbit_text(orbit: "LyapunovOrbit") -> Iterator[str]:
+    yield f"Lyapunov orbit about {orbit.saddle} at {orbit.energy:g} J: {orbit.status}"
+    yield f"  period       {orbit.period:.15g} s"
+    yield f"  state        {'  '.join(f'{v:.15g}' for v in orbit.state)}   (rad, rad/s)"
+    yield f"  multipliers  {'  '.join(multiplier_text(m) for m in orbit.floquet_multipliers)}"
+    yield f"  closure      {orbit.residual:.1e} (largest component of x(T) - x(0))"
+
+
+def _family(model: "Model", saddle: str, energies: Range, family: int, picture: Path | None) -> Answer:
+    from dpcontrol.orbits.family import lyapunov_family
+
     with progress_bar(f"family of {saddle}") as progress:
-        found = lyapunov_family(system, saddle, energies=energies, family=family, progress=progress)
+        found = lyapunov_family(model.system, saddle, energies=energies, family=family, progress=progress)
     if picture is not None:
         from dpcontrol.review.family_figure import write_family_figure
 
         write_family_figure(found, picture)
-    if as_json:
-        print_json(
-            {
-                "family": [orbit_document(m) for m in found.members],
-                "ends": [{"energy": e.energy, "kind": e.kind, "reason": e.reason} for e in found.ends],
-                "events": [{"kind": e.kind, **orbit_document(e.orbit)} for e in found.events],
-                "saddle": saddle,
-                "energies": energies,
-                "status": found.status,
-                "picture": None if picture is None else str(picture),
-            }
+    document = {
+        "family": [_orbit_document(m) for m in found.members],
+        "ends": [{"energy": e.energy, "kind": e.kind, "reason": e.reason} for e in found.ends],
+        "events": [{"kind": e.kind, **_orbit_document(e.orbit)} for e in found.events],
+        "saddle": saddle,
+        "energies": energies,
+        "status": found.status,
+        "picture": None if picture is None else str(picture),
+    }
+    missed = "" if found.converged else f"the family about {saddle}: {found.status}"
+    return Answer(document, [*_family_text(found, saddle), *drawn_to(picture)], missed)
+
+
+def _family_text(found: "LyapunovFamily", saddle: str) -> Iterator[str | TextTable]:
+    chosen = found.members[:: max(1, len(found.members) // 20)]
+    rows = [
+        (
+            f"{m.energy:.9g}",
+            f"{m.period:.9g}",
+            "  ".join(multiplier_text(v, 6) for v in m.floquet_multipliers if abs(abs(v) - 1) > 1e-3),
+            "  ".join(f"{v:.6f}" for v in m.state),
         )
-    else:
-        chosen = found.members[:: max(1, len(found.members) // 20)]
-        rows = [
-            (
-                f"{m.energy:.9g}",
-                f"{m.period:.9g}",
-                "  ".join(multiplier_text(complex(v), 6) for v in m.floquet_multipliers if abs(abs(v) - 1) > 1e-3),
-                "  ".join(f"{v:.6f}" for v in m.state),
-            )
-            for m in chosen
-        ]
-        columns = ("energy (J)", "period (s)", "multipliers but the pair at one", "state (rad, rad/s)")
-        print_table(f"Lyapunov orbits about {saddle}, {len(chosen)} of {len(found.members)}", columns, rows)
-        for side, end in zip(("from", "to"), found.ends, strict=True):
-            click.echo(f"{side:5s}{end.energy:.9g} J: {end.reason}")
-        if picture is not None:
-            click.echo(f"drawn to {picture}")
-    if not found.converged:
-        raise GoalMissed(f"the family about {saddle}: {found.status}")
+        for m in chosen
+    ]
+    columns = ("energy (J)", "period (s)", "multipliers but the pair at one", "state (rad, rad/s)")
+    yield TextTable(f"Lyapunov orbits about {saddle}, {len(chosen)} of {len(found.members)}", columns, rows)
+    for side, end in zip(("from", "to"), found.ends, strict=True):
+        yield f"{side:5s}{end.energy:.9g} J: {end.reason}"
+
+
+def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | None, picture: Path | None) -> Answer:
+    from dpcontrol.orbits.rotating import rotating_families, rotating_orbits
+    from dpcontrol.walks.atlas import rotating_document
+
+    if energy is None:
+        assert energies is not None
+        energy = (energies[0] + energies[1]) / 2
+    system, asked = model.system, {"arm": arm, "energy": energy}
+    orbits = rotating_orbits(system, ARMS[arm], energy)
+    if not orbits:
+        raise GoalMissed(
+            f"no symmetric orbit that turns the {arm} arm of {system.name} over was found at {energy:g} J; "
+            "try a higher energy"
+        )
+    if energies is None:
+        title = f"Orbits of {system.name} at {energy:g} J that turn the {arm} arm forward"
+        document = {
+            "rotating_orbits": [rotating_document(orbit) for orbit in orbits],
+            "count": len(orbits),
+            **asked,
+            "status": f"{len(orbits)} symmetric orbits that turn the {arm} arm forward; each has a reflection",
+        }
+        note = "each has a reflection that turns backward, (θ, ω) → (−θ, −ω), with the same multipliers"
+        return Answer(document, [TextTable(title, _ROTATING, _rotating_rows(orbits)), note])
+    with progress_bar("families of rotating orbits") as progress:
+        families = rotating_families(orbits, energies, progress=progress)
+    if picture is not None:
+        from dpcontrol.review.rotating_figure import write_rotating_figure
+
+        write_rotating_figure(families, picture)
+    document = {
+        "families": [
+            {
+                "members": [rotating_document(member) for member in family.members],
+                "changes": [
+                    {
+                        "critical_trace": c.critical_trace,
+                        "before": c.before,
+                        "after": c.after,
+                        **rotating_document(c.orbit),
+                    }
+                    for c in family.changes
+                ],
+                "folds": [rotating_document(fold) for fold in family.folds],
+                "ends": family.ends,
+                "status": family.status,
+            }
+            for family in families
+        ],
+        "count": len(families),
+        **asked,
+        "energies": energies,
+        "picture": None if picture is None else str(picture),
+        "status": "; ".join(family.status for family in families),
+    }
+    lost = [family.status for family in families if not family.converged]
+    missed = f"{len(lost)} of {len(families)} families of rotating orbits: {'; '.join(lost)}" if lost else ""
+    return Answer(document, [*_rotating_text(families, arm), *drawn_to(picture)], missed)
+
+
+def _rotating_text(families: "Iterable[RotatingFamily]", arm: str) -> Iterator[str | TextTable]:
+    families = list(families)
+    for k, family in enumerate(families, start=1):
+        chosen = family.members[:: max(1, len(family.members) // 12)]
+        title = f"Family {k} of {len(families)}, the {arm} arm turning: {len(chosen)} of {len(family.members)}"
+        yield TextTable(title, _ROTATING, _rotating_rows(chosen))
+        for change in family.changes:
+            yield f"  at {change.orbit.energy:.10g} J: from {change.before} to {change.after}"
+        for fold in family.folds:
+            yield f"  at {fold.energy:.10g} J the family turns back in energy"
+        for side, end in zip(("from", "to"), family.ends, strict=True):
+            yield f"  {side}: {end}"
+
+
+def _rotating_rows(orbits: "Iterable[RotatingOrbit]") -> list[tuple[str, ...]]:
+    return [
+        (
+            f"{o.energy:.9g}",
+            f"{o.period:.12g}",
+            o.kind,
+            "  ".join(multiplier_text(m, 8) for m in o.floquet_multipliers),
+            "  ".join(f"{v:.9f}" for v in o.state),
+        )
+        for o in orbits
+    ]
+
+
+def _sustained(model: "Model", saddle: str, energy: float, family: int, sections: int, picture: Path | None) -> Answer:
+    from dpcontrol.references.sustained import sustained_orbit
+
+    lyapunov = _lyapunov(model, saddle, energy, family)
+    with progress_bar(f"sustained orbit about {saddle}") as progress:
+        orbit = sustained_orbit(lyapunov, model.arms, progress=progress)
+    if not orbit.converged:
+        picture = None
+    if picture is not None:
+        from dpcontrol.review.sustained_figure import write_sustained_figure
+
+        write_sustained_figure(orbit, picture)
+    document = {**orbit.document(sections), "picture": None if picture is None else str(picture)}
+    missed = "" if orbit.converged else f"the sustained orbit about {saddle} at {energy:g} J: {orbit.status}"
+    return Answer(document, () if missed else [*_sustained_text(orbit, sections), *drawn_to(picture)], missed)
+
+
+def _sustained_text(orbit: "SustainedOrbit", sections: int) -> Iterator[str]:
+    reference, lyapunov = orbit.reference, orbit.lyapunov
+    yield f"Sustained orbit about {lyapunov.saddle} at {lyapunov.energy:g} J: {orbit.status}"
+    yield f"  period       {orbit.period:.15g} s, {lyapunov.period:.15g} s without friction"
+    yield f"  state        {'  '.join(f'{v:.9g}' for v in orbit.state(0.0))}   (rad, rad/s, m, m/s)"
+    yield (
+        f"  cart         {reference.rms_cart_acceleration:.4g} m/s² rms, {reference.max_cart_acceleration:.4g} "
+        f"at most; {1e3 * reference.max_cart_position:.3g} mm at most"
+    )
+    yield f"  energy       {orbit.energies[0]:.6g} to {orbit.energies[1]:.6g} J along the orbit"
+    by_section = orbit.section_multipliers(sections)
+    for title, values in (("multipliers", orbit.multipliers), (f"by {sections} sections", by_section)):
+        yield f"  {title:<12} {'  '.join(multiplier_text(m, 9) for m in values)}"
+    yield "               the cart's are 1, 1: driven by its acceleration, nothing holds it in place"

@@ -13,12 +13,14 @@ robot excitation and identification (1997).
 
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.ratios import base_ratios, ratio_names
+from dpcontrol.foundation.documents import picked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
@@ -89,6 +91,16 @@ class Design:
         ranked = self.ranked()
         first = ranked[0]
         return first, max(ranked, key=lambda e: digits(first.matrix + e.matrix))
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol identify --design --json` prints."""
+        experiment = ("kind", "angles", "amplitude", "frequency", "information", "amplification", "usable")
+        return {
+            "unknowns": list(self.names),
+            "experiments": [picked(e, *experiment) for e in self.experiments],
+            "best": [e.text for e in self.ranked()[:5]],
+            "pair": [e.text for e in self.best_pair()],
+        }
 
 
 def digits(matrix: Array) -> float:

@@ -29,12 +29,14 @@ Source: Raue et al., Structural and practical identifiability analysis of partia
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Friction
 from dpcontrol.dynamics.ratios import base_ratios, inertial_count, nearest_arms, ratio_names, unit_name, with_laws
+from dpcontrol.foundation.documents import picked
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
@@ -232,6 +234,31 @@ class Identification:
         deviations = np.sqrt(np.diag(self.covariance))
         scale = np.where((deviations > 0) & np.isfinite(deviations), deviations, np.inf)
         return self.covariance / np.outer(scale, scale)
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol identify --json` prints, the file's name apart."""
+        segment = ("index", "used", "rms", "log", "start", "seconds")
+        return {
+            "parameters": {
+                name: {"value": float(value), "standard_error": float(error)}
+                for name, value, error in zip(self.names, self.values, self.errors, strict=True)
+            },
+            "undetermined": list(self.undetermined),
+            "friction_terms": list(self.friction_terms),
+            "candidates": [
+                {
+                    "terms": list(c.terms),
+                    "left_out_rms": c.left_out_rms,
+                    "left_out_median": float(np.median(c.left_out)),
+                    "left_out_worst": float(c.left_out.max()),
+                    "chosen": k == self.chosen,
+                }
+                for k, c in enumerate(self.candidates)
+            ],
+            "segments": [picked(s, *segment) for s in self.segments],
+            "starting_model_left_out_rms": float(np.sqrt((self.started_at**2).mean())),
+            **picked(self, "zeros", "correlation", "status"),
+        }
 
 
 def identify(

@@ -32,6 +32,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +44,7 @@ from dpcontrol.control.model import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import compiled_step
 from dpcontrol.dynamics.equations import NumericEquations
+from dpcontrol.foundation.documents import picked
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting
@@ -455,6 +457,25 @@ class Replay:
         start = self.recording.time[lost[0][1]]
         reason = next(fit.status for fit in self.fits if not fit.converged)
         return f"{len(lost)} of {len(self.fits)} stretches, the first at {start:.4g} s: {reason}"
+
+    @property
+    def stretch_errors(self) -> list[dict[str, Any]]:
+        """What the prediction of each stretch is off: rms in rad, of each angle and of all."""
+        rows: list[dict[str, Any]] = []
+        for (index, first, _), fit in zip(self.stretches, self.fits, strict=True):
+            own = {f"rms_angle_{i + 1}": float(value) for i, value in enumerate(fit.residual)}
+            rms = float(np.sqrt(np.mean(np.square(fit.residual))))
+            start = float(self.recording.time[first])
+            rows.append({"index": index, "start": start, **own, "rms": rms, "converged": fit.converged})
+        return rows
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol replay --json` prints, the log's and the model's names apart."""
+        return {
+            "segments": self.stretch_errors,
+            **picked(self, "nis_inside_95", "nis_below_95", "rates_rms", "cart", "status"),
+            "rms_ahead": {str(samples): rms for samples, rms in self.ahead.items()},
+        }
 
 
 def filter_settings(name: str, *, model_error: float = 0.003) -> EstimatorSettings:

@@ -27,6 +27,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -34,6 +35,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.equations import Equations
+from dpcontrol.foundation.documents import picked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.curve import OrbitCurve
@@ -286,6 +288,24 @@ class SustainedOrbit:
             for m, before, after in zip(maps, bases, bases[1:] + bases[:1], strict=True)
         ]
         return _with_cart(eigenvalues_of_both(*products(np.array(parts))))
+
+    def document(self, sections: int) -> dict[str, Any]:
+        """Return what `dpcontrol orbit --sustained --json` prints, with the multipliers of so many sections."""
+        reference, there = self.reference, self.converged
+        return {
+            **picked(self.lyapunov, "saddle", "family"),
+            **picked(self, "energy", "energies", "period", "departure", "residual", "converged", "status"),
+            "lyapunov_period": self.lyapunov.period,
+            "state": self.state(0.0),
+            "multipliers": self.multipliers if there else None,
+            "sections": sections,
+            "section_multipliers": self.section_multipliers(sections) if there else None,
+            "u_rms": reference.rms_cart_acceleration,
+            "u_max": reference.max_cart_acceleration,
+            **picked(reference, "max_cart_position", "max_cart_velocity", "iterations", "solve_seconds"),
+            "error_between_nodes": reference.max_error_between_nodes,
+            "intervals": len(reference.mesh) - 1,
+        }
 
     def _spans(self, begin: float, duration: float) -> list[tuple[float, float, float]]:
         """Return (from, to, time before) of the one or two stretches of the period's clock that make up a time."""
