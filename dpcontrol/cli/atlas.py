@@ -62,7 +62,7 @@ def command(
     else:
         _print(atlas)
         click.echo(f"file  {file}{' (cached)' if found.cached else ''}")
-    if atlas.failed:
+    if not atlas.complete:
         raise GoalMissed(f"the atlas of {model} at {energy:g} J is not complete: {atlas.status}")
 
 

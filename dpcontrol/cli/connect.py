@@ -149,7 +149,7 @@ def command(
             click.echo(f"open: {tube} tube, branch {end.branch:+d}, phase {low:.6f} … {high:.6f}: {end.reason}")
         if len(search.open_ends) > SHOWN:
             click.echo(f"… and {len(search.open_ends) - SHOWN} more open ends, which --json lists")
-    if name is None and (search.failed or not all(cut.resolved for cut in search.cuts)):
+    if name is None and not search.complete:
         raise GoalMissed(f"the search between {source} and {target} is not complete: {search.status}")
 
 

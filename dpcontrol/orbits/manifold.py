@@ -16,6 +16,9 @@ from dpcontrol.orbits.lyapunov import LyapunovOrbit
 
 Array = NDArray[np.float64]
 
+_STEEPEST = 0.95  # of the vectors' growth: how much of it a change of the seeds' distance may undo
+_PROBES = 96  # phases at which the vectors' lengths are compared
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -101,19 +104,40 @@ class UnstableManifold:
         lengths = np.linalg.norm(raw / system.scale, axis=1)
         return Frame(phases, states, raw, state_slopes, raw_slopes, lengths)
 
+    @cached_property
+    def _evening(self) -> tuple[float, float]:
+        """How seeds' distances follow the vectors' lengths l(φ): as (l/L)^e; returns (e, L), L the largest length.
+
+        With e = 0 every seed is `distance` away. Where the vectors shrink faster than trajectories leave, such seeds
+        meet one trajectory several times; e = 1 (constant amplitudes) meets each once, from nearer seeds.
+        """
+        frame = self.frame(np.arange(_PROBES) / _PROBES)
+        along = np.sum(frame.vectors * frame.vector_slopes / self.orbit.system.scale**2, axis=1) / frame.lengths**2
+        steepest = float(np.max(-along)) / self.exponent
+        return 1 - min(1.0, _STEEPEST / steepest) if steepest > 0 else 0.0, float(frame.lengths.max())
+
+    def amplitude(self, phase: float, branch: int) -> float:
+        """Return the amplitude a of the seed γ(φ) + a v(φ) at a phase."""
+        length = float(self.frame(np.array([phase])).lengths[0])
+        exponent, longest = self._evening
+        return branch * self.distance * (length / longest) ** exponent / length
+
     def seeds(self, phases: Array, branch: int) -> tuple[Array, Array]:
         """Return seeds (K, N) on the manifold and their derivatives (K, N) by phase.
 
-        Seeds lie `distance` (scaled) from the orbit and are moved onto its energy along the energy's gradient; the
-        derivative leaves out how that small correction (δ²) changes with phase, which only slows Newton a little.
+        Seeds lie `distance` (scaled) from the orbit, or nearer where trajectories would otherwise meet their curve more
+        than once, and are moved onto its energy along the energy's gradient; the derivative leaves out how that small
+        correction (δ²) changes with phase, which only slows Newton a little.
         """
         frame = self.frame(phases)
         numeric, scale = self.orbit.system.numeric, self.orbit.system.scale
         lengths = frame.lengths[:, None]
         vectors = frame.vectors / lengths
         along = np.sum(vectors * frame.vector_slopes / scale**2, axis=1, keepdims=True) / lengths
-        seeds = frame.states + branch * self.distance * vectors
-        slopes = frame.state_slopes + branch * self.distance * (frame.vector_slopes / lengths - vectors * along)
+        exponent, longest = self._evening
+        distances = branch * self.distance * (lengths / longest) ** exponent
+        seeds = frame.states + distances * vectors
+        slopes = frame.state_slopes + distances * (frame.vector_slopes / lengths + (exponent - 1) * along * vectors)
         for _ in range(3):
             gradient = numeric.gradient(seeds) * scale
             excess = numeric.hamiltonian(seeds) - self.orbit.energy

@@ -58,8 +58,8 @@ from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.orbits.rotating import RotatingOrbit, can_rotate, rotating_orbits
 from dpcontrol.scenes.cache import cache_folder, code_hash
 from dpcontrol.scenes.model import Model
-from dpcontrol.tubes.connection import Connection
-from dpcontrol.tubes.connections import ConnectionSearch, can_be_reversed, find_connections, reversed_search
+from dpcontrol.tubes.connection import Connection, can_be_reversed
+from dpcontrol.tubes.connections import ConnectionSearch, find_connections, reversed_search
 from dpcontrol.tubes.cut import Cut, Piece, section_points, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.atlas import (

@@ -19,8 +19,12 @@ from dpcontrol.tubes.intersections import ConnectionSettings, Intersection
 
 Array = NDArray[np.float64]
 
-_SAME_PHASE = 1e-7
-"""Rounding moves the phase of a connection by about 1e-10; members of a pair differ by more but at their pitchfork."""
+_ROUNDING = 1e-13
+"""What rounding leaves of a gap between two tubes, scaled: divided by their angle, it is how far it moves their
+intersection along them."""
+
+_MIDDLE = 1e-3
+"""Of a period: how far from its expected time the middle of an orbit may lie that a reverser turns into itself."""
 
 
 @dataclass(frozen=True)
@@ -72,9 +76,11 @@ def described_connection(
     entries = [k for k in winding if k]
     direction = int(np.sign(rate))
     sense = int(np.sign(entries[0])) if source.saddle == target.saddle and entries else direction
-    symmetric = source.saddle == target.saddle and _is_mirrored_into_itself(orbit)
     first, second = (crossing.tangents[:, k] / np.linalg.norm(crossing.tangents[:, k]) for k in (0, 1))
     angle = np.degrees(np.arcsin(min(1.0, abs(first[0] * second[1] - first[1] * second[0]))))
+    # The seeds of one tube are the other's turned around: between them lies the middle.
+    middle = (crossing.times[1] - crossing.times[0]) / 2
+    symmetric = source.saddle == target.saddle and _meets_a_mirror(orbit, middle, uncertainty(angle, settings.same))
     hits = (crossing.sides[0].hit, crossing.sides[1].hit)
     time_out, phase_out = approach(orbit, curves[0], -1, settings.near)
     time_in, phase_in = approach(orbit, curves[1], +1, settings.near)
@@ -98,21 +104,31 @@ def described_connection(
     )
 
 
-def _is_mirrored_into_itself(orbit: ConnectingOrbit) -> bool:
-    """Whether a reverser turns a homoclinic orbit into itself, wherever on it the section lies.
+def uncertainty(angle: float, least: float) -> float:
+    """Return how far rounding may move a connection along its tubes (scaled) that meet at `angle` (degrees)."""
+    return max(least, _ROUNDING / max(float(np.radians(angle)), float(np.finfo(float).eps)))
 
-    φ - ln|a|/μ is the same all along an orbit of the unstable manifold, and with the side tells it from the others; the
-    stable end carries that of the turned-around orbit.
-    """
-    start, end = orbit.start, orbit.end
-    manifold = start.manifold
-    apart = (end.phase - start.phase) - np.log(abs(end.amplitude / start.amplitude)) / manifold.exponent
-    if end.amplitude * start.amplitude < 0:
-        # The half turn S leads from one side to the other: the orbit may be mirrored by the other reverser.
-        if not manifold.branches_are_mirrored:
-            return False
-        apart += 0.5
-    return bool(abs(apart - np.rint(apart)) < _SAME_PHASE)
+
+def _meets_a_mirror(orbit: ConnectingOrbit, middle: float, within: float) -> bool:
+    """Whether a homoclinic orbit meets a reverser's fixed set near the time `middle`: the reverser turns it into
+    itself, wherever on it the section lies."""
+    system, centre = orbit.system, orbit.start.manifold.orbit.centre
+    half = np.where(np.isfinite(system.periods), system.periods / 2, np.inf)
+    for reverser in system.reversers:
+        turned_over, time = (np.eye(system.dimension) - reverser) / 2, middle
+        for _ in range(4):
+            state = orbit.sample(np.array([time]))[0]
+            off = turned_over @ (state - centre)
+            off = (off - np.where(np.isfinite(half), np.rint(off / half), 0.0) * system.turn_lengths / 2) / system.scale
+            rate = turned_over @ system.numeric.rate(state) / system.scale
+            time -= float(off @ rate / (rate @ rate))
+            if abs(time - middle) > _MIDDLE * orbit.start.manifold.orbit.period:
+                # Farther on the periodic orbits themselves meet the mirror.
+                break
+        else:
+            if np.abs(off).max() < within:
+                return True
+    return False
 
 
 def approach(orbit: ConnectingOrbit, curve: OrbitCurve, sign: int, near: float) -> tuple[float, float]:
@@ -175,6 +191,73 @@ def mirrored(connection: Connection) -> Connection:
         phase_out=(connection.phase_out + 0.5) % 1.0,
         phase_in=(connection.phase_in + 0.5) % 1.0,
         orbit=replace(orbit, start=start, end=end, states=image(orbit.states)),
+    )
+
+
+def can_be_reversed(system: System, source: str, target: str, *, section: Section | None = None) -> bool:
+    """Tell whether the reverser keeps both saddles and a section, and so every search on it.
+
+    section: the one that was searched on, None for the one between the saddles either way.
+    """
+    reverser = system.reversers[0]
+    forward = section or system.sections.get((source, target))
+    backward = section or system.sections.get((target, source))
+    if forward is None or forward != backward:
+        return False
+    kept = all(np.allclose(reverser @ system.equilibrium(name), system.equilibrium(name)) for name in (source, target))
+    normal = np.asarray(forward.normal)
+    image = normal @ reverser
+    # Only a section through the origin may be turned over.
+    same = np.allclose(image, normal) or (np.allclose(image, -normal) and forward.offset == 0)
+    sided = forward.side is None or np.allclose(np.asarray(forward.side) @ reverser, forward.side)
+    return kept and bool(same) and bool(sided)
+
+
+def _reversed_phase(orbit: LyapunovOrbit, phase: float) -> float:
+    """Return the phase of A γ(φ): orbits start on the last reverser's fixed set, half a period from the first's."""
+    return ((0.5 if len(orbit.system.reversers) > 1 else 0.0) - phase) % 1.0
+
+
+def reversed_in_time(connection: Connection) -> Connection:
+    """Return the connection from target to source that is this one run backward.
+
+    With A the reverser that turns unstable tubes into stable ones, x(t) a connection on its lift and k the whole turns
+    at its end, y(t) = A x(-t) - A k is one on the lift that starts at the target's named position.
+    """
+    orbit, source, target = connection.orbit, connection.target, connection.source
+    system, section = source.system, connection.section
+    reverser = system.reversers[0]
+    turns = -reverser @ np.asarray(orbit.end.turns) + 0.0
+    lift = turns * system.turn_lengths
+    state = reverser @ connection.state + lift
+    winding = tuple(int(k) for k in turns[: len(connection.winding)])
+    hits = (connection.hits[1], connection.hits[0])
+    # The turned-around stable end is a point of the unstable manifold, with the same phase and amplitude.
+    start = replace(orbit.end, stable=False, turns=(0.0,) * system.dimension)
+    end = replace(orbit.start, stable=True, turns=tuple(float(k) for k in turns))
+    direction = int(np.sign(system.numeric.rate(state) @ np.asarray(section.normal)))
+    entries = [k for k in winding if k]
+    homoclinic = source.saddle == target.saddle
+    return replace(
+        connection,
+        name=connection_name(system, (source.saddle, target.saddle), winding, hits, state, section),
+        source=source,
+        target=target,
+        state=state,
+        winding=winding,
+        sense=int(np.sign(entries[0])) if homoclinic and entries else direction,
+        hits=hits,
+        time_out=connection.time_in,
+        time_in=connection.time_out,
+        phase_out=_reversed_phase(source, connection.phase_in),
+        phase_in=_reversed_phase(target, connection.phase_out),
+        orbit=replace(
+            orbit,
+            start=start,
+            end=end,
+            times=-orbit.times[::-1],
+            states=orbit.states[::-1] @ reverser.T + lift,
+        ),
     )
 
 

@@ -7,8 +7,7 @@ Source: Kaheman et al. (2023), section 3.
 
 Connections the other way, by time reversal: a connection a → b, turned around, is a connection b → a.
 
-With A the reverser that turns unstable tubes into stable ones, x(t) a connection on its lift and k the whole turns at
-its end, y(t) = A x(-t) - A k is one on the lift that starts at b's named position. Nothing is searched again.
+Nothing is searched again.
 """
 
 from dataclasses import dataclass, replace
@@ -23,19 +22,28 @@ from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.curve import OrbitCurve, local_manifold
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.shooting.orbit import Anchor, ConnectingOrbit, ManifoldEnd, solve_connecting_orbit
-from dpcontrol.tubes.connection import Connection, connection_name, described_connection, mirrored
+from dpcontrol.tubes.connection import (
+    Connection,
+    can_be_reversed,
+    described_connection,
+    mirrored,
+    reversed_in_time,
+    uncertainty,
+)
 from dpcontrol.tubes.cut import Cut, OpenEnd, section_points, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, Intersection, balanced, intersect_cuts
 
 Array = NDArray[np.float64]
+
+_TANGENT = 1e-5  # scaled: rounding that moves an intersection farther may hide the others of a bifurcation
 
 
 @dataclass(frozen=True)
 class ConnectionSearch:
     """All connections found between two orbits on one section, and what may hide others.
 
-    failed: crossings of the cuts that did not converge. complete: none failed, both cuts are closed, and they cross as
-    often one way as the other.
+    failed: crossings of the cuts that did not converge. complete: none failed, the cuts are resolved and open only
+    where nothing is hidden, closed ones cross as often one way as the other, and no two are tangent to rounding.
     """
 
     source: LyapunovOrbit
@@ -129,17 +137,31 @@ def find_connections(
             found.append(connection)
             if manifolds[0].branches_are_mirrored and manifolds[1].branches_are_mirrored:
                 found.append(mirrored(connection))
+    if (
+        hits[0] == hits[1]
+        and source is target
+        and can_be_reversed(system, source.saddle, source.saddle, section=section)
+    ):
+        for image in [reversed_in_time(connection) for connection in found if not connection.symmetric]:
+            if not _known(system, image, found, settings.same):
+                found.append(image)
     # Ties in the position are noise: sorting on rounded values keeps the order from run to run.
     found.sort(key=lambda c: (-c.sense, *np.round(section_points(system, section, c.state), 6)))
-    complete = even and not failed and all(cut.resolved and not cut.open_ends for cut in (unstable, backward))
-    unresolved = not all(cut.resolved for cut in (unstable, backward))
-    count = f"{'at least ' if failed or unresolved or not even else ''}{len(found)} connections"
+    resolved = all(cut.resolved for cut in (unstable, backward))
+    hidden = [end for cut in (unstable, backward) for end in cut.open_ends if end.hides]
+    tangent = sum(uncertainty(c.transversality_angle, settings.same) > _TANGENT for c in found)
+    complete = even and resolved and not (failed or hidden or tangent)
+    count = f"{'' if complete else 'at least '}{len(found)} connections"
     status = f"{count}; unstable tube {unstable.status}; stable tube {backward.status}"
     if not even:
         status += "; closed cuts cross one way more often than the other, so crossings were missed: refine the chord"
     if failed:
         status += f"; {failed} crossings of the cuts did not converge: refine the chord"
-    if unstable.open_ends or backward.open_ends:
+    if tangent:
+        status += f"; the tubes are tangent to rounding at {tangent}, so near a bifurcation that each may be several"
+    if hidden:
+        status += "; the cuts are open (see open_cuts) where connections may lie: allow more time, or search thoroughly"
+    elif unstable.open_ends or backward.open_ends:
         status += "; the cuts are open (see open_cuts), so crossings beyond their ends belong to other hits"
     progress("connections", 1.0)
     return ConnectionSearch(source, target, tuple(found), (unstable, backward), failed, complete, status)
@@ -153,10 +175,13 @@ def _crosses(curve: OrbitCurve, section: Section) -> bool:
 
 def _known(system: System, connection: Connection, found: list[Connection], tolerance: float) -> bool:
     """Whether a connection was found before: pieces of scattered cuts overlap where they join."""
-    return any(
-        other.winding == connection.winding and bool(system.scaled_distance(other.state, connection.state) < tolerance)
-        for other in found
-    )
+
+    def same(other: Connection) -> bool:
+        flattest = min(other.transversality_angle, connection.transversality_angle)
+        apart = float(system.scaled_distance(other.state, connection.state))
+        return other.winding == connection.winding and apart < uncertainty(flattest, tolerance)
+
+    return any(same(other) for other in found)
 
 
 def _shot(crossing: Intersection, settings: ConnectionSettings) -> ConnectingOrbit:
@@ -165,7 +190,7 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ConnectingOrb
     for side, phase, flight in zip(crossing.sides, crossing.phases, crossing.times, strict=True):
         manifold = side.manifold
         system, period = manifold.orbit.system, manifold.orbit.period
-        amplitude = side.branch * manifold.distance / float(manifold.frame(np.array([phase])).lengths[0])
+        amplitude = manifold.amplitude(float(phase), side.branch)
         turns = crossing.turns if side.stable else np.zeros(system.dimension)
         seed_end = ManifoldEnd(manifold, side.stable, float(phase), amplitude, tuple(float(k) for k in turns))
         # Time runs from the seed to the section here, whichever way the tube flows.
@@ -193,25 +218,6 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ConnectingOrb
     )
 
 
-def can_be_reversed(system: System, source: str, target: str, *, section: Section | None = None) -> bool:
-    """Tell whether the reverser keeps both saddles and a section, and so every search on it.
-
-    section: the one that was searched on, None for the one between the saddles either way.
-    """
-    reverser = system.reversers[0]
-    forward = section or system.sections.get((source, target))
-    backward = section or system.sections.get((target, source))
-    if forward is None or forward != backward:
-        return False
-    kept = all(np.allclose(reverser @ system.equilibrium(name), system.equilibrium(name)) for name in (source, target))
-    normal = np.asarray(forward.normal)
-    image = normal @ reverser
-    # Only a section through the origin may be turned over.
-    same = np.allclose(image, normal) or (np.allclose(image, -normal) and forward.offset == 0)
-    sided = forward.side is None or np.allclose(np.asarray(forward.side) @ reverser, forward.side)
-    return kept and bool(same) and bool(sided)
-
-
 def reversed_search(search: ConnectionSearch) -> ConnectionSearch:
     """Return the search from target to source that time reversal makes of one from source to target.
 
@@ -221,7 +227,7 @@ def reversed_search(search: ConnectionSearch) -> ConnectionSearch:
     system = search.source.system
     if not can_be_reversed(system, search.source.saddle, search.target.saddle, section=search.cuts[0].section):
         raise ValueError(f"time reversal does not keep the section from {search.source.saddle}")
-    found = [_reversed(connection) for connection in search.connections]
+    found = [reversed_in_time(connection) for connection in search.connections]
     if found:
         section = found[0].section
         found.sort(key=lambda c: (-c.sense, *np.round(section_points(system, section, c.state), 6)))
@@ -237,47 +243,4 @@ def reversed_search(search: ConnectionSearch) -> ConnectionSearch:
         connections=tuple(found),
         cuts=(unstable, stable),
         status=status,
-    )
-
-
-def _reversed_phase(orbit: LyapunovOrbit, phase: float) -> float:
-    """Return the phase of A γ(φ): orbits start on the last reverser's fixed set, half a period from the first's."""
-    return ((0.5 if len(orbit.system.reversers) > 1 else 0.0) - phase) % 1.0
-
-
-def _reversed(connection: Connection) -> Connection:
-    orbit, source, target = connection.orbit, connection.target, connection.source
-    system, section = source.system, connection.section
-    reverser = system.reversers[0]
-    turns = -reverser @ np.asarray(orbit.end.turns) + 0.0
-    lift = turns * system.turn_lengths
-    state = reverser @ connection.state + lift
-    winding = tuple(int(k) for k in turns[: len(connection.winding)])
-    hits = (connection.hits[1], connection.hits[0])
-    # The turned-around stable end is a point of the unstable manifold, with the same phase and amplitude.
-    start = replace(orbit.end, stable=False, turns=(0.0,) * system.dimension)
-    end = replace(orbit.start, stable=True, turns=tuple(float(k) for k in turns))
-    direction = int(np.sign(system.numeric.rate(state) @ np.asarray(section.normal)))
-    entries = [k for k in winding if k]
-    homoclinic = source.saddle == target.saddle
-    return replace(
-        connection,
-        name=connection_name(system, (source.saddle, target.saddle), winding, hits, state, section),
-        source=source,
-        target=target,
-        state=state,
-        winding=winding,
-        sense=int(np.sign(entries[0])) if homoclinic and entries else direction,
-        hits=hits,
-        time_out=connection.time_in,
-        time_in=connection.time_out,
-        phase_out=_reversed_phase(source, connection.phase_in),
-        phase_in=_reversed_phase(target, connection.phase_out),
-        orbit=replace(
-            orbit,
-            start=start,
-            end=end,
-            times=-orbit.times[::-1],
-            states=orbit.states[::-1] @ reverser.T + lift,
-        ),
     )

@@ -8,7 +8,7 @@ Samples of a tube's cut: seeds flown to the section, refined in phase until neig
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -145,11 +145,16 @@ def refined(sampler: Sampler, start: float) -> tuple[list[Sample], str]:
 
 @dataclass(frozen=True)
 class OpenEnd:
-    """Phases between which a cut is open, and why."""
+    """Phases between which a cut is open, and why.
+
+    hides: whether more of the same crossing may lie between them. Nothing does where trajectories graze the section,
+    nor where they do not arrive within a time that was asked for.
+    """
 
     branch: int
     phase_interval: tuple[float, float]
     reason: str
+    hides: bool
 
 
 @dataclass(frozen=True)
@@ -185,20 +190,17 @@ class Cut:
     status: str
 
 
-def _reason(a: Sample, b: Sample, hit: int, grazing: float) -> str:
-    """Say why the curve is open between two indistinguishable phases."""
-    if a.point is None or b.point is None:
-        return (
-            f"trajectories on one side do not arrive at crossing {hit} in the time allowed; they stay near an "
-            "orbit or librate"
-        )
-    slow = min(abs(a.normal_rate), abs(b.normal_rate))
+def _jump(a: Sample, b: Sample, sampler: Sampler, grazing: float) -> OpenEnd:
+    """Return the end between two indistinguishable phases that arrive far apart."""
+    slow, interval = min(abs(a.normal_rate), abs(b.normal_rate)), (a.phase % 1, b.phase % 1)
     if slow > grazing:
-        return (
-            f"jumps: neighbouring trajectories part before crossing {hit} (normal rates {a.normal_rate:.3g} and "
-            f"{b.normal_rate:.3g}); they pass near another orbit or were not refined further"
+        reason = (
+            f"jumps: neighbouring trajectories part before crossing {sampler.hit} (normal rates {a.normal_rate:.3g} "
+            f"and {b.normal_rate:.3g}); they pass near another orbit or were not refined further"
         )
-    return f"grazes the section: crossing {hit} jumps where the normal rate falls to {slow:.1e} rad/s"
+        return OpenEnd(sampler.branch, interval, reason, hides=True)
+    reason = f"grazes the section: crossing {sampler.hit} jumps where the normal rate falls to {slow:.1e} rad/s"
+    return OpenEnd(sampler.branch, interval, reason, hides=False)
 
 
 def _pieces(samples: list[Sample], sampler: Sampler) -> tuple[list[Piece], list[OpenEnd]]:
@@ -220,8 +222,7 @@ def _pieces(samples: list[Sample], sampler: Sampler) -> tuple[list[Piece], list[
                 if runs[-1]:
                     runs.append([])
                 if sample.point is not None and following.point is not None:
-                    interval = (sample.phase % 1, following.phase % 1)
-                    gaps.append(OpenEnd(sampler.branch, interval, _reason(sample, following, sampler.hit, grazing)))
+                    gaps.append(_jump(sample, following, sampler, grazing))
             if following.point is not None and never:
                 gaps.append(_never(never, sampler))
                 never = []
@@ -245,7 +246,7 @@ def _never(phases: list[float], sampler: Sampler) -> OpenEnd:
         f"never arrives: {len(phases)} phases do not reach crossing {sampler.hit} of {sampler.section.name} within "
         f"{sampler.longest:g} periods"
     )
-    return OpenEnd(sampler.branch, (phases[0] % 1, phases[-1] % 1), reason)
+    return OpenEnd(sampler.branch, (phases[0] % 1, phases[-1] % 1), reason, hides=sampler.settings.longest is None)
 
 
 def _piece(run: list[Sample], branch: int, closed: bool) -> Piece:
@@ -296,7 +297,7 @@ def tube_cut(manifold: UnstableManifold, section: Section, *, hit: int = 1, sett
         if manifold.branches_are_mirrored:
             pieces += [_mirrored(manifold, section, piece) for piece in found]
             gaps += [
-                OpenEnd(-g.branch, ((g.phase_interval[0] + 0.5) % 1, (g.phase_interval[1] + 0.5) % 1), g.reason)
+                replace(g, branch=-g.branch, phase_interval=tuple((p + 0.5) % 1 for p in g.phase_interval))
                 for g in open_ends
             ]
     if not pieces:

@@ -93,13 +93,15 @@ def _to_segment(points: Array, start: Array, end: Array) -> Array:
 
 _BESIDE = 1e-3  # phase over which the cuts' bend is measured, less than the 1/100 between the first samples of a cut
 _FARTHEST_PARTNER = 0.05  # phase; the polylines tell partners apart that are farther off
+_AT_REST = 1e-10  # of a phase: Newton's steps where the rounding of seeds, grown with the flight, is what is left
 
 
 @dataclass(frozen=True)
 class ConnectionSettings:
     """distance: of seeds from their orbits, scaled (truncation falls as its cube, rounding grows as its inverse).
 
-    accept: largest gap between the two tubes' arrivals that the search takes for a connection before it is refined;
+    accept: gap between the two tubes' arrivals below which they are taken for a connection before it is refined, as
+    they are where only rounding keeps the gap larger;
     lead: periods of each orbit at least, farthest: scaled distance from it at most (its square is left out), and
     segments: nodes per period, in the multiple-shooting refinement; near: scaled distance at which a connection is said
     to have joined its orbit. finest: chord to which cuts are refined where closed ones cross unevenly.
@@ -309,7 +311,7 @@ def _newton(
     system: System, sides: tuple[TubeSide, TubeSide], guess: Array, settings: ConnectionSettings
 ) -> Intersection | None:
     """Solve for the two phases; None where Newton leaves the neighbourhood or does not converge."""
-    phases = guess.copy()
+    phases, resting = guess.copy(), np.inf
     for _ in range(settings.newton_iterations):
         met = _meeting(system, sides, phases)
         if met is None:
@@ -320,6 +322,11 @@ def _newton(
         step = np.linalg.lstsq(_slopes(crossing), miss, rcond=1e-12)[0]
         # A step of more than a few hundredths of a phase would leave the guess's neighbourhood.
         longest = float(np.max(np.abs(step)))
+        if longest < _AT_REST:
+            # Sensitive flights end this far apart from phases that differ by rounding alone.
+            if float(np.abs(gap).max()) >= resting:
+                return crossing
+            resting = float(np.abs(gap).max())
         phases = phases - step * min(1.0, 0.05 / longest if longest else 1.0)
         if np.max(np.abs(phases - guess)) > 0.2:
             return None

@@ -12,8 +12,8 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
-from dpcontrol.tubes.connection import Connection
-from dpcontrol.tubes.connections import can_be_reversed, find_connections, reversed_search
+from dpcontrol.tubes.connection import Connection, can_be_reversed
+from dpcontrol.tubes.connections import find_connections, reversed_search
 from dpcontrol.walks.rotating import is_rotating, rotating_connections, rotating_named
 from dpcontrol.walks.symbols import Symbol
 

@@ -12,7 +12,8 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.scenes import atlas as atlas_module
 from dpcontrol.scenes.atlas import AtlasSettings, compute_atlas, load_atlas, make_atlas, save_atlas
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.connections import can_be_reversed, find_connections, orbits_between, reversed_search
+from dpcontrol.tubes.connection import can_be_reversed
+from dpcontrol.tubes.connections import find_connections, orbits_between, reversed_search
 from dpcontrol.walks.atlas import Atlas
 from tests.command_line import dpcontrol
 from tests.reference_values import CONNECTIONS, LYAPUNOV_ORBITS
