@@ -238,9 +238,9 @@ def atlas_status(
     incomplete = [k for k in kinds if not k.complete]
     if incomplete:
         names = ", ".join(f"{k.source} → {k.target} at {list(k.hits)}" for k in incomplete)
-        parts.append(f"cuts are open or crossings failed in {names}, so connections at these hits may be missing")
+        parts.append(f"the searches of {names} are not complete: connections at these hits may be missing")
     elif kinds:
-        parts.append("all cuts are closed and resolved, so none of these hits is missing down to the cuts' chord")
+        parts.append("all cuts are resolved, so none of these hits is missing down to the cuts' chord")
     parts += [reason for _, reason in absent]
     return "; ".join(parts)
 

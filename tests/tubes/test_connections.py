@@ -143,7 +143,9 @@ def test_transversality_angles_do_not_depend_on_where_tangents_are_taken_from(fo
 
 def test_open_cuts_are_reported_with_their_cause(found):
     search = found["down-up", "down-up", 0.2]
-    assert not search.complete
+    # Beyond a graze an earlier crossing counts, so that nothing is missing of this one.
+    assert search.complete
+    assert not any(end.hides for _, end in search.open_ends)
     assert {end.branch for _, end in search.open_ends} == {1, -1}
     assert all("grazes" in end.reason for _, end in search.open_ends)
     assert "open" in search.status

@@ -1,0 +1,94 @@
+"""Searches name each connection once, know which are symmetric, and admit what they may have missed."""
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+from uniform_rods import uniform_rods
+
+from dpcontrol.bifurcations.bifurcations import find_bifurcations
+from dpcontrol.bifurcations.sweep import SweepSettings
+from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.connections import ConnectionSearch, find_connections, orbits_between
+from dpcontrol.walks.edges import find_edges
+from dpcontrol.walks.symbols import choose, parse_symbol
+
+ON_MIRROR = 1e-8  # rad
+STATE = 1e-7  # scaled
+PITCHFORK = -0.10032106461843  # J, of the lab's Down-Up homoclinics, 4 below and 8 above: good to 1e-11
+
+
+def homoclinics(model: str, saddle: str, energy: float) -> ConnectionSearch:
+    return find_connections(*orbits_between(load_model(model).system, saddle, saddle, energy))
+
+
+@pytest.mark.parametrize("energies", [(0.0975, 0.0979), (0.1715, 0.1720)], ids=str)
+def test_a_trajectory_that_meets_its_orbits_neighbourhood_again_is_no_saddle_node(energies):
+    system = load_model("printed").system
+    found = find_bifurcations(system, "down-up", "down-up", energies=energies, settings=SweepSettings(energies=2))
+    assert found.complete
+    assert not found.events
+    assert {c.count for c in found.counts} == {12}
+
+
+def test_next_to_a_pitchfork_each_connection_is_counted_once():
+    assert len(homoclinics("lab", "down-up", PITCHFORK + 1e-9).connections) == 8
+    # Nearer the tubes are tangent to rounding, which is admitted.
+    assert not homoclinics("lab", "down-up", PITCHFORK + 1e-10).complete
+
+
+@pytest.mark.parametrize("energy", [0.06, 0.17, 0.18, 0.195])
+def test_symmetric_connections_are_those_on_the_mirror_however_strong_the_orbit(energy):
+    search = homoclinics("printed", "down-up", energy)
+    for c in search.connections:
+        assert c.symmetric == (abs(np.sin(c.state[0])) < ON_MIRROR), c.name
+    assert any(c.symmetric for c in search.connections)
+
+
+def test_a_short_symbol_names_one_motion_from_energy_to_energy():
+    system = load_model("printed").system
+    named = []
+    for energy in (0.17, 0.18, 0.19):
+        edges = find_edges(system, energy, pairs=[("down-up", "down-up")])
+        named.append(choose(parse_symbol("down-up +", edges.saddles), edges.connections))
+    assert all(c.symmetric for c in named)
+    rates = np.array([c.state[2:] for c in named])
+    # The same motion moves little where its energy does.
+    assert np.abs(np.diff(rates, axis=0)).max() < 0.1 * np.abs(rates).max()
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("connect", "three-body", "--from", "L2", "--to", "L2", "--energy", "-1.5185"),
+        ("connect", "printed", "--from", "up-down", "--to", "up-down", "--energy", "0.18706681656897742"),
+        ("atlas", "point-mass", "--energy", "0.3"),
+    ],
+    ids=lambda arguments: " ".join(arguments[:2]),
+)
+def test_a_search_that_may_be_incomplete_exits_with_one(arguments):
+    shown = dpcontrol(*arguments, "--json")
+    assert not shown.document["complete"]
+    assert shown.code == 1
+
+
+def test_what_was_asked_for_and_found_is_complete_though_cuts_are_open():
+    shown = dpcontrol("connect", "lab", "--from", "down-up", "--to", "up-down", "--energy", "0.2", "--json")
+    assert shown.document["open_cuts"]
+    assert shown.document["complete"]
+    assert shown.code == 0
+
+
+def test_flights_whose_rounding_grows_past_any_fixed_gap_are_found():
+    system = uniform_rods((0.2, 0.1), (0.1, 0.1))
+    search = find_connections(*orbits_between(system, "up-down", "up-down", 0.250155))
+    assert len(search.connections) == 32
+    assert not search.failed
+
+
+def test_the_mirror_image_of_every_homoclinic_is_listed():
+    system = uniform_rods((0.2, 0.1), (0.1, 0.5))
+    search = find_connections(*orbits_between(system, "down-up", "down-up", 1.0791))
+    states = np.array([c.state for c in search.connections])
+    for image in (states * [1, 1, -1, -1], states * [-1, -1, 1, 1]):
+        for state in image:
+            assert system.scaled_distance(states, state).min() < STATE

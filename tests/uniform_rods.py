@@ -1,0 +1,17 @@
+"""Double pendulums of two uniform rods: arms unlike the lab's, on which searches are tried."""
+
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.dynamics.system import System, pendulum_system
+
+
+def uniform_rods(lengths: tuple[float, float], masses: tuple[float, float]) -> System:
+    """Return two frictionless rods, lengths in m and masses in kg, each with its centre in its middle."""
+    arms = ArmChainParameters(
+        mass=masses,
+        centre_of_mass=(lengths[0] / 2, lengths[1] / 2),
+        length=lengths,
+        inertia=(masses[0] * lengths[0] ** 2 / 12, masses[1] * lengths[1] ** 2 / 12),
+        gravity=9.81,
+        viscous=(0.0, 0.0),
+    )
+    return pendulum_system(f"rods {lengths} {masses}", arms)
