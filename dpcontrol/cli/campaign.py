@@ -13,7 +13,7 @@ from dpcontrol.foundation.tables import suggest
 
 if TYPE_CHECKING:
     from dpcontrol.foundation.statistics import Share
-    from dpcontrol.scenes.campaign import Campaign, CaseResult
+    from dpcontrol.scenes.campaign import Campaign
     from dpcontrol.scenes.standard import StandardScore
 
 REPLAYED = 4
@@ -79,8 +79,10 @@ def command(
     `dpcontrol run --seed` with the same settings, replays it. `--standard` takes every controller of
     `--over controller=…`, or the scene's own.
     """
+    from dpcontrol.foundation.progress import part_of
     from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign
     from dpcontrol.scenes.itinerary import load_itinerary
+    from dpcontrol.scenes.plan import make_plan
     from dpcontrol.scenes.run_options import RunOptions
     from dpcontrol.scenes.standard import standard_cases, standard_scores
 
@@ -104,51 +106,13 @@ def command(
     else:
         cases = cases_of(scene, fixed=RunOptions(**overrides), over=varied)
     with progress_bar("campaign") as progress:
-        found = run_campaign(scene, cases, file, settings=settings, progress=progress)
+        plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05))
+        found = run_campaign(plan, cases, file, settings=settings, progress=part_of(progress, 0.05, 1.0))
     scores = standard_scores(found.results) if standard else ()
     if as_json:
-        print_json(_document(found, scores))
+        print_json({**found.document(), "standard": [score.document() for score in scores]})
     else:
         _print(found, scores)
-
-
-def _share(share: "Share") -> dict[str, Any]:
-    return {
-        "runs": share.runs,
-        "completed": share.successes,
-        "success_rate": share.rate,
-        "wilson_95": [share.low, share.high],
-    }
-
-
-def _failures(result: "CaseResult") -> list[dict[str, Any]]:
-    kept = ("seed", "symbol", "reason", "ending", "replays")
-    return [{key: row[key] for key in kept} for row in result.failures]
-
-
-def _document(found: "Campaign", scores: Sequence["StandardScore"]) -> dict[str, Any]:
-    cases = [
-        {"case": r.case.label, **dict(r.case.values), **_share(r.completed), "failures": _failures(r)}
-        for r in found.results
-    ]
-    # With one case its figures are the campaign's; with several those of all runs together.
-    return {
-        "itinerary": found.itinerary,
-        **_share(found.completed),
-        "failures": [{**f, "case": c["case"]} for c in cases for f in c["failures"]],
-        "cases": cases,
-        "pairs": [
-            {"first": a, "second": b, "only_first": p.only_first, "only_second": p.only_second, "p_value": p.p_value}
-            for a, b, p in found.pairs
-        ],
-        "standard": [
-            {"controller": s.controller, "score": s.total, "kinds": {k: _share(v) for k, v in s.kinds.items()}}
-            for s in scores
-        ],
-        "seconds": found.seconds,
-        "simulated_seconds": found.simulated_seconds,
-        "file": str(found.file),
-    }
 
 
 def _percent(share: "Share") -> tuple[str, str]:
@@ -171,7 +135,7 @@ def _print(found: "Campaign", scores: Sequence["StandardScore"]) -> None:
                 f"  same seeds: only {first!r} completed {pair.only_first}, only {second!r} {pair.only_second} "
                 f"(McNemar p = {pair.p_value:.2g})"
             )
-        failures = [f for r in found.results for f in _failures(r)]
+        failures = [row for r in found.results for row in r.failures]
         for failure in failures[:SHOWN]:
             print(f"  seed {failure['seed']}: {failure['reason']}")
         if len(failures) > SHOWN:

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from dpcontrol.cli.output import json_option, print_json, progress_bar, reports_failure
-from dpcontrol.cli.score import print_score, score_document
+from dpcontrol.cli.score import print_score
 from dpcontrol.foundation.errors import GoalMissed
 
 
@@ -31,7 +31,6 @@ def command(*, itinerary: str, seed: int, folder: Path, as_json: bool) -> None:
     began = time.perf_counter()
     with progress_bar("demo") as progress:
         progress("loading", 0.0)
-        from dpcontrol.logs import read_log
         from dpcontrol.review.of_log import run_view
         from dpcontrol.review.picture import write_picture
         from dpcontrol.review.recording import write_recording
@@ -43,8 +42,8 @@ def command(*, itinerary: str, seed: int, folder: Path, as_json: bool) -> None:
         scene = load_itinerary(itinerary).with_run(RunOptions(), seed=seed)
         plan = make_plan(scene, progress=lambda what, done: progress(what, 0.05 + 0.45 * done))
         log = folder / f"{scene.name}-{seed}.mcap"
-        verdict = run_plan(plan, log, progress=lambda what, done: progress("closed loop", 0.5 + 0.25 * done))
-        view = run_view(read_log(log))
+        run = run_plan(plan, log, progress=lambda what, done: progress("closed loop", 0.5 + 0.25 * done))
+        verdict, view = run.score(), run_view(run.log)
         progress("recording", 0.8)
         recording = log.with_suffix(".rrd")
         write_recording(view, recording)
@@ -52,7 +51,7 @@ def command(*, itinerary: str, seed: int, folder: Path, as_json: bool) -> None:
         picture = write_picture(view, log.with_suffix(".png"))
     seconds = time.perf_counter() - began
     if as_json:
-        document = score_document(verdict)
+        document = verdict.document()
         document |= {"recording": str(recording), "picture": str(picture.path), "renderer": picture.renderer}
         print_json(document | {"seconds": seconds, "status": picture.status})
     else:

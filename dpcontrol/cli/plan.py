@@ -41,29 +41,7 @@ def command(*, itinerary: str, fresh: bool, out: Path | None, as_json: bool) -> 
     for remark in plan_remarks(scene):
         click.echo(remark, err=True)
     if as_json:
-        print_json(
-            {
-                "walk": notes["walk"],
-                "wraps": notes["wraps"],
-                "shadowing": notes["shadowing"],
-                "reference": {
-                    "duration": reference.duration,
-                    "intervals": len(reference.mesh) - 1,
-                    "max_error_between_nodes": reference.max_error_between_nodes,
-                    "constraint_violation": reference.constraint_violation,
-                    "max_cart_position": reference.max_cart_position,
-                    "max_cart_velocity": reference.max_cart_velocity,
-                    "max_cart_acceleration": reference.max_cart_acceleration,
-                    "rms_cart_acceleration": reference.rms_cart_acceleration,
-                    "iterations": reference.iterations,
-                    "solve_seconds": reference.solve_seconds,
-                    "status": reference.status,
-                },
-                "file": str(file) if reference.converged else None,
-                "cached": plan.cached,
-                "status": reference.status,
-            }
-        )
+        print_json({**plan.document(), "file": str(file) if plan.converged else None})
     elif reference.converged:
         click.echo(f"{scene.title}")
         for symbol in notes["symbols"]:

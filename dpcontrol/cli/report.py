@@ -44,7 +44,7 @@ def command(*, file: Path, picture: Path | None, as_json: bool) -> None:
 
 
 def _log(file: Path, picture: Path, *, as_json: bool) -> dict[str, Any]:
-    from dpcontrol.cli.score import print_score, score_document
+    from dpcontrol.cli.score import print_score
     from dpcontrol.logs import read_log
     from dpcontrol.review.drawing import draw, save_figure
     from dpcontrol.review.of_log import run_view
@@ -57,7 +57,7 @@ def _log(file: Path, picture: Path, *, as_json: bool) -> dict[str, Any]:
         verdict = score(log)
         if not as_json:
             print_score(verdict)
-        return score_document(verdict)
+        return verdict.document()
     if not as_json:
         click.echo(f"{file}\n  {view.verdict}")
     return {"log": str(file), "completed": None, "reason": view.verdict}

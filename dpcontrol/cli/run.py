@@ -9,7 +9,7 @@ import click
 from dpcontrol.cli.output import json_option, print_json, progress_bar, reports_failure
 from dpcontrol.cli.run_again import repeat
 from dpcontrol.cli.run_options import run_options
-from dpcontrol.cli.score import print_score, score_document
+from dpcontrol.cli.score import print_score
 from dpcontrol.foundation.errors import GoalMissed
 
 if TYPE_CHECKING:
@@ -69,14 +69,14 @@ def command(
     scene = load_itinerary(itinerary).with_run(RunOptions(**overrides), seed=seed)
     with progress_bar("run") as progress:
         plan = make_plan(scene, progress=progress)
-        verdict = None if address else run_plan(plan, out or default_log(scene), progress=progress)
+        verdict = None if address else run_plan(plan, out or default_log(scene), progress=progress).score()
     if verdict is None:
         _on_rig(plan, out or default_log(scene), address or "", real_time=real_time, as_json=as_json)
         return
     for remark in run_remarks(scene):
         click.echo(remark, err=True)
     if as_json:
-        print_json(score_document(verdict))
+        print_json(verdict.document())
     else:
         print_score(verdict)
     if verdict.completed is False:
@@ -90,7 +90,7 @@ def _on_rig(plan: "Plan", out: Path, address: str, *, real_time: bool, as_json: 
     run = run_on_rig(plan, out, address, real_time=real_time)
     verdict = run.score
     if as_json:
-        print_json({**score_document(verdict), "ending": run.result.ending.value, "deadlines": asdict(run.deadlines)})
+        print_json({**verdict.document(), "ending": run.result.ending.value, "deadlines": asdict(run.deadlines)})
     else:
         print_score(verdict)
         click.echo(f"  {run.deadlines.sentence}")

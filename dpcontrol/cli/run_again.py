@@ -6,7 +6,7 @@ import click
 from click.core import ParameterSource
 
 from dpcontrol.cli.output import print_json, progress_bar
-from dpcontrol.cli.score import print_score, score_document
+from dpcontrol.cli.score import print_score
 from dpcontrol.foundation.errors import GoalMissed, InputError
 
 _ALLOWED = ("source", "out", "as_json")
@@ -32,7 +32,7 @@ def repeat(source: Path, out: Path | None, *, as_json: bool) -> None:
     same = done.comparison
     if as_json:
         repeated = {"of": str(source), "identical_messages": same.messages, "difference": same.difference}
-        print_json({**score_document(done.score), "repeated": repeated})
+        print_json({**done.score.document(), "repeated": repeated})
     else:
         print_score(done.score)
         click.echo(f"  repeats {source}: {same.messages:,} messages are identical")

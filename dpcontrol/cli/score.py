@@ -1,8 +1,7 @@
 """dpcontrol score"""
 
-from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -13,16 +12,11 @@ if TYPE_CHECKING:
     from dpcontrol.review.score import Score
 
 
-def score_document(verdict: "Score") -> dict[str, Any]:
-    """Return a score in JSON's terms."""
-    return asdict(verdict)
-
-
 def print_score(verdict: "Score") -> None:
     """Print a score for people."""
     pace = "" if verdict.real_time_factor is None else f", {verdict.real_time_factor:.1f} × real time"
     click.echo(f"{verdict.log}")
-    click.echo(f"  {verdict.headline}")
+    click.echo(f"  {verdict.sentence}")
     click.echo(
         f"  tracking {verdict.rms_tracking_error * 1e3:.1f} mrad rms; cart {verdict.max_cart_position * 1e3:.1f} mm at "
         f"most, {verdict.rms_cart_acceleration:.3f} m/s² rms; NIS inside its 95 % band "
@@ -44,7 +38,7 @@ def command(*, logs: tuple[Path, ...], as_json: bool) -> None:
 
     verdicts = [score(read_log(path)) for path in logs]
     if as_json:
-        documents = [score_document(v) for v in verdicts]
+        documents = [v.document() for v in verdicts]
         print_json(documents[0] if len(documents) == 1 else {"runs": documents})
     else:
         for verdict in verdicts:

@@ -1,6 +1,7 @@
 """Progress of long work: a function that is called as the work goes on."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and how much of it is done (0 to 1)."""
@@ -17,3 +18,21 @@ def part_of(progress: Progress, low: float, high: float) -> Progress:
         progress(what, low + (high - low) * done)
 
     return report
+
+
+@contextmanager
+def progress_bar(label: str) -> Iterator[Progress]:
+    """Show a progress bar on stderr while the block runs; yields the function to report to."""
+    from rich.console import Console
+    from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
+    from rich.progress import Progress as Bar
+
+    columns = (TextColumn("{task.description:<34}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"))
+    with Bar(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as bar:
+        task = bar.add_task(label, total=1.0)
+
+        def report(what: str, done: float) -> None:
+            bar.update(task, completed=done, description=what)
+
+        yield report
+        bar.update(task, completed=1.0, description=label)

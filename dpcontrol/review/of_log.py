@@ -49,7 +49,7 @@ def run_view(log: RunLog) -> RunView:
         view,
         title=f"{notes['title']} — {notes['itinerary']}{seed}",
         limits=limits_of(plan),
-        verdict=verdict.headline,
+        verdict=verdict.sentence,
         good=verdict.completed,
         plan=plan_view(plan, system=system),
         done=_done(decoded, notes, log.time),

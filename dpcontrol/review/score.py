@@ -7,7 +7,7 @@ its limits, and over the last full period the angles stay within 0.1 rad of the 
 """
 
 import io
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -48,11 +48,18 @@ class Score:
     reason: str
 
     @property
-    def headline(self) -> str:
+    def sentence(self) -> str:
         """The verdict in one line."""
         done = {True: "completed", False: "NOT completed", None: "completion unknown"}[self.completed]
         symbols = f"{self.symbols_completed} of {self.symbols_total} symbols; " if self.symbols_total else ""
         return f"{done}: {symbols}{self.reason}"
+
+    def __repr__(self) -> str:
+        return f"<score: {self.sentence}>"
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol score --json` prints."""
+        return asdict(self)
 
 
 def plan_of(log: RunLog) -> Reference:

@@ -31,7 +31,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -42,7 +42,7 @@ from dpcontrol.dynamics.ratios import Uncertainty
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash, whole_file
 from dpcontrol.foundation.processes import ATTEMPTS, in_processes, processors
-from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
 from dpcontrol.loop.batch import BatchRun, can_batch, run_batch
@@ -52,8 +52,11 @@ from dpcontrol.loop.result import Ending
 from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.review.score import Flown, verdict_on
 from dpcontrol.scenes.itinerary import Itinerary
-from dpcontrol.scenes.plan import Plan, make_plan
+from dpcontrol.scenes.plan import Plan
 from dpcontrol.scenes.run_options import RunOptions
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 Row = dict[str, Any]
 
@@ -408,7 +411,7 @@ class CaseResult:
 @dataclass(frozen=True)
 class Campaign:
     """What came out. completed: of all cases; pairs: (first case, second case, comparison) for each two of a few cases.
-    file: the rows.
+    rows: by the names of `COLUMNS`, and the numbers that vary; file: where they are kept, if they are.
     """
 
     itinerary: str
@@ -417,7 +420,65 @@ class Campaign:
     pairs: tuple[tuple[str, str, Pairing], ...]
     seconds: float
     simulated_seconds: float
-    file: Path
+    rows: tuple[Row, ...]
+    file: Path | None
+
+    def __repr__(self) -> str:
+        return f"<campaign of {self.itinerary!r}: {self.status}>"
+
+    @property
+    def status(self) -> str:
+        """How often it was completed, in a sentence."""
+        share = self.completed
+        band = f"{share.low:.1%} to {share.high:.1%}"
+        return f"{share.successes} of {share.runs} runs completed, {share.rate:.1%} (95 %: {band})"
+
+    def frame(self) -> "DataFrame":
+        """Return a pandas table, one row for each run.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        try:
+            from pandas import DataFrame
+        except ImportError as error:
+            raise InputError("a table of runs needs pandas; install it with `pip install pandas`") from error
+        return DataFrame(list(self.rows))
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol campaign --json` prints."""
+        kept = ("seed", "symbol", "reason", "ending", "replays")
+        cases = [
+            {
+                "case": r.case.label,
+                **dict(r.case.values),
+                **share_document(r.completed),
+                "failures": [{key: row[key] for key in kept} for row in r.failures],
+            }
+            for r in self.results
+        ]
+        # With one case its figures are the campaign's; with several those of all runs together.
+        return {
+            "itinerary": self.itinerary,
+            **share_document(self.completed),
+            "failures": [{**f, "case": c["case"]} for c in cases for f in c["failures"]],
+            "cases": cases,
+            "pairs": [{"first": a, "second": b, **asdict(pair)} for a, b, pair in self.pairs],
+            "standard": [],
+            "seconds": self.seconds,
+            "simulated_seconds": self.simulated_seconds,
+            "file": None if self.file is None else str(self.file),
+        }
+
+
+def share_document(share: Share) -> dict[str, Any]:
+    """Return a share in JSON's terms."""
+    return {
+        "runs": share.runs,
+        "completed": share.successes,
+        "success_rate": share.rate,
+        "wilson_95": [share.low, share.high],
+    }
 
 
 def cases_of(itinerary: Itinerary, *, fixed: RunOptions, over: Mapping[str, Sequence[Any]]) -> tuple[Case, ...]:
@@ -439,14 +500,14 @@ def cases_of(itinerary: Itinerary, *, fixed: RunOptions, over: Mapping[str, Sequ
 
 
 def run_campaign(
-    itinerary: Itinerary,
+    plan: Plan,
     cases: Sequence[Case],
-    file: Path,
+    file: Path | None = None,
     *,
     settings: CampaignSettings,
     progress: Progress = no_progress,
 ) -> Campaign:
-    """Run every case on every seed and write the rows to `file`, whole or not at all.
+    """Run every case on every seed; write the rows to `file`, if one is wanted, whole or not at all.
 
     Interrupted, it leaves what is finished beside the file, and goes on from there when it is run again.
 
@@ -455,13 +516,13 @@ def run_campaign(
         GoalMissed: the plan did not converge, or workers died again and again.
     """
     began = time.perf_counter()
-    plan = make_plan(itinerary, progress=part_of(progress, 0.0, 0.05))
-    if not plan.reference.converged:
+    itinerary = plan.itinerary
+    if not plan.converged:
         raise GoalMissed(f"{itinerary.name} has no reference to follow: {plan.status}")
     jobs = _jobs(plan, cases, settings)
     extra = _number_columns(cases)
-    parts = Parts(file, extra=extra)
-    kept = {job.key: rows for job in jobs if (rows := parts.load(job.key)) is not None}
+    parts = None if file is None else Parts(file, extra=extra)
+    kept = {} if parts is None else {job.key: rows for job in jobs if (rows := parts.load(job.key)) is not None}
     left = [job for job in jobs if job.key not in kept]
     if left:
         if settings.scheduler:
@@ -470,11 +531,13 @@ def run_campaign(
             finished = run_locally(left, settings.workers or processors())
         for job, rows in finished:
             kept[job.key] = [{**row, **_numbers(job.case)} for row in rows]
-            parts.keep(job.key, kept[job.key])
-            progress(f"{len(kept)} of {len(jobs)} jobs", 0.05 + 0.95 * len(kept) / len(jobs))
+            if parts is not None:
+                parts.keep(job.key, kept[job.key])
+            progress(f"{len(kept)} of {len(jobs)} jobs", len(kept) / len(jobs))
     rows = [row for job in jobs for row in kept[job.key]]
-    write_rows(file, rows, extra=extra, metadata=_metadata(itinerary, cases, settings))
-    parts.remove()
+    if file is not None and parts is not None:
+        write_rows(file, rows, extra=extra, metadata=_metadata(itinerary, cases, settings))
+        parts.remove()
     return _summary(itinerary.name, cases, rows, seconds=time.perf_counter() - began, file=file)
 
 
@@ -514,7 +577,7 @@ def _metadata(itinerary: Itinerary, cases: Sequence[Case], settings: CampaignSet
     }
 
 
-def _summary(name: str, cases: Sequence[Case], rows: Sequence[Row], *, seconds: float, file: Path) -> Campaign:
+def _summary(name: str, cases: Sequence[Case], rows: Sequence[Row], *, seconds: float, file: Path | None) -> Campaign:
     by_case = {case.label: [row for row in rows if row["case"] == case.label] for case in cases}
     results = tuple(
         CaseResult(
@@ -530,4 +593,4 @@ def _summary(name: str, cases: Sequence[Case], rows: Sequence[Row], *, seconds: 
     )
     simulated = sum(row["simulated_seconds"] for row in rows)
     completed = wilson(sum(row["completed"] for row in rows), len(rows))
-    return Campaign(name, completed, results, pairs, seconds, simulated, file)
+    return Campaign(name, completed, results, pairs, seconds, simulated, tuple(rows), file)

@@ -31,7 +31,7 @@ from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
 from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings
 from dpcontrol.dynamics.ratios import Uncertainty
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.tables import Table, read_toml, suggest
+from dpcontrol.foundation.tables import Table, parse_toml, read_toml, suggest
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings
 from dpcontrol.loop.controllers import KEEPERS, ControllerSettings
 from dpcontrol.loop.loop import LoopSettings
@@ -39,7 +39,7 @@ from dpcontrol.loop.supervisor import SupervisorSettings
 from dpcontrol.orbits.equilibria import equilibria
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
-from dpcontrol.scenes.model import Model, find, load_model
+from dpcontrol.scenes.model import Model, find, load_model, quoted
 from dpcontrol.scenes.run_options import RunOptions
 from dpcontrol.walks.symbols import expanded, parse_walk
 
@@ -342,16 +342,58 @@ class Itinerary:
         return scene
 
 
-def load_itinerary(name: str, *, model: Model | None = None) -> Itinerary:
+def load_itinerary(name: str) -> Itinerary:
     """Load an itinerary, and its model, by name or path.
 
-    A relative model path is taken from the itinerary's folder. model: taken instead of the one that the file names.
+    A relative model path is taken from the itinerary's folder.
 
     Raises:
         InputError: no such file, or a mistake in it or in its model: names file, table, key, value and remedy.
     """
     path = find("itineraries", name)
     table, text = read_toml(path)
+    return _itinerary(table, text, path, None)
+
+
+def itinerary_of(
+    model: Model,
+    walks: Sequence[WalkPart],
+    *,
+    name: str,
+    start: str = "orbit",
+    finish: str = "orbit",
+    limits: Limits,
+    reference: ReferenceSettings,
+) -> Itinerary:
+    """Return the itinerary of walks, one after the other; its text is a file that gives the same one.
+
+    Raises:
+        InputError: the model has no arms, a saddle of a walk has no orbit at its energy, or an end is none of `ENDS`.
+    """
+    lines = [f"title = {quoted(name)}", f"model = {quoted(model.name)}", f'start = "{start}"', f'finish = "{finish}"']
+    for part in walks:
+        lines += [
+            "[[parts]]", f"energy = {float(part.energy)!r}", f"walk = [{', '.join(map(quoted, part.walk))}]",
+            f"wraps = {list(part.wraps)}", f"lead_in = {part.lead_in}", f"lead_out = {part.lead_out}",
+        ]  # fmt: skip
+    for table, settings in (("limits", limits), ("reference", reference)):
+        values = ((f.name, getattr(settings, f.name)) for f in fields(settings))
+        lines += [f"[{table}]", *(f"{key} = {quoted(v) if isinstance(v, str) else repr(v)}" for key, v in values)]
+    return itinerary_from("\n".join(lines) + "\n", name, model)
+
+
+def itinerary_from(text: str, name: str, model: Model) -> Itinerary:
+    """Return the itinerary of a file's text, under a name.
+
+    Raises:
+        InputError: a mistake in it.
+    """
+    file = Path(f"{name}.toml")
+    return _itinerary(parse_toml(text, str(file)), text, file, model)
+
+
+def _itinerary(table: Table, text: str, path: Path, model: Model | None) -> Itinerary:
+    """Return the itinerary of a file's table and text."""
     title = table.text("title", path.stem)
     model = _model(table, path, model)
     _ = model.arms  # an itinerary needs arms on a cart

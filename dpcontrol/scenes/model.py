@@ -10,7 +10,7 @@ Identified arms as a model file: where each number comes from, and how well it i
 import difflib
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from decimal import Decimal
 from fractions import Fraction
 from functools import cached_property
@@ -26,7 +26,7 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.dynamics.three_body import ThreeBodyParameters, three_body_system
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
-from dpcontrol.foundation.tables import Table, read_toml
+from dpcontrol.foundation.tables import Table, parse_toml, read_toml
 from dpcontrol.identification.identify import Identification
 
 
@@ -99,11 +99,13 @@ class Model:
     uncertainty: Uncertainty | None = None
 
     @cached_property
-    def system(self) -> System:
+    def system(self) -> "ModelSystem":
         """The conservative system in which orbits and tubes live: for arms, without friction, on a fixed pivot."""
         if isinstance(self.parameters, ThreeBodyParameters):
-            return three_body_system(self.name, self.parameters)
-        return pendulum_system(self.name, self.parameters)
+            own = three_body_system(self.name, self.parameters)
+        else:
+            own = pendulum_system(self.name, self.parameters)
+        return ModelSystem(**{f.name: getattr(own, f.name) for f in fields(own)}, model=self)
 
     @property
     def exact_parameters(self) -> Sequence[Fraction | Decimal]:
@@ -146,6 +148,24 @@ class Model:
         return self.known_to.drawn(self.arms, random, scale=scale)
 
 
+@dataclass(frozen=True, kw_only=True)
+class ModelSystem(System):
+    """The conservative system of a model, which whatever is found in it leads back to."""
+
+    model: Model
+
+
+def model_of(system: System) -> Model:
+    """Return the model that a system is the conservative part of.
+
+    Raises:
+        InputError: the system was made without one.
+    """
+    if not isinstance(system, ModelSystem):
+        raise InputError(f"{system.name} has no arms and no cart: start from a model of arms, such as lab")
+    return system.model
+
+
 def load_model(name: str) -> Model:
     """Load a model by name or path.
 
@@ -155,6 +175,16 @@ def load_model(name: str) -> Model:
     path = find("models", name)
     table, text = read_toml(path)
     return _model(table, text, path)
+
+
+def model_from(text: str, name: str) -> Model:
+    """Return the model of a file's text, under a name.
+
+    Raises:
+        InputError: a mistake in it.
+    """
+    file = Path(f"{name}.toml")
+    return _model(parse_toml(text, str(file)), text, file)
 
 
 def _model(table: Table, text: str, path: Path) -> Model:
@@ -227,19 +257,19 @@ def model_text(found: Identification, *, title: str, logs: Sequence[str], starti
         f"{1e3 * left.max():.2f} at worst.",
         "# What the recordings do not determine:",
         *(f"#   {sentence}" for sentence in found.undetermined),
-        f"title = {_quoted(title)}",
+        f"title = {quoted(title)}",
         'system = "arm-chain"',
         "",
         "[arms]   # the nearest to the starting model's with the identified ratios",
-        f"source = {_quoted(f'{of}: only ratios to {unit_name(arms.count)}; the rest as in {starting_model}')}",
+        f"source = {quoted(f'{of}: only ratios to {unit_name(arms.count)}; the rest as in {starting_model}')}",
         *(f"{name} = {_numbers(getattr(arms, name))}" for name in ("mass", "centre_of_mass", "length", "inertia")),
         "",
         "[gravity]",
-        f"source = {_quoted(f'Taken from the model {starting_model}; recordings on a clamped cart do not tell it')}",
+        f"source = {quoted(f'Taken from the model {starting_model}; recordings on a clamped cart do not tell it')}",
         f"acceleration = {arms.gravity!r}",
         "",
         "[friction]",
-        f"source = {_quoted(f'{of}; laws chosen by the error on segments left out')}",
+        f"source = {quoted(f'{of}; laws chosen by the error on segments left out')}",
         f"viscous = {_numbers(arms.viscous)}   # N m s/rad",
     ]
     units = {"coulomb": "N m", "quadratic": "N s²/m², of the air, at each arm's centre of oscillation"}
@@ -250,14 +280,14 @@ def model_text(found: Identification, *, title: str, logs: Sequence[str], starti
         lines += [
             "",
             "[encoders]   # what recorded absolute angles show where the true ones are zero",
-            f"source = {_quoted(of)}",
+            f"source = {quoted(of)}",
             f"zeros = {_numbers(found.zeros.mean(axis=0))}   # rad",
         ]
     lines += [
         "",
         "[uncertainty]   # covariance of the ratios, row by row; what is not determined is not varied",
-        f"source = {_quoted(f'{of}; residuals taken as alike over blocks')}",
-        "names = [" + ", ".join(_quoted(name) for name in found.names[:count]) + "]",
+        f"source = {quoted(f'{of}; residuals taken as alike over blocks')}",
+        "names = [" + ", ".join(quoted(name) for name in found.names[:count]) + "]",
         "covariance = [",
         *("    " + ", ".join(repr(float(v)) for v in row) + "," for row in covariance),
         "]",
@@ -276,7 +306,8 @@ def write_model(found: Identification, path: Path, *, title: str, logs: Sequence
     return path
 
 
-def _quoted(text: str) -> str:
+def quoted(text: str) -> str:
+    """Return text as TOML writes it, on one line."""
     return '"' + _plain(text).replace("\\", "\\\\").replace('"', '\\"') + '"'
 
 

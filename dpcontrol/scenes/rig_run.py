@@ -15,12 +15,11 @@ from dpcontrol.loop.control_loop import ControlLoop
 from dpcontrol.loop.loop import control_loop, loop_controller, loop_fallback
 from dpcontrol.loop.result import LogSink, LoopResult
 from dpcontrol.loop.simulated import BenchRecipe
-from dpcontrol.references.reference import Reference
 from dpcontrol.review.score import Score, score
 from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
 from dpcontrol.rig.client import Deadlines, UdpRig, parse_address, real_time_priority, without_collecting
 from dpcontrol.scenes.plan import Plan
-from dpcontrol.scenes.run import log_writer
+from dpcontrol.scenes.run import followed, log_writer
 
 OWN_BENCH = "udp"
 """In place of an address: the example bench is started for the run, in a process of its own."""
@@ -48,7 +47,7 @@ def bench_recipe(plan: Plan, controller: Controller | None = None) -> BenchRecip
         InputError: the plant is to be drawn from an uncertainty that the model's file does not give.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """
-    itinerary, reference = plan.itinerary, _converged(plan)
+    itinerary, reference = plan.itinerary, followed(plan).reference
     loop = itinerary.loop
     controller = controller or loop_controller(reference, itinerary.model.arms, loop)
     return BenchRecipe(
@@ -70,7 +69,7 @@ def run_on_rig(
         InputError: the address is none, no bench answers, it does not fit the itinerary, or the log cannot be written.
         GoalMissed: the plan did not converge, no controller can be made for it, or the bench failed at once.
     """
-    itinerary, reference = plan.itinerary, _converged(plan)
+    itinerary, reference = plan.itinerary, followed(plan).reference
     arms, settings = itinerary.model.arms, itinerary.loop
     where = None if address == OWN_BENCH else parse_address(address)
     limits, controller = settings.limits(reference), loop_controller(reference, arms, settings)
@@ -101,12 +100,6 @@ def run_on_rig(
             **deadlines.record(),
         )  # fmt: skip
     return RigRun(score(read_log(out)), result, deadlines, tuple(process.said if process else ()))
-
-
-def _converged(plan: Plan) -> Reference:
-    if not plan.reference.converged:
-        raise GoalMissed(f"{plan.itinerary.name} has no reference to follow: {plan.reference.status}")
-    return plan.reference
 
 
 def _fits(rig: UdpRig, loop: ControlLoop, *, arms: int, rate: float) -> None:

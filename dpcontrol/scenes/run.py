@@ -10,25 +10,42 @@ import json
 import types
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 
 import dpcontrol
 from dpcontrol.control.estimation import ESTIMATORS
+from dpcontrol.dynamics.ratios import Uncertainty
 from dpcontrol.foundation.checkout import commit
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import checked_other_file, content_hash
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.logs import Comparison, LogWriter, RunLog, compare_messages, read_log
+from dpcontrol.logs import (
+    Comparison,
+    Event,
+    LogWriter,
+    RunLog,
+    compare_messages,
+    control_fields,
+    joint_names,
+    read_log,
+)
 from dpcontrol.loop.loop import LoopSettings, run_loop
-from dpcontrol.loop.result import LogSink
+from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, NoSink
 from dpcontrol.references.reference import load_reference
 from dpcontrol.review.of_log import MODEL_METADATA
 from dpcontrol.review.score import REFERENCE_ATTACHMENT, Score, score
-from dpcontrol.scenes.itinerary import CONTROLLERS, Itinerary, load_itinerary
-from dpcontrol.scenes.model import load_model
+from dpcontrol.scenes.itinerary import CONTROLLERS, Itinerary, itinerary_from
+from dpcontrol.scenes.model import model_from
 from dpcontrol.scenes.plan import Plan, plan_key
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+    from pandas import DataFrame
+
+_SCENE, _MODEL = "scene.toml", "model.toml"
 
 
 def default_log(itinerary: Itinerary) -> Path:
@@ -36,26 +53,138 @@ def default_log(itinerary: Itinerary) -> Path:
     return Path("logs") / f"{itinerary.name}-{itinerary.loop.seed}.mcap"
 
 
-def run_plan(plan: Plan, out: Path, *, progress: Progress = no_progress) -> Score:
-    """Run the closed loop of a planned itinerary, write its log to `out`, and score it.
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A run, or what was recorded of a bench, as its log says; see `RunLog` for the arrays."""
+
+    log: RunLog
+
+    def __repr__(self) -> str:
+        return f"<run {self.log.path}: {self.status}>"
+
+    def score(self) -> Score:
+        """Return whether the run did what was asked, by what is in the log alone.
+
+        Raises:
+            InputError: the log carries no plan.
+        """
+        return self._score
+
+    @cached_property
+    def _score(self) -> Score:
+        return score(self.log)
+
+    @property
+    def converged(self) -> bool:
+        """Whether the itinerary was completed; False where that is not known."""
+        return bool(self._judged and self._judged.completed)
+
+    @property
+    def status(self) -> str:
+        """The verdict in one line."""
+        return self._judged.sentence if self._judged else f"{len(self.log.time):,} samples, no plan to be judged by"
+
+    @cached_property
+    def _judged(self) -> Score | None:
+        return self._score if REFERENCE_ATTACHMENT in self.log.attachments else None
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol run --json` prints.
+
+        Raises:
+            InputError: the log carries no plan.
+        """
+        return self._score.document()
+
+    def frame(self) -> "DataFrame":
+        """Return a pandas table, one row for each tick; see `RunLog.frame`.
+
+        Raises:
+            InputError: pandas is not installed.
+        """
+        return self.log.frame()
+
+    def plot(self) -> "Figure":
+        """Return the page of the run: the itinerary as asked and as done, a film, series, errors, phase planes."""
+        from dpcontrol.review.drawing import draw
+        from dpcontrol.review.of_log import run_view
+
+        return draw(run_view(self.log))
+
+
+def run_plan(plan: Plan, out: Path | None = None, *, progress: Progress = no_progress) -> Run:
+    """Run the closed loop of a planned itinerary; write its log to `out`, if one is wanted.
 
     Raises:
         InputError: the log cannot be written; the plant is to be drawn from an uncertainty that the model's file does
             not give.
         GoalMissed: the plan did not converge, or no controller can be made for it, or no plant drawn.
     """
-    itinerary, reference = plan.itinerary, plan.reference
-    if not reference.converged:
-        raise GoalMissed(f"{itinerary.name} has no reference to follow: {reference.status}")
+    itinerary = followed(plan).itinerary
+    if out is None:
+        events = _Events()
+        return Run(_log_in_memory(plan, _flown(plan, itinerary.uncertainty, events, progress), events))
     uncertainty = itinerary.uncertainty
     with log_writer(plan, out) as writer:
-        sink = LogSink(writer)
-        result = run_loop(
-            reference, itinerary.model.arms, settings=itinerary.loop, uncertainty=uncertainty, sink=sink,
-            progress=progress,
-        )  # fmt: skip
-        writer.result(real_time_factor=repr(result.real_time_factor), ending=result.ending.value)
-    return score(read_log(out))
+        result = _flown(plan, uncertainty, LogSink(writer), progress)
+        writer.result(**_outcome(result))
+    return Run(read_log(out))
+
+
+def followed(plan: Plan) -> Plan:
+    """Return a plan that there is a reference for.
+
+    Raises:
+        GoalMissed: it did not converge.
+    """
+    if not plan.converged:
+        raise GoalMissed(f"{plan.itinerary.name} has no reference to follow: {plan.status}")
+    return plan
+
+
+def _flown(plan: Plan, uncertainty: Uncertainty | None, sink: LoopSink, progress: Progress) -> LoopResult:
+    scene = plan.itinerary
+    return run_loop(
+        plan.reference, scene.model.arms, settings=scene.loop, uncertainty=uncertainty, sink=sink, progress=progress
+    )
+
+
+def _outcome(result: LoopResult) -> dict[str, str]:
+    return {"real_time_factor": repr(result.real_time_factor), "ending": result.ending.value}
+
+
+class _Events(NoSink):
+    """Keeps events; the result holds every tick."""
+
+    def __init__(self) -> None:
+        self.kept: list[Event] = []
+
+    def event(self, time_s: float, level: str, name: str, text: str) -> None:
+        """Keep one event."""
+        self.kept.append(Event(time_s, level, name, text))
+
+
+def _log_in_memory(plan: Plan, result: LoopResult, events: _Events) -> RunLog:
+    """Return what the log of a run would say."""
+    scene, ticks = plan.itinerary, result.ticks
+    lengths, limits = scene.model.arms.length, scene.loop.limits(plan.reference)
+    states = {"estimate": ticks.estimates, "reference": ticks.references}
+    return RunLog(
+        path=Path(f"{scene.name}, seed {scene.loop.seed}"),
+        time=ticks.times,
+        measured=ticks.measured,
+        rates=None,
+        states=states if ticks.truth is None else {**states, "truth": ticks.truth},
+        controls=dict(zip(control_fields(len(lengths), has_cart=True), ticks.control.T, strict=True)),
+        events=tuple(events.kept),
+        metadata={**_metadata(scene), **_outcome(result)},
+        attachments=_attachments(plan),
+        joint_names=joint_names(len(lengths), has_cart=True),
+        arm_lengths=lengths,
+        has_cart=True,
+        rate_hz=scene.loop.rate,
+        limits=(limits.position, limits.velocity, limits.acceleration),
+    )
 
 
 def log_writer(plan: Plan, out: Path) -> LogWriter:
@@ -72,12 +201,16 @@ def log_writer(plan: Plan, out: Path) -> LogWriter:
         rate_hz=itinerary.loop.rate,
         limits=(limits.position, limits.velocity, limits.acceleration),
         metadata=_metadata(itinerary),
-        attachments={
-            "scene.toml": itinerary.text.encode(),
-            "model.toml": itinerary.model.text.encode(),
-            REFERENCE_ATTACHMENT: plan.file.read_bytes(),
-        },
+        attachments=_attachments(plan),
     )
+
+
+def _attachments(plan: Plan) -> dict[str, bytes]:
+    return {
+        _SCENE: plan.itinerary.text.encode(),
+        _MODEL: plan.itinerary.model.text.encode(),
+        REFERENCE_ATTACHMENT: plan.file.read_bytes(),
+    }
 
 
 def _metadata(itinerary: Itinerary) -> Mapping[str, str]:
@@ -96,7 +229,6 @@ def _metadata(itinerary: Itinerary) -> Mapping[str, str]:
     }
 
 
-_SCENE, _MODEL = "scene.toml", "model.toml"
 _KINDS: Mapping[str, Mapping[str, type]] = {"controller": CONTROLLERS, "estimator": ESTIMATORS}
 
 
@@ -124,14 +256,14 @@ def repeat_run(source: Path, out: Path, *, progress: Progress = no_progress) -> 
     log = read_log(source)
     checked_other_file(out, source, what="the log to repeat")
     with TemporaryDirectory() as folder:
-        verdict = run_plan(_plan(log, Path(folder)), out, progress=progress)
+        verdict = run_plan(_plan(log, Path(folder)), out, progress=progress).score()
     then, now = log.metadata.get("version", "?"), dpcontrol.__version__
     versions = None if then == now else f"the log was written by version {then}, this is {now}"
     return Repeat(verdict, compare_messages(source, out), versions)
 
 
 def _plan(log: RunLog, folder: Path) -> Plan:
-    """Return the plan of a logged run, its files in `folder`."""
+    """Return the plan of a logged run, its file in `folder`."""
     needed = (_SCENE, _MODEL, REFERENCE_ATTACHMENT)
     lacking = [name for name in needed if name not in log.attachments]
     lacking += [key for key in ("itinerary", "model", "run_settings") if key not in log.metadata]
@@ -143,13 +275,10 @@ def _plan(log: RunLog, folder: Path) -> Plan:
             f"{log.path} cannot be repeated: it was made on {where}, and only what is simulated does the same twice; "
             f"`dpcontrol replay` shows what a model makes of it"
         )
-    # The names of files are the itinerary's and the model's; of a name that is a path only the end counts.
-    scene, model = (folder / kind / f"{Path(log.metadata[kind]).name}.toml" for kind in ("itinerary", "model"))
-    for path, name in ((scene, _SCENE), (model, _MODEL), (folder / REFERENCE_ATTACHMENT, REFERENCE_ATTACHMENT)):
-        path.parent.mkdir(exist_ok=True)
-        path.write_bytes(log.attachments[name])
-    itinerary = load_itinerary(str(scene), model=load_model(str(model)))
+    model = model_from(log.attachments[_MODEL].decode(), log.metadata["model"])
+    itinerary = itinerary_from(log.attachments[_SCENE].decode(), log.metadata["itinerary"], model)
     file = folder / REFERENCE_ATTACHMENT
+    file.write_bytes(log.attachments[REFERENCE_ATTACHMENT])
     return Plan(_with_settings(itinerary, log), load_reference(file), file, cached=True)
 
 

@@ -23,11 +23,12 @@ ranges as in the leaderboard's scripts, robustness version 2, of github.com/dfki
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from dpcontrol.foundation.statistics import Share, wilson
-from dpcontrol.scenes.campaign import Case, CaseResult, cases_of
+from dpcontrol.scenes.campaign import Case, CaseResult, cases_of, share_document
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.scenes.run_options import RunOptions
 
@@ -100,6 +101,11 @@ class StandardScore:
     controller: str
     kinds: Mapping[str, Share]
     total: float
+
+    def document(self) -> dict[str, Any]:
+        """Return its part of what `dpcontrol campaign --standard --json` prints."""
+        kinds = {kind: share_document(share) for kind, share in self.kinds.items()}
+        return {"controller": self.controller, "score": self.total, "kinds": kinds}
 
 
 def standard_scores(results: Sequence[CaseResult]) -> tuple[StandardScore, ...]:

@@ -28,7 +28,7 @@ def test_a_run_that_had_no_symbols_to_do_counts_none(symbols: int, said: str) ->
         "a.mcap", 0, True, symbols, symbols, wraps=(), real_time_factor=None, reason="stayed at up-up to the end",
         **figures,
     )  # fmt: skip
-    assert score.headline == f"{said} at up-up to the end"
+    assert score.sentence == f"{said} at up-up to the end"
 
 
 def test_a_recovered_log_says_what_it_lacks_wherever_it_is_shown(tmp_path: Path) -> None:

@@ -47,7 +47,7 @@ def turn() -> Itinerary:
 def campaign(scene: Itinerary, file: Path, *, over: dict[str, Any] | None = None, **settings: Any) -> Campaign:
     cases = cases_of(scene, fixed=HARD, over=over or {})
     chosen = CampaignSettings(**{"runs": 12, "workers": 1, "batch": 4, "replayed": 1, **settings})
-    return run_campaign(scene, cases, file, settings=chosen)
+    return run_campaign(make_plan(scene), cases, file, settings=chosen)
 
 
 @pytest.fixture(scope="module")
@@ -125,7 +125,7 @@ def test_an_interrupted_campaign_goes_on_where_it_was(
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_campaign(turn, cases, file, settings=settings, progress=stop)
+        run_campaign(make_plan(turn), cases, file, settings=settings, progress=stop)
     parts = file.with_name(file.name + ".parts")
     assert len(list(parts.glob("*.parquet"))) == 2
     assert not file.exists()
@@ -134,7 +134,7 @@ def test_an_interrupted_campaign_goes_on_where_it_was(
     begun = []
     run_job = workers.run_job
     monkeypatch.setattr(workers, "run_job", lambda job: begun.append(job.key) or run_job(job))
-    run_campaign(turn, cases, file, settings=settings)
+    run_campaign(make_plan(turn), cases, file, settings=settings)
     assert len(begun) == 5
     assert read_rows(file)[0] == undisturbed
     assert not parts.exists()
@@ -184,7 +184,9 @@ def test_a_killed_process_changes_nothing_in_the_table(
             os.kill(process.pid, signal.SIGKILL)
 
     cases = cases_of(turn, fixed=HARD, over={})
-    run_campaign(turn, cases, file, settings=CampaignSettings(runs=24, workers=2, batch=4, replayed=1), progress=kill)
+    run_campaign(
+        make_plan(turn), cases, file, settings=CampaignSettings(runs=24, workers=2, batch=4, replayed=1), progress=kill
+    )
     assert killed
     assert read_rows(file)[0] == undisturbed
 
@@ -223,7 +225,7 @@ def killed_cluster(scene: Itinerary, file: Path, *, runs: int, batch: int) -> li
                 os.kill(killed[0], signal.SIGKILL)
 
         settings = CampaignSettings(runs=runs, batch=batch, replayed=1, scheduler=cluster.scheduler_address)
-        run_campaign(scene, cases_of(scene, fixed=HARD, over={}), file, settings=settings, progress=kill)
+        run_campaign(make_plan(scene), cases_of(scene, fixed=HARD, over={}), file, settings=settings, progress=kill)
     assert killed
     return read_rows(file)[0]
 
@@ -295,8 +297,7 @@ def test_the_standard_has_nine_kinds_of_twenty_one_levels_each(turn: Itinerary) 
 def test_a_score_is_the_mean_share_over_the_kinds(turn: Itinerary, tmp_path: Path) -> None:
     every = standard_cases(turn, fixed=RunOptions(), controllers=["tvlqr"])
     chosen = [case for case in every if dict(case.values)["level"] in (0.0, 20.0)]
-    found = run_campaign(
-        turn, chosen[-2:] + chosen[:2], tmp_path / "score.parquet",
+    found = run_campaign(make_plan(turn), chosen[-2:] + chosen[:2], tmp_path / "score.parquet",
         settings=CampaignSettings(runs=2, workers=1, replayed=0),
     )  # fmt: skip
     (score,) = standard_scores(found.results)

@@ -118,7 +118,7 @@ def test_a_repeated_walk_is_planned_run_and_scored_as_all_its_rounds(tmp_path: P
     assert plan.notes["wraps"] == [0, 0, 0]
     assert [s["text"] for s in plan.notes["symbols"]] == ["down-up +", "down-up -"] * 2
     log = tmp_path / "run.mcap"
-    done = run_plan(plan, log)
+    done = run_plan(plan, log).score()
     assert (done.completed, done.symbols_completed, done.wraps) == (True, 4, (0, 0, 0))
     again = dpcontrol("score", log, "--json")
     assert again.document["symbols_total"] == 4

@@ -74,14 +74,14 @@ def test_stops_and_symbols_tell_the_whole_story(two_energies):
 
 
 def test_a_run_through_two_energies_and_a_hold_is_completed(two_energies, tmp_path):
-    done = run_plan(two_energies, tmp_path / "run.mcap")
+    done = run_plan(two_energies, tmp_path / "run.mcap").score()
     assert (done.completed, done.symbols_completed) == (True, 5)
     assert done.reason.endswith("at rest to the end")
 
 
 def test_a_hold_that_is_lost_is_named(tmp_path):
     itinerary = load_itinerary("up-up").with_run(RunOptions(controller="feedforward"))
-    done = run_plan(make_plan(itinerary), tmp_path / "run.mcap")
+    done = run_plan(make_plan(itinerary), tmp_path / "run.mcap").score()
     assert done.completed is False
     assert "rest to up-up" in done.reason or "up-up to rest" in done.reason
 

@@ -1,0 +1,498 @@
+"""The functions of `import dpcontrol as dp`: from a model to runs that are scored, as values in memory.
+
+    lab = dp.load_model("lab")
+    orbit = dp.orbit(lab, "down-up", energy=-0.07)
+    walk = dp.shadow(dp.connections(orbit), ["down-up +"])
+    run = dp.run(dp.reference(walk, limits=dp.Limits(position=0.4)), mismatch=0.02, seed=3)
+    print(run.score().sentence)
+
+Bad input is an `InputError`; a result that a step needs and that was not found is a `GoalMissed`. What was looked for
+and not found is told by the result itself, its `converged` and `status`. Long calls take `progress`: a function of a
+text and a share from 0 to 1, or True for a bar on stderr.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.progress import Progress, no_progress, part_of, progress_bar
+from dpcontrol.references.problem import Limits, ReferenceSettings
+from dpcontrol.scenes.model import Model, load_model, model_of
+from dpcontrol.scenes.run_options import RunOptions
+
+if TYPE_CHECKING:
+    from dpcontrol.bifurcations.bifurcations import BifurcationSearch
+    from dpcontrol.identification.identify import Identification
+    from dpcontrol.orbits.lyapunov import LyapunovOrbit
+    from dpcontrol.recordings.recording import Recording
+    from dpcontrol.scenes.campaign import Campaign
+    from dpcontrol.scenes.plan import Plan
+    from dpcontrol.scenes.run import Run
+    from dpcontrol.tubes.connections import ConnectionSearch
+    from dpcontrol.walks.atlas import Atlas
+    from dpcontrol.walks.edges import Edges
+    from dpcontrol.walks.shadowing import ShadowingOrbit
+
+__all__ = [
+    "GoalMissed", "InputError", "Limits", "Model", "ReferenceSettings", "RunOptions", "atlas", "campaign",
+    "connections", "find_bifurcations", "graph", "identify", "load_model", "open_atlas", "open_log", "open_plan",
+    "open_recording", "orbit", "plan", "reference", "run", "shadow", "swings",
+]  # fmt: skip
+
+Reporting = Progress | Literal[True] | None
+"""Where progress goes: a function, True for a bar on stderr, None for nowhere."""
+Place = Path | str
+
+
+def orbit(model: Model | System, saddle: str, *, energy: float, family: int = 0) -> "LyapunovOrbit":
+    """Return the Lyapunov orbit about a saddle, such as "down-up", at `energy` in J, zero at the pivot's height.
+
+    >>> dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07).period
+    0.75238...
+
+    Raises:
+        InputError: an unknown saddle or family, or an energy on the wrong side of the saddle's.
+    """
+    from dpcontrol.orbits.lyapunov import lyapunov_orbit
+
+    return lyapunov_orbit(_system(model), saddle, energy=energy, family=family)
+
+
+def connections(
+    source: "LyapunovOrbit",
+    target: "LyapunovOrbit | None" = None,
+    *,
+    hits: tuple[int, int] = (1, 1),
+    section: str | None = None,
+    longest: float | None = None,
+    progress: Reporting = None,
+) -> "ConnectionSearch":
+    """Find every connection from one orbit to another of the same energy, or back to itself where there is no other.
+
+    hits: which crossings of the section count, of the unstable and the stable tube. section: by its short name, the
+    saddles' own by default. longest: time that trajectories are given to the section, in periods of their orbit.
+
+    >>> len(dp.connections(orbit).connections)
+    8
+
+    Raises:
+        InputError: the orbits differ in energy, or there is no such section between their saddles.
+        GoalMissed: an orbit did not converge.
+    """
+    from dpcontrol.tubes.connections import find_connections
+    from dpcontrol.tubes.cut import CutSettings
+    from dpcontrol.tubes.intersections import ConnectionSettings
+
+    target = source if target is None else target
+    for one in (source, target):
+        _found(one.converged, f"the orbit about {one.saddle}", one.status)
+    with _reporting(progress, "connections") as report:
+        return find_connections(
+            source,
+            target,
+            hits=hits,
+            section=source.system.section_between(source.saddle, target.saddle, section),
+            settings=ConnectionSettings(cut=CutSettings(longest=longest)),
+            progress=report,
+        )
+
+
+def graph(model: Model | System, *, energy: float, symbols: Sequence[str] = (), progress: Reporting = None) -> "Edges":
+    """Find the connection graph of an energy in J: the orbits of all saddles, and the connections between them.
+
+    symbols: of a walk that asks for connections on other sections or at other hits, or for rotating orbits.
+
+    >>> dp.graph(lab, energy=-0.07).saddles
+    ('down-up',)
+
+    Raises:
+        InputError: no saddle has an orbit at this energy, or a symbol names what there is not.
+    """
+    from dpcontrol.walks.edges import find_edges
+    from dpcontrol.walks.symbols import parse_walk
+    from dpcontrol.walks.walks import vertex_names
+
+    system = _system(model)
+    asked = parse_walk(symbols, vertex_names(system)) if symbols else ()
+    with _reporting(progress, "connections") as report:
+        return find_edges(system, energy, symbols=asked, progress=report)
+
+
+def find_bifurcations(
+    model: Model | System,
+    source: str,
+    target: str,
+    *,
+    energies: tuple[float, float],
+    hits: int = 1,
+    samples: int = 24,
+    progress: Reporting = None,
+) -> "BifurcationSearch":
+    """Find the energies in J at which connections between two saddles appear, vanish or split.
+
+    samples: energies that are searched at first.
+
+    >>> dp.find_bifurcations(lab, "down-up", "down-up", energies=(-0.08, -0.06), samples=2).events
+    ()
+
+    Raises:
+        InputError: saddles or energies between which nothing can be swept.
+    """
+    from dpcontrol.bifurcations.bifurcations import find_bifurcations as find
+    from dpcontrol.bifurcations.sweep import SweepSettings
+
+    settings = SweepSettings(energies=samples)
+    with _reporting(progress, "bifurcations") as report:
+        return find(
+            _system(model), source, target, energies=energies, crossings=hits, settings=settings, progress=report
+        )
+
+
+def atlas(
+    model: Model,
+    *,
+    energy: float,
+    hits: tuple[int, int] | None = None,
+    fresh: bool = False,
+    progress: Reporting = None,
+) -> "Atlas":
+    """Return the atlas of an energy in J: every orbit, tube and connection; kept by content unless `fresh`.
+
+    hits: of the unstable and the stable tube; by default the first at which they meet, up to the second.
+
+    >>> dp.atlas(lab, energy=-0.07).status
+    '...'
+
+    Raises:
+        InputError: no saddle has an orbit at this energy.
+    """
+    from dpcontrol.scenes.atlas import AtlasSettings, make_atlas
+
+    with _reporting(progress, "atlas") as report:
+        return make_atlas(model, energy, settings=AtlasSettings(hits=hits), fresh=fresh, progress=report).atlas
+
+
+def shadow(
+    found: "Edges | ConnectionSearch | Sequence[ConnectionSearch]",
+    walk: Sequence[str],
+    *,
+    wraps: Sequence[int] | None = None,
+    lead_in: int = 2,
+    lead_out: int = 2,
+    periodic: bool = False,
+) -> "ShadowingOrbit":
+    """Return the orbit that follows a walk: symbols such as "down-up +", "down-up > up-down" or a connection's name.
+
+    found: the graph, or searches for connections, that the symbols choose from. wraps: wobbles at each interior stop,
+    the fewest that suffice by default; lead_in, lead_out: those on the first and the last orbit. periodic: the walk
+    closes, with one more stop.
+
+    >>> dp.shadow(found, ["down-up +"]).converged
+    True
+
+    Raises:
+        InputError: a symbol that no connection fits, or wraps that do not fit the walk.
+        GoalMissed: no number of wraps suffices.
+    """
+    from dpcontrol.tubes.connections import ConnectionSearch
+    from dpcontrol.walks.edges import Edges
+    from dpcontrol.walks.shadowing import WalkSolver
+    from dpcontrol.walks.walks import resolve
+
+    edges = found if isinstance(found, Edges) else _edges([found] if isinstance(found, ConnectionSearch) else found)
+    solver = WalkSolver(edges.known)
+    chain = resolve(walk, edges)
+    counts = solver.least(chain, periodic=periodic) if wraps is None else tuple(wraps)
+    return solver.solve(chain, counts, periodic=periodic, lead_in=lead_in, lead_out=lead_out)
+
+
+def reference(
+    walks: "ShadowingOrbit | Sequence[ShadowingOrbit]",
+    *,
+    limits: Limits | None = None,
+    settings: ReferenceSettings | None = None,
+    start: Literal["orbit", "rest"] = "orbit",
+    finish: Literal["orbit", "rest"] = "orbit",
+    name: str = "walk",
+    progress: Reporting = None,
+) -> "Plan":
+    """Return the plan of following walks, one after the other, with the model's friction and cart within its limits.
+
+    start, finish: on the periodic orbit, or hanging at rest. What was planned before comes from the cache.
+
+    >>> dp.reference(walk, limits=dp.Limits(position=0.4)).converged
+    True
+
+    Raises:
+        InputError: a walk is of a system without arms, is periodic, or an end cannot be reached.
+        GoalMissed: a walk's orbit did not converge, or there is no transfer between two of them.
+    """
+    from dpcontrol.scenes.itinerary import WalkPart, itinerary_of
+    from dpcontrol.scenes.plan import make_plan
+    from dpcontrol.walks.shadowing import ShadowingOrbit
+
+    orbits = [walks] if isinstance(walks, ShadowingOrbit) else list(walks)
+    if not orbits:
+        raise InputError("walks = []: give one at least")
+    for one in orbits:
+        _found(one.converged, "the walk's orbit", one.status)
+        if one.periodic:
+            raise InputError("a periodic walk has no ends that a reference could start and finish at; shadow it open")
+    parts = [
+        WalkPart(one.connections[0].source.energy, one.walk, one.wraps, 1, one.lead_in, one.lead_out) for one in orbits
+    ]
+    scene = itinerary_of(
+        model_of(orbits[0].connections[0].source.system),
+        parts,
+        name=name,
+        start=start,
+        finish=finish,
+        limits=limits or Limits(),
+        reference=settings or ReferenceSettings(),
+    )
+    with _reporting(progress, "reference") as report:
+        return make_plan(scene, orbits=orbits, progress=report)
+
+
+def plan(itinerary: str, *, fresh: bool = False, progress: Reporting = None) -> "Plan":
+    """Return the plan of an itinerary's file, by name or path, from the cache unless `fresh`.
+
+    >>> dp.plan("outer-turn").itinerary.walk
+    ('down-up +',)
+
+    Raises:
+        InputError: no such file, a mistake in it, or connections that do not exist at its energy.
+        GoalMissed: an orbit did not converge, or there is no transfer.
+    """
+    from dpcontrol.scenes.itinerary import load_itinerary
+    from dpcontrol.scenes.plan import make_plan
+
+    with _reporting(progress, "plan") as report:
+        return make_plan(load_itinerary(itinerary), progress=report, fresh=fresh)
+
+
+def run(
+    planned: "Plan | str",
+    *,
+    mismatch: float | None = None,
+    seed: int = 0,
+    options: RunOptions | None = None,
+    log: Place | None = None,
+    progress: Reporting = None,
+) -> "Run":
+    """Run the closed loop of a plan, or of an itinerary by name, on the simulated bench.
+
+    mismatch: share by which the plant's parameters may be off; options: other settings that take the place of the
+    scene's. seed: of all that is random. log: where to write the run's log, if anywhere.
+
+    >>> dp.run("outer-turn", mismatch=0.02, seed=3).converged
+    True
+
+    Raises:
+        InputError: an impossible setting, or the log cannot be written.
+        GoalMissed: there is no reference to follow, or no controller can be made for it.
+    """
+    from dpcontrol.scenes.run import run_plan
+
+    with _reporting(progress, "run") as report:
+        planned = _planned(planned, part_of(report, 0.0, 0.5))
+        scene = planned.itinerary.with_run(_options(options, mismatch), seed=seed)
+        out = None if log is None else Path(log)
+        return run_plan(replace(planned, itinerary=scene), out, progress=part_of(report, 0.5, 1.0))
+
+
+def campaign(
+    planned: "Plan | str",
+    *,
+    runs: int = 100,
+    mismatch: float | None = None,
+    options: RunOptions | None = None,
+    over: Mapping[str, Sequence[float | int | str]] | None = None,
+    first_seed: int = 0,
+    workers: int = 0,
+    out: Place | None = None,
+    progress: Reporting = None,
+) -> "Campaign":
+    """Run a plan, or an itinerary by name, with many seeds, and count how often it is completed.
+
+    over: values of options that are varied by name, each combination a case of `runs` seeds from `first_seed` on.
+    workers: processes, 0 for one on each processor. out: the Parquet file to write the rows to, if any.
+
+    >>> dp.campaign("outer-turn", runs=4, mismatch=0.02).completed.rate
+    1.0
+
+    Raises:
+        InputError: an unknown option or impossible value, or the file cannot be written.
+        GoalMissed: there is no reference to follow, or workers died again and again.
+    """
+    from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign
+
+    with _reporting(progress, "campaign") as report:
+        planned = _planned(planned, part_of(report, 0.0, 0.1))
+        cases = cases_of(planned.itinerary, fixed=_options(options, mismatch), over=over or {})
+        settings = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers)
+        file = None if out is None else Path(out)
+        return run_campaign(planned, cases, file, settings=settings, progress=part_of(report, 0.1, 1.0))
+
+
+def swings(model: Model, *, count: int = 9, seconds: float = 2.667, seed: int = 0) -> "Recording":
+    """Return free swings of a model as a bench's encoders would record them, to try `identify` on.
+
+    >>> dp.swings(lab, count=2).arms
+    2
+
+    Raises:
+        InputError: the model has no arms.
+    """
+    from dpcontrol.recordings.simulated import random_swings
+
+    return random_swings(model.arms, swings=count, seconds=seconds, seed=seed, name=f"{model.name}-swings-{seed}")
+
+
+def identify(
+    recordings: "Recording | Sequence[Recording]",
+    *,
+    model: Model,
+    zeros: bool | None = None,
+    out: Place | None = None,
+    progress: Reporting = None,
+) -> "Identification":
+    """Identify arms from recordings of free swings: inertia ratios, friction laws, encoder zeros.
+
+    model: to start from. zeros: whether the encoders' zeros are fitted, by the segments left out by default. out: the
+    model file to write, for `load_model`, if any.
+
+    >>> dp.identify(dp.swings(lab, count=6), model=lab).friction_terms
+    ('viscous',)
+
+    Raises:
+        InputError: recordings that do not fit the model or hold too little, or the file cannot be written.
+    """
+    from dpcontrol.identification.identify import IdentificationSettings
+    from dpcontrol.identification.identify import identify as found_in
+    from dpcontrol.recordings.recording import Recording
+    from dpcontrol.scenes.model import write_model
+
+    given = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    choice = {None: "chosen", True: "free", False: "none"}[zeros]
+    with _reporting(progress, "identify") as report:
+        found = found_in(given, model.arms, settings=IdentificationSettings(zeros=choice), progress=report)
+    if out is not None:
+        names = [one.name for one in given]
+        title = f"{model.title}, identified from {', '.join(names)}"
+        write_model(found, Path(out), title=title, logs=names, starting_model=model.name)
+    return found
+
+
+def open_log(file: Place) -> "Run":
+    """Open the log of a run, or of a bench.
+
+    >>> dp.open_log(log).score().completed
+    True
+
+    Raises:
+        InputError: the file is missing, damaged or no log.
+    """
+    from dpcontrol.logs import read_log
+    from dpcontrol.scenes.run import Run
+
+    return Run(read_log(file))
+
+
+def open_plan(file: Place) -> "Plan":
+    """Open a plan's file, as `dpcontrol plan --out` writes it and every log carries it.
+
+    >>> dp.open_plan(planned.file).status == planned.status
+    True
+
+    Raises:
+        InputError: the file is missing, damaged or no plan.
+    """
+    from dpcontrol.scenes.plan import load_plan
+
+    return load_plan(Path(file))
+
+
+def open_atlas(file: Place) -> "Atlas":
+    """Open an atlas that `dpcontrol atlas --out` wrote.
+
+    Raises:
+        InputError: the file is missing, damaged or no atlas.
+    """
+    from dpcontrol.scenes.atlas import load_atlas
+
+    return load_atlas(Path(file))
+
+
+def open_recording(
+    file: Place, *, mapping: str | None = None, repairs: Sequence[str] = (), progress: Reporting = None
+) -> "Recording":
+    """Open a recording of the bench: a log, or MATLAB, CSV or Parquet by a mapping of its columns.
+
+    repairs: what may be mended, of nan, time, gaps, wrap, spikes and sampling.
+
+    >>> dp.open_recording(log).arms
+    2
+
+    Raises:
+        InputError: the file is missing or damaged, does not fit the mapping, or needs a repair that is not allowed.
+    """
+    from dpcontrol.recordings.importing import import_recording
+    from dpcontrol.recordings.recording import load_recording
+
+    path = Path(file)
+    if path.suffix.lower() == ".mcap":
+        return load_recording(path)
+    with _reporting(progress, "import") as report:
+        return import_recording(path, mapping, repairs=list(repairs), progress=report)
+
+
+def _system(model: Model | System) -> System:
+    return model.system if isinstance(model, Model) else model
+
+
+def _found(converged: bool, what: str, status: str) -> None:
+    if not converged:
+        raise GoalMissed(f"{what}: {status}")
+
+
+def _edges(searches: "Sequence[ConnectionSearch]") -> "Edges":
+    """Return the part of the graph that some searches found."""
+    from dpcontrol.walks.edges import Edges
+
+    if not searches:
+        raise InputError("found = []: give a graph, or one search for connections at least")
+    first = searches[0].source
+    if len({one.energy for search in searches for one in (search.source, search.target)}) > 1:
+        raise InputError("the connections are of different energies: a walk keeps one")
+    return Edges(
+        system=first.system,
+        energy=first.energy,
+        orbits={one.saddle: one for search in searches for one in (search.source, search.target)},
+        absent=(),
+        searched=tuple((search.source.saddle, search.target.saddle) for search in searches),
+        connections=tuple(one for search in searches for one in search.connections),
+        notes=(),
+    )
+
+
+def _planned(planned: "Plan | str", progress: Progress) -> "Plan":
+    return plan(planned, progress=progress) if isinstance(planned, str) else planned
+
+
+def _options(options: RunOptions | None, mismatch: float | None) -> RunOptions:
+    chosen = options or RunOptions()
+    return chosen if mismatch is None else replace(chosen, mismatch=mismatch)
+
+
+@contextmanager
+def _reporting(progress: Reporting, label: str) -> Iterator[Progress]:
+    if progress is True:
+        with progress_bar(label) as report:
+            yield report
+    else:
+        yield progress or no_progress
