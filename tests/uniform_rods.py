@@ -1,7 +1,7 @@
 """Double pendulums of two uniform rods: arms unlike the lab's, on which searches are tried."""
 
-from dpcontrol.dynamics.chain import ArmChainParameters
-from dpcontrol.dynamics.system import System, pendulum_system
+from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
+from dpcontrol.dynamics.system import System
 
 
 def uniform_rods(lengths: tuple[float, float], masses: tuple[float, float]) -> System:
