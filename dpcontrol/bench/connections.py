@@ -11,8 +11,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.chart import Chart, Missing, Panel, Point
-from dpcontrol.bench.measure import timed, timed_in_turns
+from dpcontrol.bench.candidates import Candidate, Judged, compare
+from dpcontrol.bench.chart import Chart, Panel, Point
+from dpcontrol.bench.measure import timed
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.orbits.curve import local_manifold
@@ -29,6 +30,7 @@ ENERGY = -0.07
 THREE_BODY_ENERGY = -1.5175
 ROUNDING = 1e-14
 QUICK = (("seed distance", "3e-03"), ("first phases", "12"), ("chord", "0.2"))
+ROUGH = "two flights"
 SLOWER, WIDER = 51.0, 1e6
 """hiten 0.5.4 on L1 to L2, end to end: times this project's seconds as stored, gap wider by this at least."""
 
@@ -65,32 +67,21 @@ def orbit_panel(progress: Progress, *, quick: bool) -> Panel:
     system = load_model("lab").system
     found = lyapunov_orbit(system, "down-up", energy=ENERGY)
     truth = refine_orbit(found).state.astype(float)
-    points, start_up = [], {}
     base = ContinuationSettings()
-    steps = (0.025, 0.05, 0.1, 0.2, 0.4)
-    settings = [("step of the continuation", f"{s:g}", replace(base, step=s)) for s in steps]
+    settings = [("step of the continuation", f"{s:g}", replace(base, step=s)) for s in (0.025, 0.05, 0.1, 0.2, 0.4)]
     settings += [("tolerance", f"{t:.0e}", replace(base, tolerance=t)) for t in (1e-4, 1e-7, 1e-10)]
-    missing = []
-    runs = timed_in_turns(
-        {
-            (method, label): partial(lyapunov_orbit, system, "down-up", energy=ENERGY, settings=chosen)
-            for method, label, chosen in settings
-        },
-        15 if quick else 45,
-        worth=lambda orbit: orbit.converged,
-        progress=progress,
-    )
-    for (method, label, chosen), run in zip(settings, runs.values(), strict=True):
-        if not run.result.converged:
-            missing.append(Missing(method, label, run.result.status))
-            continue
-        error = float(np.abs((run.result.state - truth) / system.scale).max())
-        points.append(Point(method, label, run.seconds, error, default=chosen == base, yardstick=run.yardstick))
-        start_up[method] = max(start_up.get(method, 0.0), run.start_up)
-    why = "longer steps find other orbits near the ends of families; one orbit takes milliseconds either way"
-    return Panel(
-        "Lyapunov orbit about down-up", "time, s", "error of the orbit, scaled", tuple(points), start_up,
-        tuple(missing), why=why, floor=ROUNDING,
+    tried = [
+        Candidate(method, label, partial(lyapunov_orbit, system, "down-up", energy=ENERGY, settings=chosen),
+                  default=chosen == base)
+        for method, label, chosen in settings
+    ]  # fmt: skip
+
+    def judge(_: Candidate[LyapunovOrbit], orbit: LyapunovOrbit) -> Judged | str:
+        return Judged(float(np.abs((orbit.state - truth) / system.scale).max())) if orbit.converged else orbit.status
+
+    return compare(tried, judge, rounds=15 if quick else 45, progress=progress).panel(
+        "Lyapunov orbit about down-up", "time, s", "error of the orbit, scaled", floor=ROUNDING,
+        why="longer steps find other orbits near the ends of families; one orbit takes milliseconds either way",
     )  # fmt: skip
 
 
@@ -134,36 +125,22 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progre
     cases += [("shooting from", f"{f:.0e}", replace(base, farthest=f)) for f in (1e-4, 1e-5, 1e-6)]
     if quick:
         cases = [case for case in cases if case[:2] in QUICK]
-    points: list[Point] = []
-    missing: list[Missing] = []
-    start_up: dict[str, float] = {}
 
     def searched(settings: ConnectionSettings) -> list[Array]:
         return [c.state for c in find_connections(orbit, orbit, settings=settings).connections]
 
-    default = "chosen", "1e-4, 100, 0.05, 3e-7"
-    ways = {(method, label): partial(searched, s) for method, label, s in cases}
-    ways[default] = partial(searched, base)
-    ways |= {("two flights", f"{d:.0e}"): partial(_two_flights, orbit, d) for d in (1e-3, 1e-4, 1e-6)}
-    runs = timed_in_turns(ways, 9 if quick else 15, most=1.2 if quick else 6.0, progress=progress)
-    for (method, label), run in runs.items():
-        error = worst(orbit, run.result, truths)
-        if method == "two flights":
-            lost = "" if np.isfinite(error) else "a connection is not among those met"
-        else:
-            whole = len(run.result) >= expected and np.isfinite(error)
-            lost = "" if whole else f"{len(run.result)} of {expected} found"
-            start_up[method] = max(start_up.get(method, 0.0), run.start_up)
-        if lost:
-            missing.append(Missing(method, label, lost))
-        else:
-            chosen = (method, label) == default
-            points.append(Point(method, label, run.seconds, error, default=chosen, yardstick=run.yardstick))
-    return Panel(
-        f"{expected} connections of down-up with itself", "time, s", "error of the worst, scaled", tuple(points),
-        start_up, tuple(missing),
+    tried = [Candidate(method, label, partial(searched, s)) for method, label, s in cases]
+    tried.append(Candidate("chosen", "1e-4, 100, 0.05, 3e-7", partial(searched, base), default=True))
+    tried += [Candidate(ROUGH, f"{d:.0e}", partial(_two_flights, orbit, d)) for d in (1e-3, 1e-4, 1e-6)]
+
+    def judge(one: Candidate[list[Array]], states: list[Array]) -> Judged | str:
+        # Two flights leave out meetings that are images of others.
+        least, error = len(truths) if one.method == ROUGH else expected, worst(orbit, states, truths)
+        return Judged(error) if len(states) >= least and np.isfinite(error) else f"{len(states)} of {least} found"
+
+    return compare(tried, judge, rounds=9 if quick else 15, most=1.2 if quick else 6.0, progress=progress).panel(
+        f"{expected} connections of down-up with itself", "time, s", "error of the worst, scaled", floor=ROUNDING,
         why="fewer phases or longer chords save part of the time here and lose connections at other energies",
-        floor=ROUNDING,
     )  # fmt: skip
 
 
@@ -186,17 +163,11 @@ def outside_panel(*, quick: bool) -> Panel:
         return find_connections(first, second, hits=(2, 2))
 
     run = timed(ours, 3 if quick else 7, most=0.5 if quick else 4.0)
-    gap = max(c.residual for c in run.result.connections)
+    found = run.result.connections
+    gap = max(c.residual for c in found)
     note = "ratios stored by tests/benchmarks/test_against_hiten.py: of a fresh process; gap at least"
     points = (
-        Point(
-            "dpcontrol",
-            f"{len(run.result.connections)} connections",
-            run.seconds,
-            gap,
-            default=True,
-            yardstick=run.yardstick,
-        ),
+        Point("dpcontrol", f"{len(found)} connections", run.seconds, gap, default=True, yardstick=run.yardstick),
         Point("hiten 0.5.4 (stored)", "", run.seconds * SLOWER, gap * WIDER, outside=True, stored=True, note=note),
     )
     title = "L1 to L2 of three bodies, with the orbits"

@@ -15,9 +15,10 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from textwrap import shorten
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 from dpcontrol.bench.chart import Page, TextTable
+from dpcontrol.foundation.progress import Progress
 
 AGREES = 0.25
 """How far measured and predicted borders may be apart, as a share."""
@@ -133,6 +134,18 @@ def find_border(
         else:
             bad, says = middle, trials[-1].says
     return done(says, good, bad)
+
+
+T = TypeVar("T")
+
+
+def borders(border: Callable[[T], Border], values: Sequence[T], progress: Progress, what: str) -> tuple[Border, ...]:
+    """Return the border at each value; what: names them to `progress`, with {} for the value."""
+    found = []
+    for k, value in enumerate(values):
+        progress(what.format(value), k / len(values))
+        found.append(border(value))
+    return tuple(found)
 
 
 @dataclass(frozen=True)

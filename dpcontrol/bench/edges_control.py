@@ -19,13 +19,13 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border
+from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, borders, find_border
 from dpcontrol.control.interface import Controller
 from dpcontrol.control.lqr import HoldController, HoldSettings, hold_controller
 from dpcontrol.control.model import SampledModel
 from dpcontrol.control.tracking import TvlqrSettings, tracking_controller
 from dpcontrol.dynamics.chain import ArmChainParameters
-from dpcontrol.foundation.progress import Progress
+from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.loop.batch import BatchRun, run_batch
 from dpcontrol.loop.bench import DriveSettings
 from dpcontrol.loop.draw import draw_bench
@@ -123,13 +123,15 @@ def chart(quick: bool, progress: Progress) -> EdgeChart:
     """Return the chart of arms held at an equilibrium; quick: fewer rates and delays."""
     rates, delays = (QUICK_RATES, QUICK_DELAYS) if quick else (RATES, DELAYS)
     ratio = 1.15 if quick else 1.06
-    late, wrong = [], []
-    for k, rate in enumerate(rates):
-        progress(f"edges of control, delay at {rate:g} Hz", 0.5 * k / len(rates))
-        late.append(held_delay_border(rate, ratio=ratio))
-    for k, delay in enumerate(delays):
-        progress(f"edges of control, mismatch at {delay:g} s", 0.5 + 0.5 * k / len(delays))
-        wrong.append(held_mismatch_border(delay, ratio=ratio))
+    late = borders(
+        lambda rate: held_delay_border(rate, ratio=ratio), rates, part_of(progress, 0.0, 0.5), "delay at {:g} Hz"
+    )
+    wrong = borders(
+        lambda delay: held_mismatch_border(delay, ratio=ratio),
+        delays,
+        part_of(progress, 0.5, 1.0),
+        "mismatch at {:g} s",
+    )
     return EdgeChart(
         name="edges-control",
         title="Where control ends: arms held at Down-Up",
@@ -150,13 +152,14 @@ def chart(quick: bool, progress: Progress) -> EdgeChart:
 def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
     """Return the chart of a moving reference; quick: one rate, one delay."""
     rates, delays = (QUICK_MOVING_RATES, QUICK_MOVING_DELAYS) if quick else (MOVING_RATES, MOVING_DELAYS)
-    late, wrong = [], []
-    for k, rate in enumerate(rates):
-        progress(f"edges of moving references, delay at {rate:g} Hz", 0.5 * k / len(rates))
-        late.append(delay_border(moving(rate), error=MOVING_ERROR, ratio=1.08))
-    for k, delay in enumerate(delays):
-        progress(f"edges of moving references, mismatch at {delay:g} s", 0.5 + 0.5 * k / len(delays))
-        wrong.append(mismatch_border(moving(MISMATCH_RATE), delay, ratio=1.1))
+    late = borders(
+        lambda rate: delay_border(moving(rate), error=MOVING_ERROR, ratio=1.08), rates, part_of(progress, 0.0, 0.5),
+        "delay at {:g} Hz",
+    )  # fmt: skip
+    wrong = borders(
+        lambda delay: mismatch_border(moving(MISMATCH_RATE), delay, ratio=1.1), delays, part_of(progress, 0.5, 1.0),
+        "mismatch at {:g} s",
+    )  # fmt: skip
     return EdgeChart(
         name="edges-moving",
         title="Where control ends on a moving reference: one turn of the outer arm, TVLQR",
@@ -171,10 +174,12 @@ def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
     )
 
 
-def _maps(late: list[Border], wrong: list[Border], of_delay: str = "", of_model: str = "") -> tuple[EdgeMap, EdgeMap]:
+def _maps(
+    late: tuple[Border, ...], wrong: tuple[Border, ...], of_delay: str = "", of_model: str = ""
+) -> tuple[EdgeMap, EdgeMap]:
     return (
-        EdgeMap("Known delay, by rate", "rate of the loop, Hz", "delay, s", tuple(late), of_delay, far="lost"),
-        EdgeMap("Wrong model, by delay", "delay, s", "mismatch of the plant, share", tuple(wrong), of_model,
+        EdgeMap("Known delay, by rate", "rate of the loop, Hz", "delay, s", late, of_delay, far="lost"),
+        EdgeMap("Wrong model, by delay", "delay, s", "mismatch of the plant, share", wrong, of_model,
                 far="lost", agrees=WITHOUT_FILTER),
     )  # fmt: skip
 

@@ -17,12 +17,12 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border, half_of
+from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, borders, find_border, half_of
 from dpcontrol.control.lqr import HoldSettings, hold_controller
 from dpcontrol.control.periodic import orbit_controller
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters
-from dpcontrol.foundation.progress import Progress
+from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.loop.loop import LoopSettings, run_loop, sampled_model
 from dpcontrol.loop.result import Ending
@@ -52,22 +52,24 @@ def chart(quick: bool, progress: Progress) -> EdgeChart:
     """Return the chart; quick: one rate, one phase, fewer seeds."""
     model = load_model("lab")
     rates, phases, seeds = (QUICK_RATES, QUICK_PHASES, 5) if quick else (RATES, PHASES, SEEDS)
-    lost, stuck = [], []
-    for k, rate in enumerate(rates):
-        progress(f"edges of estimation, lost samples at {rate:g} Hz", 0.6 * k / len(rates))
-        lost.append(lost_border(model.arms, model.system.equilibrium(SADDLE), rate=rate, seeds=seeds))
+    equilibrium = model.system.equilibrium(SADDLE)
+    lost = borders(
+        lambda rate: lost_border(model.arms, equilibrium, rate=rate, seeds=seeds), rates, part_of(progress, 0.0, 0.6),
+        "lost samples at {:g} Hz",
+    )  # fmt: skip
     orbit = sustained_orbit(lyapunov_orbit(model.system, SADDLE, energy=-0.07), model.arms)
-    for k, phase in enumerate(phases):
-        progress(f"edges of estimation, stuck at phase {phase:g}", 0.6 + 0.4 * k / len(phases))
-        stuck.append(stuck_border(model.arms, orbit, phase=phase))
+    stuck = borders(
+        lambda phase: stuck_border(model.arms, orbit, phase=phase), phases, part_of(progress, 0.6, 1.0),
+        "stuck at phase {:g}",
+    )  # fmt: skip
     return EdgeChart(
         name="edges-estimation",
         title="Where estimates end: samples lost, an encoder stuck",
         maps=(
-            EdgeMap("Lost samples", "rate of the loop, Hz", "samples that arrive, per s", tuple(lost), far="lost",
+            EdgeMap("Lost samples", "rate of the loop, Hz", "samples that arrive, per s", lost, far="lost",
                     theory="a gap of 0.1 s is as likely as not in 10 s"),
             EdgeMap("A stuck encoder of the outer arm, on the orbit about Down-Up", "phase at which it sticks",
-                    "seconds until it is reported", tuple(stuck), far="reported", near="goes on", log_x=False),
+                    "seconds until it is reported", stuck, far="reported", near="goes on", log_x=False),
         ),
         reading=(
             "Left: the filter flies through gaps on its model; the supervisor ends the run after 0.1 s without any.",

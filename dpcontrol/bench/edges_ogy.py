@@ -6,15 +6,16 @@ encoders. Readings round as the orbit has it, which no short formula tells: the 
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
-from dpcontrol.bench.control_trials import held
-from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border, half_of
+from dpcontrol.bench.control import held
+from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, borders, find_border, half_of
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.ogy import OgyController, OgySettings, ogy_controller
 from dpcontrol.dynamics.chain import ArmChainParameters
-from dpcontrol.foundation.progress import Progress
+from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.loop.batch import run_batch
 from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.loop.loop import LoopSettings, sampled_model
@@ -63,20 +64,19 @@ def chart(quick: bool, progress: Progress) -> EdgeChart:
     """Return the chart; quick: fewer sections and seeds, wider borders, and shorter runs."""
     one = stay(seconds=QUICK_SECONDS if quick else SECONDS)
     sections, seeds, ratio = (QUICK_SECTIONS, QUICK_SEEDS, QUICK_RATIO) if quick else (SECTIONS, SEEDS, RATIO)
-    weak, counted = [], []
-    for j, k in enumerate(sections):
-        progress(f"edges of OGY, largest pulse, k = {k}", 0.4 * j / len(sections))
-        weak.append(limit_border(one, k, seeds=seeds, ratio=ratio))
-    for j, k in enumerate(sections):
-        progress(f"edges of OGY, counts, k = {k}", 0.4 + 0.6 * j / len(sections))
-        counted.append(counts_border(one, k, seeds=seeds, ratio=ratio))
+    weak, counted = (
+        borders(partial(of, one, seeds=seeds, ratio=ratio), sections, part_of(progress, begin, end), what)
+        for of, begin, end, what in (
+            (limit_border, 0.0, 0.4, "largest pulse, k = {}"), (counts_border, 0.4, 1.0, "counts, k = {}"),
+        )
+    )  # fmt: skip
     x = "sections in a period, k"
     return EdgeChart(
         name="edges-ogy",
         title=f"Where OGY ends: Down-Up at -0.07 J, multiplier {one.orbit.multipliers[0].real:.0f} a period",
         maps=(
-            EdgeMap(f"Authority, {COUNTS:,.0f} counts per turn", x, "largest pulse, m/s²", tuple(weak), far="lost"),
-            EdgeMap(f"Encoders, pulses of {LIMIT:g} m/s²", x, "counts per turn", tuple(counted), far="lost"),
+            EdgeMap(f"Authority, {COUNTS:,.0f} counts per turn", x, "largest pulse, m/s²", weak, far="lost"),
+            EdgeMap(f"Encoders, pulses of {LIMIT:g} m/s²", x, "counts per turn", counted, far="lost"),
         ),
         reading=(
             "From one section to the next an error grows by about λ^(1/k), so few sections need large pulses or "

@@ -17,9 +17,9 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border
+from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, borders, find_border
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
-from dpcontrol.foundation.progress import Progress
+from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings
@@ -43,23 +43,20 @@ QUICK_TRACKS = (0.01,)
 def chart(quick: bool, progress: Progress) -> EdgeChart:
     """Return the chart; quick: one friction, the whole track."""
     frictions, tracks = (QUICK_FRICTIONS, QUICK_TRACKS) if quick else (FRICTIONS, TRACKS)
-    meshes, pushed = [], []
-    for k, friction in enumerate(frictions):
-        progress(f"edges of references, friction × {friction:g}", 0.4 * k / len(frictions))
-        meshes.append(mesh_border(friction, x=float(k)))
-    for k, track in enumerate(tracks):
-        progress(f"edges of references, track ± {track:g} m", 0.4 + 0.6 * k / len(tracks))
-        pushed.append(acceleration_border(track))
-    maps = [
-        EdgeMap(f"Mesh, {METHOD}", "friction, × the arms' own", f"interval for {TOLERANCE:g} between nodes, s",
-                tuple(meshes), log_x=False, far="not as good",
-                theory="the error falls as the interval to the power of the points"),
-    ]  # fmt: skip
-    maps.append(EdgeMap("Limits", "track, ± m", "acceleration, m/s²", tuple(pushed), far="no reference"))
+    meshes = borders(
+        lambda friction: mesh_border(friction, x=float(frictions.index(friction))), frictions,
+        part_of(progress, 0.0, 0.4), "friction × {:g}",
+    )  # fmt: skip
+    pushed = borders(acceleration_border, tracks, part_of(progress, 0.4, 1.0), "track ± {:g} m")
     return EdgeChart(
         name="edges-references",
         title="Where references end: one turn of the outer arm",
-        maps=tuple(maps),
+        maps=(
+            EdgeMap(f"Mesh, {METHOD}", "friction, × the arms' own", f"interval for {TOLERANCE:g} between nodes, s",
+                    meshes, log_x=False, far="not as good",
+                    theory="the error falls as the interval to the power of the points"),
+            EdgeMap("Limits", "track, ± m", "acceleration, m/s²", pushed, far="no reference"),
+        ),
         reading=(
             f"Left: the longest equal intervals with which the error between nodes stays below {TOLERANCE:g}.",
             "Right: the least acceleration with which the motion exists on a track; the status names the limit.",

@@ -18,8 +18,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border, half_of
-from dpcontrol.foundation.progress import Progress
+from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, borders, find_border, half_of
+from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.scenes.model import load_model
 from dpcontrol.shooting.newton import NewtonSettings
 from dpcontrol.tubes.connection import Connection
@@ -40,20 +40,21 @@ def chart(quick: bool, progress: Progress) -> EdgeChart:
     """Return the chart; quick: fewer wraps and spacings."""
     walks = tuple(round_trip(ENERGY * (1 + k * APART)) for k in range(QUICK_DRAWS if quick else DRAWS))
     wraps, spacings = (QUICK_WRAPS, QUICK_SPACINGS) if quick else (WRAPS, SPACINGS)
-    by_spacing, by_wraps = [], []
-    for k, segments in enumerate(spacings):
-        progress(f"edges of shadowing, {segments} nodes a period", 0.5 * k / len(spacings))
-        by_spacing.append(tolerance_border(walks, segments=segments, wraps=2, x=segments))
-    for k, count in enumerate(wraps):
-        progress(f"edges of shadowing, {count} wraps", 0.5 + 0.5 * k / len(wraps))
-        by_wraps.append(tolerance_border(walks, segments=1, wraps=count, x=count))
+    by_spacing = borders(
+        lambda segments: tolerance_border(walks, segments=segments, wraps=2, x=segments), spacings,
+        part_of(progress, 0.0, 0.5), "{} nodes a period",
+    )  # fmt: skip
+    by_wraps = borders(
+        lambda count: tolerance_border(walks, segments=1, wraps=count, x=count), wraps, part_of(progress, 0.5, 1.0),
+        "{} wraps",
+    )  # fmt: skip
     return EdgeChart(
         name="edges-walks",
         title=f"Where shadowing ends: Down-Up to Up-Down and back at {ENERGY:g} J",
         maps=(
-            EdgeMap("Two wraps", "nodes in a period", "tolerance of gaps, rad and rad/s", tuple(by_spacing),
+            EdgeMap("Two wraps", "nodes in a period", "tolerance of gaps, rad and rad/s", by_spacing,
                     far="not converged"),
-            EdgeMap("One node in a period", "wraps", "tolerance of gaps, rad and rad/s", tuple(by_wraps),
+            EdgeMap("One node in a period", "wraps", "tolerance of gaps, rad and rad/s", by_wraps,
                     far="not converged", log_x=False),
         ),
         reading=(

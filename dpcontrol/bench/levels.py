@@ -1,22 +1,55 @@
-"""Chart 7: what each level of the model costs and what leaving it out does, per scene."""
+"""Chart of model levels: what each costs, and what goes wrong where it is left out, on a scene's own motion.
 
-from collections.abc import Sequence
+    conservative ⊂ dissipative ⊂ cart ⊂ drive ⊂ force          (see `dpcontrol.dynamics`)
 
+*Motion*: from states along the scene's reference each level flies 0.1 s with the reference's input; the error is the
+distance from what the fullest level does. *Closed loop*: campaigns of the scene with a reference, or on a plant, of
+each level. The rig's drive is not identified; the values below are those of a common servo with a linear motor.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.bench.candidates import Candidate, Compared, Judged, compare
 from dpcontrol.bench.chart import Chart, Missing, Panel, Point
-from dpcontrol.bench.level_trials import CART_MASS, LAG, WINDOW, LevelMotion, gather, motions
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
+from dpcontrol.dynamics.compiled import compiled_step
+from dpcontrol.dynamics.plant import PlantLevel, PlantParameters, plant_step
 from dpcontrol.foundation.progress import Progress
-from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
-from dpcontrol.scenes.levels import PLANT_LEVELS, REFERENCE_LEVELS, Evidence, LevelRuns
-from dpcontrol.scenes.plan import Plan
+from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
+from dpcontrol.references.reference import Reference
+from dpcontrol.scenes.campaign import Case, Job, run_job
+from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart, load_itinerary
+from dpcontrol.scenes.levels import PLANT_LEVELS, REFERENCE_LEVELS, Evidence, LevelRuns, motion_key
+from dpcontrol.scenes.plan import Plan, make_plan
 
-SCENES = ("outer-turn", "cross", "up-up")
-QUICK_SCENES = ("outer-turn",)
-_WHY = (
-    "the cart level holds all that the rig's identified values tell; its drive is not identified, so what the levels "
-    "above add is there for those who know theirs"
-)
+Array = NDArray[np.float64]
+
+SCENES, QUICK_SCENES = ("outer-turn", "cross", "up-up"), ("outer-turn",)
+LAG, CART_MASS, CART_VISCOUS = 5e-3, 3.0, 5.0
+"""s, kg, N s/m."""
+WINDOW, TICK = 0.1, 1e-3
+WINDOWS = 64
+LONGEST_STAY = 10.0
+"""s: a stay is the same from period to period."""
+_LOWER = {"conservative": Level.CONSERVATIVE, "dissipative": Level.DISSIPATIVE}
+MOTION_LEVELS = (*_LOWER, *PLANT_LEVELS)
+_FLOOR = 1e-11
+"""Scaled: what the propagation itself errs by, so what two equal levels may differ by."""
 _PLAN_FLOOR = 1e-4
 """s: of a reference that needs no solver, what it takes to put it together at least."""
+_WHY = (
+    "the cart level holds all that the rig's identified values support; its drive is not identified, so what the "
+    "levels above add is there for those who know theirs"
+)
+HEADING = f"""What each shipped scene needs of the model: `pytest -m benchmark tests/benchmarks/test_level_evidence.py`.
+reference: one run on a plant that is the model. plant: runs with the scene's own mismatch; drive: lag {LAG:g} s;
+force: a cart of {CART_MASS:g} kg besides. effort: m/s² rms of the cart; error: rad rms of the angles."""
 
 
 def chart(quick: bool, progress: Progress) -> Chart:
@@ -48,57 +81,157 @@ def chart(quick: bool, progress: Progress) -> Chart:
 def _panels(scene: Itinerary, *, seeds: int) -> list[Panel]:
     evidence, plans = gather(scene, seeds=seeds)
     found = motions(plans["cart"].reference, scene.model.arms)
-    motion = Panel(
-        f"{scene.name}: motion",
-        "s per second of motion",
-        f"arms' distance from the fullest level after {WINDOW:g} s (scaled)",
-        tuple(
-            Point(m.level, "", m.seconds, m.error, default=m.level == "cart", yardstick=m.yardstick) for m in found[:-1]
+    fullest = PLANT_LEVELS[-1]
+    motion = found.panel(
+        f"{scene.name}: motion", "s per second of motion",
+        f"arms' distance from the fullest level after {WINDOW:g} s (scaled)", why=_WHY,
+        points=tuple(p for p in found.points if p.method != fullest),
+        missing=(Missing(fullest, "", "the fullest level: what the others are measured by"),),
+    )  # fmt: skip
+    made = {level: max(plan.reference.solve_seconds, _PLAN_FLOOR) for level, plan in plans.items()}
+    efforts = {level: runs.effort for level, runs in evidence.references.items()}
+    reference = Panel(
+        f"{scene.name}: reference", "s of the solver", "cart's acceleration, m/s² rms",
+        _points(evidence.references, made, efforts, default=scene.reference.level), why=_WHY,
+        missing=tuple(
+            Missing(level, "", "rest, holds and changes of energy need the cart")
+            for level in REFERENCE_LEVELS
+            if level not in evidence.references
         ),
-        {m.level: m.start_up for m in found},
-        (Missing(found[-1].level, "", "the fullest level: what the others are measured by"),),
-        why=_WHY,
-    )
-    return [motion, _reference_panel(scene, plans, evidence), _plant_panel(scene, found, evidence)]
-
-
-def _reference_panel(scene: Itinerary, plans: dict[str, Plan], evidence: Evidence) -> Panel:
-    points = tuple(
-        _point(level, max(plans[level].reference.solve_seconds, _PLAN_FLOOR), found.effort, found,
-               default=level == scene.reference.level)
-        for level, found in evidence.references.items()
     )  # fmt: skip
-    missing = tuple(
-        Missing(level, "", "rest, holds and changes of energy need the cart")
-        for level in REFERENCE_LEVELS
-        if level not in evidence.references
-    )
-    return Panel(
-        f"{scene.name}: reference",
-        "s of the solver",
-        "cart's acceleration, m/s² rms",
-        points,
-        missing=missing,
-        why=_WHY,
-    )
-
-
-def _plant_panel(scene: Itinerary, motion: Sequence[LevelMotion], evidence: Evidence) -> Panel:
-    runs = evidence.plants
-    full, seconds = runs[PLANT_LEVELS[-1]], {m.level: m.seconds for m in motion}
-    points = [
-        _point(level, seconds[level], abs(found.error - full.error) / full.error, found, default=level == "cart")
-        for level, found in runs.items()
-    ]
-    return Panel(
+    flown = {p.method: p.seconds for p in found.points}
+    full = evidence.plants[fullest].error
+    apart = {level: abs(runs.error - full) / full for level, runs in evidence.plants.items()}
+    plant = Panel(
         f"{scene.name}: plant", "s per second of motion", "tracking error, difference from the fullest plant (share)",
-        tuple(points), why=_WHY, log_y=False,
+        _points(evidence.plants, flown, apart, default="cart"), why=_WHY, log_y=False,
+    )  # fmt: skip
+    return [motion, reference, plant]
+
+
+def _points(
+    runs: Mapping[str, LevelRuns], seconds: Mapping[str, float], errors: Mapping[str, float], *, default: str
+) -> tuple[Point, ...]:
+    return tuple(
+        Point(
+            level, "", seconds[level], errors[level], default=level == default,
+            note=f"{found.completed} of {found.runs} completed",
+            others={"completed": found.completed, "runs": found.runs, "effort": found.effort,
+                    "tracking_error": found.error},
+        )
+        for level, found in runs.items()
     )  # fmt: skip
 
 
-def _point(level: str, seconds: float, error: float, runs: LevelRuns, *, default: bool) -> Point:
-    return Point(
-        level, "", seconds, error, default=default,
-        note=f"{runs.completed} of {runs.runs} completed",
-        others={"completed": runs.completed, "runs": runs.runs, "effort": runs.effort, "tracking_error": runs.error},
+def plant_at(level: str, arms: ArmChainParameters) -> PlantParameters:
+    """Return these arms on the cart, on a cart with a drive, or on one that they push."""
+    if level == PlantLevel.CART:
+        return PlantParameters(arms)
+    if level == PlantLevel.DRIVE:
+        return PlantParameters(arms, lag=LAG)
+    return PlantParameters(arms, lag=LAG, cart_mass=CART_MASS, cart_viscous=CART_VISCOUS)
+
+
+def motions(reference: Reference, arms: ArmChainParameters) -> Compared:
+    """Return seconds per second of motion, and the rms scaled error of a window against the fullest level, of every
+    level on a reference's own motion.
+    """
+    n = arms.count
+    starts = np.linspace(reference.mesh[0], reference.mesh[-1] - WINDOW, WINDOWS)
+    times = starts + TICK * (np.arange(round(WINDOW / TICK)) + 0.5)[:, None]
+    inputs = reference.input(times)[..., 0]
+    first = reference.state(starts).T
+    ends = {
+        "conservative": _flown(PlantParameters(arms.frictionless()), first, 0 * inputs),
+        "dissipative": _flown(PlantParameters(arms), first, 0 * inputs),
+        **{level: _flown(plant_at(level, arms), first, inputs) for level in PLANT_LEVELS},
+    }
+    scale = np.array([ANGLE_SCALE] * n + [RATE_SCALE] * n)[:, None]
+    full = ends[PLANT_LEVELS[-1]]
+
+    def judge(one: Candidate[Array], _: Array) -> Judged:
+        away = np.abs((ends[one.method][: 2 * n] - full[: 2 * n]) / scale).max(axis=0)
+        return Judged(max(float(np.sqrt(np.mean(away**2))), _FLOOR))
+
+    start, command = first[:, 0], float(inputs[0, 0])
+    tried = [
+        Candidate(level, "", _tick(level, arms, start, command), default=level == "cart", units=TICK)
+        for level in MOTION_LEVELS
+    ]
+    return compare(tried, judge, rounds=61)
+
+
+def _flown(plant: PlantParameters, first: Array, inputs: Array) -> Array:
+    """Return states (N, S) after `inputs` (K, S), held for a tick each, from the cart level's states (N, S)."""
+    step = plant_step(plant.arms.count, plant.level, friction=plant.arms.friction)
+    state = first if plant.level is PlantLevel.CART else np.vstack([first, inputs[0]])
+    given = np.zeros((step.size_in, state.shape[1]))
+    given[step.slices["parameters"]] = plant.numbers()[:, None]
+    given[step.slices["duration"]] = TICK
+    for row in inputs:
+        given[step.slices["state"]], given[step.slices["inputs"]] = state, row
+        state = step(given, np.empty((step.size_out, state.shape[1])))
+    return state
+
+
+def _tick(level: str, arms: ArmChainParameters, first: Array, command: float) -> Callable[[], Array]:
+    """Return what a tick of a level costs, as a function to be timed."""
+    if level in _LOWER:
+        own = arms.frictionless() if level == "conservative" else arms
+        equations, numbers, size = equations_of(own, _LOWER[level]), own.base(), 2 * arms.count
+    else:
+        plant = plant_at(level, arms)
+        equations, numbers, size = plant.equations, plant.numbers(), plant.equations.dimension
+    step = compiled_step(equations)
+    given, out = np.zeros(step.size_in), np.empty(step.size_out)
+    state = np.append(first, command)[:size]
+    given[step.slices["parameters"]], given[step.slices["duration"]] = numbers, TICK
+    given[step.slices["state"]], given[step.slices["inputs"]] = state, command
+    return lambda: step(given, out)
+
+
+def shortened(itinerary: Itinerary) -> Itinerary:
+    """Return a scene whose stays last no longer than one that shows how all go on."""
+    parts = tuple(
+        replace(part, seconds=min(part.seconds, LONGEST_STAY)) if isinstance(part, HoldPart | OrbitPart) else part
+        for part in itinerary.parts
+    )
+    return replace(itinerary, parts=parts)
+
+
+def can_be_conservative(itinerary: Itinerary) -> bool:
+    """Tell whether a scene can do without friction and cart in its reference: one walk from orbit to orbit, in one."""
+    alone = len(itinerary.parts) == 1 and isinstance(itinerary.parts[0], WalkPart)
+    return alone and not itinerary.keeps and (itinerary.start, itinerary.finish) == ("orbit", "orbit")
+
+
+def gather(itinerary: Itinerary, *, seeds: int) -> tuple[Evidence, dict[str, Plan]]:
+    """Return a scene's evidence: its reference's levels on the model itself, its plant's levels; and its plans."""
+    short = shortened(itinerary)
+    levels = REFERENCE_LEVELS if can_be_conservative(itinerary) else REFERENCE_LEVELS[-1:]
+    plans = {level: make_plan(replace(short, reference=replace(short.reference, level=level))) for level in levels}
+    # One run on a plant that is the model, started on the reference, and runs on plants of each level.
+    exact = replace(short.loop, mismatch=0.0, initial_error=0.0)
+    references = {level: _runs(short, plan.file, exact, 1) for level, plan in plans.items()}
+    plants = {}
+    for level in PLANT_LEVELS:
+        plant = plant_at(level, short.model.arms)
+        drive = replace(
+            short.loop.drive, lag=plant.lag, cart_mass=plant.cart_mass, cart_viscous=plant.cart_viscous
+        )  # fmt: skip
+        plants[level] = _runs(short, plans["cart"].file, replace(short.loop, drive=drive), seeds)
+    return Evidence(itinerary.name, motion_key(itinerary), references, plants), plans
+
+
+def _runs(itinerary: Itinerary, archive: Path, loop: LoopSettings, seeds: int) -> LevelRuns:
+    """Return what `seeds` runs come to with the reference in `archive`."""
+    job = Job(
+        itinerary.name, archive.read_bytes(), itinerary.model.arms, Case("level", (), loop), tuple(range(seeds)),
+        "compiled",
     )  # fmt: skip
+    rows = run_job(job)
+    effort, error = (
+        float(np.sqrt(np.mean([row[key] ** 2 for row in rows])))
+        for key in ("rms_cart_acceleration", "rms_tracking_error")
+    )
+    return LevelRuns(seeds, sum(row["completed"] for row in rows), effort, error)

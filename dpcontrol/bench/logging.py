@@ -1,91 +1,85 @@
-"""Chart 6: formats of logs, their chunks and their compression: loss on a kill and size against the time of a message.
+"""Chart of log formats, their chunks and their compression: loss on a kill and size against the time of a message.
 
 Every format holds the same run. A message's time is the run's logging time over its messages, five or six a tick; the
 formats that are no messages hold the same numbers, and are divided by the same count.
+
+A kill takes what the process holds and leaves what it has handed to the system. So a copy of the file, made while the
+run goes on, is what a kill at that moment would have left; it is read by whatever the format offers for a cut file.
 """
 
+import csv
+import json
 import shutil
 import tempfile
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
+from abc import ABC, abstractmethod
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from io import FileIO
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
-from dpcontrol.bench.chart import Chart, Missing, Panel, Point
-from dpcontrol.bench.log_formats import Arrays, Blocks, ByMessage, Format, Lines, Recording, RowGroups
-from dpcontrol.bench.measure import timed_in_turns
-from dpcontrol.foundation.progress import Progress, part_of
-from dpcontrol.logs import LogWriter
-from dpcontrol.logs.by_message import messages_of
+from dpcontrol.bench.candidates import Candidate, Compared, Judged, compare
+from dpcontrol.bench.chart import Chart, Missing, Point
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.progress import Progress
+from dpcontrol.logs import LogWriter, recover
+from dpcontrol.logs.by_message import Messages, MessageWriter, messages_of, ticks_left
 from dpcontrol.loop.loop import run_loop
+from dpcontrol.loop.result import Ticks
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.run_options import RunOptions
 
-REPEATS = 9
+Array = NDArray[np.float64]
+
 KILLS, QUICK_KILLS = 20, 5
 TICKS, QUICK_TICKS = 4000, 1000
-CHUNKS = (0.005, 0.01, 0.02, 0.05, 0.2, 1.0)
-LEVELS = (-5, 1, 3, 9)
-TIME = "s per message"
+CHUNKS, QUICK_CHUNKS = (0.005, 0.01, 0.02, 0.05, 0.2, 1.0), (0.005, 0.02, 0.2)
+LEVELS, QUICK_LEVELS = (-5, 3, 9), (9,)
 SURVIVES = 0.25
-"""Share of a run: who loses more on average keeps nothing to speak of."""
+"""Share of a run: a format that loses more on average keeps nothing worth having."""
+_SEED = 5
 _WHY = (
     "what is lost is a chunk and never more, and a chunk of 20 ms is as little as the loop itself holds back; longer "
     "ones are quicker by little and lose more"
 )
 
 
-@dataclass(frozen=True)
-class Tried:
-    """A format's seconds per message, those of the yardstick beside it, bytes per tick, and the mean and the largest
-    loss at kills, s.
-    """
-
-    kind: Format
-    seconds: float
-    yardstick: float
-    size: float
-    loss: float
-    largest_loss: float
-
-
 def chart(quick: bool, progress: Progress) -> Chart:
     """Return the chart; quick: one second of a run, fewer kills, chunks and levels."""
-    formats: list[Format] = [
-        ByMessage(1024 * 1024), ByMessage(16 * 1024), ByMessage(16 * 1024, "none"),
-        Lines("JSON", flush=False), Lines("JSON", flush=True), Lines("CSV", flush=False), Lines("CSV", flush=True),
-        Arrays(compressed=False), Arrays(compressed=True), RowGroups(100), RowGroups(1000),
-    ]  # fmt: skip
-    ours = [Blocks(chunk) for chunk in (CHUNKS[::2] if quick else CHUNKS)]
-    levels = [Blocks(compression=level) for level in (LEVELS[1::2] if quick else LEVELS) if level != 1]
+    kinds: list[Format] = [Blocks(chunk) for chunk in (QUICK_CHUNKS if quick else CHUNKS)]
+    kinds += [Blocks(compression=level) for level in (QUICK_LEVELS if quick else LEVELS)]
+    kinds += [ByMessage(1024 * 1024), ByMessage(16 * 1024), ByMessage(16 * 1024, "none")]
+    kinds += [Lines(kind, flush=flush) for kind in ("JSON", "CSV") for flush in (False, True)]
+    kinds += [Arrays(compressed=False), Arrays(compressed=True), RowGroups(100), RowGroups(1000)]
     with tempfile.TemporaryDirectory() as folder:
         run = recording(Path(folder), QUICK_TICKS if quick else TICKS)
-        kills = QUICK_KILLS if quick else KILLS
-        tried = trials([*ours, *levels, *formats], Path(folder), run, kills=kills, progress=progress)
-    blocks = [t for t in tried if isinstance(t.kind, Blocks)]
+        tried = trials(kinds, Path(folder), run, kills=QUICK_KILLS if quick else KILLS, progress=progress)
     seconds = len(run.ticks.times) / run.rate_hz
-    alive = [t for t in tried if t.loss < SURVIVES * seconds]
-    lost = [
-        Missing(
-            t.kind.method, t.kind.setting, f"loses {t.loss:.2g} s of {seconds:g} s on a kill, {t.size:.0f} bytes a tick"
-        )
-        for t in tried
-        if t not in alive
-    ]
-    panels = (
-        Panel("A kill", TIME, f"mean loss of a run of {seconds:g} s, s", _points(tried, lambda t: t.loss), why=_WHY),
-        Panel("Size, of what outlives a kill", TIME, "bytes per tick", _points(alive, lambda t: t.size),
-              missing=tuple(lost), why=_WHY),
-        Panel("Chunks and compression of our blocks", "bytes per tick", "mean loss, s",
-              _points(blocks, lambda t: t.loss, across=lambda t: t.size), why=_WHY, timed=False),
-    )  # fmt: skip
+    alive = tuple(p for p in tried.points if p.error < SURVIVES * seconds)
+    lost = tuple(
+        Missing(p.method, p.setting, f"loses {p.error:.2g} s of {seconds:g} s on a kill, {_size(p):.0f} bytes a tick")
+        for p in tried.points
+        if p not in alive
+    )
+    blocks = tuple(replace(p, seconds=_size(p)) for p in tried.points if p.method == Blocks.method)
+    sizes = tuple(replace(p, error=_size(p)) for p in alive)
+    time, loss = "s per message", "mean loss, s"
     return Chart(
         name="logging",
         title="Logging: loss on a kill and size against the time of a message",
-        panels=panels,
+        panels=(
+            tried.panel("A kill", time, f"mean loss of a run of {seconds:g} s, s", why=_WHY),
+            tried.panel("Size, of what outlives a kill", time, "bytes per tick", points=sizes, missing=lost, why=_WHY),
+            tried.panel("Chunks and compression of our blocks", "bytes per tick", loss, points=blocks, why=_WHY,
+                        timed=False),
+        ),
         reading=(
             "Left: seconds of a run that a kill takes, the tick under way included; npz and parquet lose all of it: "
             "they are readable only when complete.",
@@ -100,47 +94,254 @@ def chart(quick: bool, progress: Progress) -> Chart:
     )  # fmt: skip
 
 
-def recording(folder: Path, ticks: int) -> Recording:
+def _size(point: Point) -> float:
+    return point.others["bytes_per_tick"]
+
+
+@dataclass(frozen=True, eq=False)
+class LoggedRun:
+    """A run's ticks, and where its log is or shall be."""
+
+    ticks: Ticks
+    log: Path
+    arm_lengths: tuple[float, ...]
+    rate_hz: float
+
+    @cached_property
+    def messages(self) -> Messages:
+        """The log's messages, ready-made."""
+        return messages_of(self.log)
+
+    @cached_property
+    def rows(self) -> Array:
+        """All numbers of the ticks side by side (K, M)."""
+        t = self.ticks
+        assert t.truth is not None
+        return np.column_stack([t.times, t.measured, t.estimates, t.references, t.truth, t.control])
+
+    @cached_property
+    def lines(self) -> list[list[float]]:
+        """The rows as Python's numbers."""
+        return self.rows.tolist()
+
+
+class Format(ABC):
+    """A way to log: `begin` a file, hand over ticks in order, `end` it; `left` reads what a kill leaves."""
+
+    method: str
+    setting: str
+    default = False
+    outside = True
+    block = 1
+    """Ticks that are handed over at once."""
+
+    @abstractmethod
+    def begin(self, path: Path, run: LoggedRun) -> None:
+        """Create the file."""
+
+    @abstractmethod
+    def add(self, first: int, until: int) -> None:
+        """Take the ticks from `first` up to `until`."""
+
+    @abstractmethod
+    def end(self) -> None:
+        """Complete the file."""
+
+    @abstractmethod
+    def left(self, path: Path) -> int:
+        """Return how many ticks can be read of a cut file."""
+
+    def growing(self, path: Path) -> Path:
+        """Return where the file is while it grows."""
+        return path
+
+
+class Blocks(Format):
+    """This package's writer: whole chunks as arrays."""
+
+    method, outside = "our blocks", False
+
+    def __init__(self, chunk_seconds: float = 0.02, compression: int = 1) -> None:
+        self.setting = f"{chunk_seconds * 1e3:g} ms, zstd {compression}"
+        self.default = (chunk_seconds, compression) == (0.02, 1)
+        self._chunk, self._level = chunk_seconds, compression
+
+    def begin(self, path: Path, run: LoggedRun) -> None:
+        self._ticks = run.ticks
+        # The loop hands over twenty at a time.
+        self.block = min(20, max(1, round(self._chunk * run.rate_hz)))
+        self._log = LogWriter(path, arm_lengths=run.arm_lengths, rate_hz=run.rate_hz, chunk_seconds=self._chunk,
+                              compression=self._level)  # fmt: skip
+        self._log.__enter__()
+
+    def add(self, first: int, until: int) -> None:
+        rows = self._ticks.between(first, until)
+        self._log.ticks(rows.times, measured=rows.measured, estimate=rows.estimates, reference=rows.references,
+                        truth=rows.truth, control=rows.control)  # fmt: skip
+
+    def end(self) -> None:
+        self._log.__exit__(None, None, None)
+
+    def growing(self, path: Path) -> Path:
+        return self._log.partial
+
+    def left(self, path: Path) -> int:
+        with suppress(InputError):
+            return recover(path, path.with_suffix(".recovered")).ticks
+        return 0
+
+
+class ByMessage(Format):
+    """The mcap package's own writer, one message at a time."""
+
+    def __init__(self, chunk_bytes: int, compression: str = "zstd") -> None:
+        self.method = "mcap's writer"
+        self.setting = f"{chunk_bytes // 1024} KiB, {compression}"
+        self._bytes, self._compression = chunk_bytes, compression
+
+    def begin(self, path: Path, run: LoggedRun) -> None:
+        self._messages, self._ends = run.messages, (0, *run.messages.ends)
+        self._stream = FileIO(path, "wb")
+        self._writer = MessageWriter(self._stream, run.messages, chunk_bytes=self._bytes, compression=self._compression)
+
+    def add(self, first: int, until: int) -> None:
+        self._writer.add(self._messages.messages[self._ends[first] : self._ends[until]])
+
+    def end(self) -> None:
+        self._writer.finish()
+        self._stream.close()
+
+    def left(self, path: Path) -> int:
+        return ticks_left(path)
+
+
+class Lines(Format):
+    """Text, a line for each tick: CSV or JSON; flushed after every line or when Python's buffer is full."""
+
+    def __init__(self, kind: str, *, flush: bool) -> None:
+        self.method, self.setting = kind, "flushed" if flush else "buffered"
+        self._flush = flush
+
+    def begin(self, path: Path, run: LoggedRun) -> None:
+        self._lines, self._width = run.lines, run.rows.shape[1]
+        self._file = path.open("w")
+        self._csv = csv.writer(self._file) if self.method == "CSV" else None
+        self._names = [f"column_{k}" for k in range(self._width)]
+
+    def add(self, first: int, until: int) -> None:
+        for line in self._lines[first:until]:
+            if self._csv is not None:
+                self._csv.writerow(line)
+            else:
+                self._file.write(json.dumps(dict(zip(self._names, line, strict=True))) + "\n")
+            if self._flush:
+                self._file.flush()
+
+    def end(self) -> None:
+        self._file.close()
+
+    def left(self, path: Path) -> int:
+        text = path.read_text()
+        return text.count("\n")
+
+
+class Arrays(Format):
+    """NumPy's .npz, written when the run has ended; compressed or not."""
+
+    def __init__(self, *, compressed: bool) -> None:
+        self.method, self.setting = "npz", "compressed" if compressed else "plain"
+        self._save: Any = np.savez_compressed if compressed else np.savez
+
+    def begin(self, path: Path, run: LoggedRun) -> None:
+        self._path, self._rows, self._kept = path, run.rows, np.empty_like(run.rows)
+        path.write_bytes(b"")
+
+    def add(self, first: int, until: int) -> None:
+        self._kept[first:until] = self._rows[first:until]
+
+    def end(self) -> None:
+        with self._path.open("wb") as file:
+            self._save(file, rows=self._kept)
+
+    def left(self, path: Path) -> int:
+        with suppress(Exception), np.load(path) as data:
+            return len(data["rows"])
+        return 0
+
+
+class RowGroups(Format):
+    """Parquet, a row group for each `rows` ticks."""
+
+    def __init__(self, rows: int) -> None:
+        self.method, self.setting, self.block = "parquet", f"groups of {rows}", rows
+
+    def begin(self, path: Path, run: LoggedRun) -> None:
+        self._rows = run.rows
+        self._names = [f"column_{k}" for k in range(run.rows.shape[1])]
+        self._file = pq.ParquetWriter(path, pa.schema([(name, pa.float64()) for name in self._names]))
+
+    def add(self, first: int, until: int) -> None:
+        columns = [pa.array(column) for column in self._rows[first:until].T]
+        self._file.write_table(pa.Table.from_arrays(columns, names=self._names))
+
+    def end(self) -> None:
+        self._file.close()
+
+    def left(self, path: Path) -> int:
+        with suppress(pa.ArrowInvalid):
+            return pq.read_metadata(path).num_rows
+        return 0
+
+
+def recording(folder: Path, ticks: int) -> LoggedRun:
     """Return the first ticks of a run of the outer turn, with its messages."""
     scene = load_itinerary("outer-turn").with_run(RunOptions(mismatch=0.02, initial_error=0.02), seed=3)
     arms = scene.model.arms
     flown = run_loop(make_plan(scene).reference, arms, settings=scene.loop).ticks.head(ticks)
-    path = folder / "source.mcap"
-    with LogWriter(path, arm_lengths=arms.length, rate_hz=scene.loop.rate) as log:
-        log.ticks(flown.times, measured=flown.measured, estimate=flown.estimates, reference=flown.references,
-                  truth=flown.truth, control=flown.control)  # fmt: skip
-    return Recording(flown, messages_of(path), arms.length, scene.loop.rate)
+    run = LoggedRun(flown, folder / "source.mcap", arms.length, scene.loop.rate)
+    write(Blocks(), run.log, run)
+    return run
 
 
-def trials(
-    kinds: Sequence[Format], folder: Path, run: Recording, *, kills: int, seed: int = 5, progress: Progress
-) -> list[Tried]:
-    """Return what formats cost and keep of a run."""
+def write(kind: Format, path: Path, run: LoggedRun) -> None:
+    """Write a whole run."""
+    count = len(run.ticks.times)
+    kind.begin(path, run)
+    for first in range(0, count, kind.block):
+        kind.add(first, min(first + kind.block, count))
+    kind.end()
+
+
+def trials(kinds: list[Format], folder: Path, run: LoggedRun, *, kills: int, progress: Progress) -> Compared:
+    """Return what formats lose of a run at kills against the seconds of a message."""
     count = len(run.ticks.times)
 
-    def whole(kind: Format, path: Path) -> None:
-        kind.begin(path, run)
-        for first in range(0, count, kind.block):
-            kind.add(first, min(first + kind.block, count))
-        kind.end()
+    def written(kind: Format, path: Path) -> tuple[Format, Path]:
+        write(kind, path, run)
+        return kind, path
 
-    paths = {k: folder / f"run-{k}" for k in range(len(kinds))}
-    spent = timed_in_turns({k: partial(whole, kind, paths[k]) for k, kind in enumerate(kinds)}, REPEATS,
-                           progress=part_of(progress, 0.0, 0.6))  # fmt: skip
-    found = []
-    for k, kind in enumerate(kinds):
-        progress(f"kills, {kind.method}", 0.6 + 0.4 * k / len(kinds))
-        size = paths[k].stat().st_size / count
-        lost = losses(kind, paths[k], run, kills=kills, seed=seed)
-        seconds = spent[k].seconds / len(run.messages.messages)
-        found.append(Tried(kind, seconds, spent[k].yardstick, size, float(np.mean(lost)), max(lost)))
-    return found
+    def judge(_: Candidate[tuple[Format, Path]], found: tuple[Format, Path]) -> Judged:
+        kind, path = found
+        size = path.stat().st_size / count
+        lost = losses(kind, path.with_suffix(".killed"), run, kills=kills)
+        others = {"bytes_per_tick": size, "mean_loss": float(np.mean(lost)), "largest_loss": max(lost)}
+        return Judged(others["mean_loss"], others, f"{max(lost) * 1e3:.0f} ms lost at most, {size:.0f} bytes a tick")
+
+    messages = float(len(run.messages.messages))
+    tried = [
+        Candidate(kind.method, kind.setting, partial(written, kind, folder / f"run-{k}"), default=kind.default,
+                  outside=kind.outside, units=messages)
+        for k, kind in enumerate(kinds)
+    ]  # fmt: skip
+    found = compare(tried, judge, rounds=9, progress=progress)
+    points = tuple(replace(p, others={**p.others, "seconds_per_message": p.seconds}) for p in found.points)
+    return replace(found, points=points, start_up={})
 
 
-def losses(kind: Format, path: Path, run: Recording, *, kills: int, seed: int) -> list[float]:
+def losses(kind: Format, path: Path, run: LoggedRun, *, kills: int) -> list[float]:
     """Return the seconds lost at kills at random ticks; a tick that was under way counts."""
     count = len(run.ticks.times)
-    moments = np.sort(np.random.default_rng(seed).integers(count // 10, count, kills))
+    moments = np.sort(np.random.default_rng(_SEED).integers(count // 10, count, kills))
     lost, done = [], 0
     kind.begin(path, run)
     for k, moment in enumerate(moments.tolist()):
@@ -152,22 +353,5 @@ def losses(kind: Format, path: Path, run: Recording, *, kills: int, seed: int) -
         copy = path.with_name(f"killed-{k}")
         shutil.copyfile(kind.growing(path), copy)
         lost.append((moment + 1 - kind.left(copy)) / run.rate_hz)
-    for first in range(done, count, kind.block):
-        kind.add(first, min(first + kind.block, count))
     kind.end()
     return lost
-
-
-def _points(
-    tried: list[Tried], of: Callable[[Tried], float], *, across: Callable[[Tried], float] = lambda t: t.seconds
-) -> tuple[Point, ...]:
-    return tuple(
-        Point(
-            t.kind.method, t.kind.setting, across(t), of(t), default=t.kind.default, outside=t.kind.outside,
-            note=f"{t.largest_loss * 1e3:.0f} ms lost at most, {t.size:.0f} bytes a tick",
-            others={"seconds_per_message": t.seconds, "bytes_per_tick": t.size, "mean_loss": t.loss,
-                    "largest_loss": t.largest_loss},
-            yardstick=t.yardstick,
-        )
-        for t in tried
-    )  # fmt: skip

@@ -16,6 +16,7 @@ import time
 from collections.abc import Callable, Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from math import inf
 from typing import Generic, TypeVar
 
@@ -86,7 +87,7 @@ def timed_in_turns(
     grain: float = GRAIN,
     most: float = inf,
     least: int = 3,
-    worth: Callable[[T], bool] = lambda _: True,
+    worth: Callable[[Key, T], bool] = lambda key, result: True,
     starts_up: bool = True,
     clock: Callable[[], float] = time.process_time,
     beside: Callable[[], float] = yardstick,
@@ -94,16 +95,16 @@ def timed_in_turns(
 ) -> dict[Key, Timed[T]]:
     """Call each function once, then measure all of them once in each of `rounds`, for at least `grain` s each.
 
-    most: s of a function's own after which it is measured no more, if it was `least` times. worth: says of a first
-    result whether its time is of interest; else the first call's is all there is. starts_up: False for work that
-    compiles nothing, whose first call counts like the others. beside: seconds of the yardstick. progress: called
+    most: s of a function's own after which it is measured no more, if it was `least` times. worth: says of a key and
+    its first result whether its time is of interest; else the first call's is all there is. starts_up: False for work
+    that compiles nothing, whose first call counts like the others. beside: seconds of the yardstick. progress: called
     at each first call and each round.
     """
     speed = _Speed(clock, beside)
     measured = {key: _Measured(function, grain, speed) for key, function in functions.items()}
-    for k, own in enumerate(measured.values()):
+    for k, (key, own) in enumerate(measured.items()):
         progress(f"first call {k + 1} of {len(measured)}", k / len(measured) / (rounds + 1))
-        own.start(worth=worth, starts_up=starts_up)
+        own.start(worth=partial(worth, key), starts_up=starts_up)
     for number in range(1, rounds + 1):
         progress(f"round {number} of {rounds}", number / (rounds + 1))
         for own in measured.values():

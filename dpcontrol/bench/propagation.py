@@ -5,20 +5,30 @@ the largest change of H over the flight's end states, over the energy scale.
 """
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from typing import Any
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
 
-from dpcontrol.bench.chart import Chart, Missing, Panel, Point
-from dpcontrol.bench.flights import Candidate, Work, candidates, work_of
-from dpcontrol.bench.measure import timed_in_turns
-from dpcontrol.bench.ticks import tick_panels
-from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.bench.candidates import Candidate, Compared, Judged, compare
+from dpcontrol.bench.chart import Chart, Panel
+from dpcontrol.bench.schemes import Stepper, buffered_rate, runge_kutta_4, symplectic_gauss
+from dpcontrol.control.model import SampledModel
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
+from dpcontrol.dynamics.compiled import fixed_step
+from dpcontrol.dynamics.equations import Equations
+from dpcontrol.dynamics.extended import ExtendedPropagator, extended
+from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
+from dpcontrol.dynamics.propagator import Propagator, SegmentPropagator
+from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.references.problem import Limits, state_scale
 from dpcontrol.scenes.model import load_model
 
 Array = NDArray[np.float64]
@@ -29,8 +39,15 @@ SWING = (1.7, 2.2, 0.0, 0.0)
 SWING_SECONDS = 10.0
 TUBE_PERIODS = 2.0
 LANES = 64
-ROUNDING = 1e-14
+ENERGY_ROUNDING = 1e-14
 """Of the energy, over its scale."""
+TOLERANCES = (0.0, 1e-12, 1e-9, 1e-6)
+"""Of Taylor's method; zero: that of rounding."""
+STEPS = (5e-4, 1e-3, 2e-3, 5e-3)
+MOST_CALLS = 60_000
+TICK, COMMAND = 1e-3, 5.0
+"""s and m/s²."""
+TICK_ROUNDING = 1e-15
 
 
 def chart(quick: bool, progress: Progress) -> Chart:
@@ -39,23 +56,30 @@ def chart(quick: bool, progress: Progress) -> Chart:
     system = model.system
     progress("propagation: truth in 113 bits", 0.0)
     orbit = lyapunov_orbit(system, "down-up", energy=ENERGY)
-    phases = np.arange(LANES) / LANES
-    seeds, _ = UnstableManifold(orbit).seeds(phases, 1)
+    seeds, _ = UnstableManifold(orbit).seeds(np.arange(LANES) / LANES, 1)
     tube = work_of(system, seeds[:: 8 if quick else 2], TUBE_PERIODS * orbit.period)
     swing = work_of(system, np.array([SWING]), SWING_SECONDS)
-    panels = []
-    for k, (title, work) in enumerate((("trajectory of a tube, {:.2f} s", tube), ("chaotic swing, {:.0f} s", swing))):
-        progress(f"propagation: {title.split(',')[0]}", 0.2 + 0.3 * k)
-        panels += _panels(
-            title.format(work.duration), work, part_of(progress, 0.2 + 0.3 * k, 0.5 + 0.3 * k), batches=k == 0,
-            quick=quick,
-        )  # fmt: skip
+    progress("propagation: trajectory of a tube", 0.2)
+    tried = candidates(tube, batches=True, quick=quick)
+    along = compared(tried, tube, quick=quick, progress=part_of(progress, 0.2, 0.5))
+    progress("propagation: chaotic swing", 0.5)
+    tried = candidates(swing, batches=False, quick=quick)
+    chaotic = compared(tried, swing, quick=quick, progress=part_of(progress, 0.5, 0.8))
+    drifts = tuple(replace(p, error=p.others["drift"]) for p in chaotic.points)
     progress("propagation: tick", 0.8)
-    panels = [panels[0], panels[2], panels[3], *tick_panels(model.arms, quick=quick)]
+    title, label = f"chaotic swing, {swing.duration:.0f} s", "time, s per trajectory"
     return Chart(
         name="propagation",
         title="Propagation: time against error",
-        panels=tuple(panels),
+        panels=(
+            along.panel(f"trajectory of a tube, {tube.duration:.2f} s", label, "error, scaled"),
+            chaotic.panel(title, label, "error, scaled"),
+            chaotic.panel(
+                f"{title}: energy", label, "energy drift, share of the scale", points=drifts, floor=ENERGY_ROUNDING,
+                judged=False,
+            ),
+            *tick_panels(model.arms, quick=quick),
+        ),
         reading=(
             "A mark is a method at a setting: left is faster, low is nearer to 113-bit arithmetic; same start.",
             "Grey joins the front: nothing is both faster and nearer than a mark there. A ring: what dpcontrol takes.",
@@ -66,63 +90,234 @@ def chart(quick: bool, progress: Progress) -> Chart:
             "tolerance saves less than half of the time and costs the digits. Ticks of many plants take DOP853's step "
             "as machine code, the filter's model one step of order 4."
         ),
-    )
+    )  # fmt: skip
 
 
-def _panels(title: str, work: Work, progress: Progress, *, batches: bool, quick: bool) -> list[Panel]:
-    """Return the diagrams of error and of energy drift, from the same flights."""
-    points, start_up, missing = measured(
-        candidates(work, batches=batches, quick=quick), work, quick=quick, progress=progress
-    )
-    label = "time, s per trajectory"
-    drifts = tuple(replace(p, error=p.others["drift"]) for p in points)
+@dataclass(frozen=True)
+class Work:
+    """States (K, N) to be flown for `duration` s, and where they arrive (K, N) by 113-bit arithmetic."""
+
+    system: System
+    states: Array
+    duration: float
+    truth: Array
+
+    @cached_property
+    def energies(self) -> Array:
+        """Energies (K,) of the states."""
+        return self.system.numeric.hamiltonian(self.states)
+
+    def error(self, arrived: Array) -> float:
+        """Return the largest scaled error of arrivals (K, N)."""
+        return float(np.abs((arrived - self.truth[: len(arrived)]) / self.system.scale).max())
+
+    def drift(self, arrived: Array) -> float:
+        """Return the largest change of the energy over the energy scale."""
+        change = self.system.numeric.hamiltonian(arrived) - self.energies[: len(arrived)]
+        return float(np.abs(change).max() / self.system.energy_scale)
+
+
+def work_of(system: System, states: Array, duration: float) -> Work:
+    """Return the work with its truth.
+
+    Raises:
+        GoalMissed: this build of heyoka has no 113-bit reals.
+    """
+    exact = ExtendedPropagator(system.equations, system.parameters)
+    length = extended(np.array([duration]))[0]
+    return Work(system, states, duration, np.array([exact.flow(extended(x), length) for x in states]).astype(float))
+
+
+def compared(tried: list[Candidate[Array]], work: Work, *, quick: bool, progress: Progress = no_progress) -> Compared:
+    """Fly each candidate; what cannot be flown is missing with its reason."""
+
+    def judge(_: Candidate[Array], arrived: Array) -> Judged | str:
+        if not np.isfinite(arrived).all():
+            return "its step is too long: the state became infinite"
+        return Judged(work.error(arrived), {"drift": work.drift(arrived)})
+
+    return compare(tried, judge, rounds=5 if quick else 9, most=0.1 if quick else 1.0, progress=progress)
+
+
+def candidates(work: Work, *, batches: bool, quick: bool) -> list[Candidate[Array]]:
+    """Return all methods, which fly a work's states; slow ones fly fewer. batches: also many at once."""
+    few = work.states[: 2 if quick else 4]
     return [
-        Panel(title, label, "error, scaled", points, start_up, missing),
-        Panel(
-            f"{title}: energy",
-            label,
-            "energy drift, share of the scale",
-            drifts,
-            start_up,
-            missing,
-            floor=ROUNDING,
-            judged=False,
-        ),
+        *_taylor(work, batches=batches),
+        *_stepped(work, batches=batches, quick=quick),
+        *_casadi(work, few),
+        *_scipy(work, few[: 1 if quick else 2], quick=quick),
     ]
 
 
-def measured(
-    tried: list[Candidate], work: Work, *, quick: bool, progress: Progress = no_progress
-) -> tuple[tuple[Point, ...], Mapping[str, float], tuple[Missing, ...]]:
-    """Fly each candidate; return its point, its method's longest start-up, and what could not be flown."""
+def _each(fly: Callable[..., Array], states: Array, *args: Any, **more: Any) -> Callable[[], Array]:
+    """Return what flies one state after the other."""
+    return lambda: np.array([fly(x, *args, **more) for x in states])
 
-    def flown(fly: Callable[[], Array]) -> Array | str:
-        try:
-            arrived = fly()
-        except (ArithmeticError, RuntimeError, GoalMissed) as failure:
-            return str(failure).splitlines()[0][:200]
-        return arrived if np.isfinite(arrived).all() else "its step is too long: the state became infinite"
 
-    points, start_up, missing = [], {}, []
-    runs = timed_in_turns(
-        {k: partial(flown, c.fly) for k, c in enumerate(tried)}, 5 if quick else 9, most=0.1 if quick else 1.0,
-        worth=lambda arrived: not isinstance(arrived, str), progress=progress,
-    )  # fmt: skip
-    for c, run in zip(tried, runs.values(), strict=True):
-        if isinstance(run.result, str):
-            missing.append(Missing(c.method, c.setting, run.result))
-            continue
-        start_up[c.method] = max(start_up.get(c.method, 0.0), run.start_up)
-        error, drift = work.error(run.result), work.drift(run.result)
-        points.append(
-            Point(
-                c.method,
-                c.setting,
-                run.seconds / c.take,
-                error,
-                default=c.default,
-                others={"drift": drift},
-                yardstick=run.yardstick,
-            )
+def _together(fly: Callable[..., Array], states: Array, *args: Any, **more: Any) -> Callable[[], Array]:
+    """Return what flies all states at once, as columns."""
+    return lambda: fly(states.T, *args, **more).T
+
+
+def _taylor(work: Work, *, batches: bool) -> list[Candidate[Array]]:
+    system, states = work.system, work.states
+    found = []
+    for tolerance in TOLERANCES:
+        one = Propagator(system.equations, system.parameters, tolerance=tolerance)
+        label, count = f"{tolerance:.0e}" if tolerance else "rounding", len(states)
+        # The product flies one trajectory by itself, many in a batch.
+        alone = not tolerance and not batches
+        found.append(Candidate("Taylor", label, _each(one.flow, states, work.duration), alone, units=count))
+        if batches:
+            many = partial(SegmentPropagator(one).flows, states, np.full(count, work.duration))
+            found.append(Candidate("Taylor, 8 at once", label, many, not tolerance, units=count))
+    return found
+
+
+def _stepped(work: Work, *, batches: bool, quick: bool) -> list[Candidate[Array]]:
+    parameters, equations = work.system.parameters, work.system.equations
+    schemes = {
+        "RK4, compiled": runge_kutta_4(equations),
+        "DOP853 step, compiled": fixed_step(equations),
+        "implicit midpoint": symplectic_gauss(equations, 1),
+        "Gauss 4, symplectic": symplectic_gauss(equations, 2),
+        "Gauss 6, symplectic": symplectic_gauss(equations, 3),
+    }
+    found, lanes = [], len(work.states)
+    for method, function in schemes.items():
+        one, many = Stepper(function, parameters), Stepper(function, parameters, lanes=lanes)
+        for step in STEPS[1::2] if quick else STEPS:
+            label, some = f"{1e3 * step:g} ms", work.states[:2]
+            found.append(Candidate(method, label, _each(one.fly, some, work.duration, step=step), units=len(some)))
+            if batches and "compiled" in method:
+                fly = _together(many.fly, work.states, work.duration, step=step)
+                found.append(Candidate(f"{method}, {lanes} at once", label, fly, units=lanes))
+    return found
+
+
+def _casadi(work: Work, states: Array) -> list[Candidate[Array]]:
+    e, parameters = work.system.equations, ca.DM(work.system.parameters)
+    program = {"x": e.state, "p": e.parameters, "ode": e.rate}
+    cases: list[tuple[str, str, str, dict[str, Any]]] = [
+        # The error shows where its steps stalled.
+        (kind.upper(), f"{tolerance:.0e}", kind,
+         {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 1_000_000, "disable_internal_warnings": True})
+        for kind in ("cvodes", "idas")
+        for tolerance in ((1e-12, 1e-9, 1e-6) if kind == "cvodes" else (1e-9, 1e-6))
+    ]  # fmt: skip
+    cases += [
+        ("RK of CasADi", f"{1e3 * step:g} ms", "rk", {"number_of_finite_elements": round(work.duration / step)})
+        for step in (1e-3, 5e-3)
+    ]
+    found = []
+    for method, label, kind, options in cases:
+        flow = ca.integrator("flow", kind, program, 0.0, work.duration, options)
+        found.append(Candidate(method, label, _each(partial(_by_casadi, flow, p=parameters), states),
+                               units=len(states)))  # fmt: skip
+    return found
+
+
+def _by_casadi(flow: ca.Function, x: Array, **known: Any) -> Array:
+    return np.array(flow(x0=x, **known)["xf"]).ravel()
+
+
+def _scipy(work: Work, states: Array, *, quick: bool) -> list[Candidate[Array]]:
+    rate = buffered_rate(work.system.equations, work.system.parameters)
+    cases: list[tuple[str, float, dict[str, Any]]] = [
+        (method, tolerance, {}) for method in ("DOP853", "LSODA") for tolerance in (1e-12, 1e-9, 1e-6)
+    ]
+    # Radau may repeat a last step of nearly no length without end: the rate's calls are counted.
+    more = {"jac": lambda _, x: work.system.numeric.jacobian(x), "max_step": 0.05}
+    cases += [("Radau", tolerance, more) for tolerance in ((1e-6,) if quick else (1e-8, 1e-6))]
+    return [
+        Candidate(
+            f"{method} of scipy", f"{tolerance:.0e}",
+            _each(partial(_by_scipy, rate, work.duration, method, tolerance, options), states), units=len(states),
         )
-    return tuple(points), start_up, tuple(missing)
+        for method, tolerance, options in cases
+    ]  # fmt: skip
+
+
+def _by_scipy(
+    rate: Callable[[float, Array], Array], seconds: float, method: str, tolerance: float, more: Mapping[str, Any],
+    x: Array,
+) -> Array:  # fmt: skip
+    left = iter(range(MOST_CALLS))
+
+    def counted(time: float, state: Array) -> Array:
+        if next(left, None) is None:
+            raise ArithmeticError(f"given up after {MOST_CALLS:,} calls of the rate")
+        return rate(time, state)
+
+    run = solve_ivp(counted, (0.0, seconds), x, method=method, rtol=tolerance, atol=tolerance, **more)
+    if not run.success:
+        raise ArithmeticError(run.message)
+    return run.y[:, -1]
+
+
+def tick_states(arms: ArmChainParameters) -> Array:
+    """Return states (LANES, N) along 3 s of free swing from high up, the cart moving."""
+    equations = equations_of(arms, Level.CART)
+    flow = PolynomialInputPropagator(equations, arms.base(), degree=0)
+    start = np.zeros(equations.dimension)
+    start[: arms.count] = 2.5
+    start[-1] = 0.1
+    return flow.sample(start, np.zeros(1), np.linspace(0.0, 3.0, LANES))
+
+
+def exact_ticks(equations: Equations, parameters: Array, states: Array) -> Array:
+    """Return where the states are a tick later, from 113-bit arithmetic."""
+    # The held input joins the parameters, which the extended propagator takes exactly.
+    held = replace(equations, inputs=ca.SX.zeros(0), parameters=ca.vertcat(equations.parameters, equations.inputs))
+    flow = ExtendedPropagator(held, np.append(parameters, COMMAND))
+    tick = extended(np.array([TICK]))[0]
+    return np.array([flow.flow(extended(x), tick) for x in states]).astype(float)
+
+
+def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Panel, Panel]:
+    """Return the diagrams of a tick's time and error: of one run, and of many at once.
+
+    The arms have friction, the cart's acceleration is held for a millisecond. Plants take one step of DOP853, one run
+    as many; the filter's model takes one step of order 4. Each is the default of its own use.
+    """
+    equations, parameters = equations_of(arms, Level.CART), arms.base()
+    states = tick_states(arms)
+    truth = exact_ticks(equations, parameters, states)
+    scale = state_scale(equations.dimension, Limits())
+    plant = PolynomialInputPropagator(equations, parameters, degree=0)
+    model = SampledModel(equations, parameters, period=TICK)
+    program = {"x": equations.state, "u": equations.inputs, "p": equations.parameters, "ode": equations.rate}
+    cvodes = ca.integrator("tick", "cvodes", program, 0.0, TICK, {"reltol": 1e-10, "abstol": 1e-10})
+    rate = equations.function()
+
+    def slope(_: float, y: Array) -> Array:
+        return np.array(rate(y, COMMAND, parameters)).ravel()
+
+    found = [
+        ("Taylor", "rounding", _each(plant.flow, states, np.array([COMMAND]), TICK), False),
+        ("RK4 of CasADi, buffered", "filter's model", _each(model.step, states, COMMAND), True),
+        ("CVODES", "1e-10", _each(partial(_by_casadi, cvodes, u=COMMAND, p=parameters), states), False),
+        ("DOP853 of scipy", "1e-10", _each(partial(_by_scipy, slope, TICK, "DOP853", 1e-10, {}), states), False),
+    ]
+    for label, function, pieces, flown in (
+        ("RK4, compiled", runge_kutta_4(equations), (1, 2), False),
+        ("DOP853 step, compiled", fixed_step(equations), (1,), True),
+    ):
+        one, many = Stepper(function, parameters), Stepper(function, parameters, lanes=LANES)
+        for count in pieces:
+            setting, how = f"{count} step{'s' * (count > 1)}", {"step": TICK / count, "command": COMMAND}
+            found.append((label, setting, _each(one.fly, states, TICK, **how), flown))
+            found.append((f"{label}, {LANES} at once", setting, _together(many.fly, states, TICK, **how), flown))
+    tried = [Candidate(*one, units=LANES) for one in found]
+
+    def judge(_: Candidate[Array], arrived: Array) -> Judged:
+        return Judged(float(np.abs((arrived - truth) / scale).max()))
+
+    ticks = compare(tried, judge, rounds=9 if quick else 25)
+    alone, together = (
+        ticks.panel(f"a tick of 1 ms, {what}", "time, s per tick", "error, scaled", floor=TICK_ROUNDING,
+                    points=tuple(p for p in ticks.points if ("at once" in p.method) is many))
+        for what, many in (("one run", False), (f"{LANES} runs", True))
+    )  # fmt: skip
+    return alone, together

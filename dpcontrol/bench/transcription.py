@@ -7,12 +7,13 @@ between nodes; the cost is shown as its distance from the finest transcription's
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.chart import Chart, Missing, Panel, Point
-from dpcontrol.bench.measure import timed_in_turns
+from dpcontrol.bench.candidates import Candidate, Judged, compare
+from dpcontrol.bench.chart import Chart, Panel, Point
 from dpcontrol.bench.outside import by_rockit, has_rockit
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.errors import GoalMissed
@@ -20,6 +21,7 @@ from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings, state_scale
+from dpcontrol.references.reference import Reference
 from dpcontrol.references.trajectory import Solved, error_between_nodes, first_trajectory
 from dpcontrol.references.transcription import solve
 from dpcontrol.scenes.model import load_model
@@ -27,6 +29,9 @@ from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.walks.shadowing import WalkSolver
 
 Array = NDArray[np.float64]
+T = TypeVar("T")
+
+TIME = "time, s per second of motion"
 
 ENERGY = 0.2
 FINEST = ("radau-10", 0.03)
@@ -97,34 +102,40 @@ def transcribed(problem: ReferenceProblem, name: str, interval: float, solver: s
 def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> tuple[Panel, Panel]:
     """Return the diagrams of error between nodes and of cost, from the same solutions."""
     finest = transcribed(problem, *FINEST).cost
-    cases = [(name, interval, "ipopt") for name, interval in (QUICK if quick else QUICK + WHOLE)]
-    cases += [
-        (name, interval, "fatrop") for name, interval in (("radau-7", 0.05), ("radau-5", 0.02))[: 1 if quick else 2]
+    cases = [
+        ReferenceSettings(method=name, interval=interval) for name, interval in (QUICK if quick else QUICK + WHOLE)
     ]
-    errors: list[Point] = []
-    costs: list[Point] = []
-    missing: list[Missing] = []
-    runs = timed_in_turns(
-        {case: partial(transcribed, problem, *case) for case in cases}, 9, most=1.2 if quick else 6.0,
-        least=2 if quick else 3, worth=lambda solved: solved.succeeded, starts_up=False, progress=progress,
-    )  # fmt: skip
-    for (name, interval, solver), run in runs.items():
-        label = f"{1e3 * interval:g} ms{'' if solver == 'ipopt' else ', ' + solver}"
-        solved = run.result
+    cases += [
+        ReferenceSettings(method=name, interval=interval, solver="fatrop")
+        for name, interval in (("radau-7", 0.05), ("radau-5", 0.02))[: 1 if quick else 2]
+    ]
+
+    def judge(_: Candidate[Solved], solved: Solved) -> Judged | str:
         if not solved.succeeded:
-            missing.append(Missing(name, label, solved.outcome))
-            continue
-        error = error_between_nodes(problem, solved.trajectory)
-        seconds = run.seconds / problem.duration
+            return solved.outcome
         others = {"cost": solved.cost, "iterations": float(solved.iterations)}
-        errors.append(Point(name, label, seconds, float(error.max()), others=others, yardstick=run.yardstick))
-        costs.append(replace(errors[-1], error=abs(solved.cost / finest - 1)))
-    label = "time, s per second of motion"
+        return Judged(float(error_between_nodes(problem, solved.trajectory).max()), others)
+
+    tried = [_candidate(s, partial(transcribed, problem, s.method, s.interval, s.solver), problem) for s in cases]
+    found = compare(tried, judge, **_turns(quick=quick), progress=progress)
+    costs = tuple(replace(p, error=abs(p.others["cost"] / finest - 1)) for p in found.points)
+    label = f"cost, off {FINEST[0]} at {1e3 * FINEST[1]:g} ms, share"
     return (
-        Panel("one even mesh: error", label, "error between nodes, scaled", tuple(errors), {}, tuple(missing)),
-        Panel("one even mesh: cost", label, f"cost, off {FINEST[0]} at {1e3 * FINEST[1]:g} ms, share", tuple(costs), {},
-              tuple(missing)),
-    )  # fmt: skip
+        found.panel("one even mesh: error", TIME, "error between nodes, scaled"),
+        found.panel("one even mesh: cost", TIME, label, points=costs),
+    )
+
+
+def _candidate(s: ReferenceSettings, work: Callable[[], T], problem: ReferenceProblem) -> Candidate[T]:
+    """Return a candidate named by its method, interval, solver and tolerance."""
+    label = f"{1e3 * s.interval:g} ms{'' if s.solver == 'ipopt' else ', ' + s.solver}"
+    label += "" if s.tolerance == ReferenceSettings().tolerance else f", to {s.tolerance:.0e}"
+    return Candidate(s.method, label, work, units=problem.duration)
+
+
+def _turns(*, quick: bool, quick_most: float = 1.2, most: float = 6.0) -> dict[str, Any]:
+    """Return how long programs are measured, which compile nothing at first."""
+    return {"rounds": 9, "most": quick_most if quick else most, "least": 2 if quick else 3, "starts_up": False}
 
 
 def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> Panel:
@@ -133,37 +144,20 @@ def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     starts = (("radau-5", 0.02), ("radau-7", 0.05), ("radau-9", 0.09))
     if not quick:
         starts += (
-            ("hermite-simpson", 0.01),
-            ("radau-5", 0.05),
-            ("radau-7", 0.03),
-            ("gauss-6", 0.05),
-            ("radau-8", 0.07),
-        )
+            ("hermite-simpson", 0.01), ("radau-5", 0.05), ("radau-7", 0.03), ("gauss-6", 0.05), ("radau-8", 0.07),
+        )  # fmt: skip
     cases = [ReferenceSettings(method=name, interval=interval) for name, interval in starts]
     cases += [replace(chosen, tolerance=t) for t in ((1e-4,) if quick else (1e-3, 1e-4))]
     if not quick:
         cases.append(replace(chosen, solver="fatrop"))
-    points, missing = [], []
-    runs = timed_in_turns(
-        {settings: partial(find_reference, problem, settings) for settings in cases}, 9,
-        most=1.2 if quick else 6.0, least=2 if quick else 3, worth=lambda found: found.converged, starts_up=False,
-        progress=progress,
-    )  # fmt: skip
-    for settings, run in runs.items():
-        label = f"{1e3 * settings.interval:g} ms{'' if settings.solver == 'ipopt' else ', ' + settings.solver}"
-        label += "" if settings.tolerance == chosen.tolerance else f", to {settings.tolerance:.0e}"
-        if not run.result.converged:
-            missing.append(Missing(settings.method, label, run.result.status))
-            continue
-        points.append(
-            Point(settings.method, label, run.seconds / problem.duration, run.result.max_error_between_nodes,
-                  default=settings == chosen, yardstick=run.yardstick)
-        )  # fmt: skip
-    return Panel(
-        f"mesh refined to {chosen.tolerance:.0e}", "time, s per second of motion", "error between nodes, scaled",
-        tuple(points), {}, tuple(missing),
+
+    def judge(_: Candidate[Reference], found: Reference) -> Judged | str:
+        return Judged(found.max_error_between_nodes) if found.converged else found.status
+
+    tried = [replace(_candidate(s, partial(find_reference, problem, s), problem), default=s == chosen) for s in cases]
+    return compare(tried, judge, **_turns(quick=quick), progress=progress).panel(
+        f"mesh refined to {chosen.tolerance:.0e}", TIME, "error between nodes, scaled", floor=chosen.tolerance,
         why="what the error falls to below the tolerance is chance; the tolerance is what is asked for",
-        floor=chosen.tolerance,
     )  # fmt: skip
 
 
@@ -176,40 +170,33 @@ def outside_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         raise GoalMissed(finest.status)
     scale = state_scale(problem.equations.dimension, problem.limits)
 
-    def away(times: Array, states: Array) -> float:
-        return float(np.abs((states - finest.state(times)) / scale).max())
+    def judge(_: Candidate[tuple[Array, Array]], found: tuple[Array, Array]) -> Judged:
+        times, states = found
+        return Judged(float(np.abs((states - finest.state(times)) / scale).max()))
 
     dense = np.linspace(0.0, STRETCH, 101)
 
     def by_us(tolerance: float) -> tuple[Array, Array]:
         return dense, find_reference(short, replace(settings, tolerance=tolerance)).state(dense)
 
-    points = []
-    ways: dict[tuple[str, str], Callable[[], tuple[Array, Array]]] = {
-        (settings.method, f"to {tolerance:.0e}"): partial(by_us, tolerance)
-        for tolerance in ((1e-4, 1e-6) if quick else (1e-3, 1e-4, 1e-6, 1e-8))
-    }
-    default = settings.method, f"to {ReferenceSettings().tolerance:.0e}"
+    tried = [
+        Candidate(settings.method, f"to {t:.0e}", partial(by_us, t), default=t == ReferenceSettings().tolerance)
+        for t in ((1e-4, 1e-6) if quick else (1e-3, 1e-4, 1e-6, 1e-8))
+    ]
     if has_rockit():
-        ways |= {
-            ("rockit", f"{n} intervals"): partial(by_rockit, short, settings, n)
+        tried += [
+            Candidate("rockit", f"{n} intervals", partial(by_rockit, short, settings, n), outside=True)
             for n in ((25,) if quick else (25, 50, 100, 200))
-        }
-    runs = timed_in_turns(ways, 9, most=0.6 if quick else 3.0, least=2 if quick else 3, starts_up=False,
-                          progress=progress)  # fmt: skip
-    for (method, label), run in runs.items():
-        points.append(
-            Point(method, label, run.seconds, away(*run.result), default=(method, label) == default,
-                  outside=method == "rockit", yardstick=run.yardstick)
-        )  # fmt: skip
+        ]
+    points = compare(tried, judge, **_turns(quick=quick, quick_most=0.6, most=3.0), progress=progress).points
     if not has_rockit():
-        ours = runs[default].seconds
-        points += [
+        ours = next(p.seconds for p in points if p.default)
+        points += tuple(
             Point("rockit 0.6.7 (stored)", f"{n} intervals", ours * slower, error, outside=True, stored=True,
                   note="as measured where it was installed: pip install 'dpcontrol[bench]'")
             for n, (slower, error) in ROCKIT.items()
-        ]  # fmt: skip
+        )  # fmt: skip
     return Panel(
-        f"the first {STRETCH:g} s, free of the guess", "time, s", "error of the states, scaled", tuple(points),
+        f"the first {STRETCH:g} s, free of the guess", "time, s", "error of the states, scaled", points,
         why="interval and tolerance are chosen for whole itineraries, where the error matters",
     )  # fmt: skip

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from log_recording import hand_over, recording
 
-from dpcontrol.bench.log_formats import Blocks, ByMessage, Format, Lines
+from dpcontrol.bench.logging import Blocks, ByMessage, Format, Lines
 
 if __name__ == "__main__":
     folder, tick = Path(sys.argv[1]), int(sys.argv[2])

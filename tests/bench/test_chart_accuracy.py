@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dpcontrol.bench import connections, level_trials, propagation, ticks, transcription
+from dpcontrol.bench import candidates, connections, propagation, transcription
+from dpcontrol.bench.candidates import Candidate
 from dpcontrol.bench.chart import Point
 from dpcontrol.bench.measure import Timed
 from dpcontrol.bench.redrawn import earlier_panels, less_accurate
@@ -102,7 +103,7 @@ def test_the_midpoint_rule_is_symplectic_and_rk4_is_not(system):
 
 def test_a_tighter_tolerance_is_nearer_and_the_default_is_at_rounding(work):
     tried = propagation.candidates(work, batches=True, quick=True)
-    errors = {(c.method, c.setting): work.error(c.fly()) for c in tried if c.method.startswith("Taylor")}
+    errors = {(c.method, c.setting): work.error(c.work()) for c in tried if c.method.startswith("Taylor")}
     for method in ("Taylor", "Taylor, 8 at once"):
         found = [errors[method, setting] for setting in ("rounding", "1e-12", "1e-09", "1e-06")]
         assert found == sorted(found)
@@ -113,7 +114,7 @@ def test_a_tighter_tolerance_is_nearer_and_the_default_is_at_rounding(work):
 
 def test_errors_are_the_same_when_a_chart_is_drawn_again(work):
     tried = [c for c in propagation.candidates(work, batches=False, quick=True) if "scipy" not in c.method]
-    first, again = (propagation.measured(tried, work, quick=True)[0] for _ in range(2))
+    first, again = (propagation.compared(tried, work, quick=True).points for _ in range(2))
     assert [p.name for p in first] == [p.name for p in again]
     assert [p.error for p in first] == pytest.approx([p.error for p in again], rel=0, abs=ALIKE)
     assert len(first) > 15
@@ -126,17 +127,17 @@ def test_a_method_that_cannot_fly_is_listed_with_its_reason(work):
     def diverges():
         return np.full((1, 4), np.nan)
 
-    tried = [propagation.Candidate("a", "1 s", fails, 1), propagation.Candidate("b", "2 s", diverges, 1)]
-    points, _, missing = propagation.measured(tried, work, quick=True)
-    assert points == ()
-    assert [(m.method, m.reason.split(":")[0]) for m in missing] == [
+    tried = [Candidate("a", "1 s", fails), Candidate("b", "2 s", diverges)]
+    found = propagation.compared(tried, work, quick=True)
+    assert found.points == ()
+    assert [(m.method, m.reason.split(":")[0]) for m in found.missing] == [
         ("a", "the state became infinite"),
         ("b", "its step is too long"),
     ]
 
 
 def test_ticks_of_the_plant_are_at_rounding_and_of_the_model_below_an_encoder_count():
-    alone, together = ticks.tick_panels(load_model("lab").arms, quick=True)
+    alone, together = propagation.tick_panels(load_model("lab").arms, quick=True)
     plant, model = (next(p for p in alone.defaults if p.method.startswith(m)) for m in ("DOP853", "RK4"))
     (many,) = together.defaults
     assert plant.error < 1e-15
@@ -176,11 +177,14 @@ def test_a_build_without_extended_reals_is_told(system, monkeypatch):
 
 @pytest.mark.parametrize("name", [name for name in CHARTS if name not in GROUPS["edges"]])
 def test_no_default_of_a_quick_chart_errs_by_more_than_it_did(name, monkeypatch):
-    def once(functions, *_, **__):
-        return {key: Timed(1.0, 0.0, function()) for key, function in functions.items()}
+    def once(functions, *_, worth=lambda key, result: True, **__):
+        found = {key: Timed(1.0, 0.0, function()) for key, function in functions.items()}
+        for key, timed in found.items():
+            worth(key, timed.result)
+        return found
 
     module = importlib.import_module(f"dpcontrol.bench.{name}")
-    for holder in (module, ticks, level_trials):
+    for holder in (module, candidates):
         if hasattr(holder, "timed_in_turns"):
             monkeypatch.setattr(holder, "timed_in_turns", once)
     before, after = earlier_panels(STORED, name), CHARTS[name](True, no_progress).parts

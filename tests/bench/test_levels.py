@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dpcontrol.bench.level_trials import WINDOW, can_be_conservative, motions, plant_at
+from dpcontrol.bench.levels import WINDOW, can_be_conservative, motions, plant_at
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE, Limits
@@ -60,13 +60,13 @@ def test_errors_of_levels_are_distances_between_falls_by_another_integrator():
     for name in ("conservative", "dissipative"):
         away = (ends[name][:4] - ends["force"][:4]) / [ANGLE_SCALE, ANGLE_SCALE, RATE_SCALE, RATE_SCALE]
         expected[name] = np.abs(away).max()
-    found = {m.level: m.error for m in motions(released((0.4, 2.8)), ARMS)}
+    found = {p.method: p.error for p in motions(released((0.4, 2.8)), ARMS).points}
     for name, value in expected.items():
         assert found[name] == pytest.approx(value, rel=SAME)
 
 
 def test_a_level_that_adds_nothing_makes_no_error():
-    found = {m.level: m.error for m in motions(released((1.0, 2.0)), ARMS.frictionless())}
+    found = {p.method: p.error for p in motions(released((1.0, 2.0)), ARMS.frictionless()).points}
     # Without friction, and with a cart that is not asked to move, the three lower levels are one.
     assert found["conservative"] == found["dissipative"] == found["cart"]
     assert found["drive"] == pytest.approx(found["cart"], rel=SAME)

@@ -100,7 +100,7 @@ def test_what_is_of_no_interest_is_called_once():
     machine = Machine()
     found = timed_in_turns(
         {"fails": machine.work("fails", 2.0), "works": machine.work("works", 1.0)}, 4,
-        worth=lambda result: result == "works", **machine.own,
+        worth=lambda key, result: result == "works", **machine.own,
     )  # fmt: skip
     assert machine.calls.count("fails") == 1
     assert found["fails"].result == "fails"

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from dpcontrol.bench.level_trials import HEADING, gather
+from dpcontrol.bench.levels import HEADING, gather
 from dpcontrol.scenes import levels
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.levels import Evidence, evidence_text, known_evidence
