@@ -111,7 +111,7 @@ class WalkClassifier:
         found += [f"{p.name}: winding {p.winding}, crossing {p.crossing} of {p.crossings}" for p in seen.passages
                   if not p.consistent]  # fmt: skip
         found += [f"wraps are {odd:.3f} off a whole number" for odd in seen.odd if odd > NOT_WHOLE]
-        flown = float(flown_gaps(self.system, orbit.shot.states, orbit.shot.durations).max())
+        flown = float(flown_gaps(self.system, orbit.orbit.states, np.diff(orbit.orbit.times)).max())
         if flown > gap:
             found.append(f"flown again, gaps are {flown:.1e}")
         return found

@@ -19,10 +19,10 @@ from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.orbits.curve import local_manifold
 from dpcontrol.orbits.lyapunov import ContinuationSettings, LyapunovOrbit, lyapunov_orbit
 from dpcontrol.scenes.model import load_model
+from dpcontrol.shooting.extended import refine, refine_orbit
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections
 from dpcontrol.tubes.cut import CutSettings, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
-from dpcontrol.walks.extended import refine_connection, refine_orbit
 
 Array = NDArray[np.float64]
 
@@ -101,7 +101,7 @@ def true_states(orbit: LyapunovOrbit, *, count: int) -> tuple[Truth, ...]:
     """
     truths = []
     for connection in find_connections(orbit, orbit).connections[:count]:
-        refined = refine_connection(connection)
+        refined = refine(connection.solution)
         if not refined.converged:
             raise GoalMissed(f"{connection.name}: {refined.status}")
         truths.append(Truth(connection.state, refined.state.astype(float)))

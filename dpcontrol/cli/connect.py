@@ -166,11 +166,11 @@ def _named(search: "ConnectionSearch", name: str) -> "Connection":
 
 def _extended(model: "Model", connection: "Connection", energy: Decimal, as_json: bool) -> None:
     """Refine and print one connection in extended precision."""
+    from dpcontrol.shooting.extended import refine
     from dpcontrol.walks.atlas import connection_document
-    from dpcontrol.walks.extended import refine_connection
 
     with progress_bar("refining in 113-bit arithmetic"):
-        refined = refine_connection(connection, energy=energy, parameters=model.exact_parameters)
+        refined = refine(connection.solution, energy=energy, parameters=model.exact_parameters)
     if not refined.converged:
         raise GoalMissed(f"{connection.name} in extended precision: {refined.status}")
     state, residual = refined.digits, f"{float(refined.residual):.3e}"

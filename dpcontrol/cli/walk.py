@@ -116,7 +116,7 @@ def command(
 
     One walk is given by its symbols (-s) or its stops (--through); --length lists all walks of a length, --random
     draws some. With none of these the graph itself is shown. --solve finds each walk's orbit: homoclinic, heteroclinic,
-    or periodic with --periodic, with its certificate.
+    or periodic with --periodic, with an estimate of its error.
 
     A symbol is "down-up +", "down-up > up-down", any connection's name that `dpcontrol connect` lists, an edge grown
     from a walk ("(down-up +)·1·(down-up -)": symbols, and the wraps between them), or leads to or from a rotating

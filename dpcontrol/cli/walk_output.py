@@ -61,7 +61,7 @@ def show_walks(edges: "Edges", requests: "Sequence[WalkRequest]", as_json: bool)
 
 
 def print_answer(number: int, answer: "WalkAnswer", file: str | None) -> None:
-    """Print one walk that was solved, its certificate, and where it was written to."""
+    """Print one walk that was solved, its error estimate, and where it was written to."""
     click.echo(f"walk {number}: " + "  ".join(c.name for c in answer.request.chain))
     orbit = answer.orbit
     if orbit is None or not answer.converged:
@@ -72,14 +72,16 @@ def print_answer(number: int, answer: "WalkAnswer", file: str | None) -> None:
         f"  {'periodic, ' if orbit.periodic else ''}wraps {_listing(orbit.wraps_realised)}{least}, "
         f"{orbit.duration:.3f} s; {orbit.status}"
     )
-    certificate = orbit.certificate
-    assert certificate is not None
+    estimate = orbit.estimate
+    assert estimate is not None
+    h = "not measured" if estimate.kantorovich is None else f"{estimate.kantorovich:.1e}"
+    radius = "unknown, as h ≥ 1/2" if estimate.radius is None else f"{estimate.radius:.1e}"
     click.echo(
-        f"  certificate: condition {certificate.condition:.1e}, Kantorovich h {certificate.kantorovich:.1e}, "
-        f"nodes within {certificate.radius:.1e}, energy within {certificate.energy_error:.1e}"
+        f"  estimate: condition {estimate.condition:.1e}, Kantorovich h {h}, distance from the true orbit {radius}, "
+        f"energy error {estimate.energy_error:.1e}"
     )
-    if certificate.multipliers is not None:
-        multipliers = certificate.multipliers
+    if estimate.multipliers is not None:
+        multipliers = estimate.multipliers
         click.echo(
             f"  multipliers: ±exp(±{multipliers.log_unstable:.9g}), sign {multipliers.sign:+d}, product off 1 by "
             f"{multipliers.reciprocity:.1e}"

@@ -77,12 +77,13 @@ def _film_height(story: WalkStory) -> float:
 def _verdict(story: WalkStory) -> str:
     orbit = story.orbit
     parts = [f"largest gap at a node {orbit.residual:.1e}"]
-    certificate = orbit.certificate
-    if certificate is not None:
-        parts.append(f"by Newton–Kantorovich a true orbit lies within {certificate.radius:.1e} of every node")
-        if certificate.multipliers is not None:
-            sign = "−" if certificate.multipliers.sign < 0 else ""
-            parts.append(f"unstable multiplier {sign}exp({certificate.multipliers.log_unstable:.4g})")
+    estimate = orbit.estimate
+    if estimate is not None:
+        if estimate.radius is not None:
+            parts.append(f"estimated distance from the true orbit {estimate.radius:.1e}")
+        if estimate.multipliers is not None:
+            sign = "−" if estimate.multipliers.sign < 0 else ""
+            parts.append(f"unstable multiplier {sign}exp({estimate.multipliers.log_unstable:.4g})")
     if orbit.wraps:
         parts.append(f"wraps {list(orbit.wraps_realised)} as asked")
     unit = " s" if story.has_angles else ""

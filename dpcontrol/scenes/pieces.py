@@ -22,7 +22,6 @@ from dpcontrol.references.problem import Ends, Guess, ReferenceProblem
 from dpcontrol.references.reference import Reference, still
 from dpcontrol.references.transfer import find_transfer
 from dpcontrol.scenes.itinerary import Itinerary
-from dpcontrol.shooting.orbit import ConnectingOrbit
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
 Array = NDArray[np.float64]
@@ -234,16 +233,10 @@ def _blend(
 
 
 def _phase_at_end(orbit: ShadowingOrbit, last: LyapunovOrbit) -> float:
-    nodes = _open(orbit)
+    nodes = orbit.orbit
     return nodes.end.orbit_phase + (orbit.duration - float(nodes.times[-1])) / last.period
 
 
 def _phase_at_start(orbit: ShadowingOrbit, first: LyapunovOrbit) -> float:
-    nodes = _open(orbit)
+    nodes = orbit.orbit
     return nodes.start.orbit_phase - float(nodes.times[0]) / first.period
-
-
-def _open(orbit: ShadowingOrbit) -> ConnectingOrbit:
-    # A walk between others has ends.
-    assert isinstance(orbit.orbit, ConnectingOrbit)
-    return orbit.orbit

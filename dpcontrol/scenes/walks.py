@@ -12,8 +12,8 @@ import numpy as np
 from dpcontrol.dynamics.extended import Exact, digits
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import whole_file
+from dpcontrol.shooting.extended import ExtendedOrbit, refine
 from dpcontrol.walks.edges import Edges
-from dpcontrol.walks.extended import ExtendedOrbit, refine_shadowing
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
 from dpcontrol.walks.symbols import composed
 from dpcontrol.walks.walks import Walk, is_closed, random_walk
@@ -145,7 +145,7 @@ def refined_answer(answer: WalkAnswer, *, energy: Exact, parameters: Sequence[Ex
     """
     if answer.orbit is None or not answer.converged:
         return answer
-    refined = refine_shadowing(answer.orbit, energy=energy, parameters=parameters)
+    refined = refine(answer.orbit.shot.solution, energy=energy, parameters=parameters)
     return replace(answer, refined=refined, status=refined.status)
 
 
@@ -168,7 +168,7 @@ def walk_document(answer: WalkAnswer) -> dict[str, Any]:
         document["edge"] = composed(orbit.walk, orbit.wraps)
     if orbit is not None:
         document["symbol_times"] = orbit.symbol_times
-        document["certificate"] = certificate_document(orbit)
+        document["certificate"] = estimate_document(orbit)
     if answer.refined is not None and orbit is not None:
         document |= _refined_document(answer.refined, orbit)
     return document
@@ -193,21 +193,21 @@ def asked_document(asked: WalkRequest) -> dict[str, Any]:
     return {"walk": [c.name for c in asked.chain], "wraps": asked.wraps, "periodic": asked.periodic}
 
 
-def certificate_document(orbit: ShadowingOrbit) -> dict[str, Any] | None:
-    """Return the certificate's numbers; of a periodic orbit also its multipliers, as natural logarithms."""
-    certificate = orbit.certificate
-    if certificate is None:
+def estimate_document(orbit: ShadowingOrbit) -> dict[str, Any] | None:
+    """Return the error estimate's numbers; of a periodic orbit also its multipliers, as natural logarithms."""
+    estimate = orbit.estimate
+    if estimate is None:
         return None
     document: dict[str, Any] = {
-        "condition": certificate.condition,
-        "kantorovich": certificate.kantorovich,
-        "radius": certificate.radius,
-        "energy_error": certificate.energy_error,
-        "departure": certificate.departure,
-        "stops": certificate.stops,
+        "condition": estimate.condition,
+        "kantorovich": estimate.kantorovich,
+        "radius": estimate.radius,
+        "energy_error": estimate.energy_error,
+        "departure": estimate.departure,
+        "stops": estimate.stops,
     }
-    if certificate.multipliers is not None:
-        multipliers = certificate.multipliers
+    if estimate.multipliers is not None:
+        multipliers = estimate.multipliers
         document["multipliers"] = {
             "log_unstable": multipliers.log_unstable,
             "log_stable": multipliers.log_stable,
@@ -238,10 +238,10 @@ def save_walk(path: Path, model: str, orbit: ShadowingOrbit, *, refined: Extende
         "lead_out": orbit.lead_out,
         "duration": orbit.duration,
         "residual": orbit.residual,
-        "certificate": certificate_document(orbit),
+        "certificate": estimate_document(orbit),
         "status": orbit.status,
     }
-    turn = orbit.shot.guess.turn
+    turn = orbit.orbit.turn
     arrays: dict[str, Any] = {}
     if refined is not None:
         arrays = {

@@ -1,4 +1,4 @@
-"""Damped Newton's method for multiple shooting: an orbit from a guess, and how well it is known.
+"""Damped Newton's method for multiple shooting: an orbit from a guess, and what tells how well it is known.
 
 Steps are damped by the natural monotonicity test, which does not depend on how the equations are scaled: a step counts
 as good when the simplified step from its end (same Jacobian) is shorter than itself. Lengths are largest scaled
@@ -14,7 +14,7 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 from dpcontrol.shooting.equations import Guess, ShootingEquations, Unknowns
-from dpcontrol.shooting.orbit import ManifoldEnd
+from dpcontrol.shooting.orbit import ShootingOrbit
 
 Array = NDArray[np.float64]
 
@@ -47,30 +47,25 @@ class NewtonSettings:
 class Shot:
     """What Newton's method left.
 
-    states (K + 1, N), durations (K,), ends: see Guess. residual: largest gap at a node; correction: scaled length of
-    the last Newton step; lipschitz: the affine-invariant Lipschitz constant ω seen along the way; condition: 1-norm
-    condition number of the scaled Jacobian; stms (K, N, N) of the segments; fault: the symbol at which the last step
-    was largest.
+    orbit: its time is zero at the first marked node. correction: scaled length of the last Newton step; lipschitz: the
+    affine-invariant Lipschitz constant ω as the last long step showed it, None where no step was long enough to;
+    condition: 1-norm condition number of the scaled Jacobian; stms (K, N, N) of the segments; fault: the symbol at
+    which the last step was largest.
     """
 
     guess: Guess
-    states: Array
-    durations: Array
-    ends: tuple[ManifoldEnd, ManifoldEnd] | None
-    residual: float
+    orbit: ShootingOrbit
     correction: float
-    lipschitz: float
+    lipschitz: float | None
     condition: float
     stms: Array
-    iterations: int
-    converged: bool
-    status: str
     fault: int
 
     @property
-    def kantorovich(self) -> float:
-        """h = ω ‖Δx‖: below one half, a solution exists within twice the last step (Newton–Kantorovich)."""
-        return self.lipschitz * self.correction
+    def solution(self) -> Guess:
+        """The guess with the nodes and ends that were found for it."""
+        orbit = self.orbit
+        return replace(self.guess, states=orbit.states, durations=np.diff(orbit.times), ends=orbit.ends)
 
 
 @dataclass(frozen=True)
@@ -88,12 +83,12 @@ class _Linear:
 
 @dataclass(frozen=True)
 class _Step:
-    """An accepted step: where it led, how it was damped, the simplified step from there, and ω."""
+    """An accepted step: where it led, how it was damped, the simplified step from there, and ω if it was long."""
 
     unknowns: Unknowns
     damping: float
     simplified: Array
-    lipschitz: float
+    lipschitz: float | None
 
 
 class _Lost(Exception):
@@ -108,7 +103,8 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
     now = equations.placed(Unknowns(guess.states.copy(), guess.durations.copy(), amplitudes, 0.0))
     linear: _Linear | None = None
     taken: _Step | None = None
-    lipschitz, iteration, failure, lowest, fault, stalled = 0.0, 0, "", np.inf, 0, 0
+    lipschitz: float | None = None
+    iteration, failure, lowest, fault, stalled = 0, "", np.inf, 0, 0
     try:
         for iteration in range(settings.iterations + 1):
             before = linear
@@ -132,7 +128,7 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
                 # Steps from an orbit that is as good as rounding lets it be lead nowhere better.
                 break
             # The first steps are far away; ω matters where the solution is.
-            lipschitz = taken.lipschitz if taken.lipschitz > 0 else lipschitz
+            lipschitz = lipschitz if taken.lipschitz is None else taken.lipschitz
             now = taken.unknowns
     except (_Lost, ArithmeticError) as error:
         failure = str(error)
@@ -151,19 +147,15 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
     if guess.ends is not None:
         first, last = (replace(e, amplitude=float(a)) for e, a in zip(guess.ends, now.amplitudes, strict=True))
         ends = (first, last)
+    times = np.concatenate([[0.0], np.cumsum(now.durations)])
+    times -= times[min(guess.markers, default=0)]
     return Shot(
         guess=guess,
-        states=now.states,
-        durations=now.durations,
-        ends=ends,
-        residual=residual,
+        orbit=ShootingOrbit(guess.system, times, now.states, ends, guess.turn, residual, iteration, converged, status),
         correction=np.inf if linear is None else linear.length,
         lipschitz=lipschitz,
         condition=_condition(linear) if converged and linear is not None else np.inf,
         stms=np.empty((0, 0, 0)) if linear is None else linear.stms,
-        iterations=iteration,
-        converged=converged,
-        status=status,
         fault=fault,
     )
 
@@ -215,7 +207,7 @@ def _step(
         # Steps this short are good; what rounding leaves of the test would refuse them.
         if after <= (1 - damping / 4) * linear.length or damping * linear.length <= settings.certain:
             # Below 1e-7 the bend of the equations is hidden in rounding.
-            lipschitz = 2 * bent / (damping * linear.length) ** 2 if damping * linear.length > 1e-7 else 0.0
+            lipschitz = 2 * bent / (damping * linear.length) ** 2 if damping * linear.length > 1e-7 else None
             return _Step(trial, damping, simplified, lipschitz)
         damping = min(damping / 2, damping**2 * linear.length / (2 * bent))
     raise _Lost(reason)
@@ -247,7 +239,7 @@ def _condition(linear: _Linear, columns: int = 4, rounds: int = 5) -> float:
     """Return the 1-norm condition number of the scaled Jacobian, the inverse's norm estimated from below.
 
     Higham & Tisseur's block algorithm (SIAM J. Matrix Anal. Appl. 21, 2000). scipy's draws from the generator that all
-    of a program shares: an orbit would not have the same certificate twice.
+    of a program shares: an orbit would not have the same estimate twice.
     """
     solve, size = linear.factors.solve, len(linear.step)
     probes = np.random.default_rng(0).choice([-1.0, 1.0], (size, columns)) / size

@@ -14,7 +14,8 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
-from dpcontrol.shooting.orbit import ConnectingOrbit
+from dpcontrol.shooting.equations import Guess
+from dpcontrol.shooting.orbit import ShootingOrbit
 from dpcontrol.tubes.intersections import ConnectionSettings, Intersection
 
 Array = NDArray[np.float64]
@@ -54,12 +55,26 @@ class Connection:
     time_in: float
     phase_out: float
     phase_in: float
-    orbit: ConnectingOrbit
+    orbit: ShootingOrbit
+
+    @property
+    def solution(self) -> Guess:
+        """The orbit as what multiple shooting solves: it leaves the source, stays on the section, joins the target."""
+        crossing = int(np.argmin(np.abs(self.orbit.times)))
+        return Guess(
+            system=self.orbit.system,
+            states=self.orbit.states,
+            durations=np.diff(self.orbit.times),
+            owners=np.zeros(len(self.orbit.times), dtype=np.intp),
+            markers={crossing: (np.asarray(self.section.normal), self.section.level(self.state))},
+            energy=self.source.energy,
+            ends=self.orbit.ends,
+        )
 
 
 def described_connection(
     crossing: Intersection,
-    orbit: ConnectingOrbit,
+    orbit: ShootingOrbit,
     curves: tuple[OrbitCurve, OrbitCurve],
     settings: ConnectionSettings,
 ) -> Connection:
@@ -109,7 +124,7 @@ def uncertainty(angle: float, least: float) -> float:
     return max(least, _ROUNDING / max(float(np.radians(angle)), float(np.finfo(float).eps)))
 
 
-def _meets_a_mirror(orbit: ConnectingOrbit, middle: float, within: float) -> bool:
+def _meets_a_mirror(orbit: ShootingOrbit, middle: float, within: float) -> bool:
     """Whether a homoclinic orbit meets a reverser's fixed set near the time `middle`: the reverser turns it into
     itself, wherever on it the section lies."""
     system, centre = orbit.system, orbit.start.manifold.orbit.centre
@@ -131,7 +146,7 @@ def _meets_a_mirror(orbit: ConnectingOrbit, middle: float, within: float) -> boo
     return False
 
 
-def approach(orbit: ConnectingOrbit, curve: OrbitCurve, sign: int, near: float) -> tuple[float, float]:
+def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, near: float) -> tuple[float, float]:
     """Return (seconds, phase) from the section to the first approach within `near` of a periodic orbit.
 
     sign +1 looks forward in time, -1 backward; seconds are positive either way.
@@ -190,7 +205,7 @@ def mirrored(connection: Connection) -> Connection:
         sense=-connection.sense,
         phase_out=(connection.phase_out + 0.5) % 1.0,
         phase_in=(connection.phase_in + 0.5) % 1.0,
-        orbit=replace(orbit, start=start, end=end, states=image(orbit.states)),
+        orbit=replace(orbit, ends=(start, end), states=image(orbit.states)),
     )
 
 
@@ -253,8 +268,7 @@ def reversed_in_time(connection: Connection) -> Connection:
         phase_in=_reversed_phase(target, connection.phase_out),
         orbit=replace(
             orbit,
-            start=start,
-            end=end,
+            ends=(start, end),
             times=-orbit.times[::-1],
             states=orbit.states[::-1] @ reverser.T + lift,
         ),

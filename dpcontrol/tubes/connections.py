@@ -21,7 +21,9 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.curve import OrbitCurve, local_manifold
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
-from dpcontrol.shooting.orbit import Anchor, ConnectingOrbit, ManifoldEnd, solve_connecting_orbit
+from dpcontrol.shooting.equations import Guess
+from dpcontrol.shooting.newton import solve_shooting
+from dpcontrol.shooting.orbit import ManifoldEnd, ShootingOrbit
 from dpcontrol.tubes.connection import (
     Connection,
     can_be_reversed,
@@ -184,7 +186,7 @@ def _known(system: System, connection: Connection, found: list[Connection], tole
     return any(same(other) for other in found)
 
 
-def _shot(crossing: Intersection, settings: ConnectionSettings) -> ConnectingOrbit:
+def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit:
     """Refine by multiple shooting from farther out on both manifolds; time zero is the node on the section."""
     ends, times, states = [], [], []
     for side, phase, flight in zip(crossing.sides, crossing.phases, crossing.times, strict=True):
@@ -204,18 +206,19 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ConnectingOrb
         times.append(sign * (np.concatenate([lead, along]) - flight))
         states.append(np.vstack([seed_end.states(sign * lead), flown]))
         ends.append(seed_end.moved(-sign * out * period))
-    middle = len(times[0]) - 1
-    section = crossing.sides[0].section
-    # The section itself, not where the flown crossing lies to rounding: states must not depend on how it was flown.
-    level = section.level(states[0][-1])
-    return solve_connecting_orbit(
-        crossing.sides[0].manifold.orbit.system,
-        ends[0],
-        ends[1],
-        np.concatenate([times[0], times[1][::-1][1:]]),
-        np.vstack([states[0], states[1][::-1][1:]]),
-        anchor=Anchor(middle, section.normal, level),
+    orbit, section = crossing.sides[0].manifold.orbit, crossing.sides[0].section
+    guessed = np.concatenate([times[0], times[1][::-1][1:]])
+    guess = Guess(
+        system=orbit.system,
+        states=np.vstack([states[0], states[1][::-1][1:]]),
+        durations=np.diff(guessed),
+        owners=np.zeros(len(guessed), dtype=np.intp),
+        # The section itself, not where the flown crossing lies to rounding: states must not depend on how it was flown.
+        markers={len(times[0]) - 1: (np.asarray(section.normal), section.level(states[0][-1]))},
+        energy=orbit.energy,
+        ends=(ends[0], ends[1]),
     )
+    return solve_shooting(guess).orbit
 
 
 def reversed_search(search: ConnectionSearch) -> ConnectionSearch:

@@ -23,7 +23,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.curve import HyperbolicOrbit, OrbitCurve, local_manifold
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
-from dpcontrol.shooting.orbit import ConnectingOrbit
+from dpcontrol.shooting.orbit import ShootingOrbit
 from dpcontrol.tubes.connection import Connection, connection_name
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections
 from dpcontrol.tubes.cut import section_points, tube_cut
@@ -133,7 +133,7 @@ def _canonical(connection: Connection, near: float) -> Connection:
             amplitude=end.amplitude * _sign(target) ** rounds,
             turns=tuple(float(k) for k in np.asarray(end.turns) + on),
         )
-    orbit = replace(orbit, start=start, end=end, states=states)
+    orbit = replace(orbit, ends=(start, end), states=states)
     winding = tuple(int(k) for k in np.rint(end.turns)[: len(connection.winding)])
     hits = _hits_since(orbit, connection, near)
     return replace(
@@ -150,7 +150,7 @@ def _sign(orbit: LyapunovOrbit) -> int:
     return int(np.sign(orbit.unstable_multiplier))
 
 
-def _hits_since(orbit: ConnectingOrbit, connection: Connection, near: float) -> tuple[int, int]:
+def _hits_since(orbit: ShootingOrbit, connection: Connection, near: float) -> tuple[int, int]:
     """Return the how-manieth crossings these are since the first orbit was left, and till the last is joined.
 
     Left and joined mean a scaled distance of `near`; the seeds still lap with the periodic orbit.

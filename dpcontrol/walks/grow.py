@@ -16,7 +16,7 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.curve import OrbitCurve
-from dpcontrol.shooting.orbit import ConnectingOrbit
+from dpcontrol.shooting.orbit import ShootingOrbit
 from dpcontrol.tubes.connection import Connection, approach
 from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.shadowing import ShadowingOrbit
@@ -37,7 +37,7 @@ def as_connection(orbit: ShadowingOrbit, *, settings: ConnectionSettings | None 
         InputError: the orbit is periodic, or has not converged.
     """
     settings = settings or ConnectionSettings()
-    if orbit.periodic or not isinstance(orbit.orbit, ConnectingOrbit):
+    if orbit.periodic:
         raise InputError("a periodic orbit connects nothing: only an open walk becomes an edge of the graph")
     if not orbit.converged:
         raise InputError(f"only an orbit that has converged becomes an edge of the graph: {orbit.status}")
@@ -88,7 +88,7 @@ def as_connection(orbit: ShadowingOrbit, *, settings: ConnectionSettings | None 
     )
 
 
-def _last_far(orbit: ConnectingOrbit, curve: OrbitCurve) -> float:
+def _last_far(orbit: ShootingOrbit, curve: OrbitCurve) -> float:
     """Return the last time in s, zero or later, at which a connecting orbit is far from its last periodic orbit.
 
     The last symbol's own section is no such time: the symbol may be a grown edge, with stops that come after it.
@@ -100,7 +100,7 @@ def _last_far(orbit: ConnectingOrbit, curve: OrbitCurve) -> float:
 
 
 def section_hits(
-    orbit: ConnectingOrbit, section: Section, span: tuple[float, float], *, per_segment: int = 40
+    orbit: ShootingOrbit, section: Section, span: tuple[float, float], *, per_segment: int = 40
 ) -> tuple[int, int]:
     """Return (n_u, n_s): the how-manieth crossing of the lifted section lies at time zero, forward and backward.
 
@@ -126,18 +126,17 @@ def transversality_angle(orbit: ShadowingOrbit, node: int) -> float:
     stable one's from the last, through the segments' state-transition matrices; each draws its own neighbours in.
     """
     shot = orbit.shot
-    assert shot.ends is not None
     section, system = orbit.connections[0].section, shot.guess.system
     scale = system.scale
-    unstable = shot.ends[0].point()[2] / scale
+    unstable = shot.orbit.start.point()[2] / scale
     for stm in shot.stms[:node]:
         unstable = (stm @ (unstable * scale)) / scale
         unstable = unstable / np.linalg.norm(unstable)
-    stable = shot.ends[1].point()[2] / scale
+    stable = shot.orbit.end.point()[2] / scale
     for stm in shot.stms[node:][::-1]:
         stable = np.linalg.solve(stm, stable * scale) / scale
         stable = stable / np.linalg.norm(stable)
-    tangents = [_on_section(system, section, shot.states[node], t * scale) for t in (unstable, stable)]
+    tangents = [_on_section(system, section, shot.orbit.states[node], t * scale) for t in (unstable, stable)]
     first, second = (t / np.linalg.norm(t) for t in tangents)
     return float(np.degrees(np.arcsin(min(1.0, abs(first[0] * second[1] - first[1] * second[0])))))
 

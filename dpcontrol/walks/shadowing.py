@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.shooting.equations import Guess
+from dpcontrol.shooting.estimate import ErrorEstimate, estimate_error
 from dpcontrol.shooting.newton import NewtonSettings, Shot, solve_shooting
-from dpcontrol.shooting.orbit import ConnectingOrbit, ManifoldEnd
+from dpcontrol.shooting.orbit import ManifoldEnd, ShootingOrbit
 from dpcontrol.tubes.connection import Connection
-from dpcontrol.walks.certificate import Certificate, ClosedOrbit, certify
 
 Array = NDArray[np.float64]
 
@@ -221,17 +221,33 @@ class ShadowingOrbit:
     wraps_realised: tuple[int, ...]
     lead_in: int
     lead_out: int
-    periodic: bool
     symbol_times: Array
     offsets: Array
     duration: float
-    orbit: ConnectingOrbit | ClosedOrbit
+    orbit: ShootingOrbit
     shot: Shot = field(repr=False)
-    certificate: Certificate | None
-    residual: float
-    converged: bool
-    status: str
+    estimate: ErrorEstimate | None
     fault: int | None
+
+    @property
+    def periodic(self) -> bool:
+        """Whether the walk closes."""
+        return self.orbit.closed
+
+    @property
+    def residual(self) -> float:
+        """The largest gap at a node (rad, rad/s)."""
+        return self.orbit.residual
+
+    @property
+    def converged(self) -> bool:
+        """Whether Newton's method converged, and to the walk that was asked for."""
+        return self.orbit.converged
+
+    @property
+    def status(self) -> str:
+        """A sentence on how the search ended."""
+        return self.orbit.status
 
     def sample(self, times: Array) -> Array:
         """Return states (M, N) at times (M,) s."""
@@ -288,44 +304,32 @@ def described(
     leads: tuple[int, int] = (2, 2),
     rivals: Sequence[Connection] = (),
 ) -> ShadowingOrbit:
-    """Return a solved shot as the orbit of its walk: its times, what it realises, and its certificate."""
-    guess = shot.guess
-    system, periodic = guess.system, guess.closed
+    """Return a solved shot as the orbit of its walk: its times, what it realises, and its error estimate."""
+    guess, orbit = shot.guess, shot.orbit
+    periodic = guess.closed
     nodes = np.array(sorted(guess.markers))
-    elapsed = np.concatenate([[0.0], np.cumsum(shot.durations)])
-    crossings = elapsed[nodes]
+    crossings = orbit.times[nodes]
     first, last = chain[0], chain[-1]
     lead_in, lead_out = leads
+    stays = np.diff(crossings)
     if periodic:
-        duration = float(elapsed[-1])
-        stays = np.append(np.diff(crossings), duration - crossings[-1] + crossings[0])
-        times = elapsed
+        stays = np.append(stays, orbit.duration - stays.sum())
+        times, duration = orbit.times - orbit.times[0], orbit.duration
     else:
-        stays = np.diff(crossings)
-        times = elapsed - crossings[0] + first.time_out + lead_in * first.source.period
+        times = orbit.times + first.time_out + lead_in * first.source.period
         duration = float(times[nodes[-1]]) + last.time_in + lead_out * last.target.period
     realised = realised_wraps(chain, stays)
     offsets = lattice_offsets(chain, wraps)
-    converged, status, fault = shot.converged, shot.status, shot.fault
-    certificate = None
+    converged, status, fault, estimate = orbit.converged, orbit.status, shot.fault, None
     if converged:
         strays = _strays(shot, chain, nodes, offsets, rivals, realised, tuple(wraps))
-        certificate = certify(shot, chain, nodes, stays)
+        estimate = estimate_error(shot, [connection.target for connection in chain[: len(stays)]])
         if strays is None:
             fault = None
         else:
             converged, (fault, status) = False, strays
     else:
         status = f"symbol {fault + 1} of {len(chain)} ({chain[fault].name}): {status}"
-    if guess.turn is not None:
-        orbit: ConnectingOrbit | ClosedOrbit = ClosedOrbit(
-            system, times, shot.states, guess.turn, shot.residual, shot.iterations, converged, status
-        )
-    else:
-        assert shot.ends is not None
-        orbit = ConnectingOrbit(
-            system, *shot.ends, times, shot.states, shot.residual, 0.0, shot.iterations, converged, status
-        )
     return ShadowingOrbit(
         walk=tuple(c.name for c in chain),
         connections=chain,
@@ -333,16 +337,12 @@ def described(
         wraps_realised=realised,
         lead_in=lead_in,
         lead_out=lead_out,
-        periodic=periodic,
         symbol_times=times[nodes],
         offsets=offsets,
         duration=duration,
-        orbit=orbit,
+        orbit=replace(orbit, times=times, converged=converged, status=status),
         shot=shot,
-        certificate=certificate,
-        residual=shot.residual,
-        converged=converged,
-        status=status,
+        estimate=estimate,
         fault=fault,
     )
 
@@ -359,7 +359,7 @@ def _strays(
     """Return (symbol, sentence) where a converged orbit is not the one that was asked for, None where it is."""
     system = shot.guess.system
     for k, (connection, node) in enumerate(zip(chain, nodes, strict=True)):
-        state = shot.states[node] - offsets[k] * system.turn_lengths
+        state = shot.orbit.states[node] - offsets[k] * system.turn_lengths
         own = _apart(system, state, connection.state)
         for rival in rivals:
             same_kind = (rival.source.saddle, rival.target.saddle, rival.winding, rival.section) == (

@@ -62,7 +62,7 @@ def test_all_random_walks_become_the_orbits_that_were_asked_for(edges, count, le
         residuals.append(orbit.residual)
         failed += classifier.complaints(orbit)
         if periodic:
-            reciprocity.append(abs(orbit.certificate.multipliers.reciprocity))
+            reciprocity.append(abs(orbit.estimate.multipliers.reciprocity))
     sys.stdout.write(
         f"\n{count} {'closed ' if periodic else ''}walks: {len(failed)} complaints, largest gap {max(residuals):.1e}, "
         f"|λᵤλₛ| - 1 within {max(reciprocity, default=0.0):.1e}\n"

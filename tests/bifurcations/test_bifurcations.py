@@ -14,7 +14,7 @@ from dpcontrol.cli.main import main
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.scenes.model import load_model
-from dpcontrol.shooting.orbit import Anchor, solve_connecting_orbit
+from dpcontrol.shooting.newton import solve_shooting
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import CutSettings, section_points
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
@@ -208,15 +208,14 @@ def test_a_connection_that_grazes_its_section_goes_on_beyond(system, events):
     orbit, _ = orbits_between(system, "down-up", "down-up", below)
     manifold, old = UnstableManifold(orbit), grazing.orbit
     middle = int(np.argmin(np.abs(old.times)))
-    carried = solve_connecting_orbit(
-        system,
-        replace(old.start, manifold=manifold),
-        replace(old.end, manifold=manifold),
-        old.times,
-        old.states,
-        # Anchored on the inner arm's angle, which moves fast where the outer one stands still on the section.
-        anchor=Anchor(middle, (1.0, 0.0, 0.0, 0.0), float(old.states[middle, 0])),
+    guess = replace(
+        grazing.solution,
+        ends=(replace(old.start, manifold=manifold), replace(old.end, manifold=manifold)),
+        energy=below,
+        # Held at the inner arm's angle, which moves fast where the outer one stands still on the section.
+        markers={middle: (np.array([1.0, 0.0, 0.0, 0.0]), float(old.states[middle, 0]))},
     )
+    carried = solve_shooting(guess).orbit
     assert carried.converged
     assert not any(np.abs(c.state - carried.states[middle]).max() < 1e-2 for c in connections_at(system, below))
     # In its list no longer, because it now crosses three times where it crossed once.

@@ -55,7 +55,8 @@ def test_walks_that_are_drawn_and_solved_have_the_keys_that_are_promised() -> No
         assert walk["duration"] > walk["symbol_times"][-1] > 0
         assert walk["seconds"] > 0
         assert walk["status"].startswith("converged")
-        assert walk["certificate"]["kantorovich"] < 0.5
+        h = walk["certificate"]["kantorovich"]
+        assert h is None or h < 0.5
         ends = [(name.split(">")[0], name.split(">")[1].split("[")[0]) for name in walk["walk"]]
         assert all(a[1] == b[0] for a, b in pairwise(ends))
     for walk in (*walks, *again):

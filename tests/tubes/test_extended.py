@@ -14,8 +14,8 @@ from dpcontrol.dynamics.taylor import to_heyoka
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.scenes.model import load_model
+from dpcontrol.shooting.extended import RefinementSettings, refine
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.walks.extended import RefinementSettings, refine_connection
 from tests.reference_values import CONNECTIONS, LYAPUNOV_ORBITS
 
 RESIDUAL = 1e-20  # the bar; what is reached is about 1e-31
@@ -81,13 +81,13 @@ REFINED_ONCE = {}
 """Connections as the default settings refine them, by name: seconds each, and shared by tests."""
 
 
-def refine(lab, connection, energy, **options):
+def in_113_bits(lab, connection, energy, **options):
     exact = {"energy": Decimal(str(energy)), "parameters": lab.parameters.decimal_base()}
     if options:
-        return refine_connection(connection, **exact | options)
+        return refine(connection.solution, **exact | options)
     key = (connection.name, energy)
     if key not in REFINED_ONCE:
-        REFINED_ONCE[key] = refine_connection(connection, **exact)
+        REFINED_ONCE[key] = refine(connection.solution, **exact)
     return REFINED_ONCE[key]
 
 
@@ -96,7 +96,7 @@ def refined(request, lab, found):
     key, index = request.param[:3], request.param[3]
     state = CONNECTIONS[key][1][index]
     connection = nearest(found[key].connections, state)
-    return state, connection, refine(lab, connection, key[2])
+    return state, connection, in_113_bits(lab, connection, key[2])
 
 
 def test_a_refined_connection_is_the_reference_one_to_the_last_bit(refined):
@@ -133,7 +133,7 @@ def test_mirror_images_refined_apart_agree(lab, found):
     key = ("down-up", "down-up", -0.07)
     c = nearest(found[key].connections, CONNECTIONS[key][1][1])
     twin = nearest(found[key].connections, c.state * [-1, -1, 1, 1])
-    first, second = (refine(lab, x, key[2]).state for x in (c, twin))
+    first, second = (in_113_bits(lab, x, key[2]).state for x in (c, twin))
     assert float(np.abs(first[2:] - second[2:]).max()) < MIRROR
     assert float(abs(first[0] + second[0])) < MIRROR
 
@@ -141,13 +141,16 @@ def test_mirror_images_refined_apart_agree(lab, found):
 def test_the_state_does_not_depend_on_how_far_out_the_leads_begin(lab, found):
     key = ("down-up", "up-down", 0.2)
     c = nearest(found[key].connections, CONNECTIONS[key][1][0])
-    states = [refine(lab, c, 0.2).state, refine(lab, c, 0.2, settings=RefinementSettings(amplitude=1e-23)).state]
+    states = [
+        in_113_bits(lab, c, 0.2).state,
+        in_113_bits(lab, c, 0.2, settings=RefinementSettings(amplitude=1e-23)).state,
+    ]
     assert float(np.abs(states[0] - states[1]).max()) < MIRROR
 
 
 def test_refined_orbits_have_the_reference_period_and_energy(lab, found):
     key = ("down-up", "down-up", -0.07)
-    refined = refine(lab, nearest(found[key].connections, CONNECTIONS[key][1][0]), key[2])
+    refined = in_113_bits(lab, nearest(found[key].connections, CONNECTIONS[key][1][0]), key[2])
     orbit = refined.ends[0]
     expected = LYAPUNOV_ORBITS["lab", "down-up", -0.07]
     assert float(orbit.duration) == pytest.approx(expected[1], rel=2e-16)
@@ -195,9 +198,9 @@ def test_exact_base_parameters_round_to_the_double_ones(lab):
 
 def test_a_refinement_that_stays_above_its_tolerance_says_so(lab, found):
     c = found["down-up", "down-up", -0.07].connections[0]
-    assert "not refined" in refine(lab, c, -0.07, settings=RefinementSettings(tolerance=5e-33)).status
+    assert "not refined" in in_113_bits(lab, c, -0.07, settings=RefinementSettings(tolerance=5e-33)).status
     with pytest.raises(GoalMissed, match="could be refined only to a residual"):
-        refine(lab, c, -0.07, settings=RefinementSettings(iterations=0))
+        in_113_bits(lab, c, -0.07, settings=RefinementSettings(iterations=0))
 
 
 def run(capsys, *arguments):

@@ -10,9 +10,9 @@ from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.scenes.model import load_model
+from dpcontrol.shooting.extended import refine
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import tube_cut
-from dpcontrol.walks.extended import refine_connection
 
 STATE = 1e-9  # the bars; what is reached is about 1e-13
 PERIOD = 1e-11
@@ -103,7 +103,7 @@ def test_energies_of_no_reference_value_agree_with_extended_precision(lab, sourc
     assert found.connections
     assert max(c.residual for c in found.connections) <= RESIDUAL
     connection = found.connections[0]
-    exact = refine_connection(connection, energy=Decimal(energy), parameters=lab.parameters.decimal_base())
+    exact = refine(connection.solution, energy=Decimal(energy), parameters=lab.parameters.decimal_base())
     assert exact.converged
     assert float(exact.residual) <= 1e-20
     assert exact.correction < STATE

@@ -23,7 +23,7 @@ def edges():
 
 def exponents(system, orbit, rounds=3):
     """Return the logarithms of the multipliers' absolute values, by QR iteration around the orbit."""
-    states, durations = orbit.shot.states, orbit.shot.durations
+    states, durations = orbit.orbit.states, np.diff(orbit.orbit.times)
     scale = system.scale
     stms = [system.propagator.flow_with_stm(x, h)[1] * scale / scale[:, None]
             for x, h in zip(states[:-1], durations, strict=True)]  # fmt: skip
@@ -46,9 +46,9 @@ def test_random_closed_walks_become_periodic_orbits(edges):
         assert orbit.residual < CLOSURE
         assert classifier.complaints(orbit) == []
         logs = exponents(edges.system, orbit)
-        assert orbit.certificate.multipliers.log_unstable == pytest.approx(logs[0], rel=1e-10)
-        assert orbit.certificate.multipliers.log_stable == pytest.approx(logs[-1], rel=1e-8)
-        assert abs(orbit.certificate.multipliers.reciprocity) < RECIPROCAL
+        assert orbit.estimate.multipliers.log_unstable == pytest.approx(logs[0], rel=1e-10)
+        assert orbit.estimate.multipliers.log_stable == pytest.approx(logs[-1], rel=1e-8)
+        assert abs(orbit.estimate.multipliers.reciprocity) < RECIPROCAL
         assert logs[0] + logs[-1] == pytest.approx(0.0, abs=RECIPROCAL)
 
 
@@ -59,5 +59,5 @@ def test_a_turn_repeated_four_times_is_one_orbit_run_four_times(edges):
     assert classifier.complaints(once) == []
     assert classifier.complaints(often) == []
     assert often.duration == pytest.approx(4 * once.duration, abs=1e-10)
-    logs = [orbit.certificate.multipliers.log_unstable for orbit in (once, often)]
+    logs = [orbit.estimate.multipliers.log_unstable for orbit in (once, often)]
     assert logs[1] == pytest.approx(4 * logs[0], rel=1e-10)

@@ -1,20 +1,18 @@
 """Shadowing orbits in 113-bit arithmetic: against free flight, other nodes, a mirror, and double precision."""
 
-from dataclasses import replace
 from decimal import Decimal
 
 import numpy as np
 import pytest
 
 from dpcontrol.dynamics.extended import ExtendedPropagator, digits, extended, pi_times
-from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.curve import rotating_vertex
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.rotating import rotating_orbits
 from dpcontrol.scenes.model import load_model
+from dpcontrol.shooting.extended import RefinementSettings, refine
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.lap_connections import find_lap_connections
-from dpcontrol.walks.extended import RefinementSettings, refine_shadowing
 from dpcontrol.walks.shadowing import ShadowingSettings, shadow
 from dpcontrol.walks.symbols import choose, parse_symbol
 
@@ -43,13 +41,13 @@ def dance(turns):
 
 @pytest.fixture(scope="module")
 def refined_dance(dance):
-    return refine_shadowing(dance)
+    return refine(dance.shot.solution)
 
 
 def test_an_open_walk_of_four_symbols_is_refined(lab, turns):
     walk = [turns[sense] for sense in "+-++"]
     orbit = shadow(walk, wraps=[1, 1, 1])
-    refined = refine_shadowing(orbit, energy=Decimal("-0.07"), parameters=lab.parameters.decimal_base())
+    refined = refine(orbit.shot.solution, energy=Decimal("-0.07"), parameters=lab.parameters.decimal_base())
     assert refined.converged
     assert refined.residual < RESIDUAL
     assert refined.correction < AGREES
@@ -84,14 +82,14 @@ def test_a_closed_walk_returns_in_one_flight(lab, refined_dance):
 
 def test_other_nodes_give_the_same_digits(turns, refined_dance):
     denser = shadow([turns["+"], turns["-"]], wraps=[1, 2], periodic=True, settings=ShadowingSettings(segments=11))
-    other = refine_shadowing(denser)
+    other = refine(denser.shot.solution)
     gap = other.states[other.marked[0]] - refined_dance.states[refined_dance.marked[0]]
     assert np.abs(gap).max() < SAME
     assert str(other.duration)[:26] == str(refined_dance.duration)[:26]
 
 
 def test_a_symmetric_orbit_lies_on_its_mirror(turns):
-    refined = refine_shadowing(shadow([turns["+"]], wraps=[1], periodic=True))
+    refined = refine(shadow([turns["+"]], wraps=[1], periodic=True).shot.solution)
     assert refined.converged
     state = refined.states[refined.marked[0]]
     # The mirror keeps (0, 2πk, ω₁, ω₂); nothing in the equations asks for θ₁ = 0.
@@ -109,7 +107,7 @@ def test_connections_of_the_rotating_orbit_mirror_each_other(lab):
     states = []
     for pair in ((vertex, saddle), (saddle, vertex)):
         connection = find_lap_connections(*pair, section=section).connections[0]
-        refined = refine_shadowing(shadow([connection], settings=ShadowingSettings(segments=5)), settings=rough)
+        refined = refine(shadow([connection], settings=ShadowingSettings(segments=5)).shot.solution, settings=rough)
         assert refined.converged
         assert refined.correction < AGREES
         states.append(refined.states[refined.marked[0]])
@@ -120,12 +118,7 @@ def test_connections_of_the_rotating_orbit_mirror_each_other(lab):
 
 
 def test_too_few_steps_are_a_status(dance):
-    refined = refine_shadowing(dance, settings=RefinementSettings(iterations=0))
+    refined = refine(dance.shot.solution, settings=RefinementSettings(iterations=0))
     assert not refined.converged
     assert refined.status.startswith("not refined: the gap stays at ")
     assert "use double precision" in refined.status
-
-
-def test_an_orbit_that_has_not_converged_is_refused(dance):
-    with pytest.raises(InputError, match="only an orbit that has converged"):
-        refine_shadowing(replace(dance, converged=False, status="not converged"))

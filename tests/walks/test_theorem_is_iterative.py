@@ -92,9 +92,9 @@ def test_closed_walks_may_hold_grown_edges(turn, back, other, grown):
     assert short.duration == pytest.approx(plain.duration, abs=SAME_ORBIT)
     logs = []
     for orbit in (plain, short):
-        assert orbit.certificate is not None
-        assert orbit.certificate.multipliers is not None
-        logs.append(orbit.certificate.multipliers.log_unstable)
+        assert orbit.estimate is not None
+        assert orbit.estimate.multipliers is not None
+        logs.append(orbit.estimate.multipliers.log_unstable)
     assert logs[1] == pytest.approx(logs[0], abs=1e-8)
 
 

@@ -85,5 +85,5 @@ def test_every_pair_of_turns_is_found_again_among_second_hits(turns, first):
         least = solver.least([plus[first], other])
         orbit = solver.solve([plus[first], other], least)
         assert orbit.wraps_realised == least
-        at = orbit.shot.states[sorted(orbit.shot.guess.markers)[1]]
+        at = orbit.orbit.states[sorted(orbit.shot.guess.markers)[1]]
         assert min(float(np.max(np.abs(at - c.state))) for c in twice) < SAME, other.name

@@ -152,10 +152,10 @@ def test_each_turn_flips_the_sign_of_a_periodic_dance(into, out):
         orbit = shadow([into.connections[0], out.connections[0]], wraps=[wraps, 1], periodic=True)
         assert orbit.converged
         assert orbit.residual < RESIDUAL
-        assert orbit.certificate is not None
-        assert orbit.certificate.multipliers is not None
-        assert abs(orbit.certificate.multipliers.reciprocity) < 1e-8
-        signs.append(orbit.certificate.multipliers.sign)
+        assert orbit.estimate is not None
+        assert orbit.estimate.multipliers is not None
+        assert abs(orbit.estimate.multipliers.reciprocity) < 1e-8
+        signs.append(orbit.estimate.multipliers.sign)
     assert signs[0] == -signs[1] == signs[2]
 
 

@@ -84,7 +84,7 @@ def test_an_orbit_that_follows_the_twin_is_not_passed_off_as_the_one_asked_for(t
     """Twins 1e-5 apart: what was solved for one is described as the other's."""
     first, twin = (c for c in tangent.connections if c.sense > 0)
     shot = solve_shooting(first_guess([first, twin, first], [2, 2]))
-    assert shot.converged
+    assert shot.orbit.converged
     asked = described(shot, (first, twin, first), [2, 2], rivals=tangent.connections)
     assert asked.converged
     wrong = described(shot, (first, first, first), [2, 2], rivals=tangent.connections)

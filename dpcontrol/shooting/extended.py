@@ -1,6 +1,6 @@
 """Orbits refined in 113-bit arithmetic, 30 digits instead of 12: periodic ones, connections, and orbits of walks.
 
-The equations are those of `dpcontrol.shooting.equations`. Their residuals are evaluated in 113 bits and
+The equations are those of module `equations`. Their residuals are evaluated in 113 bits and
 divided by the largest before the step is solved for in double, where nothing underflows; so each Newton step leaves
 about 1e-12 of the residual. Open orbits are led out along both local manifolds until their amplitude is a < 1e-20: what
 the linear manifold leaves out, a², and the double Floquet vector's share, a · 1e-12, are then far below what is asked.
@@ -20,13 +20,11 @@ from scipy.sparse.linalg import splu
 
 from dpcontrol.dynamics.extended import Exact, Extended, ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.orbits.curve import local_manifold
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.shooting.equations import Guess, ShootingEquations
 from dpcontrol.shooting.orbit import ManifoldEnd
-from dpcontrol.tubes.connection import Connection
-from dpcontrol.walks.shadowing import ShadowingOrbit
 
 Array = NDArray[np.float64]
 
@@ -94,57 +92,39 @@ class ExtendedOrbit:
         return state + exact_position(self.guess.system, rounds * self.guess.turn)
 
 
-def refine_connection(
-    connection: Connection,
+def refine(
+    solution: Guess,
     *,
     energy: Exact | None = None,
     parameters: Sequence[Exact] | None = None,
     settings: RefinementSettings | None = None,
 ) -> ExtendedOrbit:
-    """Refine a connection in 113-bit arithmetic; as `refine_shadowing` does a walk.
-
-    Rounding a parameter to double moves a connection by 1e-15 and limits how long free flight follows it to what double
-    precision gives: where the numbers are decimals, give them as decimals or fractions.
-
-    Raises:
-        GoalMissed: a periodic orbit at an end could not be refined, or heyoka has no 113-bit reals.
-    """
-    orbit, section = connection.orbit, connection.section
-    crossing = int(np.argmin(np.abs(orbit.times)))
-    guess = Guess(
-        system=orbit.system,
-        states=orbit.states,
-        durations=np.diff(orbit.times),
-        owners=np.zeros(len(orbit.times), dtype=np.intp),
-        markers={crossing: (np.asarray(section.normal), section.level(connection.state))},
-        energy=connection.source.energy,
-        ends=(orbit.start, orbit.end),
-    )
-    return _refined(guess, energy, parameters, settings)
-
-
-def refine_shadowing(
-    orbit: ShadowingOrbit,
-    *,
-    energy: Exact | None = None,
-    parameters: Sequence[Exact] | None = None,
-    settings: RefinementSettings | None = None,
-) -> ExtendedOrbit:
-    """Refine a converged shadowing orbit, open or closed, in 113-bit arithmetic.
+    """Refine the double solution of multiple shooting, open or closed, in 113-bit arithmetic.
 
     energy: exact, that of the double orbit by default; parameters (p,): exact values of the equations' parameters, by
-    default the doubles of the system as the binary numbers that they are. An orbit that cannot be refined comes back
-    with `converged` False and a status that says why.
+    default the doubles of the system as the binary numbers that they are. Rounding a parameter to double moves a
+    connection by 1e-15 and limits how long free flight follows it to what double precision gives: where the numbers
+    are decimals, give them as decimals or fractions. An orbit that cannot be refined comes back with `converged` False
+    and a status that says why.
 
     Raises:
-        InputError: the double orbit has not converged.
         GoalMissed: a periodic orbit at an open one's end could not be refined, or heyoka has no 113-bit reals.
     """
-    if not orbit.converged:
-        raise InputError(f"only an orbit that has converged can be refined; this one has not: {orbit.status}")
-    shot = orbit.shot
-    guess = replace(shot.guess, states=shot.states, durations=shot.durations, ends=shot.ends)
-    return _refined(guess, energy, parameters, settings)
+    settings = settings or RefinementSettings()
+    system = solution.system
+    propagator = ExtendedPropagator(system.equations, system.parameters if parameters is None else parameters)
+    height = extended(np.array(solution.energy if energy is None else energy))[()]
+    if solution.ends is None:
+        return _newton(solution, propagator, height, settings)
+    led, first = _lengthened(solution, solution.ends, settings)
+    assert led.ends is not None
+    known: dict[str, ExtendedOrbit] = {}
+    for end in led.ends:
+        vertex = end.manifold.orbit
+        if vertex.saddle not in known:
+            known[vertex.saddle] = _refined_end(vertex, propagator, height, settings)
+    ends = tuple(known[end.manifold.orbit.saddle] for end in led.ends)
+    return _newton(led, propagator, height, settings, kept=slice(first, first + len(solution.states)), ends=ends)
 
 
 def refine_orbit(
@@ -154,7 +134,7 @@ def refine_orbit(
     parameters: Sequence[Exact] | None = None,
     settings: RefinementSettings | None = None,
 ) -> ExtendedOrbit:
-    """Refine a periodic orbit in 113-bit arithmetic; energy and parameters as in `refine_shadowing`.
+    """Refine a periodic orbit in 113-bit arithmetic; energy and parameters as in `refine`.
 
     Raises:
         GoalMissed: the residual stays above the tolerance, or heyoka has no 113-bit reals.
@@ -182,30 +162,6 @@ def _exact_level(system: System, level: float) -> Any:
     if np.isfinite(system.periods).any() and abs(level / np.pi - whole) < 1e-12:
         return pi_times(whole)[()]
     return extended(level)[()]
-
-
-def _refined(
-    guess: Guess,
-    energy: Exact | None,
-    parameters: Sequence[Exact] | None,
-    settings: RefinementSettings | None,
-) -> ExtendedOrbit:
-    """Refine an orbit known in double, led farther out if it is open."""
-    settings = settings or RefinementSettings()
-    system = guess.system
-    propagator = ExtendedPropagator(system.equations, system.parameters if parameters is None else parameters)
-    height = extended(np.array(guess.energy if energy is None else energy))[()]
-    if guess.ends is None:
-        return _newton(guess, propagator, height, settings)
-    led, first = _lengthened(guess, guess.ends, settings)
-    assert led.ends is not None
-    known: dict[str, ExtendedOrbit] = {}
-    for end in led.ends:
-        vertex = end.manifold.orbit
-        if vertex.saddle not in known:
-            known[vertex.saddle] = _refined_end(vertex, propagator, height, settings)
-    ends = tuple(known[end.manifold.orbit.saddle] for end in led.ends)
-    return _newton(led, propagator, height, settings, kept=slice(first, first + len(guess.states)), ends=ends)
 
 
 def _refined_end(
