@@ -58,7 +58,7 @@ class Section:
 
     @classmethod
     def plane(cls, name: str, normal: Row, *, offset: float = 0.0, period: float | None = None) -> "Section":
-        """Return the section normal · q = offset of two coordinates q, with sheets offset + period · k if given."""
+        """Return the section normal · q = offset of two coordinates q, with sheets offset + period · k of an angle."""
         row, along = _plane_rows(normal)
         return cls(name, (*row, 0.0, 0.0), (*along, 0.0, 0.0), along, offset, period)
 
@@ -87,6 +87,17 @@ class Section:
         """Return numbers (…) that change where states (…, N) pass the section: which of its sheets they lie above."""
         heights = self.height(states)
         return (heights > 0).astype(float) if self.period is None else np.floor(heights / self.period)
+
+    def sense(self, rate: Array) -> int:
+        """Return the sign of n·ẋ at a crossing with the rate ẋ (N,), or at a turning point of the side left for it."""
+        positions = self.normal[: len(self.normal) // 2]
+        return int(np.sign(np.dot(self.normal, rate))) * (1 if any(positions) else -1)
+
+    def mark(self, state: Array) -> str:
+        """Return "+" or "-" for the side on which a state (N,) lies where a section has two, and nothing elsewhere."""
+        if self.reach is not None and self.side is not None:
+            return "+" if float(np.dot(self.side, state)) > self.middle else "-"
+        return ""
 
     def admits(self, state: Array) -> bool:
         """Tell whether a crossing at `state` (N,) counts."""

@@ -4,6 +4,7 @@ Source: Kaheman et al. (2023), section 3.
 """
 
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -85,12 +86,9 @@ def described_connection(
     section, system = crossing.sides[0].section, orbit.system
     source, target = crossing.sides[0].manifold.orbit, crossing.sides[1].manifold.orbit
     state = orbit.states[int(np.argmin(np.abs(orbit.times)))]
-    rate = float(system.numeric.rate(state) @ np.asarray(section.normal))
     n = system.dimension // 2
     winding = tuple(int(k) for k in crossing.turns[:n])
-    entries = [k for k in winding if k]
-    direction = int(np.sign(rate))
-    sense = int(np.sign(entries[0])) if source.saddle == target.saddle and entries else direction
+    saddles = (source.saddle, target.saddle)
     first, second = (crossing.tangents[:, k] / np.linalg.norm(crossing.tangents[:, k]) for k in (0, 1))
     angle = np.degrees(np.arcsin(min(1.0, abs(first[0] * second[1] - first[1] * second[0]))))
     # The seeds of one tube are the other's turned around: between them lies the middle.
@@ -100,13 +98,13 @@ def described_connection(
     time_out, phase_out = approach(orbit, curves[0], -1, settings.near)
     time_in, phase_in = approach(orbit, curves[1], +1, settings.near)
     return Connection(
-        name=connection_name(system, (source.saddle, target.saddle), winding, hits, state, section),
+        name=connection_name(system, saddles, winding, hits, state, section),
         source=source,
         target=target,
         section=section,
         state=state,
         winding=winding,
-        sense=sense,
+        sense=connection_sense(system, saddles, winding, state, section),
         symmetric=symmetric,
         residual=orbit.residual,
         transversality_angle=float(angle),
@@ -220,12 +218,7 @@ def can_be_reversed(system: System, source: str, target: str, *, section: Sectio
     if forward is None or forward != backward:
         return False
     kept = all(np.allclose(reverser @ system.equilibrium(name), system.equilibrium(name)) for name in (source, target))
-    normal = np.asarray(forward.normal)
-    image = normal @ reverser
-    # Only a section through the origin may be turned over.
-    same = np.allclose(image, normal) or (np.allclose(image, -normal) and forward.offset == 0)
-    sided = forward.side is None or np.allclose(np.asarray(forward.side) @ reverser, forward.side)
-    return kept and bool(same) and bool(sided)
+    return kept and forward.kept_by(reverser, np.zeros(system.dimension))
 
 
 def _reversed_phase(orbit: LyapunovOrbit, phase: float) -> float:
@@ -250,17 +243,15 @@ def reversed_in_time(connection: Connection) -> Connection:
     # The turned-around stable end is a point of the unstable manifold, with the same phase and amplitude.
     start = replace(orbit.end, stable=False, turns=(0.0,) * system.dimension)
     end = replace(orbit.start, stable=True, turns=tuple(float(k) for k in turns))
-    direction = int(np.sign(system.numeric.rate(state) @ np.asarray(section.normal)))
-    entries = [k for k in winding if k]
-    homoclinic = source.saddle == target.saddle
+    saddles = (source.saddle, target.saddle)
     return replace(
         connection,
-        name=connection_name(system, (source.saddle, target.saddle), winding, hits, state, section),
+        name=connection_name(system, saddles, winding, hits, state, section),
         source=source,
         target=target,
         state=state,
         winding=winding,
-        sense=int(np.sign(entries[0])) if homoclinic and entries else direction,
+        sense=connection_sense(system, saddles, winding, state, section),
         hits=hits,
         time_out=connection.time_in,
         time_in=connection.time_out,
@@ -273,6 +264,14 @@ def reversed_in_time(connection: Connection) -> Connection:
             states=orbit.states[::-1] @ reverser.T + lift,
         ),
     )
+
+
+def connection_sense(
+    system: System, saddles: tuple[str, str], winding: Sequence[int], state: Array, section: Section
+) -> int:
+    """Return which way (+1, -1) a homoclinic turns, if it does, or else the section is crossed at a state (N,)."""
+    turns = [k for k in winding if k]
+    return int(np.sign(turns[0])) if saddles[0] == saddles[1] and turns else section.sense(system.numeric.rate(state))
 
 
 def connection_name(
@@ -297,10 +296,10 @@ def connection_name(
     turns = ",".join(str(k) for k in winding)
     own = system.sections.get(saddles) == section
     on = "" if own else f":{next((key for key, named in system.named_sections.items() if named == section), 'other')}"
-    return f"{saddles[0]}>{saddles[1]}[{turns}]h{hits[0]}.{hits[1]}{on}@{place}"
+    return f"{saddles[0]}>{saddles[1]}[{turns}]h{hits[0]}.{hits[1]}{on}@{place}{section.mark(state)}"
 
 
 def searched_at(name: str) -> tuple[tuple[int, int], str | None] | None:
     """Return the (hits, short name of the section) of a connection's name, None where it is no such name."""
-    match = re.search(r"\]h([1-9])\.([1-9])(?::([a-z][a-z-]*))?@", name)
+    match = re.search(r"\]h([1-9])\.([1-9])(?::([\w-]+))?@", name)
     return None if match is None else ((int(match[1]), int(match[2])), match[3])

@@ -92,7 +92,8 @@ def find_connections(
     stable tube's cut is its unstable one's, turned around).
 
     Raises:
-        InputError: the orbits differ in energy, no section is known between their saddles, or one crosses it itself.
+        InputError: the orbits differ in energy, no section is known between their saddles, it is not kept by the
+            target's reverser, or one of the orbits crosses it itself.
     """
     settings = settings or ConnectionSettings()
     system = source.system
@@ -100,6 +101,11 @@ def find_connections(
     if source.energy != target.energy:
         raise InputError(
             f"orbits at {source.energy:g} J and {target.energy:g} J cannot be connected: the flow keeps its energy"
+        )
+    if not section.kept_by(target.reverser, target.centre):
+        raise InputError(
+            f"the section {section.name} is not kept by the reverser about {target.saddle}, which turns the unstable "
+            "tube into the stable one; choose a section that this symmetry maps onto itself"
         )
     curves = (OrbitCurve(source), OrbitCurve(target))
     for curve in curves:

@@ -17,7 +17,7 @@ from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.shooting.orbit import ShootingOrbit
-from dpcontrol.tubes.connection import Connection, approach
+from dpcontrol.tubes.connection import Connection, approach, connection_sense
 from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.shadowing import ShadowingOrbit
 from dpcontrol.walks.symbols import composed
@@ -48,13 +48,11 @@ def as_connection(orbit: ShadowingOrbit, *, settings: ConnectionSettings | None 
     whole = replace(orbit.orbit, times=orbit.orbit.times - orbit.symbol_times[0])
     state = whole.states[nodes[0]]
     winding = tuple(int(k) for k in orbit.offsets[-1][: len(first.winding)])
-    entries = [k for k in winding if k]
-    direction = int(np.sign(system.numeric.rate(state) @ np.asarray(section.normal)))
-    homoclinic = source.saddle == target.saddle
+    saddles = (source.saddle, target.saddle)
     # The mirror image of an orbit starts where its original ends: at the last symbol. In between it may still differ.
     stay = float(orbit.symbol_times[-1] - orbit.symbol_times[0])
     along = whole.sample(np.linspace(0.0, stay, 1 + 16 * (len(orbit.walk) - 1)))
-    symmetric = homoclinic and any(
+    symmetric = source.saddle == target.saddle and any(
         float(system.scaled_distance((along[::-1] - source.centre) @ reverser.T + source.centre, along).max())
         < _MIRRORED
         for reverser in system.reversers
@@ -75,7 +73,7 @@ def as_connection(orbit: ShadowingOrbit, *, settings: ConnectionSettings | None 
         section=section,
         state=state,
         winding=winding,
-        sense=int(np.sign(entries[0])) if homoclinic and entries else direction,
+        sense=connection_sense(system, saddles, winding, state, section),
         symmetric=symmetric,
         residual=orbit.residual,
         transversality_angle=transversality_angle(orbit, nodes[0]),
