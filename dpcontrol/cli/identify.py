@@ -48,9 +48,11 @@ def command(
         title = f"{start.title}, identified from {', '.join(r.name for r in recordings)}"
         write_model(found, target, title=title, logs=[path.name for path in logs], starting_model=start.name)
         if picture is not None:
-            from dpcontrol.review.identification_figure import write_identification_figure
+            from dpcontrol.identification.identify import profiles
+            from dpcontrol.review.identification_figure import draw_identification
+            from dpcontrol.review.panel_frame import save_figure
 
-            write_identification_figure(found, picture, title=title, progress=progress)
+            save_figure(draw_identification(found, profiles(found, progress=progress), title=title), picture)
     document = {**found.document(), "file": str(target), "picture": None if picture is None else str(picture)}
     return Answer(document, _text(found, target, picture))
 
@@ -90,9 +92,10 @@ def _design(model: str, picture: Path | None) -> Answer:
     with progress_bar("design") as progress:
         design = design_experiments(start.arms, progress=progress)
         if picture is not None:
-            from dpcontrol.review.identification_figure import write_design_figure
+            from dpcontrol.review.identification_figure import draw_design
+            from dpcontrol.review.panel_frame import save_figure
 
-            write_design_figure(design, picture, title=start.title)
+            save_figure(draw_design(design, title=start.title), picture)
     document = {**design.document(), "picture": None if picture is None else str(picture)}
     return Answer(document, _design_text(design, picture))
 

@@ -127,9 +127,10 @@ def _family(model: "Model", saddle: str, energies: Range, family: int, picture: 
     with progress_bar(f"family of {saddle}") as progress:
         found = lyapunov_family(model.system, saddle, energies=energies, family=family, progress=progress)
     if picture is not None:
-        from dpcontrol.review.family_figure import write_family_figure
+        from dpcontrol.review.family_figure import draw_family
+        from dpcontrol.review.panel_frame import save_figure
 
-        write_family_figure(found, picture)
+        save_figure(draw_family(found), picture)
     document = {
         "family": [_orbit_document(m) for m in found.members],
         "ends": [{"energy": e.energy, "kind": e.kind, "reason": e.reason} for e in found.ends],
@@ -187,9 +188,10 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
     with progress_bar("families of rotating orbits") as progress:
         families = rotating_families(orbits, energies, progress=progress)
     if picture is not None:
-        from dpcontrol.review.rotating_figure import write_rotating_figure
+        from dpcontrol.review.panel_frame import save_figure
+        from dpcontrol.review.rotating_figure import draw_rotating_families
 
-        write_rotating_figure(families, picture)
+        save_figure(draw_rotating_families(families), picture)
     document = {
         "families": [
             {
@@ -256,9 +258,10 @@ def _sustained(model: "Model", saddle: str, energy: float, family: int, sections
     if not orbit.converged:
         picture = None
     if picture is not None:
-        from dpcontrol.review.sustained_figure import write_sustained_figure
+        from dpcontrol.review.panel_frame import save_figure
+        from dpcontrol.review.sustained_figure import draw_sustained
 
-        write_sustained_figure(orbit, picture)
+        save_figure(draw_sustained(orbit), picture)
     document = {**orbit.document(sections), "picture": None if picture is None else str(picture)}
     missed = "" if orbit.converged else f"the sustained orbit about {saddle} at {energy:g} J: {orbit.status}"
     return Answer(document, () if missed else [*_sustained_text(orbit, sections), *drawn_to(picture)], missed)

@@ -37,8 +37,9 @@ def command(*, file: Path, picture: Path | None, as_json: bool) -> None:
         summary = summarised(reference)
         document = _document(summary)
         if picture is not None:
-            from dpcontrol.review.drawing import draw, save_figure
+            from dpcontrol.review.drawing import draw
             from dpcontrol.review.of_reference import reference_view
+            from dpcontrol.review.panel_frame import save_figure
 
             save_figure(draw(reference_view(summary, file)), picture)
     except InputError as error:

@@ -46,8 +46,9 @@ def command(*, file: Path, picture: Path | None, as_json: bool) -> None:
 def _log(file: Path, picture: Path, *, as_json: bool) -> dict[str, Any]:
     from dpcontrol.cli.score import print_score
     from dpcontrol.logs import read_log
-    from dpcontrol.review.drawing import draw, save_figure
+    from dpcontrol.review.drawing import draw
     from dpcontrol.review.of_log import run_view
+    from dpcontrol.review.panel_frame import save_figure
     from dpcontrol.review.score import REFERENCE_ATTACHMENT, score
 
     log = read_log(file)
@@ -66,7 +67,7 @@ def _log(file: Path, picture: Path, *, as_json: bool) -> dict[str, Any]:
 def _campaign(file: Path, picture: Path, *, as_json: bool) -> dict[str, Any]:
     from dpcontrol.review.campaign import campaign_summary
     from dpcontrol.review.campaign_figure import draw_campaign
-    from dpcontrol.review.drawing import save_figure
+    from dpcontrol.review.panel_frame import save_figure
 
     summary = campaign_summary(file)
     save_figure(draw_campaign(summary), picture)

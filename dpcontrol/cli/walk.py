@@ -259,11 +259,12 @@ def _solve(
 def _drawn(answer: "WalkAnswer", picture: Path, model: "Model") -> bool:
     """Draw the orbit of a walk; return whether there was one to draw."""
     from dpcontrol.dynamics.chain import ArmChainParameters
-    from dpcontrol.review.walk_figure import write_walk_figure
+    from dpcontrol.review.panel_frame import save_figure
+    from dpcontrol.review.walk_figure import draw_walk
 
     if answer.orbit is None or not answer.converged:
         return False
     arms = model.parameters
     lengths = arms.length if isinstance(arms, ArmChainParameters) else None
-    write_walk_figure(answer.orbit, picture, arm_lengths=lengths, model=model.name)
+    save_figure(draw_walk(answer.orbit, arm_lengths=lengths, model=model.name), picture)
     return True

@@ -3,9 +3,10 @@
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from dpcontrol.review import style
 from dpcontrol.review.figures.cuts import connections_of, draw_cuts
-from dpcontrol.review.figures.page import STABLE, UNSTABLE, new_figure, saddle_colour
-from dpcontrol.review.figures.space import CUT, FLIGHT, draw_space
+from dpcontrol.review.figures.space import FLIGHT, draw_space
+from dpcontrol.review.panel_frame import new_figure
 from dpcontrol.walks.atlas import Atlas
 
 
@@ -17,9 +18,14 @@ def draw_atlas(atlas: Atlas) -> Figure:
     wide = 0.42 if kinds else 0.9
     space = figure.add_axes((0.03, 0.0, wide - 0.03, 0.95), projection="3d")
     draw_space(space, atlas, hit_of=lambda cut: cut.hit, flights=atlas.connections)
-    looks = ((UNSTABLE, "unstable tubes"), (STABLE, "stable tubes"), (CUT, "cuts"), (FLIGHT, "connections"))
+    looks = (
+        (style.UNSTABLE, "unstable tubes"),
+        (style.STABLE, "stable tubes"),
+        (style.CUT, "cuts"),
+        (FLIGHT, "connections"),
+    )
     handles = [Line2D([], [], color=colour, label=label) for colour, label in looks]
-    handles += [Line2D([], [], color=saddle_colour(o.saddle), linewidth=2.5, label=f"orbit about {o.name}")
+    handles += [Line2D([], [], color=style.saddle_colour(o.saddle), linewidth=2.5, label=f"orbit about {o.name}")
                 for o in atlas.orbits]  # fmt: skip
     figure.legend(handles=handles, loc="lower left", fontsize=8.5, frameon=False, ncols=3)
     columns = 1 if len(kinds) < 2 else 2

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.review import style
 from dpcontrol.review.figures.cuts import colours, connections_of, stable_direction
-from dpcontrol.review.figures.page import saddle_colour, wrapped_runs
+from dpcontrol.review.panel_frame import wrapped_runs
 from dpcontrol.review.recorded_planes import Box, reading_lines
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, section_axes
 
@@ -23,7 +23,12 @@ Array = NDArray[np.float64]
 
 TIMELINE = "time_from_section"
 """Seconds from the passage of the section, the same for all flights."""
-BRANCHES = {(False, 1): "#d4544b", (False, -1): "#f0a39d", (True, 1): "#3c9c5f", (True, -1): "#a5d3b4"}
+BRANCHES = {
+    (False, 1): style.UNSTABLE,
+    (False, -1): style.PALE_UNSTABLE,
+    (True, 1): style.STABLE,
+    (True, -1): style.PALE_STABLE,
+}
 """(stable, branch): red leaves the orbit, green comes to it; the second branch is pale."""
 _DARK = [18, 20, 24]
 _MOMENTS = 240
@@ -96,7 +101,7 @@ def _tubes(recording: rr.RecordingStream, atlas: Atlas, shown: _Shown, cut: Atla
                 tube = rr.LineStrips3D(list(shown.places(strands)), **_lines(colour, width=0.4, alpha=110))  # type: ignore[arg-type]
                 recording.log(word, tube, static=True)
             if pieces:
-                ends = rr.LineStrips3D([shown.places(s) for s in pieces], **_lines("#c39be0", width=0.8))  # type: ignore[arg-type]
+                ends = rr.LineStrips3D([shown.places(s) for s in pieces], **_lines(style.CUT, width=0.8))  # type: ignore[arg-type]
                 recording.log(f"{word}/cut", ends, static=True)
 
 
@@ -118,7 +123,7 @@ def _orbits(recording: rr.RecordingStream, atlas: Atlas, shown: _Shown) -> None:
         strips = rr.LineStrips3D(
             copies,
             labels=[orbit.name, *[""] * (len(copies) - 1)],
-            **_lines(saddle_colour(orbit.saddle), width=2.5),  # type: ignore[arg-type]
+            **_lines(style.saddle_colour(orbit.saddle), width=2.5),  # type: ignore[arg-type]
         )
         recording.log(f"space/orbits/{_plain(orbit.name)}", strips, static=True)
 
@@ -238,7 +243,7 @@ def _blueprint(atlas: Atlas, shown: _Shown) -> rrb.Blueprint:
     axes = "θ₁, θ₂, ω₁" if np.isfinite(atlas.periods).any() else "x, y, x rate"
     eye = shown.centre + np.array([-0.9, -1.3, 0.75]) * shown.size * 1.1
     space = rrb.Spatial3DView(
-        name=f"Space ({axes}): orbits thick, tubes from them red, to them green, where these end violet",
+        name=f"Space ({axes}): orbits thick, tubes from them red, to them green, where these end golden",
         origin="/space",
         eye_controls=rrb.EyeControls3D(position=tuple(eye), look_target=tuple(shown.centre), eye_up=(0.0, 0.0, 1.0)),
         line_grid=False,

@@ -14,9 +14,8 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 from dpcontrol.foundation.statistics import Share
 from dpcontrol.review import style
 from dpcontrol.review.campaign import CampaignSummary
-from dpcontrol.review.figures.page import new_figure, quiet
+from dpcontrol.review.panel_frame import new_figure, quiet
 
-_GOOD, _BAD = "#1e7a3c", style.LIMIT
 _MOST = 28
 _SPREADS = {
     "max_cart_position": ("Cart's largest distance (mm)", 1e3),
@@ -28,7 +27,7 @@ def draw_campaign(summary: CampaignSummary) -> Figure:
     """Return the page as a figure."""
     figure = new_figure(15.0, 9.6, f"Campaign {summary.path.stem}")
     share = summary.share
-    colour = _GOOD if share.rate >= 0.5 else _BAD
+    colour = style.GOOD if share.rate >= 0.5 else style.LIMIT
     figure.text(0.015, 0.935, summary.status, fontsize=11, color=colour, va="center")
     failed, levels = bool(summary.failed_symbols or summary.reasons), bool(summary.levels)
     wide = (0.36 if len(summary.groups) < 2 else 0.30) if levels else 0.70
@@ -136,7 +135,7 @@ def _reasons(axes: Axes, summary: CampaignSummary) -> None:
     rest = sum(count for _, count in summary.reasons[6:])
     shown += [("other reasons", rest)] if rest else []
     places = np.arange(len(shown))[::-1]
-    axes.barh(places, [count for _, count in shown], color=_BAD, alpha=0.7, height=0.62)
+    axes.barh(places, [count for _, count in shown], color=style.LIMIT, alpha=0.7, height=0.62)
     axes.set_yticks(places, [shorten(text, 62, placeholder=" …") for text, _ in shown])
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylim(-0.6, max(len(shown) - 0.4, 0.6))
@@ -153,7 +152,7 @@ def _spread(axes: Axes, summary: CampaignSummary, name: str, *, title: str, scal
     every = np.concatenate([good, bad])
     edges = np.linspace(float(every.min()), float(np.quantile(every, 0.99)) + 1e-9, 31)
     parts = [np.clip(values, edges[0], edges[-1]) for values in (good, bad)]
-    axes.hist(parts, bins=list(edges), color=[_GOOD, _BAD], stacked=True, alpha=0.75)
+    axes.hist(parts, bins=list(edges), color=[style.GOOD, style.LIMIT], stacked=True, alpha=0.75)
     axes.yaxis.set_major_locator(MaxNLocator(3, integer=True))
 
 

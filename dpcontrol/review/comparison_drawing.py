@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.review import film, panels, series, story_panels, style
 from dpcontrol.review.comparison import RunComparison, compared_charts
-from dpcontrol.review.drawing import new_page
-from dpcontrol.review.panel_frame import mark_times
+from dpcontrol.review.panel_frame import mark_times, new_figure
 
 Array = NDArray[np.float64]
 
@@ -26,7 +25,7 @@ def draw_comparison(comparison: RunComparison) -> Figure:
     runs = comparison.runs
     filmed = _FILM if len(runs) <= _FILMED else 0.0
     tall = _HEAD + len(runs) * (_STORY + filmed + 0.35) + 4 * (_PANEL + 0.5) + 0.35
-    figure = new_page(_WIDE, tall)
+    figure = new_figure(_WIDE, tall)
     title = shorten(comparison.title, 100, placeholder=" …")
     figure.text(0.022, 1 - 0.35 / tall, title, fontsize=16, weight="bold", color=style.INK, va="center")
     status = shorten(comparison.status, 190, placeholder=" …")

@@ -1,18 +1,14 @@
 """A run, a recording or a reference on one page, drawn by matplotlib: what happened, how well, and where it went."""
 
-from pathlib import Path
 from textwrap import shorten, wrap
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from dpcontrol.foundation.files import whole_file
 from dpcontrol.review import film, panels, series, story_panels, style
 from dpcontrol.review.motion import RunView
-from dpcontrol.review.panel_frame import mark_times
+from dpcontrol.review.panel_frame import mark_times, new_figure
 
 _SIZE = (16.0, 11.6)
-_DPI = 110
 _FRAMES = 8
 _NOTES = 0.185
 _NOTE_LINES = 13
@@ -23,16 +19,9 @@ _ABOVE = 0.04
 """Between two panels, for the title of the lower."""
 
 
-def new_page(width: float, height: float) -> Figure:
-    """Return an empty white figure of a size in inches."""
-    figure = Figure(figsize=(width, height), dpi=_DPI, facecolor="white")
-    FigureCanvasAgg(figure)
-    return figure
-
-
 def draw(view: RunView) -> Figure:
     """Return the page as a figure."""
-    figure = new_page(*_SIZE)
+    figure = new_figure(*_SIZE)
     _heading(figure, view)
     top = 0.925
     rows = story_panels.story_rows(view)
@@ -91,15 +80,3 @@ def _heading(figure: Figure, view: RunView) -> None:
     figure.text(
         0.022, 0.947, "\n".join(lines), fontsize=size, color=style.verdict_colour(view.good), va="center"
     )  # fmt: skip
-
-
-def save_figure(figure: Figure, path: Path | str) -> None:
-    """Write a figure as PNG or PDF, by the name's suffix.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    path = Path(path)
-    kind = "pdf" if path.suffix.lower() == ".pdf" else "png"
-    with whole_file(path, suffix=f".{kind}") as temporary:
-        figure.savefig(temporary, format=kind)

@@ -1,7 +1,5 @@
 """A family of Lyapunov orbits on one page: period and multipliers against energy, orbits in the plane of positions."""
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
@@ -10,7 +8,6 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
-from dpcontrol.foundation.files import whole_file
 from dpcontrol.orbits.family import LyapunovFamily
 from dpcontrol.review import style
 
@@ -77,14 +74,3 @@ def _plane(axes: Axes, family: LyapunovFamily, colours: Normalize) -> None:
     axes.set_xlabel("θ₁ (rad)" if angular else "x")
     axes.set_ylabel("θ₂ (rad)" if angular else "y")
     axes.grid(color=style.FAINT, lw=0.4)
-
-
-def write_family_figure(family: LyapunovFamily, path: Path) -> None:
-    """Write the page as PNG.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    figure = draw_family(family)
-    with whole_file(path, suffix=".png") as temporary:
-        figure.savefig(temporary, format="png")

@@ -1,34 +1,18 @@
 """An identification on one page: errors before and after, candidates, correlations, profiles; and designs compared."""
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from dpcontrol.foundation.files import whole_file
-from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.identification.design import Design
-from dpcontrol.identification.identify import Identification, Profile, profiles
-from dpcontrol.review.figures.page import new_figure, quiet
+from dpcontrol.identification.identify import Identification, Profile
+from dpcontrol.review.panel_frame import new_figure, quiet
 
 Array = NDArray[np.float64]
 
 _USED, _LEFT, _BEFORE, _LINE = "#9aa4b1", "#d1662a", "#404751", "#2f6fb0"
 _PER_ROW = 6
-
-
-def write_identification_figure(
-    found: Identification, path: Path, *, title: str, progress: Progress = no_progress
-) -> Path:
-    """Draw an identification to a PNG, with the profiles of its unknowns, and return the path.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    figure = draw_identification(found, profiles(found, progress=progress), title=title)
-    return _written(figure, path)
 
 
 def draw_identification(found: Identification, curves: tuple[Profile, ...], *, title: str) -> Figure:
@@ -116,15 +100,6 @@ def _profile(axes: Axes, curve: Profile, *, first: bool) -> None:
         axes.legend(fontsize=6, frameon=False)
 
 
-def write_design_figure(design: Design, path: Path, *, title: str) -> Path:
-    """Draw compared experiments to a PNG and return the path.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    return _written(draw_design(design, title=title), path)
-
-
 def draw_design(design: Design, *, title: str) -> Figure:
     """Return the comparison as a figure: swings over their first two angles, the cart's sines over frequency."""
     figure = new_figure(14.0, 6.2, f"What a recording of {design.settings.seconds:g} s would tell: {title}")
@@ -186,9 +161,3 @@ def _swing_map(axes: Axes, swings: list, pair: tuple, figure: Figure) -> None:
 
 def _relative_errors(matrix: Array) -> Array:
     return np.sqrt(np.diag(np.linalg.pinv(matrix, hermitian=True)))
-
-
-def _written(figure: Figure, path: Path) -> Path:
-    with whole_file(path, suffix=".png") as temporary:
-        figure.savefig(temporary, format="png", dpi=110)
-    return path

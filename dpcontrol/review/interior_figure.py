@@ -1,6 +1,5 @@
 """The inside of a tube as colour wheels: where each point of its cut goes at every return to the section."""
 
-from pathlib import Path
 from textwrap import fill
 
 import numpy as np
@@ -10,14 +9,10 @@ from matplotlib.colors import hsv_to_rgb
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from dpcontrol.foundation.files import whole_file
 from dpcontrol.review import style
 from dpcontrol.tubes.interior import Outline, Returns, TubeInterior
 
 Array = NDArray[np.float64]
-
-UNSTABLE, STABLE = "#b3261e", "#1e7a3c"
-"""The usual red for what leaves an orbit and green for what comes to it."""
 
 
 def draw_interior(interior: TubeInterior) -> Figure:
@@ -85,16 +80,6 @@ def _nothing(interior: TubeInterior) -> Figure:
     return figure
 
 
-def save_interior(interior: TubeInterior, path: Path) -> None:
-    """Write the figure to a PNG file, whole or not at all.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    with whole_file(path, suffix=".png") as temporary:
-        draw_interior(interior).savefig(temporary)
-
-
 def _marker(interior: TubeInterior) -> float:
     """Return the marker's area in points² at which neighbours of the start's grid overlap."""
     spans = np.ptp(interior.points, axis=0)
@@ -121,8 +106,9 @@ def _outlines(ax: Axes, outlines: tuple[Outline, ...], direction: int) -> None:
     for outline in outlines:
         closed = np.vstack([outline.vertices, outline.vertices[:1]])
         turns = np.rint((closed[:, 0].min() + closed[:, 0].max()) / 2 / (2 * np.pi))
-        ax.plot(closed[:, 0] - 2 * np.pi * turns, closed[:, 1], color=STABLE if outline.stable else UNSTABLE,
-                lw=1.1, alpha=1.0 if outline.direction == direction else 0.25)  # fmt: skip
+        colour = style.STABLE if outline.stable else style.UNSTABLE
+        opacity = 1.0 if outline.direction == direction else 0.25
+        ax.plot(closed[:, 0] - 2 * np.pi * turns, closed[:, 1], color=colour, lw=1.1, alpha=opacity)
     ax.tick_params(labelsize=8, colors=style.CART)
     for spine in ax.spines.values():
         spine.set_color(style.FAINT)

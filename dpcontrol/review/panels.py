@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.review import style
 from dpcontrol.review.motion import RunView
-from dpcontrol.review.panel_frame import DASHED, curve, label_in_pi, legend, limit_line, prepare
+from dpcontrol.review.panel_frame import DASHED, curve, label_in_pi, legend, limit_line, quiet
 from dpcontrol.review.series import Chart, Level, Line, Plane
 
 Array = NDArray[np.float64]
@@ -21,7 +21,7 @@ _UNIT = np.array([1 / np.pi, 1.0])
 
 def draw_chart(axes: Axes, chart: Chart, view: RunView) -> None:
     """Draw a chart's lines, bands, levels and limits; a line of another view than `view` has no gaps."""
-    prepare(axes, chart.title)
+    quiet(axes, chart.title)
     axes.margins(x=0)
     scale = 1 / np.pi if chart.half_turns else chart.scale
     entries: dict[str, dict] = {}
@@ -93,7 +93,7 @@ def _named_level(axes: Axes, level: Level) -> None:
 def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True) -> None:
     """Draw runs in one arm's phase plane, each in its colour, over the orbits and tubes of the first."""
     first, _ = runs[0]
-    prepare(axes, f"Arm {first.arm + 1}: ω{style.number(first.arm)} (rad/s) over θ{style.number(first.arm)}")
+    quiet(axes, f"Arm {first.arm + 1}: ω{style.number(first.arm)} (rad/s) over θ{style.number(first.arm)}")
     entries: list[tuple[str, dict]] = []
     if first.orbits:
         entries.append(("orbits", {"color": first.orbits[0][0], "linewidth": 3.2}))

@@ -73,7 +73,7 @@ def _written(
     path: Path | str, record: Callable[[Path], None], draw: Callable[[], "Figure"], *, moment: float
 ) -> Picture:
     """Write a PNG of what `record` writes, as the viewer shows it at `moment` (s), else what `draw` draws."""
-    from dpcontrol.review.drawing import save_figure
+    from dpcontrol.review.panel_frame import save_figure
 
     path = Path(path)
     reason = picture_of(record, path, moment=moment)

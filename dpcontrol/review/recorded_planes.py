@@ -22,8 +22,8 @@ _GRID, _DARK_GRID = (226, 229, 233), (52, 56, 62)
 _EACH = 2
 """Of a tube's strands every second is enough here, and quicker to draw without a graphics card."""
 _TUBES = (
-    (False, style.UNSTABLE, "#f0bdb9", "tubes_from"),
-    (True, style.STABLE, "#b3d9c0", "tubes_to"),
+    (False, style.UNSTABLE, style.PALE_UNSTABLE, "tubes_from"),
+    (True, style.STABLE, style.PALE_STABLE, "tubes_to"),
 )
 """Stable, colours of the cut and of the strands (the viewer's thin lines do not let through), and name."""
 _FAR = 60.0

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from itertools import groupby, pairwise
-from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,10 +10,9 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import SymmetricalLogLocator
 from numpy.typing import NDArray
 
-from dpcontrol.foundation.files import whole_file
 from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
 from dpcontrol.review import style
-from dpcontrol.review.figures.page import angle_axis, new_figure, quiet
+from dpcontrol.review.panel_frame import angle_axis, new_figure, quiet
 
 KINDS = {"elliptic": "#1e7a3c", "hyperbolic": "#b3261e", "inverse hyperbolic": "#d9640d", "parabolic": "#5b6470"}
 _SHAPES = 3
@@ -69,14 +67,3 @@ def _shape(axes: Axes, orbit: RotatingOrbit) -> None:
     times = np.linspace(0.0, orbit.period, _POINTS)
     states: NDArray[np.float64] = orbit.system.propagator.sample(orbit.state, times)
     axes.plot(states[:, 0], states[:, 1], color=KINDS[orbit.kind], linewidth=1.0)
-
-
-def write_rotating_figure(families: Sequence[RotatingFamily], path: Path) -> None:
-    """Write the page as PNG.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    figure = draw_rotating_families(families)
-    with whole_file(path, suffix=".png") as temporary:
-        figure.savefig(temporary, format="png")

@@ -33,10 +33,17 @@ SADDLES = {
     "L1": "#0f8b8d",
     "L2": "#8a4fa3",
     "L3": "#b0851e",
+    "inner-rotating": "#9a6b15",
+    "outer-rotating": "#c2185b",
 }
-"""Of all that belongs to a saddle, apart from the arms' colours."""
+"""Of all that belongs to a saddle or a rotating orbit, apart from the arms' colours."""
+CONNECTIONS = ("#1f6fb4", "#d9640d", "#c2185b", "#9a6b15", "#5b6470", "#6b8e23", "#404751")
+"""Colours that tell connections apart, and saddles that have none of their own."""
 UNSTABLE, STABLE = "#d4544b", "#3c9c5f"
-"""The usual red for tubes that leave an orbit and green for those that come to it."""
+PALE_UNSTABLE, PALE_STABLE = "#f0a39d", "#a5d3b4"
+"""The usual red for tubes that leave an orbit and green for those that come to it; pale for the second branch."""
+CUT = "#b0851e"
+"""Where tubes end on their section."""
 RUNS = ("#1f6fb4", "#d9640d", "#2c8a4b", "#8a4fa3", "#9a6b15", "#c2185b")
 """One colour for each of several runs compared."""
 _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
@@ -44,7 +51,7 @@ _SUBSCRIPTS = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 def saddle_colour(saddle: str) -> str:
     """Return the colour of what belongs to a saddle."""
-    return SADDLES.get(saddle, CART)
+    return SADDLES.get(saddle) or CONNECTIONS[sum(map(ord, saddle)) % len(CONNECTIONS)]
 
 
 def arm_colour(arm: int) -> str:

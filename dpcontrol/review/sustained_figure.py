@@ -1,16 +1,13 @@
 """A sustained orbit on one page: the orbit beside its Lyapunov orbit, input, cart and energy over a period."""
 
-from pathlib import Path
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from dpcontrol.foundation.files import whole_file
 from dpcontrol.references.sustained import SustainedOrbit
 from dpcontrol.review import style
-from dpcontrol.review.figures.page import angle_axis, new_figure, quiet
+from dpcontrol.review.panel_frame import angle_axis, new_figure, quiet
 
 Array = NDArray[np.float64]
 
@@ -75,14 +72,3 @@ def _phase_plane(axes: Axes, orbit: SustainedOrbit, states: Array, *, outermost:
     quiet(axes, f"{'Outer' if outermost else 'Inner'} arm: rate (rad/s) over angle")
     axes.margins(0.06)
     angle_axis(axes, "x")
-
-
-def write_sustained_figure(orbit: SustainedOrbit, path: Path) -> None:
-    """Write the page as PNG.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    figure = draw_sustained(orbit)
-    with whole_file(path, suffix=".png") as temporary:
-        figure.savefig(temporary, format="png")

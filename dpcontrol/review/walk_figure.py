@@ -1,14 +1,12 @@
 """An orbit that follows a walk, on one page: its symbols over time, the arms as a filmstrip, the orbit in space."""
 
-from pathlib import Path
 from textwrap import wrap
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dpcontrol.foundation.files import whole_file
 from dpcontrol.review import style, walk_panels, walk_space
-from dpcontrol.review.figures.page import new_figure
+from dpcontrol.review.panel_frame import badge, new_figure
 from dpcontrol.review.walk_story import WalkStory, symbol_words
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
@@ -35,10 +33,10 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
     figure = new_figure(_WIDTH, height, title)
     figure.suptitle(title, x=0.015, y=1 - 0.14 / height, ha="left", va="top", fontsize=16, weight="bold",
                     color=style.INK)  # fmt: skip
-    figure.text(0.0155, 1 - 0.52 / height, _verdict(story), fontsize=9.5, color=walk_panels.NOTE, va="top")
+    figure.text(0.0155, 1 - 0.52 / height, _verdict(story), fontsize=9.5, color=style.NOTE, va="top")
     if film:
         about = "the arms at some instants of each symbol (s); thin: the tip's path since the instant before"
-        figure.text(0.985, 1 - 0.22 / height, about, fontsize=8.5, color="#7a828b", ha="right", va="top")
+        figure.text(0.985, 1 - 0.22 / height, about, fontsize=8.5, color=style.MARK, ha="right", va="top")
         walk_panels.film(figure.add_axes((0.01, body / height, 0.98, film / height)), story)
     share = body / height
 
@@ -54,7 +52,7 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
         panel(lower[-1], story)
         lower[-1].set_xlim(0.0, orbit.duration)
     lower[0].tick_params(labelbottom=False)
-    lower[1].set_xlabel("time (s)" if story.has_angles else "time", fontsize=9, color=walk_panels.NOTE, labelpad=1)
+    lower[1].set_xlabel("time (s)" if story.has_angles else "time", fontsize=9, color=style.NOTE, labelpad=1)
     tall = listed / body
     if story.arm_lengths is None:
         rest = (0.97 - tall) / 2
@@ -101,22 +99,11 @@ def _list(axes: Axes, story: WalkStory) -> None:
     for place, text in ((0.05, "symbol"), (0.475, "at (s)" if story.has_angles else "at"), (0.57, "connection")):
         axes.text(place, y[0], text, fontsize=9, weight="bold", color=style.INK, va="center_baseline")
     for k in range(shown):
-        walk_panels.badge(axes, k + 1, 0.02, y[k + 1], size=6.5)
+        badge(axes, k + 1, 0.02, y[k + 1], size=6.5)
         axes.text(0.05, y[k + 1], symbol_words(chain[k]), fontsize=8.2, color=style.INK, va="center_baseline")
-        axes.text(0.57, y[k + 1], chain[k].name, fontsize=7.4, color=walk_panels.NOTE, va="center_baseline")
-        axes.text(0.475, y[k + 1], f"{times[k]:.3f}", fontsize=8.2, color=walk_panels.NOTE, va="center_baseline")
+        axes.text(0.57, y[k + 1], chain[k].name, fontsize=7.4, color=style.NOTE, va="center_baseline")
+        axes.text(0.475, y[k + 1], f"{times[k]:.3f}", fontsize=8.2, color=style.NOTE, va="center_baseline")
     if shown < len(chain):
         axes.text(0.05, y[-1], f"… and {len(chain) - shown} more", fontsize=8.2, color=style.INK, va="center_baseline")
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1)
-
-
-def write_walk_figure(orbit: ShadowingOrbit, path: Path, *, arm_lengths: tuple[float, ...] | None, model: str) -> None:
-    """Write the page as PNG.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    figure = draw_walk(orbit, arm_lengths=arm_lengths, model=model)
-    with whole_file(path, suffix=".png") as temporary:
-        figure.savefig(temporary, format="png")

@@ -2,21 +2,18 @@
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import LogLocator
 from numpy.typing import NDArray
 
 from dpcontrol.review import style
-from dpcontrol.review.figures.page import angle_axis, quiet
+from dpcontrol.review.film import draw_arms
+from dpcontrol.review.panel_frame import angle_axis, badge, legend, mark_times, quiet
 from dpcontrol.review.series import arm_points
 from dpcontrol.review.walk_story import NEAR, WalkStory, Wobble, symbol_text
 
 Array = NDArray[np.float64]
 
-STOPS = ("#2c8a4b", "#8a4fa3", "#9a6b15", "#5b6470")
-"""Colours of the periodic orbits, in the order of their visits; the arms have others."""
-NOTE = "#555c64"
 FILM_SYMBOLS = 48
 NAMED = 20
 """Symbols that have room for a name beside their number."""
@@ -26,24 +23,10 @@ ROW_STEP = 3.05
 """Between the film's rows, in the same length."""
 
 
-def stop_colour(story: WalkStory, saddle: str) -> str:
-    """Return the colour of a saddle's periodic orbit."""
-    return STOPS[story.saddles.index(saddle) % len(STOPS)]
-
-
-def badge(axes: Axes, number: int, x: float, y: float, *, transform: object = None, size: float = 7.5) -> None:
-    """Put a symbol's number, white on a dark disc."""
-    axes.text(
-        x, y, str(number), ha="center", va="center_baseline", fontsize=size, color="white", zorder=6, clip_on=False,
-        bbox={"boxstyle": "circle,pad=0.25", "facecolor": style.INK, "edgecolor": "none"},
-        **({} if transform is None else {"transform": transform}),  # type: ignore[arg-type]
-    )  # fmt: skip
-
-
 def timeline(axes: Axes, story: WalkStory) -> None:
     """Draw the symbols over time: stops as coloured spans with their wraps, symbols numbered at their sections."""
     for start, end, saddle in story.near():
-        axes.axvspan(start, end, ymin=0.0, ymax=0.52, color=stop_colour(story, saddle), alpha=0.85, linewidth=0)
+        axes.axvspan(start, end, ymin=0.0, ymax=0.52, color=style.saddle_colour(saddle), alpha=0.85, linewidth=0)
     many = len(story.orbit.symbol_times) > NAMED
     apart = float(np.diff(story.orbit.symbol_times, append=np.inf).min()) / story.orbit.duration
     tight = apart < 0.09
@@ -70,7 +53,7 @@ def timeline(axes: Axes, story: WalkStory) -> None:
     for spine in axes.spines.values():
         spine.set_visible(False)
     axes.axhline(0.0, color=style.FAINT, linewidth=0.8)
-    handles = [Patch(color=stop_colour(story, s), alpha=0.85, label=f"wobbles about {s}") for s in story.saddles]
+    handles = [Patch(color=style.saddle_colour(s), alpha=0.85, label=f"wobbles about {s}") for s in story.saddles]
     axes.legend(
         handles=handles, loc="lower right", bbox_to_anchor=(1.005, 1.05 if many else 1.72), ncols=len(handles),
         fontsize=8.5, frameon=False, handlelength=1.2, columnspacing=1.2, borderpad=0, borderaxespad=0.0,
@@ -92,12 +75,6 @@ def _is_near(story: WalkStory, wobble: Wobble) -> bool:
     return any(start < middle < end for start, end, _ in story.near())
 
 
-def mark_symbols(axes: Axes, story: WalkStory) -> None:
-    """Mark where the symbols cross their sections with dotted lines."""
-    for time in story.orbit.symbol_times:
-        axes.axvline(time, color="#7a828b", linewidth=0.9, linestyle=(0, (2, 2)), zorder=1.5)
-
-
 def coordinates(axes: Axes, story: WalkStory) -> None:
     """Draw the angles over time in units of π, whole turns counted; positions for a system without angles."""
     count = story.states.shape[1] // 2
@@ -108,30 +85,22 @@ def coordinates(axes: Axes, story: WalkStory) -> None:
     if story.has_angles:
         axes.margins(y=0.06)
         angle_axis(axes, "y")
-    _legend(axes, [(name, style.arm_colour(k)) for k, name in enumerate(names[:count])])
-    mark_symbols(axes, story)
+    legend(axes, [(name, {"color": style.arm_colour(k)}) for k, name in enumerate(names[:count])])
+    mark_times(axes, list(story.orbit.symbol_times))
 
 
 def distances(axes: Axes, story: WalkStory) -> None:
     """Draw how near the orbit comes to the periodic orbits: a line for each, logarithmic."""
     for saddle in story.saddles:
         axes.plot(
-            story.times, np.maximum(story.distances[saddle], 1e-16), color=stop_colour(story, saddle), linewidth=1.2
+            story.times, np.maximum(story.distances[saddle], 1e-16), color=style.saddle_colour(saddle), linewidth=1.2
         )
     axes.set_yscale("log")
     axes.axhline(NEAR, color=style.FAINT, linewidth=1.0, linestyle=(0, (5, 3)))
     quiet(axes, "Distance from the periodic orbits (scaled); wobbles are counted below the dashed line")
     axes.yaxis.set_major_locator(LogLocator(base=10, numticks=6))
     axes.set_ylim(top=2.0)
-    mark_symbols(axes, story)
-
-
-def _legend(axes: Axes, entries: list[tuple[str, str]]) -> None:
-    handles = [Line2D([], [], color=colour, linewidth=1.6, label=label) for label, colour in entries]
-    axes.legend(
-        handles=handles, loc="lower right", bbox_to_anchor=(1.005, 0.985), ncols=len(handles), fontsize=8.5,
-        frameon=False, handlelength=1.5, columnspacing=1.1, borderpad=0, borderaxespad=0.25,
-    )  # fmt: skip
+    mark_times(axes, list(story.orbit.symbol_times))
 
 
 def film_shape(story: WalkStory) -> tuple[int, int, int]:
@@ -161,8 +130,8 @@ def film(axes: Axes, story: WalkStory) -> None:
             at = left + i * step
             moments = np.linspace(instant - pace, instant, 40)
             points = arm_points(story.orbit.sample(moments)[:, : len(lengths)], lengths)
-            _arms(axes, points, at, top)
-            axes.text(at, top - 1.1 * reach, f"{instant:.2f}", ha="center", va="top", fontsize=7, color=NOTE)
+            draw_arms(axes, points + np.array([at, top]), size=0.85)
+            axes.text(at, top - 1.1 * reach, f"{instant:.2f}", ha="center", va="top", fontsize=7, color=style.NOTE)
         badge(axes, k + 1, left - 0.35 * step, top + 1.24 * reach)
         words = symbol_text(connection)
         axes.text(
@@ -176,15 +145,3 @@ def film(axes: Axes, story: WalkStory) -> None:
     axes.set_xlim(-0.55 * step, (across * (poses + 0.35) - 0.85) * step)
     axes.set_ylim(-(rows - 1) * ROW_STEP * reach - 1.4 * reach, 1.5 * reach)
     axes.axis("off")
-
-
-def _arms(axes: Axes, points: Array, x: float, y: float) -> None:
-    """Draw the last of the poses (K, n + 1, 2) with its pivot at (x, y), and the tip's path through all."""
-    last = points[-1] + (x, y)
-    arms = len(last) - 1
-    tips = points[:, -1] + (x, y)
-    axes.plot(tips[:, 0], tips[:, 1], color=style.arm_colour(arms - 1), alpha=0.3, linewidth=1.2)
-    for arm in range(arms):
-        axes.plot(*last[arm : arm + 2].T, color=style.arm_colour(arm), linewidth=2.4, solid_capstyle="round", zorder=3)
-    axes.plot(last[:-1, 0], last[:-1, 1], "o", color=style.INK, markersize=2.6, zorder=4)
-    axes.plot(*last[-1], "o", color=style.arm_colour(arms - 1), markersize=4.4, zorder=4)

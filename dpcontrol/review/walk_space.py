@@ -8,8 +8,8 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from numpy.typing import NDArray
 
 from dpcontrol.review import style
-from dpcontrol.review.figures.page import angle_axis, quiet, wrapped_runs
-from dpcontrol.review.walk_panels import NAMED, badge, stop_colour
+from dpcontrol.review.panel_frame import angle_axis, badge, quiet, wrapped_runs
+from dpcontrol.review.walk_panels import NAMED
 from dpcontrol.review.walk_story import WalkStory
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ def space(axes: Axes, story: WalkStory) -> None:
     picked = [0, 1, rate]
     lifted = is_lifted(story)
     for copy, saddle in _base_orbits(story, lifted):
-        axes.plot(*copy[:, picked].T, color=stop_colour(story, saddle), linewidth=4.0, alpha=0.4)
+        axes.plot(*copy[:, picked].T, color=style.saddle_colour(saddle), linewidth=4.0, alpha=0.4)
     curve = np.column_stack([story.states[:, picked], story.times])
     start = np.append(_window(story, lifted)[picked], 0.0)
     periods = (*(_periods(story)[k] for k in picked), None)
@@ -117,7 +117,7 @@ def plane(axes: Axes, story: WalkStory) -> None:
     """Draw the orbit in the plane of positions, coloured by time, for a system without arms."""
     for saddle, curve in story.curves.items():
         closed = np.vstack([curve.samples, curve.samples[:1]])
-        axes.plot(closed[:, 0], closed[:, 1], color=stop_colour(story, saddle), linewidth=4.0, alpha=0.4)
+        axes.plot(closed[:, 0], closed[:, 1], color=style.saddle_colour(saddle), linewidth=4.0, alpha=0.4)
         centre = curve.orbit.centre
         axes.plot(*centre[:2], "+", color=style.INK, markersize=8)
         axes.annotate(f" {saddle}", (float(centre[0]), float(centre[1])), fontsize=9, color=style.INK)

@@ -14,7 +14,7 @@ from test_recording import bare_log
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.review import drawing, viewer
 from dpcontrol.review.motion import RunView, series_of
-from dpcontrol.review.panel_frame import curve
+from dpcontrol.review.panel_frame import curve, save_figure
 from dpcontrol.review.picture import write_picture
 from dpcontrol.review.recording import write_recording
 
@@ -113,14 +113,14 @@ def _mark(process: psutil.Process) -> str | None:
 @pytest.mark.parametrize(("arms", "has_cart", "ticks"), [(1, True, 50), (2, False, 50), (3, True, 50), (2, True, 1)])
 def test_other_shapes_are_drawn_too(tmp_path: Path, arms: int, has_cart: bool, ticks: int) -> None:
     log = bare_log(tmp_path / "run.mcap", arms=arms, has_cart=has_cart, ticks=ticks)
-    drawing.save_figure(drawing.draw(series_of(log)), tmp_path / "run.png")
+    save_figure(drawing.draw(series_of(log)), tmp_path / "run.png")
     assert _share_set(tmp_path / "run.png") > PIXELS_SET / 4
 
 
 def test_a_picture_that_cannot_be_written_is_an_input_error(run: RunView, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot write"):
-        drawing.save_figure(drawing.draw(run), tmp_path / "file" / "run.png")
+        save_figure(drawing.draw(run), tmp_path / "file" / "run.png")
 
 
 def test_thinned_curves_keep_every_peak(run: RunView) -> None:
@@ -142,5 +142,5 @@ def test_a_run_that_went_wrong_beyond_numbers_is_still_shown(tmp_path: Path) -> 
         bad = replace(made, estimate=estimate, truth=truth, control=control)
         view = replace(view_of(tmp_path / "run.mcap", bad), energy=truth[:, 0])
         write_recording(view, tmp_path / "run.rrd")
-        drawing.save_figure(drawing.draw(view), tmp_path / "run.png")
+        save_figure(drawing.draw(view), tmp_path / "run.png")
         assert _share_set(tmp_path / "run.png") > PIXELS_SET

@@ -10,7 +10,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.review.walk_figure import draw_walk, write_walk_figure
+from dpcontrol.review.panel_frame import save_figure
+from dpcontrol.review.walk_figure import draw_walk
 from dpcontrol.review.walk_panels import FILM_SYMBOLS, film_shape
 from dpcontrol.review.walk_space import LIFTED_TURNS, is_lifted
 from dpcontrol.review.walk_story import NEAR, WalkStory, symbol_text, symbol_words
@@ -176,7 +177,7 @@ def test_walks_of_any_length_are_drawn(length: int, tmp_path: Path) -> None:
     chain = random_walk(edges(LOW), length, np.random.default_rng(4))
     orbit = WalkSolver(edges(LOW).connections).solve(chain, [1] * (length - 1))
     file = tmp_path / "new" / "walk.png"
-    write_walk_figure(orbit, file, arm_lengths=load_model("lab").arms.length, model="lab")
+    save_figure(draw_walk(orbit, arm_lengths=load_model("lab").arms.length, model="lab"), file)
     content = file.read_bytes()
     assert content.startswith(b"\x89PNG\r\n\x1a\n")
     assert struct.unpack(">II", content[16:24])[0] == 1760
@@ -190,7 +191,7 @@ def test_a_system_without_arms_is_drawn_in_its_plane(tmp_path: Path) -> None:
     orbit = WalkSolver(found.connections).solve(chain, [1])
     assert orbit.converged
     file = tmp_path / "walk.png"
-    write_walk_figure(orbit, file, arm_lengths=None, model="three-body")
+    save_figure(draw_walk(orbit, arm_lengths=None, model="three-body"), file)
     assert file.stat().st_size > LEAST_BYTES
     said = words(draw_walk(orbit, arm_lengths=None, model="three-body"))
     assert "The orbit in the plane" in said
@@ -203,5 +204,5 @@ def test_a_place_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     orbit = found(["down-up +"])
     with pytest.raises(InputError, match="cannot write"):
-        write_walk_figure(orbit, tmp_path / "file" / "walk.png", arm_lengths=None, model="lab")
+        save_figure(draw_walk(orbit, arm_lengths=None, model="lab"), tmp_path / "file" / "walk.png")
     assert [f.name for f in tmp_path.iterdir()] == ["file"]

@@ -8,7 +8,8 @@ from dpcontrol.dynamics.system import momentum_scale
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.review.interior_figure import draw_interior, save_interior
+from dpcontrol.review.interior_figure import draw_interior
+from dpcontrol.review.panel_frame import save_figure
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.cut import CutSettings, section_points, tube_cut
 from dpcontrol.tubes.interior import (
@@ -195,7 +196,7 @@ def test_points_that_do_not_return_in_time_are_marked(carried):
 
 def test_figures_are_drawn_of_either_tube_and_of_none(carried, open_cut, tmp_path):
     for name, interior in (("unstable", carried), ("stable", turned_around(carried)), ("none", open_cut)):
-        save_interior(interior, tmp_path / f"{name}.png")
+        save_figure(draw_interior(interior), tmp_path / f"{name}.png")
         assert (tmp_path / f"{name}.png").stat().st_size > 5_000
     texts = " ".join(t.get_text() for t in draw_interior(open_cut).texts)
     assert "no closed cut" in texts.replace("\n", " ")

@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 from dpcontrol.bifurcations.bifurcations import BranchDiagram
 from dpcontrol.foundation.progress import part_of
 from dpcontrol.review import style
-from dpcontrol.review.figures.page import Gallery, Page, angle_axis, new_figure, quiet, saddle_colour
+from dpcontrol.review.figures.page import Gallery, Page
+from dpcontrol.review.panel_frame import angle_axis, new_figure, quiet
 
 Array = NDArray[np.float64]
 
 KINDS = (("down-up", "down-up"), ("up-down", "up-down"), ("down-up", "up-down"))
 MARKS = {"saddle-node": "o", "pitchfork": "^", "section-artefact": "D"}
-_BETWEEN, _PAIR = "#8a4fa3", "#7c858e"
+_BETWEEN, _PAIR = "#c2185b", "#7c858e"
 _WORDS = {
     "saddle-node": "saddle-node: two are born",
     "pitchfork": "pitchfork: one sheds a mirror pair",
@@ -50,7 +51,7 @@ def draw(gallery: Gallery) -> Page:
                 axes.set_xlabel("energy (J)", fontsize=9)
                 _counts(axes, diagram)
     lines = [
-        Line2D([], [], color=saddle_colour("down-up"), lw=1.8, label="symmetric (blue, orange)"),
+        Line2D([], [], color=style.saddle_colour("down-up"), lw=1.8, label="symmetric (teal, violet)"),
         Line2D([], [], color=_PAIR, lw=1.2, label="one of a mirror pair"),
         Line2D([], [], color=_BETWEEN, lw=1.1, label="between different saddles"),
         *(
@@ -74,7 +75,7 @@ def _branches(axes: Axes, diagram: BranchDiagram, coordinate: int) -> None:
     homoclinic = diagram.source == diagram.target
     for energies, points in diagram.runs:
         symmetric = homoclinic and bool(np.all(np.abs(np.sin(points[:, 0])) < _ON_MIRROR))
-        colour = saddle_colour(diagram.source) if symmetric else _PAIR if homoclinic else _BETWEEN
+        colour = style.saddle_colour(diagram.source) if symmetric else _PAIR if homoclinic else _BETWEEN
         look = {"color": colour, "linewidth": 1.8 if symmetric else 1.1, "solid_capstyle": "round"}
         values = _wrapped(points)[:, coordinate]
         # A branch that leaves the period on one side comes in on the other.

@@ -7,7 +7,7 @@ from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
 from dpcontrol.review import style
-from dpcontrol.review.figures.page import FEW, STABLE, UNSTABLE, angle_axis, quiet, wrapped_runs
+from dpcontrol.review.panel_frame import angle_axis, quiet, wrapped_runs
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, section_axes
 
 Array = NDArray[np.float64]
@@ -40,7 +40,7 @@ def colours(connections: tuple[AtlasConnection, ...]) -> dict[str, str]:
         key = (round(c.transversality_angle, 3), round(c.time_in + c.time_out, 3))
         if key not in keys:
             keys.append(key)
-        chosen[c.name] = FEW[keys.index(key) % len(FEW)]
+        chosen[c.name] = style.CONNECTIONS[keys.index(key) % len(style.CONNECTIONS)]
     return chosen
 
 
@@ -57,7 +57,7 @@ def draw_cuts(
     unstable = atlas.cut(kind.source, kind.section, kind.hits[0])
     stable = atlas.cut(kind.target, kind.section, kind.hits[1])
     coordinate, period = section_axes(unstable.section, atlas.periods)
-    for cut, colour, is_stable in ((unstable, UNSTABLE, False), (stable, STABLE, True)):
+    for cut, colour, is_stable in ((unstable, style.UNSTABLE, False), (stable, style.STABLE, True)):
         for piece in cut.pieces:
             points = piece.stable_points if is_stable else piece.points
             direction = stable_direction(atlas, cut, piece.direction) if is_stable else piece.direction
@@ -84,8 +84,8 @@ def draw_cuts(
     if legend:
         axes.legend(
             handles=[
-                Line2D([], [], color=UNSTABLE, label=f"unstable tube of {kind.source}"),
-                Line2D([], [], color=STABLE, label=f"stable tube of {kind.target}"),
+                Line2D([], [], color=style.UNSTABLE, label=f"unstable tube of {kind.source}"),
+                Line2D([], [], color=style.STABLE, label=f"stable tube of {kind.target}"),
                 Line2D([], [], color=style.INK, marker="o", linestyle="", label="connections"),
                 Line2D([], [], color=style.CART, linestyle=(0, (4, 1.6)), label="crossed backward"),
             ],

@@ -9,7 +9,8 @@ from matplotlib.colors import Normalize
 from dpcontrol.orbits.equilibria import equilibria
 from dpcontrol.orbits.family import LyapunovFamily, lyapunov_family
 from dpcontrol.review import style
-from dpcontrol.review.figures.page import Gallery, Page, angle_axis, new_figure, quiet, saddle_colour
+from dpcontrol.review.figures.page import Gallery, Page
+from dpcontrol.review.panel_frame import angle_axis, new_figure, quiet
 
 _HIGHEST = 0.45
 _SHAPES = 12
@@ -43,7 +44,7 @@ def draw(gallery: Gallery) -> Page:
         bar.ax.set_title("J", fontsize=8)
     periods, multipliers = figure.add_subplot(grid[0, 2]), figure.add_subplot(grid[0, 3])
     for name, family in families.items():
-        look = {"color": saddle_colour(name), "label": name, "linewidth": 1.6}
+        look = {"color": style.saddle_colour(name), "label": name, "linewidth": 1.6}
         periods.plot(family.energies, family.periods, **look)
         multipliers.semilogy(family.energies, np.abs(family.floquet_multipliers[:, 0]), **look)
     for axes, title in ((periods, "period (s)"), (multipliers, "unstable Floquet multiplier")):

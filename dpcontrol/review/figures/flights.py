@@ -5,7 +5,7 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from dpcontrol.review import style
-from dpcontrol.review.figures.page import angle_axis, quiet, saddle_colour
+from dpcontrol.review.panel_frame import angle_axis, quiet
 from dpcontrol.walks.atlas import Atlas, AtlasConnection
 
 Array = NDArray[np.float64]
@@ -19,7 +19,7 @@ def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: s
     for saddle, offset in ((connection.source, 0 * turns), (connection.target, turns)):
         orbit = next(o for o in atlas.orbits if o.saddle == saddle)
         closed = np.vstack([orbit.samples, orbit.samples[:1]]) + offset * lift
-        axes.plot(closed[:, 0], closed[:, 1], color=saddle_colour(saddle), linewidth=3.5, alpha=0.45, zorder=1)
+        axes.plot(closed[:, 0], closed[:, 1], color=style.saddle_colour(saddle), linewidth=3.5, alpha=0.45, zorder=1)
         centre = next(p.state for p in atlas.points if p.name == saddle) + offset * lift
         axes.plot(centre[0], centre[1], "+", color=style.INK, markersize=7, zorder=1)
     axes.plot(connection.states[:, 0], connection.states[:, 1], color=colour, linewidth=1.3, zorder=3)

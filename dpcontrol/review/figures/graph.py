@@ -5,7 +5,8 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, FancyArrowPatch
 
 from dpcontrol.review import style
-from dpcontrol.review.figures.page import Gallery, Page, new_figure, saddle_colour
+from dpcontrol.review.figures.page import Gallery, Page
+from dpcontrol.review.panel_frame import new_figure
 from dpcontrol.walks.atlas import Atlas
 from dpcontrol.walks.graph import connection_graph, walks
 
@@ -42,7 +43,7 @@ def _graph(axes: Axes, atlas: Atlas) -> None:
     places = {orbit.name: (3.9 * k, 0.0) for k, orbit in enumerate(atlas.orbits)}
     for orbit in atlas.orbits:
         x, y = places[orbit.name]
-        axes.add_patch(Circle((x, y), _RADIUS, color=saddle_colour(orbit.saddle), zorder=5))
+        axes.add_patch(Circle((x, y), _RADIUS, color=style.saddle_colour(orbit.saddle), zorder=5))
         axes.text(x, y, orbit.name, ha="center", va="center", color="white", fontsize=8.5, weight="bold", zorder=6)
         for sign in (1, -1):
             loops = [c for c in atlas.between(orbit.saddle, orbit.saddle) if c.sense == sign]
@@ -64,7 +65,7 @@ def _graph(axes: Axes, atlas: Atlas) -> None:
             axes.add_patch(
                 FancyArrowPatch(
                     (x0 + step, 0), (x1 - step, 0), connectionstyle=f"arc3,rad={bend}", arrowstyle="-|>",
-                    mutation_scale=13, color=saddle_colour(source), linewidth=1.4,
+                    mutation_scale=13, color=style.saddle_colour(source), linewidth=1.4,
                     linestyle="-" if c.symmetric else (0, (5, 2)), shrinkA=4, shrinkB=4,
                 )
             )  # fmt: skip
@@ -84,7 +85,7 @@ def _loop(axes: Axes, x: float, y: float, sign: int, size: float, *, dashed: boo
     """Draw an arrow from a node to itself: an ellipse that touches it, with a head where it comes back."""
     t = np.linspace(0.02, 0.98, 120) * 2 * np.pi
     px, py = x - 0.55 * size * np.sin(t), y + sign * size * (1 - np.cos(t))
-    colour = saddle_colour(saddle)
+    colour = style.saddle_colour(saddle)
     axes.plot(px, py, color=colour, linewidth=1.3, linestyle=(0, (5, 2)) if dashed else "-", zorder=3)
     axes.annotate("", (px[-12], py[-12]), (px[-18], py[-18]),
                   arrowprops={"arrowstyle": "-|>", "color": colour, "mutation_scale": 10})  # fmt: skip

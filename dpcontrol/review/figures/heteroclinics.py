@@ -2,7 +2,8 @@
 
 from dpcontrol.review.figures.cuts import colours, draw_cuts, kind_of
 from dpcontrol.review.figures.flights import draw_flight
-from dpcontrol.review.figures.page import Gallery, Page, new_figure
+from dpcontrol.review.figures.page import Gallery, Page
+from dpcontrol.review.panel_frame import new_figure
 
 ENERGY = 0.2
 PAIRS = (("down-up", "up-down"), ("up-down", "down-up"))
@@ -35,7 +36,7 @@ def draw(gallery: Gallery) -> Page:
         figure,
         "On the section both arms are aligned, θ₁ = θ₂ + 2πk. Left: where the unstable tube (red) of the orbit that is "
         "left meets the stable tube (green) of the orbit that is joined. Right: the flights in the plane of the "
-        "angles, from the source's named position; pale blue is the orbit about Down-Up, pale orange that about "
+        "angles, from the source's named position; pale teal is the orbit about Down-Up, pale violet that about "
         f"Up-Down. {' and '.join(counts)}; those in one direction are those in the other, run backward in time.",
         'The paper\'s heteroclinics "at H = -0.07" cannot exist, since Up-Down has no orbit below its energy of '
         "0.1754 J. Here both directions are drawn, and each connection with its reflection; the unstable tube's cut is "

@@ -4,7 +4,8 @@ import numpy as np
 
 from dpcontrol.review.figures.cuts import colours, draw_cuts, kind_of, one_of_each
 from dpcontrol.review.figures.flights import draw_flight
-from dpcontrol.review.figures.page import Gallery, Page, new_figure
+from dpcontrol.review.figures.page import Gallery, Page
+from dpcontrol.review.panel_frame import new_figure
 from dpcontrol.walks.atlas import Atlas, AtlasConnection
 
 _MOST = 5

@@ -4,7 +4,8 @@ import numpy as np
 
 from dpcontrol.orbits.equilibria import equilibria
 from dpcontrol.review import style
-from dpcontrol.review.figures.page import Gallery, Page, angle_axis, new_figure, quiet
+from dpcontrol.review.figures.page import Gallery, Page
+from dpcontrol.review.panel_frame import angle_axis, new_figure, quiet
 
 ENERGIES = (-0.3, -0.07, 0.2, 0.55)
 _GRID = 241

@@ -6,10 +6,10 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from dpcontrol.review import style
-from dpcontrol.review.figures.page import STABLE, UNSTABLE, angle_axis, saddle_colour
+from dpcontrol.review.panel_frame import angle_axis
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut
 
-PALE_UNSTABLE, PALE_STABLE, CUT, FLIGHT = "#e39b96", "#9ccbab", "#8a4fa3", "#2b2f33"
+FLIGHT = style.INK
 
 
 def draw_space(
@@ -32,23 +32,23 @@ def draw_space(
         for strand, branch in zip(cut.strands, cut.strand_branches, strict=True):
             for stable in (False, True):
                 states = atlas.turned(strand, cut.saddle) if stable else strand
-                strong, pale = (STABLE, PALE_STABLE) if stable else (UNSTABLE, PALE_UNSTABLE)
+                strong, pale = (style.STABLE, style.PALE_STABLE) if stable else (style.UNSTABLE, style.PALE_UNSTABLE)
                 colour = strong if branch > 0 else pale
                 axes.plot(*states[:, [0, 1, rate]].T, color=colour, linewidth=0.5, alpha=0.8)
         for piece in cut.pieces:
             for states in (piece.states, atlas.turned(piece.states, cut.saddle)):
                 closed = np.vstack([states, states[:1]]) if piece.closed else states
-                axes.plot(*closed[:, [0, 1, rate]].T, color=CUT, linewidth=1.6)
+                axes.plot(*closed[:, [0, 1, rate]].T, color=style.CUT, linewidth=1.6)
     for orbit in atlas.orbits:
         closed = np.vstack([orbit.samples, orbit.samples[:1]])
-        colour = one_colour or saddle_colour(orbit.saddle)
+        colour = one_colour or style.saddle_colour(orbit.saddle)
         axes.plot(*closed[:, [0, 1, rate]].T, color=colour, linewidth=2.5, zorder=10)
     for c in flights:
         axes.plot(*c.states[:, [0, 1, rate]].T, color=FLIGHT, linewidth=0.9, alpha=0.9, zorder=8)
     samples = {orbit.saddle: orbit.samples for orbit in atlas.orbits if orbit.family == 0}
     for saddle, winding in sorted({(c.target, c.winding) for c in flights if any(c.winding)}):
         copy = samples[saddle] + np.r_[np.asarray(winding, float), np.zeros(rate)] * atlas.turn_lengths
-        colour = one_colour or saddle_colour(saddle)
+        colour = one_colour or style.saddle_colour(saddle)
         axes.plot(*np.vstack([copy, copy[:1]])[:, [0, 1, rate]].T, color=colour, linewidth=1.6, alpha=0.6, zorder=9)
     angular = bool(np.isfinite(atlas.periods).any())
     for which, label in (("x", "θ₁ (rad)" if angular else "x"), ("y", "θ₂ (rad)" if angular else "y")):

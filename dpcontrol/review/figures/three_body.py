@@ -6,7 +6,8 @@ from matplotlib.lines import Line2D
 
 from dpcontrol.review import style
 from dpcontrol.review.figures.cuts import draw_cuts, kind_of
-from dpcontrol.review.figures.page import STABLE, UNSTABLE, Gallery, Page, new_figure, quiet, saddle_colour
+from dpcontrol.review.figures.page import Gallery, Page
+from dpcontrol.review.panel_frame import new_figure, quiet
 from dpcontrol.walks.atlas import Atlas
 
 ENERGY = -1.5175
@@ -25,8 +26,8 @@ def draw(gallery: Gallery) -> Page:
     _bodies(plane, atlas, mu)
     plane.legend(
         handles=[
-            Line2D([], [], color=UNSTABLE, label="unstable tube of L1"),
-            Line2D([], [], color=STABLE, label="stable tube of L2"),
+            Line2D([], [], color=style.UNSTABLE, label="unstable tube of L1"),
+            Line2D([], [], color=style.STABLE, label="stable tube of L2"),
         ],
         fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=2, borderaxespad=0.2,
     )  # fmt: skip
@@ -38,14 +39,14 @@ def draw(gallery: Gallery) -> Page:
     _forbidden(flight, gallery)
     connections = atlas.between("L1", "L2")
     for c in connections[:1]:
-        flight.plot(c.states[:, 0], c.states[:, 1], color="#8a4fa3", linewidth=1.1, zorder=3)
+        flight.plot(c.states[:, 0], c.states[:, 1], color=style.CONNECTIONS[0], linewidth=1.1, zorder=3)
     _bodies(flight, atlas, mu)
     flight.set_title("a  from L1's orbit to L2's" if connections else "none found", fontsize=10, loc="left")
     return Page(
         figure,
         "The planar circular restricted three-body problem in the rotating frame, mass ratio "
         f"{mu:g}, near the smaller primary (dot). Grey: out of reach at this energy. Left: Lyapunov orbits about L1 "
-        f"(blue) and L2 (orange), the unstable tube of L1 and the stable tube of L2 up to their crossing number "
+        f"(teal) and L2 (violet), the unstable tube of L1 and the stable tube of L2 up to their crossing number "
         f"{kind.hits[0]} of the line x = 1 - μ. Middle: the cuts there, with the {kind.count} connections found. "
         "Right: the first of them, whole.",
         f"Both tubes pass the line once before they can meet: hits {list(kind.hits)} are the first at which there are "
@@ -71,17 +72,17 @@ def _forbidden(axes: Axes, gallery: Gallery) -> None:
 
 
 def _tubes(axes: Axes, atlas: Atlas, section: str, hit: int) -> None:
-    for saddle, colour in (("L1", UNSTABLE), ("L2", STABLE)):
+    for saddle, colour in (("L1", style.UNSTABLE), ("L2", style.STABLE)):
         cut = atlas.cut(saddle, section, hit)
         for strand in cut.strands:
-            states = atlas.turned(strand, saddle) if colour == STABLE else strand
+            states = atlas.turned(strand, saddle) if colour == style.STABLE else strand
             axes.plot(states[:, 0], states[:, 1], color=colour, linewidth=0.45, alpha=0.75)
 
 
 def _bodies(axes: Axes, atlas: Atlas, mu: float) -> None:
     for orbit in atlas.orbits:
         closed = np.vstack([orbit.samples, orbit.samples[:1]])
-        axes.plot(closed[:, 0], closed[:, 1], color=saddle_colour(orbit.saddle), linewidth=2.4, zorder=5)
-        axes.annotate(orbit.saddle, closed[:, :2].max(axis=0), fontsize=9, color=saddle_colour(orbit.saddle))
+        axes.plot(closed[:, 0], closed[:, 1], color=style.saddle_colour(orbit.saddle), linewidth=2.4, zorder=5)
+        axes.annotate(orbit.saddle, closed[:, :2].max(axis=0), fontsize=9, color=style.saddle_colour(orbit.saddle))
     axes.plot(1 - mu, 0, "o", color=style.INK, markersize=5, zorder=6)
-    axes.axvline(1 - mu, color="#8a4fa3", linewidth=0.8, linestyle=(0, (2, 2)))
+    axes.axvline(1 - mu, color=style.MARK, linewidth=0.8, linestyle=(0, (2, 2)))

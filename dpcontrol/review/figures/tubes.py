@@ -4,8 +4,9 @@ from matplotlib.lines import Line2D
 
 from dpcontrol.review import style
 from dpcontrol.review.figures.cuts import draw_cuts, kind_of
-from dpcontrol.review.figures.page import STABLE, UNSTABLE, Gallery, Page, new_figure
-from dpcontrol.review.figures.space import CUT, PALE_STABLE, PALE_UNSTABLE, draw_space
+from dpcontrol.review.figures.page import Gallery, Page
+from dpcontrol.review.figures.space import draw_space
+from dpcontrol.review.panel_frame import new_figure
 
 ENERGY = -0.07
 SADDLE = "down-up"
@@ -22,12 +23,12 @@ def draw(gallery: Gallery) -> Page:
                one_colour=style.INK)  # fmt: skip
     space.legend(
         handles=[
-            Line2D([], [], color=UNSTABLE, label="unstable tube, forward branch"),
-            Line2D([], [], color=PALE_UNSTABLE, label="unstable tube, backward branch"),
-            Line2D([], [], color=STABLE, label="stable tube, forward branch"),
-            Line2D([], [], color=PALE_STABLE, label="stable tube, backward branch"),
+            Line2D([], [], color=style.UNSTABLE, label="unstable tube, forward branch"),
+            Line2D([], [], color=style.PALE_UNSTABLE, label="unstable tube, backward branch"),
+            Line2D([], [], color=style.STABLE, label="stable tube, forward branch"),
+            Line2D([], [], color=style.PALE_STABLE, label="stable tube, backward branch"),
             Line2D([], [], color=style.INK, linewidth=2.5, label="Lyapunov orbit"),
-            Line2D([], [], color=CUT, linewidth=2, label="cut on θ₂ = 2πk"),
+            Line2D([], [], color=style.CUT, linewidth=2, label="cut on θ₂ = 2πk"),
         ],
         fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(-0.22, 0.97),
     )  # fmt: skip
