@@ -2,23 +2,20 @@
 
 from collections.abc import Callable
 from dataclasses import fields
-from typing import Any, TypeVar
+from typing import Any
 
-import click
-
+from dpcontrol.cli.verbs import option
 from dpcontrol.scenes.run_options import RunOptions
 
-RUN_OPTIONS: dict[str, tuple[type, str]] = {
-    f.name: ({"str": str, "int": int, "float": float}[str(f.type).partition(" ")[0]], f.metadata["help"])
-    for f in fields(RunOptions)
+KINDS: dict[str, type] = {
+    f.name: {"str": str, "int": int, "float": float}[str(f.type).partition(" ")[0]] for f in fields(RunOptions)
 }
-"""Name, type and help of every run setting that can be given on the command line."""
-
-_F = TypeVar("_F", bound=Callable[..., Any])
+"""Type of every run setting that can be given on the command line."""
 
 
-def run_options(function: _F) -> _F:
-    """Add `--mismatch`, `--lag` and the like to a verb; those not given arrive as None."""
-    for name, (kind, text) in reversed(RUN_OPTIONS.items()):
-        function = click.option(f"--{name.replace('_', '-')}", name, type=kind, default=None, help=text)(function)
+def run_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add `--mismatch`, `--lag` and the like to a verb, by part of the bench; those not given arrive as None."""
+    for f in reversed(fields(RunOptions)):
+        flag = f"--{f.name.replace('_', '-')}"
+        function = option(flag, f.name, type=KINDS[f.name], default=None, **f.metadata)(function)
     return function

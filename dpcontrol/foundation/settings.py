@@ -1,8 +1,8 @@
-"""Settings: frozen dataclasses whose fields carry their bounds, units and help, checked in one place.
+"""Settings: frozen dataclasses whose fields carry their bounds and units, checked in one place.
 
     @dataclass(frozen=True)
     class DriveSettings(Settings, table="drive"):
-        delay: float = setting(1.0, least=0, most=1000, unit="periods", help="From reading to acting.")
+        delay: float = setting(1.0, least=0, most=1000, unit="periods")
 
 A value out of bounds is an InputError that names the table, the key, the value and what is allowed.
 """
@@ -20,7 +20,7 @@ from dpcontrol.foundation.tables import suggest
 
 @dataclass(frozen=True)
 class Bounds:
-    """What a setting may be, in `unit`; help: a sentence for the command line.
+    """What a setting may be, in `unit`.
 
     Numbers are from `least`, or more than `above`, to `most`; texts are one of `choices`. zero, infinite: what 0 or
     infinity stand for where they are allowed besides. key: the setting's name in files, where it is not the field's.
@@ -33,7 +33,6 @@ class Bounds:
     zero: str = ""
     infinite: str = ""
     unit: str = ""
-    help: str = ""
     key: str = ""
 
     @property

@@ -387,16 +387,10 @@ class ReplaySettings(Settings, table="replay"):
     half a second, for near a saddle errors grow fiftyfold in that time.
     """
 
-    counts: int = setting(40_000, least=1, help="Counts of an encoder per turn, which set the noise that is assumed")
-    mean_over: float | None = setting(
-        None, least=0, most=0.02, unit="s", help="Length of each mean that the estimator is given"
-    )
-    ahead: int = setting(
-        100, least=1, most=100_000, unit="samples", help="Horizon of the n-step error, from the estimate"
-    )
-    span: float | None = setting(
-        None, least=0.05, most=1000, unit="s", help="Longest stretch that is predicted in one piece"
-    )
+    counts: int = setting(40_000, least=1)
+    mean_over: float | None = setting(None, least=0, most=0.02, unit="s")
+    ahead: int = setting(100, least=1, most=100_000, unit="samples")
+    span: float | None = setting(None, least=0.05, most=1000, unit="s")
 
 
 @dataclass(frozen=True, eq=False)

@@ -54,23 +54,17 @@ class SensorSettings(Settings, table="sensors"):
     rate_noise rad/s: standard deviation of what is added to estimated rates, as where rates are measured.
     """
 
-    counts: int = setting(40_000, least=1, zero="no rounding", help="Counts of an arm's encoder per turn")
+    counts: int = setting(40_000, least=1, zero="no rounding")
     cart_resolution: float = setting(1e-6, least=1e-12, most=1, zero="no rounding", unit="m")
-    zero_error: float = setting(0.0, least=0, most=np.pi, unit="rad", help="Largest error of each encoder's zero")
-    noise: float = setting(0.0, least=0, most=np.pi, unit="rad", help="Standard deviation of the measured joint angles")
+    zero_error: float = setting(0.0, least=0, most=np.pi, unit="rad")
+    noise: float = setting(0.0, least=0, most=np.pi, unit="rad")
     cart_noise: float = setting(0.0, least=0, most=1, unit="m")
-    missed_counts: float = setting(
-        0.0, least=0, most=1e6, unit="1/s", help="Counts lost per second by a moving encoder"
-    )
-    dropout: float = setting(0.0, least=0, most=1, help="Share of ticks without any reading")
-    stuck_at: float = setting(math.inf, least=0, infinite="never", unit="s", help="Time at which an encoder sticks")
-    stuck_sensor: int = setting(
-        0, least=0, help="Which one sticks, 0 being the inner arm's, 1 the outer's, 2 the cart's"
-    )
-    jitter: float = setting(0.0, least=0, most=1, unit="s", help="Greatest age of a reading")
-    rate_noise: float = setting(
-        0.0, least=0, most=1000, unit="rad/s", help="Standard deviation of noise added to estimated rates"
-    )
+    missed_counts: float = setting(0.0, least=0, most=1e6, unit="1/s")
+    dropout: float = setting(0.0, least=0, most=1)
+    stuck_at: float = setting(math.inf, least=0, infinite="never", unit="s")
+    stuck_sensor: int = setting(0, least=0)
+    jitter: float = setting(0.0, least=0, most=1, unit="s")
+    rate_noise: float = setting(0.0, least=0, most=1000, unit="rad/s")
 
     def __post_init__(self) -> None:
         """Check the bounds, and that an encoder which loses counts has some.
@@ -184,29 +178,20 @@ class DriveSettings(Settings, table="drive"):
     of position. switch_margin m: so far before them the limit switches are touched.
     """
 
-    delay: float = setting(
-        1.0, least=0, most=1000, unit="periods", help="Delay from reading to acting, may be a fraction"
-    )
+    delay: float = setting(1.0, least=0, most=1000, unit="periods")
     lag: float = setting(
         0.0,
         least=0,
         most=1,
         unit="s",
-        help="Time constant of the drive's velocity loop, of which the model knows nothing",
     )
-    cart_mass: float = setting(
-        0.0, least=0, most=1e6, unit="kg", help="Mass of the cart, which the arms then push about"
-    )
+    cart_mass: float = setting(0.0, least=0, most=1e6, unit="kg")
     cart_viscous: float = setting(0.0, least=0, most=1e6, unit="N s/m")
     velocity: float = setting(math.inf, above=0, infinite="none of its own", unit="m/s")
-    acceleration: float = setting(
-        math.inf, above=0, infinite="none of its own", unit="m/s²", help="Limit of the drive's acceleration"
-    )
-    jerk: float = setting(math.inf, above=0, infinite="none of its own", unit="m/s³", help="Limit of the drive's jerk")
-    command_noise: float = setting(
-        0.0, least=0, most=1e6, unit="m/s²", help="Standard deviation of noise on the command"
-    )
-    response: float = setting(1.0, least=0, most=10, help="Share of a command that the drive gives")
+    acceleration: float = setting(math.inf, above=0, infinite="none of its own", unit="m/s²")
+    jerk: float = setting(math.inf, above=0, infinite="none of its own", unit="m/s³")
+    command_noise: float = setting(0.0, least=0, most=1e6, unit="m/s²")
+    response: float = setting(1.0, least=0, most=10)
     track: float = setting(math.inf, above=0, infinite="none of its own", unit="m")
     switch_margin: float = setting(0.0, least=0, most=1000, unit="m")
 
@@ -284,13 +269,11 @@ class DisturbanceSettings(Settings, table="disturbances"):
     end down; angles are measured from the track's normal, so hanging arms read `tilt`. explicit: further blows.
     """
 
-    pushes: int = setting(0, least=0, most=10_000, help="Number of random blows on the arms")
-    push_impulse: float = setting(0.0, least=0, most=1000, unit="N m s", help="Their greatest impulse")
-    knocks: int = setting(0, least=0, most=10_000, help="Number of random blows on the cart")
-    knock_velocity: float = setting(
-        0.0, least=0, most=1000, unit="m/s", help="Greatest jump of the cart's velocity by one"
-    )
-    tilt: float = setting(0.0, least=-np.pi / 4, most=np.pi / 4, unit="rad", help="Tilt of the track, right end down")
+    pushes: int = setting(0, least=0, most=10_000)
+    push_impulse: float = setting(0.0, least=0, most=1000, unit="N m s")
+    knocks: int = setting(0, least=0, most=10_000)
+    knock_velocity: float = setting(0.0, least=0, most=1000, unit="m/s")
+    tilt: float = setting(0.0, least=-np.pi / 4, most=np.pi / 4, unit="rad")
     explicit: tuple[Push, ...] = ()
 
 

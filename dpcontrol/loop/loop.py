@@ -40,17 +40,13 @@ class LoopSettings(Settings, table="run"):
     reference's own limit. keep: what keeps the stops of a walk planned so (`programs.KEEPERS`), while TVLQR flies.
     """
 
-    seed: int = setting(least=0, help="Seed of all that is random")
-    rate: float = setting(1000.0, least=1, most=10_000, unit="Hz", help="Rate of the loop")
-    initial_error: float = setting(0.0, least=0, most=np.pi, unit="rad", help="Largest error of each arm's first angle")
-    mismatch: float = setting(0.0, least=0, most=0.9, help="Share by which the plant's parameters may be off")
-    model_uncertainty: float = setting(
-        0.0, least=0, most=100, help="Draw the plant from an identified model's uncertainty, its errors times this"
-    )
-    travel: float = setting(
-        0.0, least=0, most=1000, unit="m", help="The cart's greatest distance from the centre; 0 for the plan's own"
-    )
-    keep: str = setting("none", choices=KEEPERS, help="What keeps the stops of a walk planned with keep")
+    seed: int = setting(least=0)
+    rate: float = setting(1000.0, least=1, most=10_000, unit="Hz")
+    initial_error: float = setting(0.0, least=0, most=np.pi, unit="rad")
+    mismatch: float = setting(0.0, least=0, most=0.9)
+    model_uncertainty: float = setting(0.0, least=0, most=100)
+    travel: float = setting(0.0, least=0, most=1000, unit="m")
+    keep: str = setting("none", choices=KEEPERS)
     controller: ControllerSettings = field(default_factory=TvlqrSettings)
     estimator: EstimatorSettings = field(default_factory=EkfSettings)
     sensors: SensorSettings = field(default_factory=SensorSettings)

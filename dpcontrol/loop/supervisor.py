@@ -60,9 +60,7 @@ class SupervisorSettings(Settings, table="supervisor"):
     missing: float = setting(0.1, least=1e-4, most=60, unit="s")
     braking: float = setting(0.5, least=0.01, most=1)
     margin: float = setting(0.002, least=0, most=1, unit="m")
-    hold: str = setting(
-        "none", choices=HOLDS, help="Where tracking is lost, hold the nearest orbit or equilibrium, or nothing"
-    )
+    hold: str = setting("none", choices=HOLDS)
 
 
 _NEARLY = 1 - 1e-9

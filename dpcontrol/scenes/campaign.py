@@ -390,10 +390,10 @@ class CampaignSettings(Settings, table="campaign"):
     again, to confirm them.
     """
 
-    runs: int = setting(least=1, most=MOST_RUNS, help="Seeds for each case")
-    first_seed: int = setting(0, least=0, most=2**31, help="First seed")
-    path: str = setting("compiled", choices=PATHS, help="Many seeds in lockstep, or the loop itself")
-    workers: int = setting(0, least=1, most=1024, zero="one on each processor", help="Number of processes")
+    runs: int = setting(least=1, most=MOST_RUNS)
+    first_seed: int = setting(0, least=0, most=2**31)
+    path: str = setting("compiled", choices=PATHS)
+    workers: int = setting(0, least=1, most=1024, zero="one on each processor")
     scheduler: str = ""
     batch: int = setting(256, least=1, most=4096)
     replayed: int = setting(4, least=0, most=4096)

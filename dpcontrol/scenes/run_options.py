@@ -10,7 +10,8 @@ from typing import Any
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.tables import suggest
 
-LOOP, SENSORS, DRIVE, DISTURBANCES = "The loop", "Plant and sensors", "The drive", "Disturbances"
+PLANT, DISTURBANCES, SENSORS, DRIVE = "Plant", "Disturbances", "Sensors", "Drive"
+ESTIMATOR, CONTROLLER, SUPERVISOR = "Estimator", "Controller", "Supervisor"
 """Parts of the bench, as options are listed under them."""
 
 
@@ -22,40 +23,46 @@ def _option(group: str, text: str) -> Any:
 class RunOptions:
     """Settings of a run that take the place of its scene's; None keeps. Each field's metadata has its help text."""
 
-    controller: str | None = _option(LOOP, "Kind of controller: tvlqr, adaptive, ogy, ogy-classic, lqr, feedforward.")
-    keep: str | None = _option(LOOP, "What keeps the stops of a walk planned with keep: none, ogy, ogy-classic, tvlqr.")
-    hold: str | None = _option(LOOP, "Where tracking is lost hold the nearest orbit or equilibrium: nearest; or none.")
-    estimator: str | None = _option(LOOP, "Kind of estimator: ekf, ukf, ekf-filterpy.")
-    rate: float | None = _option(LOOP, "Of the loop, Hz.")
-    mismatch: float | None = _option(SENSORS, "Share by which the plant's parameters may be off.")
+    mismatch: float | None = _option(PLANT, "Share by which the plant's parameters may be off.")
     model_uncertainty: float | None = _option(
-        SENSORS, "Draw the plant from an identified model's uncertainty, its errors times this."
+        PLANT, "Draw the plant from an identified model's uncertainty, its errors times this."
     )
-    initial_error: float | None = _option(SENSORS, "Largest error of each arm's first angle, rad.")
-    counts: int | None = _option(SENSORS, "Of an arm's encoder per turn; 0: no rounding.")
-    zero_error: float | None = _option(SENSORS, "Largest error of each encoder's zero, rad.")
-    noise: float | None = _option(SENSORS, "Standard deviation of the measured joint angles, rad.")
-    missed_counts: float | None = _option(SENSORS, "Counts lost per second by a moving encoder.")
-    dropout: float | None = _option(SENSORS, "Share of ticks without any reading.")
-    stuck_at: float | None = _option(SENSORS, "Time at which an encoder sticks, s.")
-    stuck_sensor: int | None = _option(SENSORS, "Which one sticks: 0 the inner arm's, 1 the outer's, 2 the cart's.")
-    jitter: float | None = _option(SENSORS, "Greatest age of a reading, s.")
-    rate_noise: float | None = _option(SENSORS, "Standard deviation of noise added to estimated rates, rad/s.")
-    delay: float | None = _option(DRIVE, "From reading to acting, in periods; may be a fraction.")
-    lag: float | None = _option(DRIVE, "Time constant of the drive's velocity loop, s; the model knows nothing of it.")
-    cart_mass: float | None = _option(DRIVE, "Of the cart, kg: the arms then push it about.")
-    acceleration: float | None = _option(DRIVE, "Limit of the drive, m/s²; the scene's own by default.")
-    jerk: float | None = _option(DRIVE, "Limit of the drive, m/s³.")
-    command_noise: float | None = _option(DRIVE, "Standard deviation of noise on the command, m/s².")
-    response: float | None = _option(DRIVE, "Share of a command that the drive gives.")
-    travel: float | None = _option(
-        DRIVE, "The cart's greatest distance from the centre, m; the plan's own by default, or with 0."
-    )
+    initial_error: float | None = _option(PLANT, "Largest error of each arm's first angle, rad.")
+    cart_mass: float | None = _option(PLANT, "Mass of the cart, kg; the arms then push it about.")
+    tilt: float | None = _option(PLANT, "Tilt of the track, rad, positive with the right end down.")
     pushes: int | None = _option(DISTURBANCES, "Number of random blows on the arms.")
     push_impulse: float | None = _option(DISTURBANCES, "Their greatest impulse, N m s.")
     knocks: int | None = _option(DISTURBANCES, "Number of random blows on the cart.")
     knock_velocity: float | None = _option(DISTURBANCES, "Greatest jump of the cart's velocity by one, m/s.")
-    tilt: float | None = _option(DISTURBANCES, "Of the track, rad, right end down.")
+    counts: int | None = _option(SENSORS, "Counts of an arm's encoder per turn; 0: no rounding.")
+    zero_error: float | None = _option(SENSORS, "Largest error of each encoder's zero, rad.")
+    noise: float | None = _option(SENSORS, "Standard deviation of the measured joint angles, rad.")
+    missed_counts: float | None = _option(SENSORS, "Counts that a moving encoder loses, 1/s.")
+    dropout: float | None = _option(SENSORS, "Share of ticks without any reading.")
+    stuck_at: float | None = _option(SENSORS, "Time at which an encoder sticks, s.")
+    stuck_sensor: int | None = _option(SENSORS, "Which one sticks: 0 the inner arm's, 1 the outer's, 2 the cart's.")
+    jitter: float | None = _option(SENSORS, "Greatest age of a reading, s.")
+    delay: float | None = _option(DRIVE, "Delay from reading to acting, in periods; may be a fraction.")
+    lag: float | None = _option(DRIVE, "Time constant of the drive's velocity loop, s; unknown to the model.")
+    acceleration: float | None = _option(DRIVE, "Limit of the drive's acceleration, m/s² [the scene's own].")
+    jerk: float | None = _option(DRIVE, "Limit of the drive's jerk, m/s³.")
+    command_noise: float | None = _option(DRIVE, "Standard deviation of noise on the command, m/s².")
+    response: float | None = _option(DRIVE, "Share of a command that the drive gives.")
+    travel: float | None = _option(
+        DRIVE, "The cart's greatest distance from the centre, m [the plan's own, as with 0]."
+    )
+    estimator: str | None = _option(ESTIMATOR, "Kind of estimator: ekf, ukf, ekf-filterpy.")
+    rate_noise: float | None = _option(ESTIMATOR, "Standard deviation of noise added to estimated rates, rad/s.")
+    controller: str | None = _option(
+        CONTROLLER, "Kind of controller: tvlqr, adaptive, ogy, ogy-classic, lqr, feedforward."
+    )
+    keep: str | None = _option(
+        CONTROLLER, "What keeps the stops of a walk planned with keep: none, ogy, ogy-classic, tvlqr."
+    )
+    rate: float | None = _option(CONTROLLER, "Rate of the loop, Hz.")
+    hold: str | None = _option(
+        SUPERVISOR, "Where tracking is lost, hold the nearest orbit or equilibrium: nearest; or none."
+    )
 
     def given(self) -> dict[str, Any]:
         """Return the settings that are given, by name."""
