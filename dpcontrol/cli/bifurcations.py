@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dpcontrol.cli.output import progress_bar
 from dpcontrol.cli.verbs import Answer, TextTable, verb
+from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
     from dpcontrol.bifurcations.bifurcations import BifurcationSearch

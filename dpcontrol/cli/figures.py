@@ -6,8 +6,8 @@ from textwrap import fill
 
 import click
 
-from dpcontrol.cli.output import progress_bar
 from dpcontrol.cli.verbs import OUTPUT, Answer, option, verb
+from dpcontrol.foundation.progress import progress_bar
 
 
 @verb("figures", example="dpcontrol figures tubes heteroclinics --out pictures")

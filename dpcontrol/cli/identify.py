@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dpcontrol.cli.output import progress_bar
 from dpcontrol.cli.verbs import Answer, TextTable, drawn_to, file_option, verb
+from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
     from dpcontrol.identification.design import Design

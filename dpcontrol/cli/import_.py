@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.output import progress_bar
 from dpcontrol.cli.verbs import Answer, file_option, option, verb
+from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
     from dpcontrol.recordings.recording import Recording

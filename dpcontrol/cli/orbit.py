@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dpcontrol.cli.output import progress_bar
 from dpcontrol.cli.verbs import Answer, TextTable, drawn_to, file_option, multiplier_text, option, verb
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
     from dpcontrol.orbits.family import LyapunovFamily

@@ -1,60 +1,56 @@
 """dpcontrol plan"""
 
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from dpcontrol.cli.output import checked_suffix, json_option, print_json, progress_bar, reports_failure
-from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.cli.verbs import Answer, file_option, verb
+
+if TYPE_CHECKING:
+    from dpcontrol.scenes.plan import Plan
 
 
-@click.command(
-    "plan",
-    epilog="Example:  dpcontrol plan outer-turn      ITINERARY is a name (in ./itineraries or shipped) or a path.",
-)
+@verb("plan", example="dpcontrol plan outer-turn", note="ITINERARY is a name (in ./itineraries or shipped) or a path.")
 @click.argument("itinerary")
 @click.option("--fresh", is_flag=True, help="Plan anew even if the plan is cached.")
-@click.option("--out", type=click.Path(dir_okay=False, path_type=Path), help="Also write the reference to this .npz.")
-@json_option
-@reports_failure
-def command(*, itinerary: str, fresh: bool, out: Path | None, as_json: bool) -> None:
+@file_option("--out", suffix=".npz", help="Also write the reference to this .npz.")
+def command(*, itinerary: str, fresh: bool, out: Path | None) -> Answer:
     """Plan an itinerary: connections, shadowing orbit, and the reference with friction and cart.
 
     Plans are kept by content: the same itinerary is planned once.
     """
+    from dpcontrol import api
     from dpcontrol.foundation.files import whole_file
-    from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.levels import plan_remarks
-    from dpcontrol.scenes.plan import make_plan
 
-    if out is not None:
-        checked_suffix(out, ".npz", option="--out")
-    scene = load_itinerary(itinerary)
-    with progress_bar("plan") as progress:
-        plan = make_plan(scene, progress=progress, fresh=fresh)
-    reference, notes, file = plan.reference, plan.notes, plan.file
-    if out is not None and reference.converged:
+    plan = api.plan(itinerary, fresh=fresh, progress=True)
+    file = plan.file
+    if out is not None and plan.converged:
         with whole_file(out, suffix=".npz") as temporary:
             shutil.copyfile(file, temporary)
         file = out
-    for remark in plan_remarks(scene):
+    for remark in plan_remarks(plan.itinerary):
         click.echo(remark, err=True)
-    if as_json:
-        print_json({**plan.document(), "file": str(file) if plan.converged else None})
-    elif reference.converged:
-        click.echo(f"{scene.title}")
-        for symbol in notes["symbols"]:
-            text, name = symbol["text"], symbol["name"]
-            click.echo(f"  {text!r} is {name}" if name else f"  {text}, a transfer at {symbol['time']:.2f} s")
-        shadowing = notes["shadowing"]
-        if shadowing["residual"] is not None:
-            click.echo(f"  shadowing orbit  {shadowing['duration']:.3f} s, residual {shadowing['residual']:.1e}")
-        click.echo(f"  reference        {reference.status}")
-        click.echo(
-            f"  cart             {reference.max_cart_position * 1e3:.1f} mm at most, "
-            f"{reference.rms_cart_acceleration:.3f} m/s² rms, {reference.max_cart_acceleration:.3f} m/s² at most"
-        )
-        click.echo(f"  file             {file}{' (cached)' if plan.cached else ''}")
-    if not reference.converged:
-        raise GoalMissed(f"{scene.name}: {reference.status}")
+    missed = "" if plan.converged else f"{plan.itinerary.name}: {plan.status}"
+    document = {**plan.document(), "file": None if missed else str(file)}
+    return Answer(document, () if missed else _text(plan, file), missed)
+
+
+def _text(plan: "Plan", file: Path) -> Iterator[str]:
+    reference, notes = plan.reference, plan.notes
+    yield plan.itinerary.title
+    for symbol in notes["symbols"]:
+        text, name = symbol["text"], symbol["name"]
+        yield f"  {text!r} is {name}" if name else f"  {text}, a transfer at {symbol['time']:.2f} s"
+    shadowing = notes["shadowing"]
+    if shadowing["residual"] is not None:
+        yield f"  shadowing orbit  {shadowing['duration']:.3f} s, residual {shadowing['residual']:.1e}"
+    yield f"  reference        {reference.status}"
+    yield (
+        f"  cart             {reference.max_cart_position * 1e3:.1f} mm at most, "
+        f"{reference.rms_cart_acceleration:.3f} m/s² rms, {reference.max_cart_acceleration:.3f} m/s² at most"
+    )
+    yield f"  file             {file}{' (cached)' if plan.cached else ''}"

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dpcontrol.cli.output import progress_bar
 from dpcontrol.cli.verbs import Answer, file_option, verb
+from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
     from dpcontrol.logs import Recovery

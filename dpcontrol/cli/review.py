@@ -7,21 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.output import checked_suffix, json_option, print_json, progress_bar, reports_failure
+from dpcontrol.cli.verbs import Answer, file_option, verb
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
     from dpcontrol.review.picture import Picture
 
 
-@click.command("review", epilog="Example:  dpcontrol review logs/outer-turn-0.mcap --picture outer-turn.png")
+@verb("review", example="dpcontrol review logs/outer-turn-0.mcap --picture outer-turn.png")
 @click.argument("files", metavar="LOG...|ATLAS|REFERENCE", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--save", type=click.Path(dir_okay=False, path_type=Path), help="Save a Rerun recording (.rrd).")
-@click.option("--picture", type=click.Path(dir_okay=False, path_type=Path), help="Save a picture (.png).")
 @click.option("--align", default=1, show_default=True, metavar="N", help="Symbol at which several logs are aligned.")
-@json_option
-@reports_failure
-def command(*, files: tuple[Path, ...], save: Path | None, picture: Path | None, align: int, as_json: bool) -> None:
+@file_option("--save", suffix=".rrd", help="Save a Rerun recording (.rrd).")
+@file_option("--picture", suffix=".png", help="Save a picture (.png).")
+def command(*, files: tuple[Path, ...], align: int, save: Path | None, picture: Path | None) -> Answer:
     """Open a log in the Rerun viewer: arms with the reference's ghost, the itinerary as asked and as done, angles,
     rates, command, errors, energy, phase planes with the tubes used. A recording from the bench opens as well.
 
@@ -30,10 +29,6 @@ def command(*, files: tuple[Path, ...], save: Path | None, picture: Path | None,
     reference (.npz) as its motion, command and limits. With --save or --picture the viewer is not opened; where no
     renderer is installed the picture is drawn by matplotlib, and the message says so.
     """
-    for option, file, suffix in (("--save", save, ".rrd"), ("--picture", picture, ".png")):
-        if file is not None:
-            checked_suffix(file, suffix, option=option)
-
     first, *others = files
     document: dict[str, Any] = {"log": str(first), "recording": None, "picture": None, "status": "done"}
     with progress_bar("review") as progress:
@@ -56,14 +51,9 @@ def command(*, files: tuple[Path, ...], save: Path | None, picture: Path | None,
         from dpcontrol.review.viewer import open_viewer
 
         open_viewer(Path(document["recording"]))
-    if as_json:
-        print_json(document)
-        return
-    for kind in ("recording", "picture", "aligned"):
-        if document.get(kind):
-            click.echo(f"{kind:<10} {document[kind]}")
-    if picture is not None:
-        click.echo(document["status"])
+    kinds = ("recording", "picture", "aligned")
+    lines = [f"{kind:<10} {document[kind]}" for kind in kinds if document.get(kind)]
+    return Answer(document, lines if picture is None else [*lines, document["status"]])
 
 
 Writers = tuple[Callable[[Path], None], Callable[[Path], "Picture"]]

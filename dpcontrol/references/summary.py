@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.equations import NumericEquations
+from dpcontrol.foundation.documents import picked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.problem import LIMIT_UNITS, ReferenceProblem
 from dpcontrol.references.reference import Reference
@@ -57,6 +58,41 @@ class ReferenceSummary:
             return None
         pendulum = equations_of(self.arms, Level.CONSERVATIVE)
         return NumericEquations(pendulum, self.arms.base()).hamiltonian(states[:, :-2])
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol reference --json` prints, the file's name apart."""
+        reference, notes = self.reference, self.reference.notes
+        lengths = np.diff(reference.mesh)
+        stops = list(notes.get("stops") or [])
+        return {
+            "title": str(notes.get("title") or ""),
+            **{name: notes.get(name) for name in ("itinerary", "model", "energy", "plan")},
+            "made_from": dict(notes.get("made_from") or {}),
+            "symbols": [
+                {
+                    "time": float(symbol["time"]),
+                    "text": str(symbol["text"]),
+                    "name": symbol["name"],
+                    "arrives_at": str(stop["saddle"]),
+                }
+                for symbol, stop in zip(notes.get("symbols") or [], stops[1:], strict=True)
+            ],
+            "wraps": list(notes.get("wraps") or []),
+            "transfers": [[float(begin), float(end)] for begin, end in notes.get("transfers") or []],
+            "starts_at": str(stops[0]["saddle"]) if stops else None,
+            "duration": reference.duration,
+            "intervals": len(lengths),
+            "shortest_interval": float(lengths.min()),
+            "longest_interval": float(lengths.max()),
+            "method": reference.method.name,
+            "limits": {use.name: picked(use, "unit", "bound", "largest", "share", "time") for use in self.uses},
+            "effort": self.effort,
+            "measured_error_between_nodes": None if self.errors is None else float(self.errors.max()),
+            **picked(reference, "rms_cart_acceleration", "max_error_between_nodes", "constraint_violation"),
+            **picked(reference, "iterations", "solve_seconds", "converged", "status"),
+            "arrays": {"states": reference.states.shape, "inputs": reference.inputs.shape}
+            | {name: np.shape(array) for name, array in reference.extra.items()},
+        }
 
 
 def summarised(reference: Reference) -> ReferenceSummary:

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.foundation.documents import picked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.statistics import Share, wilson
 
@@ -90,6 +91,30 @@ class CampaignSummary:
         share, rest = self.share, f"; {self.unknown} without a verdict" if self.unknown else ""
         chance = f"{share.rate:.1%} ({share.low:.1%} to {share.high:.1%} with 95 % confidence)"
         return f"{share.successes} of {share.runs} runs completed: {chance}{rest}"
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol report --json` prints of a campaign."""
+        return {
+            "campaign": str(self.path),
+            **picked(self, "status", "runs", "unknown"),
+            **_share_document(self.share),
+            "groups": [{**group.names, **_share_document(group.share)} for group in self.groups],
+            self.axis: [
+                {"group": level.label, "from": level.low, "to": level.high, **_share_document(level.share)}
+                for level in self.levels
+            ],
+            "failures": {
+                "by_symbol": [
+                    {"group": label, "symbol": symbol or None, "runs": count}
+                    for label, symbol, count in self.failed_symbols
+                ],
+                "by_reason": [{"reason": reason, "runs": count} for reason, count in self.reasons],
+            },
+        }
+
+
+def _share_document(share: Share) -> dict[str, Any]:
+    return {"completed": share.successes, "of": share.runs, **picked(share, "rate", "low", "high")}
 
 
 def campaign_summary(path: Path) -> CampaignSummary:
