@@ -120,7 +120,7 @@ def test_report_writes_one_page_of_a_log_and_gives_its_score(
 def test_report_refuses_a_page_of_another_kind(demo: tuple[Path, Ended], tmp_path: Path) -> None:
     ended = dpcontrol("report", demo[0] / "logs/outer-turn-0.mcap", "--picture", tmp_path / "page.svg")
     assert ended.code == 2
-    assert ".png or a .pdf" in ended.stderr
+    assert ".png or .pdf" in ended.stderr
     assert not list(tmp_path.iterdir())
 
 

@@ -4,10 +4,13 @@ import re
 import shlex
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
 from command_line import dpcontrol, dpcontrol_program
+
+from dpcontrol.scenes.run_options import RunOptions
 
 VERBS = ("demo", "model", "orbit", "connect", "plan", "run", "score", "review")
 HEAVY = {"casadi", "heyoka", "rerun", "scipy", "matplotlib", "numpy"}
@@ -95,3 +98,30 @@ def test_the_version_is_the_packages(tmp_path: Path) -> None:
     shown = dpcontrol_program("--version", folder=tmp_path)
     assert shown.code == 0
     assert version("dpcontrol") in shown.stdout
+
+
+def test_help_of_a_run_setting_names_the_unit_of_its_bounds_and_every_choice() -> None:
+    from dpcontrol.control.estimation import ESTIMATORS
+    from dpcontrol.foundation.settings import Bounds, bounds_of
+    from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, SensorSettings
+    from dpcontrol.loop.loop import LoopSettings
+    from dpcontrol.loop.supervisor import SupervisorSettings
+    from dpcontrol.scenes.itinerary import CONTROLLERS
+
+    kinds = (LoopSettings, SensorSettings, DriveSettings, DisturbanceSettings, SupervisorSettings)
+    bounds = {name: one for kind in kinds for name, one in bounds_of(kind).items()}
+    bounds |= {"controller": Bounds(choices=tuple(CONTROLLERS)), "estimator": Bounds(choices=tuple(ESTIMATORS))}
+    for setting in fields(RunOptions):
+        text, own = setting.metadata["help"], bounds[setting.name]
+        assert own.unit in text, setting.name
+        assert set(own.choices) <= set(re.findall(r"[\w-]+", text)), setting.name
+
+
+@pytest.mark.parametrize("verb", ["run", "campaign", "rig"])
+def test_help_groups_options_by_part_of_the_bench_in_order(verb: str) -> None:
+    shown = dpcontrol(verb, "--help").stdout
+    headings = re.findall(r"^(\w+):$", shown, re.MULTILINE)
+    parts = ["Plant", "Disturbances", "Sensors", "Drive", "Estimator", "Controller", "Supervisor", "Output"]
+    assert headings[0] == "Options"
+    assert headings[-len(parts) :] == parts
+    assert len(re.findall(r"^  --mismatch ", shown, re.MULTILINE)) == 1
