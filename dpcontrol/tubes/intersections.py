@@ -27,6 +27,9 @@ Array = NDArray[np.float64]
 _BLOCK = 32
 """Segments of the first curve at a time: compared only with those of the second that their box meets."""
 
+_STRETCH = 8
+"""Vertices of one curve that neighbours on another may have nearest to them, where both run beside each other."""
+
 
 def polyline_crossings(first: Array, second: Array) -> list[tuple[float, float]]:
     """Return (i + s, j + t) where segment i of `first` (K, 2) crosses segment j of `second` (L, 2).
@@ -71,8 +74,10 @@ def near_touches(first: Array, second: Array, *, margin: float = 4.0) -> list[tu
         _to_segment(first, second[nearest], second[nearest + 1]),
     )
     allowed = margin * (_sagitta(first) + _sagitta(second)[nearest])
-    before = np.r_[np.inf, distance[:-1]]
-    after = np.r_[distance[1:], np.inf]
+    # Neighbours that are near another stretch of the second curve say nothing about this one.
+    along = np.abs(np.diff(nearest)) <= _STRETCH
+    before = np.r_[np.inf, np.where(along, distance[:-1], np.inf)]
+    after = np.r_[np.where(along, distance[1:], np.inf), np.inf]
     lowest = (distance <= allowed) & (distance <= before) & (distance <= after)
     return [(float(i), float(nearest[i])) for i in np.flatnonzero(lowest)]
 
@@ -93,6 +98,7 @@ def _to_segment(points: Array, start: Array, end: Array) -> Array:
 
 _BESIDE = 1e-3  # phase over which the cuts' bend is measured, less than the 1/100 between the first samples of a cut
 _FARTHEST_PARTNER = 0.05  # phase; the polylines tell partners apart that are farther off
+_CLOSER = 16  # points for each between neighbours of a cut where Newton's method did not converge from them
 _AT_REST = 1e-10  # of a phase: Newton's steps where the rounding of seeds, grown with the flight, is what is left
 
 
@@ -136,6 +142,16 @@ class TubeSide:
             return states
         reverser, centre = self.manifold.orbit.reverser, self.manifold.orbit.centre
         return (states - centre) @ reverser.T + centre
+
+    def points(self, phases: Array) -> Array | None:
+        """Fly the seeds at phases (K,); return (q, p/p₀), (K, 2), or None where one does not arrive."""
+        system = self.manifold.orbit.system
+        seeds, _ = self.manifold.seeds(phases, self.branch)
+        crossings = system.propagator.crossings(seeds, self.section, longest=self.longest, hit=self.hit)
+        states = [c.state for c in crossings if c is not None]
+        if len(states) < len(phases):
+            return None
+        return section_points(system, self.section, self.turned(np.array(states)))
 
     def arrive(self, phase: float) -> tuple[Array, Array, float] | None:
         """Fly the seed at `phase`; return (state, ∂state/∂phase on the section, seconds), or None."""
@@ -196,24 +212,23 @@ def intersect_cuts(
         longest = 2 * longest_flight(manifolds[which], settings.cut) * manifolds[which].orbit.period
         return TubeSide(manifolds[which], section, which == 1, cuts[which].hit, piece.branch, longest)
 
+    stable = [(side(1, piece), _turned_piece(system, side(1, piece), piece)) for piece in cuts[1].pieces]
     for u_piece in cuts[0].pieces:
         if mirrored and u_piece.branch < 0:
             continue
-        for base_piece in cuts[1].pieces:
-            sides = (side(0, u_piece), side(1, base_piece))
-            s_piece = _turned_piece(system, sides[1], base_piece)
+        for s_side, s_piece in stable:
             if s_piece.direction != u_piece.direction:
                 continue
-            here: list[Intersection] = []
-            for guess, sure in _guesses(system, section, u_piece, s_piece, settings):
-                solution = _newton(system, sides, guess, settings)
-                if solution is None:
-                    failed += int(sure)
-                elif not _known(system, solution, here, settings):
-                    here.append(solution)
-                    for other in _partners(system, solution, settings):
-                        if not _known(system, other, here, settings):
-                            here.append(other)
+            sides, here = (side(0, u_piece), s_side), list[Intersection]()
+            for shift in _shifts(system, section, u_piece, s_piece):
+                for places, sure in _meetings(u_piece.points, s_piece.points + shift):
+                    solutions = _solved(system, sides, (u_piece, s_piece), places, shift, settings)
+                    failed += int(sure and not solutions)
+                    for solution in solutions:
+                        if not _known(system, solution, here, settings):
+                            here.append(solution)
+                            here += [p for p in _partners(system, solution, settings)
+                                     if not _known(system, p, here, settings)]  # fmt: skip
             found += here
     return found, failed
 
@@ -243,33 +258,62 @@ def balanced(crossings: list[Intersection], cuts: tuple[Cut, Cut]) -> bool:
     )
 
 
-def _guesses(
-    system: System, section: Section, u: Piece, s: Piece, settings: ConnectionSettings
-) -> list[tuple[Array, bool]]:
-    """Return guesses (phase_u, phase_s) and whether the polylines really cross there."""
-    coordinate = int(np.argmax(np.abs(section.position)))
-    period = float(system.periods[coordinate])
-    guesses: list[tuple[Array, bool]] = []
-    shifts = [0.0]
-    if np.isfinite(period):
-        low = np.floor((u.points[:, 0].min() - s.points[:, 0].max()) / period)
-        high = np.ceil((u.points[:, 0].max() - s.points[:, 0].min()) / period)
-        shifts = [k * period for k in range(int(low), int(high) + 1)]
-    for shift in shifts:
-        moved = s.points + np.array([shift, 0.0])
-        crossings = polyline_crossings(u.points, moved)
-        # A near touch within two segments of a crossing is that crossing.
-        touches = [
-            (i, j)
-            for i, j in near_touches(u.points, moved)
-            if not any(abs(i - a) < 2 and abs(j - b) < 2 for a, b in crossings)
-        ]
-        for pairs, sure in ((crossings, True), (touches, False)):
-            for i, j in pairs:
-                phase_u = np.interp(i, np.arange(len(u.phases)), u.phases)
-                phase_s = np.interp(j, np.arange(len(s.phases)), s.phases)
-                guesses.append((np.array([phase_u, phase_s]), sure))
-    return guesses
+def _shifts(system: System, section: Section, u: Piece, s: Piece) -> list[Array]:
+    """Return the whole turns (2,) in (q, p/p₀) by which one piece may have to be moved to meet another."""
+    period = float(system.periods[int(np.argmax(np.abs(section.position)))])
+    if not np.isfinite(period):
+        return [np.zeros(2)]
+    low = np.floor((u.points[:, 0].min() - s.points[:, 0].max()) / period)
+    high = np.ceil((u.points[:, 0].max() - s.points[:, 0].min()) / period)
+    return [np.array([k * period, 0.0]) for k in range(int(low), int(high) + 1)]
+
+
+def _meetings(first: Array, second: Array) -> list[tuple[tuple[float, float], bool]]:
+    """Return places (i, j) along two polylines (K, 2), (L, 2) and whether they really cross there."""
+    crossings = polyline_crossings(first, second)
+    # A near touch within two segments of a crossing is that crossing.
+    touches = [
+        (i, j)
+        for i, j in near_touches(first, second)
+        if not any(abs(i - a) < 2 and abs(j - b) < 2 for a, b in crossings)
+    ]
+    return [(place, True) for place in crossings] + [(place, False) for place in touches]
+
+
+def _solved(
+    system: System,
+    sides: tuple[TubeSide, TubeSide],
+    pieces: tuple[Piece, Piece],
+    places: tuple[float, float],
+    shift: Array,
+    settings: ConnectionSettings,
+) -> list[Intersection]:
+    """Solve for the intersections near a place along both pieces.
+
+    Where Newton's method leads elsewhere, as from beside a fold thinner than a chord, the cuts are looked at closer.
+    """
+    spans = [_span(piece, place) for piece, place in zip(pieces, places, strict=True)]
+    guess = [np.interp(k, np.arange(len(p.phases)), p.phases) for k, p in zip(places, pieces, strict=True)]
+    solution = _newton(system, sides, np.array(guess), settings)
+    found = [] if solution is None else [solution]
+    if solution is not None and all(s[0] <= p <= s[-1] for s, p in zip(spans, solution.phases, strict=True)):
+        return found
+    curves = [side.points(span) for side, span in zip(sides, spans, strict=True)]
+    if curves[0] is None or curves[1] is None:
+        return found
+    for closer, _ in _meetings(curves[0], curves[1] + shift):
+        guess = [np.interp(k, np.arange(len(span)), span) for k, span in zip(closer, spans, strict=True)]
+        solution = _newton(system, sides, np.array(guess), settings)
+        if solution is not None:
+            found.append(solution)
+    return found
+
+
+def _span(piece: Piece, place: float) -> Array:
+    """Return phases along the two segments of a piece on either side of a place, more densely than its own."""
+    first, last = max(0, int(place) - 2), min(len(piece.phases) - 1, int(place) + 3)
+    along = np.linspace(first, last, _CLOSER * (last - first) + 1)
+    return np.interp(along, np.arange(len(piece.phases)), piece.phases)
 
 
 def _gap(system: System, first: Array, second: Array) -> tuple[Array, Array]:
