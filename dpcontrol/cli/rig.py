@@ -48,7 +48,7 @@ def command(*, itinerary: str, seed: int, host: str, port: int, runs: int, real_
         suppress(KeyboardInterrupt),
     ):
         address = f"udp://{bench.address[0]}:{bench.address[1]}"
-        document = {"address": address, "rate": 1 / recipe.period, "arms": arms, "ticks": recipe.ticks}
+        document = {"address": address, "rate": recipe.settings.rate, "arms": arms, "ticks": recipe.ticks}
         show(Answer(document, [f"bench for {scene.name} at {address}"]))
         # Whoever reads this through a pipe waits for it.
         sys.stdout.flush()

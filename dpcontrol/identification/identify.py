@@ -422,7 +422,7 @@ _AT = (-3.0, -1.5, 1.5, 3.0)
 
 
 @dataclass(frozen=True, eq=False)
-class Profile:
+class LossProfile:
     """Of one unknown: values (K,), the share (K,) by which the loss rises, and what the linearised fit promises."""
 
     name: str
@@ -435,7 +435,7 @@ class Profile:
 
 def profiles(
     found: Identification, *, settings: FitSettings | None = None, progress: Progress = no_progress
-) -> tuple[Profile, ...]:
+) -> tuple[LossProfile, ...]:
     """Return the profile of each unknown within three standard errors, by fitting the others again."""
     fit = found.candidates[found.chosen].fit
     settings = replace(settings or FitSettings(), bend=fit.bend, tolerance=1e-5)
@@ -451,7 +451,7 @@ def profiles(
         1 / np.diag(np.linalg.pinv(information, hermitian=True)),
         1 / np.maximum(np.diag(np.linalg.pinv(fit.information, hermitian=True)), 1e-300),
     )
-    out: list[Profile] = []
+    out: list[LossProfile] = []
     for k, (name, index) in enumerate(zip(found.names, fit.unknowns, strict=True)):
         progress("profiles", k / len(found.names))
         best, error = float(every[index]), float(found.errors[k])
@@ -479,6 +479,6 @@ def profiles(
             )
             rises.append(again.loss / fit.loss - 1)
         promised = curvature[k] * (values - best) ** 2 / 2 / fit.loss
-        out.append(Profile(name, best, error, values, np.array(rises), promised))
+        out.append(LossProfile(name, best, error, values, np.array(rises), promised))
     progress("profiles", 1.0)
     return tuple(out)

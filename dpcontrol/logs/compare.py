@@ -8,13 +8,8 @@ from pathlib import Path
 
 from dpcontrol.logs import layout
 from dpcontrol.logs.verified import (
-    MALFORMED,
     VerifiedFile,
-    batches,
-    check_channels,
-    damaged,
     open_verified,
-    tick_layout_of,
 )
 
 _HEAD = struct.Struct("<BQHIQ")
@@ -36,21 +31,20 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
     Raises:
         InputError: one of them is missing, damaged or no log of this program.
     """
-    one, other = Path(one), Path(other)
-    sides = [open_verified(path) for path in (one, other)]
-    ticks = [tick_layout_of(side) for side in sides]
-    if ticks[0] != ticks[1]:
+    sides = [open_verified(Path(path)) for path in (one, other)]
+    tick = sides[0].tick
+    if tick != sides[1].tick:
         return Comparison(0, f"{one} and {other} do not have the same topics")
     partial = bool(sides[0].metadata.get(layout.RECOVERY_RECORD, {}).get(layout.LOST))
-    first, second = (_pieces(side, ticks[0]) for side in sides)
+    first, second = (_pieces(side) for side in sides)
     same = 0
     for piece in first:
         for against in second:
             if piece == against:
-                same += _count(piece, ticks[0])
+                same += _count(piece, tick)
                 break
             if not partial or _head(piece)[2:4] == _head(against)[2:4]:
-                return Comparison(same, _differs(piece, against, ticks[0]))
+                return Comparison(same, _differs(piece, against, tick))
         else:
             return Comparison(same, f"{other} ends after {same} messages, {one} goes on")
     if not partial and next(second, None) is not None:
@@ -58,18 +52,15 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
     return Comparison(same, None)
 
 
-def _pieces(side: VerifiedFile, tick: layout.TickLayout) -> Iterator[bytes]:
+def _pieces(side: VerifiedFile) -> Iterator[bytes]:
     """Yield the bytes of each tick and of each other message, in order."""
-    try:
-        for batch in batches(side, tick):
-            check_channels(side, tick)
-            places = [(place, len(tick.block_template)) for place in batch.ticks]
+    with side.decoding():
+        for batch in side.batches():
+            places = [(place, len(side.tick.block_template)) for place in batch.ticks]
             others = (place for offsets in batch.others.values() for place in offsets)
             places += [(place, 9 + int.from_bytes(batch.data[place + 1 : place + 9], "little")) for place in others]
             for place, length in sorted(places):
                 yield batch.data[place : place + length]
-    except MALFORMED as error:
-        damaged(side.path, f"its messages do not decode: {error}", cause=error)
 
 
 def _count(piece: bytes, tick: layout.TickLayout) -> int:

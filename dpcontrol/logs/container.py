@@ -36,6 +36,25 @@ from numpy.typing import NDArray
 COMPRESSION = 1
 """zstd's level: higher ones take far longer and save little, for noise does not compress."""
 MAGIC = b"\x89MCAP0\r\n"
+_LATCHED_QOS = """\
+- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline:
+    sec: 9223372036
+    nsec: 854775807
+  lifespan:
+    sec: 9223372036
+    nsec: 854775807
+  liveliness: 1
+  liveliness_lease_duration:
+    sec: 9223372036
+    nsec: 854775807
+  avoid_ros_namespace_conventions: false
+"""
+"""Of a topic whose last message is kept for everyone who comes later, in the numbers of ROS 2's rmw_qos_profile_t: some
+readers refuse a profile that is not complete."""
 _ENTRY_BYTES = 16
 """Of a message index: time in ns and offset, 8 bytes each."""
 
@@ -140,7 +159,7 @@ class McapFile:
                 id=len(self._channels) + 1,
                 topic=topic,
                 message_encoding="cdr",
-                metadata={"offered_qos_profiles": "- durability: 1\n"} if topic in latched else {},
+                metadata={"offered_qos_profiles": _LATCHED_QOS} if topic in latched else {},
                 schema_id=known.id,
             )
             self._channels.append(channel)

@@ -16,16 +16,11 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import cdr, layout
-from dpcontrol.logs.partial import partials_of, unsealed
+from dpcontrol.logs.partial import partials_of
 from dpcontrol.logs.verified import (
-    MALFORMED,
     VerifiedFile,
-    batches,
-    check_channels,
-    damaged,
     gathered,
     open_verified,
-    tick_layout_of,
 )
 
 if TYPE_CHECKING:
@@ -162,30 +157,26 @@ def read_log(path: Path | str) -> RunLog:
     Raises:
         InputError: the file is missing, empty, cut off, damaged, no MCAP file or not a log of a run.
     """
-    path = Path(path)
-    file = open_verified(path)
-    try:
-        return _decode(path, file)
-    except MALFORMED as error:
-        damaged(path, f"its messages do not decode: {error}", cause=error)
+    file = open_verified(Path(path))
+    with file.decoding():
+        return _decode(file)
 
 
-def _decode(path: Path, file: VerifiedFile) -> RunLog:
-    tick = tick_layout_of(file)
+def _decode(file: VerifiedFile) -> RunLog:
+    tick = file.tick
     events: list[Event] = []
     rows: dict[str, list[Array]] = {name: [] for name in ("time", "measured", *tick.parts)}
-    for batch in batches(file, tick):
-        check_channels(file, tick)
+    for batch in file.batches():
         for name, values in _numbers(batch.ticks_as(tick), tick):
             rows[name].append(values)
         events += [_event(batch.data, offset) for offset in batch.others.get(tick.channels[layout.EVENTS], ())]
     if not file.has_checksum:
-        raise InputError(f"{path} carries no checksum of its data, so nothing vouches for it; {_AGAIN}")
+        raise InputError(f"{file.path} carries no checksum of its data, so nothing vouches for it; {_AGAIN}")
     if not sum(map(len, rows["time"])):
-        raise InputError(f"{path} holds no ticks: the run ended before its first; {_AGAIN}")
+        raise InputError(f"{file.path} holds no ticks: the run ended before its first; {_AGAIN}")
     # Taken out of the mapping as they are joined: a long log is held once, not twice.
     whole = {name: _frozen(np.concatenate(rows.pop(name))) for name in list(rows)}
-    return _run_log(path, file, tick=tick, rows=whole, events=events)
+    return _run_log(file, rows=whole, events=events)
 
 
 def _numbers(ticks: NDArray, tick: layout.TickLayout) -> Iterator[tuple[str, Array]]:
@@ -213,30 +204,28 @@ def _event(data: bytes, offset: int) -> Event:
     return Event(int(head["log_time"]) / 1e9, _LEVEL_NAMES.get(level, "info"), name, text)
 
 
-def _run_log(
-    path: Path, file: VerifiedFile, *, tick: layout.TickLayout, rows: dict[str, Array], events: list[Event]
-) -> RunLog:
-    described = file.metadata[layout.LAYOUT_RECORD]
+def _run_log(file: VerifiedFile, *, rows: dict[str, Array], events: list[Event]) -> RunLog:
+    tick, described = file.tick, file.metadata[layout.LAYOUT_RECORD]
     limits = tuple(float(text) for text in described["limits"].split())
-    said = {name: unsealed(name, record) or {} for name, record in file.metadata.items()}
-    result = {key: value for key, value in said.get(layout.RESULT_RECORD, {}).items() if key != layout.TICKS}
     columns = _frozen(np.ascontiguousarray(rows.pop("control").T)) if "control" in rows else ()
+    metadata = {**file.values(layout.RESULT_RECORD), **file.values(layout.RUN_RECORD)}
+    metadata.pop(layout.TICKS, None)
     return RunLog(
-        path=path,
+        path=file.path,
         time=rows["time"],
         measured=rows["measured"],
         rates=rows.get("rates"),
         states={part: rows[part] for part in layout.STATE_TOPICS if part in rows},
         controls=dict(zip(tick.fields, columns, strict=False)),
         events=tuple(events),
-        metadata={**result, **said.get(layout.RUN_RECORD, {}), "program": described["program"]},
-        attachments=dict(file.attachments),
+        metadata={**metadata, "program": described["program"]},
+        attachments=file.attachments,
         joint_names=tick.names,
         arm_lengths=tuple(float(text) for text in described["arm_lengths"].split()),
         has_cart=tick.has_cart,
         rate_hz=float(described["rate_hz"]),
         limits=(limits[0], limits[1], limits[2]) if limits else None,
-        recovered=said.get(layout.RECOVERY_RECORD, {}).get(layout.LOST) or None,
+        recovered=file.values(layout.RECOVERY_RECORD).get(layout.LOST) or None,
     )
 
 
@@ -290,20 +279,15 @@ def summarise(path: Path | str) -> LogSummary:
     Raises:
         InputError: the file is missing, cut off, damaged or no log of this program.
     """
-    path = Path(path)
-    file = open_verified(path)
-    try:
-        return _summary(path, file)
-    except MALFORMED as error:
-        damaged(path, f"its messages do not decode: {error}", cause=error)
+    file = open_verified(Path(path))
+    with file.decoding():
+        return _summary(file)
 
 
-def _summary(path: Path, file: VerifiedFile) -> LogSummary:
-    tick = tick_layout_of(file)
-    described = file.metadata[layout.LAYOUT_RECORD]
+def _summary(file: VerifiedFile) -> LogSummary:
+    tick, described = file.tick, file.metadata[layout.LAYOUT_RECORD]
     spans: dict[int, tuple[int, int, int]] = {}
-    for batch in batches(file, tick):
-        check_channels(file, tick)
+    for batch in file.batches():
         ticks = gathered(batch.data, batch.ticks, layout.RECORD_HEADER)
         found = {tick.channels[topic]: ticks for topic in tick.messages}
         found |= {k: gathered(batch.data, places, layout.RECORD_HEADER) for k, places in batch.others.items()}
@@ -312,11 +296,10 @@ def _summary(path: Path, file: VerifiedFile) -> LogSummary:
                 low, high = int(heads["log_time"].min()), int(heads["log_time"].max())
                 count, first, last = spans.get(channel, (0, low, high))
                 spans[channel] = (count + len(heads), min(first, low), max(last, high))
-    said = {name: unsealed(name, record) or {} for name, record in file.metadata.items()}
     ends = [(first, last) for _, first, last in spans.values()]
     return LogSummary(
-        log=str(path),
-        size=path.stat().st_size,
+        log=str(file.path),
+        size=file.path.stat().st_size,
         format=described["format"],
         program=described["program"],
         duration=(max(last for _, last in ends) - min(first for first, _ in ends)) / 1e9 if ends else 0.0,
@@ -328,9 +311,9 @@ def _summary(path: Path, file: VerifiedFile) -> LogSummary:
             for topic, (kind, _) in tick.schemas.items()
         ),
         attachments={name: len(data) for name, data in file.attachments.items()},
-        metadata={**said.get(layout.RESULT_RECORD, {}), **said.get(layout.RUN_RECORD, {})},
-        recovered=said.get(layout.RECOVERY_RECORD, {}).get(layout.LOST) or None,
-        partials=tuple(str(file) for file in partials_of(path)),
+        metadata={**file.values(layout.RESULT_RECORD), **file.values(layout.RUN_RECORD)},
+        recovered=file.values(layout.RECOVERY_RECORD).get(layout.LOST) or None,
+        partials=tuple(str(other) for other in partials_of(file.path)),
     )
 
 

@@ -3,8 +3,6 @@
 Chunks are put in the order of their messages' sequence numbers: what was swapped is put right, what is there twice is
 taken once, and what is missing is counted. Messages are copied bit for bit; nothing is filled in.
 
-Find what is sound in a file that is cut or damaged.
-
 A record is believed only if a checksum of its own agrees: chunks and attachments by MCAP's, metadata by ours (see
 `sealed`). Nothing else is trusted, no length and no index, so the file is searched for the bytes with which such
 records begin, wherever they stand. Source: the MCAP format specification, version 0.
@@ -19,16 +17,13 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from importlib.metadata import version
-from io import BytesIO, FileIO
+from io import FileIO
 from itertools import count, pairwise
 from pathlib import Path
 
 import numpy as np
-import zstandard
-from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
-from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_other_file, whole_file
@@ -37,7 +32,16 @@ from dpcontrol.logs import layout
 from dpcontrol.logs.container import ChunkMessages, McapFile
 from dpcontrol.logs.partial import SUFFIX, sealed, unsealed
 from dpcontrol.logs.reader import read_log
-from dpcontrol.logs.verified import MALFORMED, described_layout, recorded_bytes
+from dpcontrol.logs.verified import (
+    CHUNK_HEAD,
+    LARGEST_CHUNK,
+    MALFORMED,
+    described_layout,
+    gathered,
+    recorded_bytes,
+    stream_of,
+    unpacked,
+)
 from dpcontrol.logs.writer import CHUNK_SECONDS
 
 _BEGINNING = re.compile(
@@ -45,19 +49,17 @@ _BEGINNING = re.compile(
     rb"\x06.{36}\x04\x00\x00\x00zstd|\x09.{6}\x00{18}..\x00\x00|\x0c.{12}dpcontrol\.",
     re.DOTALL,
 )
-_CHUNK = struct.Struct("<QQQII4sQ")
 _RECORD = struct.Struct("<BQH")
-_LARGEST_CHUNK = 1 << 28
 
 
 @dataclass(frozen=True)
 class SoundChunk:
-    """A chunk whose checksum agrees: its packed bytes, size and checksum unpacked, and what messages it holds.
+    """A chunk whose checksum agrees: its record's body, size and checksum unpacked, and what messages it holds.
 
     sequences: first and last sequence number by channel. times: first and last tick in ns, or None without ticks.
     """
 
-    packed: memoryview
+    body: memoryview
     size: int
     checksum: int
     sequences: Mapping[int, tuple[int, int]]
@@ -70,11 +72,11 @@ class SoundChunk:
 
     def messages(self) -> tuple[bytes, list[ChunkMessages]]:
         """Return the records of its messages, without those of schemas and channels, and where each stands."""
-        content = _unpacked(self.packed, self.size)
+        content = unpacked(self.body)
         start, places = _places(content)
         found = []
         for channel, offsets in places.items():
-            times = _heads(content, offsets)["log_time"].astype(np.int64)
+            times = gathered(content, offsets, layout.RECORD_HEADER)["log_time"].astype(np.int64)
             found.append(ChunkMessages(channel=channel, times=times, offsets=np.array(offsets) - start))
         return content[start:], found
 
@@ -116,7 +118,7 @@ def _take(found: Salvage, opcode: int, body: memoryview) -> bool:
         if opcode == Opcode.CHUNK:
             found.chunks.append(_chunk(body))
         elif opcode == Opcode.METADATA:
-            record = Metadata.read(ReadDataStream(BytesIO(body)))
+            record = Metadata.read(stream_of(body))
             values = unsealed(record.name, record.metadata)
             if values is None:
                 return False
@@ -126,7 +128,7 @@ def _take(found: Salvage, opcode: int, body: memoryview) -> bool:
         else:
             if zlib.crc32(body[:-4]) != int.from_bytes(body[-4:], "little"):
                 return False
-            attachment = Attachment.read(ReadDataStream(BytesIO(body)))
+            attachment = Attachment.read(stream_of(body))
             found.attachments[attachment.name] = attachment.data
     except MALFORMED:
         return False
@@ -134,27 +136,17 @@ def _take(found: Salvage, opcode: int, body: memoryview) -> bool:
 
 
 def _chunk(body: memoryview) -> SoundChunk:
-    _, _, size, checksum, _, _, length = _CHUNK.unpack_from(body)
-    packed = body[_CHUNK.size :]
-    if len(packed) != length or size > _LARGEST_CHUNK:
-        raise ValueError("a chunk's lengths disagree")
-    content = _unpacked(packed, size)
-    if not checksum or zlib.crc32(content) != checksum:
-        raise ValueError("a chunk's checksum differs")
+    _, _, size, checksum, _, _ = CHUNK_HEAD.unpack_from(body)
+    if size > LARGEST_CHUNK or not checksum:
+        raise ValueError("a chunk is too large, or carries no checksum")
+    content = unpacked(body)
     sequences, times = {}, None
     for channel, offsets in _places(content)[1].items():
-        heads = _heads(content, [offsets[0], offsets[-1]])
+        heads = gathered(content, [offsets[0], offsets[-1]], layout.RECORD_HEADER)
         sequences[channel] = (int(heads["sequence"][0]), int(heads["sequence"][1]))
         if channel == layout.MEASURED_CHANNEL:
             times = (int(heads["log_time"][0]), int(heads["log_time"][1]))
-    return SoundChunk(packed, size, checksum, sequences, times)
-
-
-def _unpacked(packed: memoryview, size: int) -> bytes:
-    content = zstandard.ZstdDecompressor().decompress(packed, max_output_size=size)
-    if len(content) != size:
-        raise ValueError("a chunk is of another size than it says")
-    return content
+    return SoundChunk(body, size, checksum, sequences, times)
 
 
 def _places(content: bytes) -> tuple[int, dict[int, list[int]]]:
@@ -171,12 +163,6 @@ def _places(content: bytes) -> tuple[int, dict[int, list[int]]]:
     if place != len(content):
         raise ValueError("a record runs over the end of its chunk")
     return (len(content) if start is None else start), found
-
-
-def _heads(content: bytes, offsets: list[int]) -> NDArray:
-    size = layout.RECORD_HEADER.itemsize
-    everywhere = np.ndarray((len(content) - size + 1,), f"V{size}", buffer=content, strides=(1,))
-    return everywhere[np.array(offsets)].view(layout.RECORD_HEADER)
 
 
 _SHOWN_GAPS = 3

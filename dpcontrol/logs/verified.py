@@ -2,21 +2,20 @@
 
 Indexes and single chunks are not enough: an index can point elsewhere and two chunks can change places without any
 checksum of their own failing. So the file is walked from front to back, and the checksum of the whole data section
-and that of the summary are compared first. Source: the MCAP format specification, version 0.
+and that of the summary are compared first.
 
-Find the messages of a verified file, whole ticks at a time.
-
-A tick's messages stand one after the other and their lengths are known from the layout, so that one look per tick
-finds them all and one copy takes the numbers of thousands of ticks out.
+A tick's messages stand one after the other and their lengths are known from the layout, so that one look per tick finds
+them all and one copy takes the numbers of thousands of ticks out. Source: the MCAP format specification, version 0.
 """
 
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cached_property
 from io import BytesIO
 from pathlib import Path
-from struct import Struct
 from typing import NoReturn
 
 import numpy as np
@@ -34,9 +33,12 @@ from dpcontrol.logs.container import MAGIC
 from dpcontrol.logs.partial import partials_of, unsealed
 
 _HEAD = struct.Struct("<BQ")
-_CHUNK = struct.Struct("<QQQI8sQ")
-_ZSTD = b"\x04\x00\x00\x00zstd"
-_LARGEST_CHUNK = 1 << 28
+_RECORD = struct.Struct("<BQH")
+_BATCH_BYTES = 4_000_000
+CHUNK_HEAD = struct.Struct("<QQQI8sQ")
+"""Of a chunk: first and last time, size and checksum unpacked, compression, bytes packed."""
+ZSTD = b"\x04\x00\x00\x00zstd"
+LARGEST_CHUNK = 1 << 28
 _AGAIN = "make it again with `dpcontrol run`"
 MALFORMED = (
     McapError,
@@ -52,48 +54,142 @@ MALFORMED = (
 """What parsing a record that is not as specified may raise (lz4 raises RuntimeError)."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class VerifiedFile:
     """The records of an MCAP file whose checksums agree.
 
     Attributes:
+        has_checksum: whether the data section carried one.
         library: the program that wrote it.
         metadata: text by name, by the record's name.
         attachments: content by name.
-        schemas, channels: by number; those found within chunks are added while `contents` runs.
+        schemas, channels: by number; those found within chunks are added while `batches` runs.
         chunks: the chunks' records, still packed.
-        has_checksum: whether the data section carried one.
     """
 
     path: Path
-    library: str
-    metadata: dict[str, dict[str, str]]
-    attachments: dict[str, bytes]
-    schemas: dict[int, Schema]
-    channels: dict[int, Channel]
-    chunks: tuple[memoryview, ...]
     has_checksum: bool
+    library: str = ""
+    metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    attachments: dict[str, bytes] = field(default_factory=dict)
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    chunks: list[memoryview] = field(default_factory=list)
 
-    def contents(self) -> Iterator[bytes]:
-        """Yield each chunk's records, unpacked and checked.
+    def note(self, opcode: int, body: memoryview | bytes) -> None:
+        """Take up a record; those that nobody asks for are passed over."""
+        if opcode == Opcode.HEADER:
+            self.library = Header.read(stream_of(body)).library
+        elif opcode == Opcode.METADATA:
+            record = Metadata.read(stream_of(body))
+            self.metadata[record.name] = record.metadata
+        elif opcode == Opcode.ATTACHMENT:
+            attachment = Attachment.read(stream_of(body))
+            self.attachments[attachment.name] = attachment.data
+        elif opcode == Opcode.CHUNK:
+            self.chunks.append(memoryview(body))
+        elif opcode == Opcode.SCHEMA:
+            schema = Schema.read(stream_of(body))
+            self.schemas[schema.id] = schema
+        elif opcode == Opcode.CHANNEL:
+            channel = Channel.read(stream_of(body))
+            self.channels[channel.id] = channel
+
+    @contextmanager
+    def decoding(self) -> Iterator[None]:
+        """Report what does not decode as damage of this file."""
+        try:
+            yield
+        except MALFORMED as error:
+            damaged(self.path, f"its messages do not decode: {error}", cause=error)
+
+    def values(self, name: str) -> dict[str, str]:
+        """Return what the metadata record of this name says, empty where it is missing or its checksum differs."""
+        return unsealed(name, self.metadata.get(name, {})) or {}
+
+    @cached_property
+    def tick(self) -> layout.TickLayout:
+        """What a tick of the log holds, by its own description."""
+        described = self.metadata.get(layout.LAYOUT_RECORD)
+        if described is None:
+            writer = f" (written by {self.library})" if self.library else ""
+            raise InputError(
+                f"{self.path}{writer} is not a log of dpcontrol: it lacks the metadata record {layout.LAYOUT_RECORD}; "
+                "give a log of `dpcontrol run`"
+            )
+        if unsealed(layout.LAYOUT_RECORD, described) is None and described.get("format") == layout.FORMAT:
+            raise ValueError(f"the checksum of {layout.LAYOUT_RECORD} differs")
+        return described_layout(self.path, described)
+
+    def batches(self) -> "Iterator[Batch]":
+        """Yield the messages in order, those of several chunks at a time.
 
         Raises:
-            InputError: a chunk does not unpack, or not to what its checksum says.
+            InputError: a chunk does not unpack, or the channels are not those of the layout; names what differs.
+            ValueError: a chunk's records do not follow one another.
         """
-        unpack = zstandard.ZstdDecompressor().decompress
-        for chunk in self.chunks:
+        pending, size = [], 0
+        for k, chunk in enumerate(self.chunks, start=1):
             try:
-                _, _, size, checksum, kind, packed = _CHUNK.unpack_from(chunk)
-                if kind == _ZSTD and size <= _LARGEST_CHUNK:
-                    content = unpack(chunk[_CHUNK.size :], max_output_size=size)
-                    if len(content) != size or packed != len(chunk) - _CHUNK.size or zlib.crc32(content) != checksum:
-                        raise ValueError("its checksum or its size differs")
-                else:
-                    stream, length = get_chunk_data_stream(Chunk.read(_stream(chunk)), validate_crc=True)
-                    content = stream.read(length)
+                pending.append(unpacked(chunk))
             except MALFORMED as error:
                 damaged(self.path, f"a chunk does not unpack: {error}", cause=error)
-            yield content
+            size += len(pending[-1])
+            if size >= _BATCH_BYTES or k == len(self.chunks):
+                batch = self._batch(b"".join(pending))
+                self._check_channels()
+                yield batch
+                pending, size = [], 0
+
+    def _batch(self, data: bytes) -> "Batch":
+        ticks: list[int] = []
+        others: dict[int, list[int]] = {}
+        template = self.tick.block_template
+        beginning, size = template[: _RECORD.size], len(template)
+        place, end, unpack = 0, len(data), _RECORD.unpack_from
+        while place < end:
+            if data.startswith(beginning, place):
+                ticks.append(place)
+                place += size
+                continue
+            opcode, length, channel = unpack(data, place)
+            if opcode == layout.MESSAGE_OPCODE:
+                others.setdefault(channel, []).append(place)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self.note(opcode, data[place + 9 : place + 9 + length])
+            place += 9 + length
+        if place != end:
+            raise ValueError("a record runs over the end of its chunk")
+        return Batch(data, ticks, others)
+
+    def _check_channels(self) -> None:
+        by_topic = {channel.topic: channel for channel in self.channels.values()}
+        for topic, (name, definition) in self.tick.schemas.items():
+            channel = by_topic.get(topic)
+            schema = self.schemas.get(channel.schema_id) if channel else None
+            encoding = channel.message_encoding if channel else ""
+            number = channel.id if channel else None
+            if schema is None or schema.data != definition or encoding != "cdr" or number != self.tick.channels[topic]:
+                found = f"{schema.name if schema else 'no schema'} in {encoding or 'no encoding'}"
+                raise InputError(
+                    f"{self.path}: topic {topic} carries {found}, not {name} in cdr as a log of `dpcontrol run` does"
+                )
+
+
+def unpacked(chunk: memoryview) -> bytes:
+    """Return the records in a chunk, compared with its checksum.
+
+    Raises:
+        Exception: one of `MALFORMED`: it does not unpack, or not to what its checksum says.
+    """
+    _, _, size, checksum, kind, packed = CHUNK_HEAD.unpack_from(chunk)
+    if kind != ZSTD or size > LARGEST_CHUNK:
+        stream, length = get_chunk_data_stream(Chunk.read(stream_of(chunk)), validate_crc=True)
+        return stream.read(length)
+    content = zstandard.ZstdDecompressor().decompress(chunk[CHUNK_HEAD.size :], max_output_size=size)
+    if len(content) != size or packed != len(chunk) - CHUNK_HEAD.size or zlib.crc32(content) != checksum:
+        raise ValueError("its checksum or its size differs")
+    return content
 
 
 def damaged(path: Path, reason: str, *, cause: BaseException | None = None) -> NoReturn:
@@ -101,7 +197,8 @@ def damaged(path: Path, reason: str, *, cause: BaseException | None = None) -> N
     raise InputError(f"{path} is damaged ({reason}); copy it again from its source, or {_recover(path)}") from cause
 
 
-def _stream(body: memoryview | bytes) -> ReadDataStream:
+def stream_of(body: memoryview | bytes) -> ReadDataStream:
+    """Return what the mcap package reads a record's body from."""
     return ReadDataStream(BytesIO(body))
 
 
@@ -178,57 +275,29 @@ def _check(path: Path, data: bytes, records: list[tuple[int, int, int]]) -> bool
 
 
 def open_verified(path: Path) -> VerifiedFile:
-    """Read `path` and compare its checksums.
+    """Read `path`, compare its checksums and make out what a tick holds.
 
     Raises:
-        InputError: there is no such file, or it is empty, no MCAP file, cut off or damaged.
+        InputError: there is no such file, or it is empty, no MCAP file, cut off, damaged or no log of this program.
     """
     data = recorded_bytes(path)
     if not (data.startswith(MAGIC) or MAGIC.startswith(data)):
         raise InputError(f"{path} is not an MCAP file (it begins with {data[:8]!r}); give a log of `dpcontrol run`")
     records = _walk(path, data)
-    has_checksum = _check(path, data, records)
     view = memoryview(data)
-    file = VerifiedFile(path, "", {}, {}, {}, {}, (), has_checksum)
-    library, chunks = "", []
+    file = VerifiedFile(path, _check(path, data, records))
     try:
         for opcode, start, end in records:
-            if opcode == Opcode.MESSAGE_INDEX:
-                continue
-            body = view[start:end]
             if opcode == Opcode.DATA_END:
                 break
-            if opcode == Opcode.HEADER:
-                library = Header.read(_stream(body)).library
-            elif opcode == Opcode.METADATA:
-                record = Metadata.read(_stream(body))
-                file.metadata[record.name] = record.metadata
-            elif opcode == Opcode.ATTACHMENT:
-                attachment = Attachment.read(_stream(body))
-                file.attachments[attachment.name] = attachment.data
-            elif opcode == Opcode.CHUNK:
-                chunks.append(body)
-            else:
-                note_channel(file, opcode, body)
+            if opcode != Opcode.MESSAGE_INDEX:
+                file.note(opcode, view[start:end])
     except MALFORMED as error:
         damaged(path, f"a record does not read: {error}", cause=error)
-    return VerifiedFile(
-        path, library, file.metadata, file.attachments, file.schemas, file.channels, tuple(chunks), has_checksum
-    )
-
-
-def note_channel(file: VerifiedFile, opcode: int, body: memoryview | bytes) -> None:
-    """Take up a schema or channel record; any other is passed over."""
-    if opcode == Opcode.SCHEMA:
-        schema = Schema.read(_stream(body))
-        file.schemas[schema.id] = schema
-    elif opcode == Opcode.CHANNEL:
-        channel = Channel.read(_stream(body))
-        file.channels[channel.id] = channel
-
-
-_RECORD = Struct("<BQH")
-_BATCH_BYTES = 4_000_000
+    with file.decoding():
+        # Made out here, once and for all.
+        _ = file.tick
+    return file
 
 
 @dataclass(frozen=True)
@@ -260,45 +329,6 @@ class Batch:
         return rows
 
 
-def batches(file: VerifiedFile, tick: layout.TickLayout) -> Iterator[Batch]:
-    """Yield a file's messages in order, those of several chunks at a time; channels declared there are noted.
-
-    Raises:
-        InputError: a chunk does not unpack.
-        ValueError: a chunk's records do not follow one another.
-    """
-    pending, size = [], 0
-    for content in file.contents():
-        pending.append(content)
-        size += len(content)
-        if size >= _BATCH_BYTES:
-            yield _batch(file, tick, b"".join(pending))
-            pending, size = [], 0
-    if pending:
-        yield _batch(file, tick, b"".join(pending))
-
-
-def _batch(file: VerifiedFile, tick: layout.TickLayout, data: bytes) -> Batch:
-    ticks: list[int] = []
-    others: dict[int, list[int]] = {}
-    beginning, size = tick.block_template[: _RECORD.size], len(tick.block_template)
-    place, end, unpack = 0, len(data), _RECORD.unpack_from
-    while place < end:
-        if data.startswith(beginning, place):
-            ticks.append(place)
-            place += size
-            continue
-        opcode, length, channel = unpack(data, place)
-        if opcode == layout.MESSAGE_OPCODE:
-            others.setdefault(channel, []).append(place)
-        else:
-            note_channel(file, opcode, data[place + 9 : place + 9 + length])
-        place += 9 + length
-    if place != end:
-        raise ValueError("a record runs over the end of its chunk")
-    return Batch(data, ticks, others)
-
-
 def gathered(data: bytes, offsets: list[int], kind: np.dtype) -> NDArray:
     """Return the records of type `kind` at `offsets`, copied.
 
@@ -314,27 +344,8 @@ def gathered(data: bytes, offsets: list[int], kind: np.dtype) -> NDArray:
     return everywhere[np.array(offsets)].view(kind)
 
 
-def tick_layout_of(file: VerifiedFile) -> layout.TickLayout:
-    """Return what a tick of a log holds, by its own description.
-
-    Raises:
-        InputError: it is no log of this program or of another version of it.
-        LookupError, ValueError: the description is not as the writer makes it.
-    """
-    described = file.metadata.get(layout.LAYOUT_RECORD)
-    if described is None:
-        writer = f" (written by {file.library})" if file.library else ""
-        raise InputError(
-            f"{file.path}{writer} is not a log of dpcontrol: it lacks the metadata record {layout.LAYOUT_RECORD}; give "
-            "a log of `dpcontrol run`"
-        )
-    if unsealed(layout.LAYOUT_RECORD, described) is None and described.get("format") == layout.FORMAT:
-        raise ValueError(f"the checksum of {layout.LAYOUT_RECORD} differs")
-    return described_layout(file.path, described)
-
-
 def described_layout(path: Path, described: Mapping[str, str]) -> layout.TickLayout:
-    """Return what a tick holds by a metadata record that describes it; errors as in `tick_layout_of`."""
+    """Return what a tick holds by a metadata record that describes it; errors as in `VerifiedFile.tick`."""
     if described.get("format") != layout.FORMAT:
         raise InputError(
             f"{path} has layout {described.get('format')!r}, and this version of dpcontrol reads layout "
@@ -344,22 +355,3 @@ def described_layout(path: Path, described: Mapping[str, str]) -> layout.TickLay
     if not parts <= set(layout.PARTS):
         raise ValueError(f"unknown parts {sorted(parts)}")
     return layout.TickLayout(len(described["arm_lengths"].split()), described["has_cart"] == "1", parts)
-
-
-def check_channels(file: VerifiedFile, tick: layout.TickLayout) -> None:
-    """Refuse a file whose channels are not those of the layout.
-
-    Raises:
-        InputError: names the topic and what it carries.
-    """
-    by_topic = {channel.topic: channel for channel in file.channels.values()}
-    for topic, (name, definition) in tick.schemas.items():
-        channel = by_topic.get(topic)
-        schema = file.schemas.get(channel.schema_id) if channel else None
-        encoding = channel.message_encoding if channel else ""
-        number = channel.id if channel else None
-        if schema is None or schema.data != definition or encoding != "cdr" or number != tick.channels[topic]:
-            found = f"{schema.name if schema else 'no schema'} in {encoding or 'no encoding'}"
-            raise InputError(
-                f"{file.path}: topic {topic} carries {found}, not {name} in cdr as a log of `dpcontrol run` does"
-            )

@@ -1,4 +1,4 @@
-"""Write a log: one `tick` per period of the loop, `event` for what happens in between.
+"""Write a log: `ticks` for periods of the loop, `event` for what happens in between.
 
 One writer serves simulation, rig, import and replay. A tick needs the measured positions only; rates, estimate,
 reference, truth and control are each given in every tick of a log or in none, which the first tick decides. There is
@@ -8,11 +8,8 @@ Ticks are collected as rows of numbers and turned into messages some twenty mill
 that is killed loses no more than that. The file grows as `NAME.mcap.partial` and gets its name when complete and on
 the disk.
 
-Ticks of a log that are not yet written: rows of numbers, checked as they come.
-
-What stands in a log before its first tick: the layout, and the arms' descriptions for viewers.
-
-Both depend on what a tick holds, which is known from the first tick on (`layout.TickLayout`).
+Before the first tick stand the layout and the arms' descriptions for viewers: both depend on what a tick holds, which
+is known from the first one on (`layout.TickLayout`).
 """
 
 import json
@@ -36,8 +33,6 @@ from dpcontrol.logs.container import COMPRESSION, McapFile
 from dpcontrol.logs.partial import moved_away, open_partial, sealed, sync_folder
 
 Row = NDArray[np.float64]
-Parts = Sequence[Row | None]
-"""Rates, estimate, reference, truth and control, in the order of `layout.PARTS`; None for what a tick has not."""
 
 
 class TickBuffer:
@@ -46,10 +41,9 @@ class TickBuffer:
     def __init__(self, tick: layout.TickLayout, *, rows: int) -> None:
         self.size, self.filled, self.last = rows, 0, 0.0
         self._time = np.zeros(rows)
-        self._measured = np.zeros((rows, len(tick.names)))
-        self._parts = tuple(np.zeros((rows, width)) for width in tick.widths.values())
-        self._widths = tuple(tick.widths.values())
-        self._given: tuple[bool, ...] | None = None
+        widths = {"measured": len(tick.names), **tick.widths}
+        self._rooms = {name: np.zeros((rows, width)) for name, width in widths.items()}
+        self._parts: frozenset[str] | None = None
 
     @property
     def full(self) -> bool:
@@ -64,60 +58,35 @@ class TickBuffer:
     @property
     def parts(self) -> frozenset[str]:
         """Which of `layout.PARTS` the log has."""
-        given = self._given or (False,) * len(layout.PARTS)
-        return frozenset(part for part, has in zip(layout.PARTS, given, strict=True) if has)
+        return self._parts or frozenset()
 
-    @property
-    def _wanted(self) -> str:
-        joints, size, _, _, width = self._widths
-        return (
-            f"a tick needs measured and rates ({joints},), estimate, reference and truth ({size},), control ({width},)"
-        )
-
-    def put(self, time_s: float, measured: Row, parts: Parts) -> None:
-        """Take one tick.
-
-        Raises:
-            ValueError: an array of another length, a time before the last, or a part in some ticks only.
-        """
-        self._decide(parts)
-        if not time_s >= self.last:
-            raise ValueError(f"tick at {time_s} s after one at {self.last} s")
-        row = self.filled
-        if len(measured) != self._measured.shape[1]:
-            raise ValueError(self._wanted)
-        self._measured[row] = measured
-        for room, part, width in zip(self._parts, parts, self._widths, strict=True):
-            if part is not None:
-                if len(part) != width:
-                    raise ValueError(self._wanted)
-                room[row] = part
-        self._time[row] = self.last = time_s
-        self.filled = row + 1
-
-    def checked(self, times: Row, measured: Row, parts: Parts) -> list[tuple[Row, Row]]:
-        """Return rooms with the rows (K, …) that go into each.
+    def checked(self, times: Row, given: Mapping[str, Row | None]) -> dict[str, Row]:
+        """Return those of the rows (K, …), `measured` and parts by name, that there are.
 
         Raises:
             ValueError: rows of another shape, times that decrease, or a part in some ticks only.
         """
-        pairs = [(self._measured, measured)]
-        pairs += [(room, part) for room, part in zip(self._parts, parts, strict=True) if part is not None]
-        for room, rows in pairs:
-            if np.shape(rows) != (len(times), room.shape[1]):
-                raise ValueError(f"expected rows of shape {(len(times), room.shape[1])}, got {np.shape(rows)}")
+        rows = {name: values for name, values in given.items() if values is not None}
+        for name, values in rows.items():
+            expected = (len(times), self._rooms[name].shape[1])
+            if np.shape(values) != expected:
+                raise ValueError(f"{name}: expected rows of shape {expected}, got {np.shape(values)}")
         if len(times) and not (times[0] >= self.last and (np.diff(times) >= 0).all()):
             raise ValueError("the times of ticks must not decrease")
-        self._decide(parts)
-        return pairs
+        parts = frozenset(rows) - {"measured"}
+        if self._parts is not None and parts != self._parts:
+            names = (part for part in layout.PARTS if part in parts ^ self._parts)
+            raise ValueError(f"{', '.join(names)} must be given in every tick of a run or in none")
+        self._parts = parts
+        return rows
 
-    def put_rows(self, times: Row, pairs: list[tuple[Row, Row]], *, since: int) -> int:
+    def put(self, times: Row, rows: Mapping[str, Row], *, since: int) -> int:
         """Take rows from `since` on, as many as have room; return how many."""
         count = min(self.size - self.filled, len(times) - since)
-        into, rows = slice(self.filled, self.filled + count), slice(since, since + count)
-        self._time[into] = times[rows]
-        for room, given in pairs:
-            room[into] = given[rows]
+        into, taken = slice(self.filled, self.filled + count), slice(since, since + count)
+        self._time[into] = times[taken]
+        for name, values in rows.items():
+            self._rooms[name][into] = values[taken]
         self.filled += count
         self.last = float(times[since + count - 1])
         return count
@@ -127,22 +96,13 @@ class TickBuffer:
         count = self.filled
         return TickRows(
             time_ns=np.rint(self._time[:count] * 1e9).astype(np.int64),
-            measured=self._measured[:count],
-            parts={part: room[:count] for part, room in zip(layout.PARTS, self._parts, strict=True) if part in parts},
+            measured=self._rooms["measured"][:count],
+            parts={part: self._rooms[part][:count] for part in layout.PARTS if part in parts},
         )
 
     def clear(self) -> None:
         """Make room; the ticks have been written."""
         self.filled = 0
-
-    def _decide(self, parts: Parts) -> None:
-        given = tuple(part is not None for part in parts)
-        if given == self._given:
-            return
-        if self._given is not None:
-            names = (part for part, a, b in zip(layout.PARTS, given, self._given, strict=True) if a != b)
-            raise ValueError(f"{', '.join(names)} must be given in every tick of a run or in none")
-        self._given = given
 
 
 Limits = tuple[float, float, float] | None
@@ -306,36 +266,6 @@ class LogWriter:
         for name, data in self._attachments.items():
             self._file.add_attachment(name, data)
 
-    def tick(
-        self,
-        time_s: float,
-        *,
-        measured: Row,
-        rates: Row | None = None,
-        estimate: Row | None = None,
-        reference: Row | None = None,
-        truth: Row | None = None,
-        control: Row | None = None,
-    ) -> None:
-        """Log one period of the loop; all but `measured` in every tick of a log or in none.
-
-        Args:
-            time_s: time since the start in s, not before that of the last tick.
-            measured: (n+1,) positions as the sensors gave them: rad, and m for the cart.
-            rates: (n+1,) rates as the sensors gave them, rad/s and m/s, where they give any.
-            estimate: (2n+2,) in state order: rad, rad/s, m, m/s.
-            reference: (2n+2,) likewise.
-            truth: (2n+2,) likewise, the plant's own state.
-            control: (13,) for a double pendulum on a cart: the row of `layout.control_fields`.
-
-        Raises:
-            ValueError: an array of another length, a time before the last, or a part in some ticks only.
-            InputError: the file cannot be written.
-        """
-        self._buffer.put(time_s, measured, (rates, estimate, reference, truth, control))
-        if self._buffer.full:
-            self._write_chunk()
-
     def ticks(
         self,
         time_s: ArrayLike,
@@ -347,14 +277,37 @@ class LogWriter:
         truth: Row | None = None,
         control: Row | None = None,
     ) -> None:
-        """Log K periods at once, for loops that run as compiled code: arguments as in `tick`, with K rows each."""
+        """Log K periods of the loop; all but `measured` in every tick of a log or in none.
+
+        Args:
+            time_s: (K,) times since the start in s, none before that of the last tick.
+            measured: (K, n+1) positions as the sensors gave them: rad, and m for the cart.
+            rates: (K, n+1) rates as the sensors gave them, rad/s and m/s, where they give any.
+            estimate: (K, 2n+2) in state order: rad, rad/s, m, m/s.
+            reference: (K, 2n+2) likewise.
+            truth: (K, 2n+2) likewise, the plant's own states.
+            control: (K, 13) for a double pendulum on a cart: rows of `layout.control_fields`.
+
+        Raises:
+            ValueError: rows of another shape, times that decrease, or a part in some ticks only.
+            InputError: the file cannot be written.
+        """
         times = np.asarray(time_s, float)
-        pairs = self._buffer.checked(times, measured, (rates, estimate, reference, truth, control))
+        rows = self._buffer.checked(
+            times,
+            {"measured": measured, "rates": rates, "estimate": estimate, "reference": reference, "truth": truth,
+             "control": control},
+        )  # fmt: skip
         done = 0
         while done < len(times):
-            done += self._buffer.put_rows(times, pairs, since=done)
+            done += self._buffer.put(times, rows, since=done)
             if self._buffer.full:
                 self._write_chunk()
+
+    def tick(self, time_s: float, *, measured: Row, **parts: Row | None) -> None:
+        """Log one period: arguments as in `ticks`, one row each."""
+        rows = {name: None if row is None else row[None] for name, row in parts.items()}
+        self.ticks([time_s], measured=measured[None], **rows)
 
     def result(self, **values: str) -> None:
         """Note how the run went, as metadata at the end of the log: what need not be the same when it is repeated."""

@@ -3,8 +3,6 @@
 Plant, filter and prediction are the loop's machine code, called for one tick of all runs at once; what lies between is
 the same arithmetic in the same order, on arrays (…, S). A run comes out as the loop gives it, to 1e-9: code for one and
 for many differs in the last bit. No events are kept; what only the loop can do is left to it (`can_batch`).
-
-The simulated bench for many runs in lockstep: the arithmetic of `SimulatedRig`, in its order, on arrays (…, S).
 """
 
 import math
@@ -26,7 +24,7 @@ from dpcontrol.dynamics.ratios import Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.batch_watch import BatchPath, BatchWatch
 from dpcontrol.loop.bench import BenchSettings
-from dpcontrol.loop.draw import BenchDraw, draw_bench
+from dpcontrol.loop.draw import BenchDraw
 from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.result import Ending, LoopResult
 from dpcontrol.loop.simulated import SimulatedPlant
@@ -36,7 +34,7 @@ Array = NDArray[np.float64]
 
 
 class BatchBench:
-    """Plants, sensors and drives of S runs with the same settings.
+    """Plants, sensors and drives of S runs with the same settings: what `SimulatedRig` computes, in its order.
 
     draws: one for each run; start (2n+2,): the nominal first state; queued: commands on their way, oldest first, each a
     number or (S,).
@@ -278,19 +276,14 @@ class _Lockstep:
         limits: Limits,
         uncertainty: Uncertainty | None,
     ) -> None:
-        self.settings, self.controller, self.limits = settings, controller, limits
         self.period, self.runs, self.count = 1 / settings.rate, len(lanes), controller.ticks + 1
         self.arms = arms = parameters.count
         session: ManySession = _many(controller)(self.runs)
         self.session = session
         draws = [
-            draw_bench(
-                parameters, settings.bench, seed=seed, ticks=self.count, period=self.period,
-                mismatch=mismatch, model_uncertainty=settings.model_uncertainty, uncertainty=uncertainty,
-                initial_error=settings.initial_error,
-            )
+            settings.draw(parameters, ticks=self.count, uncertainty=uncertainty, seed=seed, mismatch=mismatch)
             for seed, mismatch in lanes
-        ]  # fmt: skip
+        ]
         program = EkfProgram(sampled_model(parameters, settings.rate), settings.estimator)
         self.program = program
         self.inputs = program.inputs(settings.sensors.covariance(arms), runs=self.runs)

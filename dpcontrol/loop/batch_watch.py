@@ -85,10 +85,6 @@ class BatchStuck:
         return out
 
 
-_NEARLY = 1 - 1e-9
-"""Sums of the same numbers in another order may differ by their round-off."""
-
-
 class BatchPath:
     """The commands on their way in S runs; see `CommandPath`."""
 
@@ -201,7 +197,7 @@ class BatchWatch:
         bad = (
             ~(mean_nis <= one.settings.lost_estimate) | ~np.isfinite(error) | (mean_error > one.settings.lost_tracking)
         )
-        bad |= np.maximum(self._rest(position, velocity), self._rest(position, sent)) >= one.travel
+        bad |= np.maximum(one.stopping_point(position, velocity), one.stopping_point(position, sent)) >= one.travel
         bad |= switch
         bad[list(stuck)] = True
         if self._going is not None:
@@ -214,17 +210,14 @@ class BatchWatch:
             supervisor.error, supervisor.nis = float(before[0][lane]), float(before[1][lane])
             supervisor.restarts = int(self._restarts[lane])
             now = k * self._period
-            outcome, ending, why = supervisor.judge(
+            verdict = supervisor.judge(
                 now, error=float(error[lane]), nis=float(nis[lane]), used=int(used[lane]),
                 position=float(position[lane]), velocity=float(velocity[lane]), sent=float(sent[lane]),
             )  # fmt: skip
             self._nis[lane], self._restarts[lane] = supervisor.nis, supervisor.restarts
-            if lane in stuck and outcome is not Outcome.STOP:
-                outcome, ending = Outcome.STOP, Ending.ESTIMATE_LOST
-                why = f"estimate lost at t = {now:.3f} s: {stuck[int(lane)]}; check its cable and its head"
-            if outcome is Outcome.CONTINUE and switch[lane]:
-                outcome, ending = Outcome.STOP, Ending.CART_STOP
-                why = f"cart at its stop at t = {now:.3f} s: a limit switch answered; allow more travel"
+            outcome, ending, why = supervisor.overruled(
+                verdict, now, stuck=stuck.get(int(lane), ""), switch=bool(switch[lane])
+            )
             if outcome is Outcome.RESTART:
                 restarted.append(int(lane))
             elif outcome is Outcome.STOP:
@@ -247,10 +240,8 @@ class BatchWatch:
         if not (most(nis) <= one.settings.lost_estimate and most(error) <= one.settings.lost_tracking):
             return False
         fastest = max(most(np.abs(velocity)), most(np.abs(sent)))
-        farthest = most(np.abs(position)) + fastest * one.reaction + fastest * fastest / one.brake + one.settings.margin
-        return bool(
-            farthest < one.travel * _NEARLY and not (switch if self._going is None else switch & self._going).any()
-        )
+        switched = switch if self._going is None else switch & self._going
+        return one.far_from_ends(float(most(np.abs(position))), fastest) and not switched.any()
 
     def _most(self, values: Array) -> float:
         """Return the greatest of values (S,) among the runs that are judged."""
@@ -262,12 +253,6 @@ class BatchWatch:
         """Note which runs are judged, and whether any is being brought to rest: some runs have just changed."""
         self._going = self._alive & ~self.braking
         self.any_braking = bool((self._alive & self.braking).any())
-
-    def _rest(self, position: Array, velocity: Array) -> Array:
-        """Return where the carts come to rest, as `Supervisor.stopping_point` does."""
-        one = self._one
-        side = np.copysign(1.0, velocity)
-        return side * (position + velocity * one.reaction) + velocity * velocity / one.brake + one.settings.margin
 
     def brake(self, k: int, velocity: Array) -> None:
         """Note which carts still move by the commands sent, `velocity` (S,) m/s, before tick k's."""

@@ -305,20 +305,17 @@ class ControlLoop:
                 error = away
         path, supervisor = self.path, self.supervisor
         sent = path.velocity
-        outcome, ending, why = supervisor.judge(
+        verdict = supervisor.judge(
             now, error=error, nis=nis, used=estimate.used, position=expected[-2], velocity=expected[-1], sent=sent
         )
+        stuck = ""
         if reading.present is None:
             stuck = self._sensors.seen(reading.positions.tolist(), due, sent, supervisor.nis)
-            if stuck and outcome is not Outcome.STOP:
-                # A restart does not help against that.
-                outcome, ending = Outcome.STOP, Ending.ESTIMATE_LOST
-                why = f"estimate lost at t = {now:.3f} s: {stuck}; check its cable and its head"
+        if stuck or reading.switch:
+            verdict = supervisor.overruled(verdict, now, stuck=stuck, switch=bool(reading.switch))
+        outcome, ending, why = verdict
         if outcome is _GO_ON:
-            if not reading.switch:
-                return action, wanted, estimate
-            outcome, ending = Outcome.STOP, Ending.CART_STOP
-            why = f"cart at its stop at t = {now:.3f} s: a limit switch answered; allow more travel"
+            return action, wanted, estimate
         self._event(now, "warn", outcome.value, why)
         if outcome is Outcome.RESTART:
             return action, wanted, self.estimator.restarted(estimate, reading.positions)

@@ -5,6 +5,7 @@ nominal limits and delay, and nothing of what was drawn.
 """
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.loop.bench import BenchSettings, DisturbanceSettings, DriveSettings, SensorSettings
 from dpcontrol.loop.control_loop import CommandPath, ControlLoop, Fallback
 from dpcontrol.loop.controllers import KEEPERS, ControllerSettings, make_controller, nearest_keeper
-from dpcontrol.loop.draw import draw_bench
+from dpcontrol.loop.draw import BenchDraw, draw_bench
 from dpcontrol.loop.result import LoopResult, LoopSink, NoSink
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.loop.supervisor import Supervisor, SupervisorSettings
@@ -68,6 +69,25 @@ class LoopSettings(Settings, table="run"):
     def bench(self) -> BenchSettings:
         """What stands between the model and the world."""
         return BenchSettings(self.sensors, self.drive, self.disturbances)
+
+    def draw(
+        self,
+        arms: ArmChainParameters,
+        *,
+        ticks: int,
+        uncertainty: Uncertainty | None = None,
+        plant: ArmChainParameters | None = None,
+        **instead: Any,
+    ) -> BenchDraw:
+        """Return what is drawn for a run of `ticks` ticks with these arms as the model; see `draw_bench`.
+
+        instead: seed or mismatch in place of the settings' own.
+        """
+        given = {"seed": self.seed, "mismatch": self.mismatch, **instead}
+        return draw_bench(
+            arms, self.bench, ticks=ticks, period=1 / self.rate, model_uncertainty=self.model_uncertainty,
+            uncertainty=uncertainty, initial_error=self.initial_error, plant=plant, **given,
+        )  # fmt: skip
 
     def limits(self, reference: Reference) -> Limits:
         """Return the cart's limits in this run: the reference's, with this travel where it is given."""
@@ -176,14 +196,10 @@ def run_loop(
         controller = loop_controller(reference, parameters, settings)
     if fallback is None:
         fallback = loop_fallback(reference, parameters, settings)
-    period, limits, first = 1 / settings.rate, settings.limits(reference), controller.first_state
+    limits, first = settings.limits(reference), controller.first_state
     if len(first) != 2 * parameters.count + 2:
         raise InputError(f"the controller is for states of {len(first)} entries, these arms have {parameters.count}")
-    draw = draw_bench(
-        parameters, settings.bench, seed=settings.seed, ticks=controller.ticks + 1, period=period,
-        mismatch=settings.mismatch, model_uncertainty=settings.model_uncertainty, uncertainty=uncertainty,
-        initial_error=settings.initial_error, plant=plant,
-    )  # fmt: skip
+    draw = settings.draw(parameters, ticks=controller.ticks + 1, uncertainty=uncertainty, plant=plant)
     loop = control_loop(
         parameters, settings, controller, limits=limits, rate_noise=draw.rate_noise, sink=sink, fallback=fallback,
         progress=progress,

@@ -9,17 +9,14 @@ What makes a simulated bench anew for each run that is made on it over UDP.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.plant import PlantParameters, after_blow, longest_step, plant_step
-from dpcontrol.dynamics.ratios import Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.bench import BenchSettings, Encoders
-from dpcontrol.loop.draw import BenchDraw, draw_bench
+from dpcontrol.loop.draw import BenchDraw
 from dpcontrol.loop.rig import Reading
 from dpcontrol.references.problem import Limits
 
@@ -276,36 +273,3 @@ class SimulatedRig:
         if self._braking:
             return self._drive.braking(velocity, duration)
         return self._drive.acting(demand, velocity, duration)
-
-
-@dataclass(frozen=True, eq=False)
-class BenchRecipe:
-    """What makes a simulated bench: the model's arms, what the bench adds, what is drawn; start (2n+2,), ticks."""
-
-    parameters: ArmChainParameters
-    settings: BenchSettings
-    limits: Limits
-    start: Array
-    ticks: int
-    period: float
-    seed: int
-    mismatch: float = 0.0
-    model_uncertainty: float = 0.0
-    uncertainty: Uncertainty | None = None
-    initial_error: float = 0.0
-
-    def rig(self, queued: Sequence[float]) -> SimulatedRig:
-        """Return a bench at its start, with the commands (m/s²) on their way, oldest first."""
-        draw = draw_bench(
-            self.parameters, self.settings, seed=self.seed, ticks=self.ticks, period=self.period,
-            mismatch=self.mismatch, model_uncertainty=self.model_uncertainty, uncertainty=self.uncertainty,
-            initial_error=self.initial_error,
-        )  # fmt: skip
-        return SimulatedRig(draw, self.settings, limits=self.limits, start=self.start, queued=queued)
-
-    def rehearse(self) -> None:
-        """Have everything compiled and in memory before the first run."""
-        rig = self.rig(())
-        for _ in range(min(self.ticks, 100)):
-            rig.read()
-            rig.command(0.0)

@@ -22,6 +22,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Any
+
+import numpy as np
 
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.loop.result import Ending
@@ -72,6 +75,10 @@ LOST_AFTER_FALLBACK = 1.5
 """rad: from which what was fallen back to is lost as well, where less than that loses the reference."""
 
 
+Judgement = tuple[Outcome, Ending, str]
+"""What to do, the run's ending if it is to stop, and why."""
+
+
 @dataclass
 class Supervisor:
     """Watches one run. travel m, acceleration m/s²: the cart's limits; reaction s: until a command acts."""
@@ -94,17 +101,22 @@ class Supervisor:
         self.lost = self.settings.lost_tracking
         self.brake = 2 * self.settings.braking * self.acceleration
 
-    def stopping_point(self, position: float, velocity: float) -> float:
+    def stopping_point(self, position: Any, velocity: Any) -> Any:
         """Return where the cart comes to rest if it brakes now: m from the centre, in the direction of its motion.
 
-        Negative on the side that it comes from; the margin is added.
+        Of one run or, as arrays, of many. Negative on the side that it comes from; the margin is added.
         """
-        side = math.copysign(1.0, velocity)
+        side = np.copysign(1.0, velocity)
         return side * (position + velocity * self.reaction) + velocity * velocity / self.brake + self.settings.margin
+
+    def far_from_ends(self, distance: float, speed: float) -> bool:
+        """Tell whether a cart so far (m) from the centre and so fast (m/s) stops well inside, whichever way it goes."""
+        reach = distance + speed * self.reaction + speed * speed / self.brake + self.settings.margin
+        return reach < _NEARLY * self.travel
 
     def judge(
         self, now: float, *, error: float, nis: float, used: int, position: float, velocity: float, sent: float = 0.0
-    ) -> tuple[Outcome, Ending, str]:
+    ) -> Judgement:
         """Return what to do, the run's ending if it is to stop, and why.
 
         error rad: largest distance of an angle from the reference; nis over `used` positions, of this tick; position m
@@ -122,30 +134,19 @@ class Supervisor:
         if not self.nis <= s.lost_estimate or not math.isfinite(error):
             return self._estimate(now)
         if self.silent > s.missing:
-            return (
-                Outcome.STOP,
-                Ending.ESTIMATE_LOST,
-                (
-                    f"estimate lost at t = {now:.3f} s: no measurement for {self.silent:.3f} s; "
-                    "check the encoders' cables"
-                ),
-            )
+            why = f"no measurement for {self.silent:.3f} s; check the encoders' cables"
+            return Outcome.STOP, Ending.ESTIMATE_LOST, f"estimate lost at t = {now:.3f} s: {why}"
         # At its fastest on the worse side first: mostly that is far from the track's end already.
-        v = max(abs(velocity), abs(sent))
-        farthest = abs(position) + v * self.reaction + v * v / self.brake + s.margin
-        if farthest >= _NEARLY * self.travel:
+        if not self.far_from_ends(abs(position), max(abs(velocity), abs(sent))):
             farthest = self.stopping_point(position, velocity)
             if sent:
                 farthest = max(farthest, self.stopping_point(position, sent))
-        if farthest >= self.travel:
-            return (
-                Outcome.STOP,
-                Ending.CART_STOP,
-                (
-                    f"cart at its stop at t = {now:.3f} s: at {position:.3f} m with {velocity:.2f} m/s "
-                    "it must brake now to stay on the track; weigh its position more, or allow more travel"
-                ),
-            )
+            if farthest >= self.travel:
+                why = (
+                    f"at {position:.3f} m with {velocity:.2f} m/s it must brake now to stay on the track; weigh its "
+                    "position more, or allow more travel"
+                )
+                return Outcome.STOP, Ending.CART_STOP, f"cart at its stop at t = {now:.3f} s: {why}"
         if self.error > self.lost:
             reason = f"tracking lost at t = {now:.3f} s: an angle has stayed {self.error:.2g} rad from the reference"
             if self.can_hold:
@@ -158,20 +159,26 @@ class Supervisor:
             return Outcome.RESYNCHRONISE, Ending.TRACKING_LOST, f"an angle is {self.error:.2g} rad from the reference"
         return Outcome.CONTINUE, Ending.FINISHED, ""
 
-    def _estimate(self, now: float) -> tuple[Outcome, Ending, str]:
+    def _estimate(self, now: float) -> Judgement:
         shown = f"mean NIS {self.nis:.3g} for each position" if math.isfinite(self.nis) else "it is no longer finite"
         if self.restarts < self.settings.restarts:
             self.restarts += 1
             self.nis = 0.0
             return Outcome.RESTART, Ending.ESTIMATE_LOST, f"{shown}: the estimator starts anew from the encoders"
-        return (
-            Outcome.STOP,
-            Ending.ESTIMATE_LOST,
-            (
-                f"estimate lost at t = {now:.3f} s: {shown} where 1 or so is expected; "
-                "check the encoders and the model's parameters, or assume more noise"
-            ),
-        )
+        why = f"{shown} where 1 or so is expected; check the encoders and the model's parameters, or assume more noise"
+        return Outcome.STOP, Ending.ESTIMATE_LOST, f"estimate lost at t = {now:.3f} s: {why}"
+
+    @staticmethod
+    def overruled(verdict: Judgement, now: float, *, stuck: str, switch: bool) -> Judgement:
+        """Return a verdict, or the stop of a run whose sensor is stuck (a sentence) or whose limit switch answered."""
+        if stuck and verdict[0] is not Outcome.STOP:
+            # A restart does not help against that.
+            why = f"estimate lost at t = {now:.3f} s: {stuck}; check its cable and its head"
+            return Outcome.STOP, Ending.ESTIMATE_LOST, why
+        if switch and verdict[0] is Outcome.CONTINUE:
+            why = f"cart at its stop at t = {now:.3f} s: a limit switch answered; allow more travel"
+            return Outcome.STOP, Ending.CART_STOP, why
+        return verdict
 
 
 _STILL = 0.015

@@ -49,7 +49,7 @@ LIMIT_UNITS = {name: bounds.unit for name, bounds in bounds_of(Limits).items()}
 
 
 @dataclass(frozen=True, eq=False)
-class Ends(Settings, table="ends"):
+class EndConditions(Settings, table="ends"):
     """What holds at the ends of a reference.
 
     start, end (N,): where it starts and ends, not-a-number for what is free; None: the guess's pendulum state with the
@@ -88,7 +88,7 @@ class ReferenceProblem:
     guess: Guess
     duration: float
     limits: Limits = field(default_factory=Limits)
-    ends: Ends = field(default_factory=Ends)
+    ends: EndConditions = field(default_factory=EndConditions)
     cart_guess: Guess | None = None
 
     def __post_init__(self) -> None:

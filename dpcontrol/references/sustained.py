@@ -42,7 +42,7 @@ from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import gauss
-from dpcontrol.references.problem import Ends, Limits, ReferenceProblem, ReferenceSettings, state_scale
+from dpcontrol.references.problem import EndConditions, Limits, ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.reference import Reference
 
 Array = NDArray[np.float64]
@@ -346,7 +346,7 @@ def sustained_orbit(
         guess=lambda times: curve.states(np.asarray(times) / lyapunov.period),
         duration=lyapunov.period,
         limits=settings.limits,
-        ends=Ends(start=start, closing=np.zeros(2 * n + 2), energy=lyapunov.energy, stretch=STRETCH),
+        ends=EndConditions(start=start, closing=np.zeros(2 * n + 2), energy=lyapunov.energy, stretch=STRETCH),
     )
     reference = find_reference(problem, settings.reference, progress=progress)
     if reference.converged and abs(reference.duration / lyapunov.period - 1) > 0.999 * STRETCH:

@@ -21,7 +21,7 @@ from dpcontrol.references.find import find_reference, wanting
 from dpcontrol.references.method import Method, method_named
 from dpcontrol.references.problem import (
     LIMIT_UNITS,
-    Ends,
+    EndConditions,
     Guess,
     Limits,
     ReferenceProblem,
@@ -124,7 +124,7 @@ def _try(
         guess=smooth_guess(start[:nz], end[:nz], duration),
         duration=duration,
         limits=limits,
-        ends=Ends(start=start, end=end),
+        ends=EndConditions(start=start, end=end),
     )
     mesh = np.linspace(0.0, duration, int(np.ceil(duration / transfer.interval)) + 1)
     return problem, first_trajectory(problem, method, mesh)

@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from dpcontrol.identification.design import Design
-from dpcontrol.identification.identify import Identification, Profile
+from dpcontrol.identification.identify import Identification, LossProfile
 from dpcontrol.review.panel_frame import new_figure, quiet
 
 Array = NDArray[np.float64]
@@ -15,7 +15,7 @@ _USED, _LEFT, _BEFORE, _LINE = "#9aa4b1", "#d1662a", "#404751", "#2f6fb0"
 _PER_ROW = 6
 
 
-def draw_identification(found: Identification, curves: tuple[Profile, ...], *, title: str) -> Figure:
+def draw_identification(found: Identification, curves: tuple[LossProfile, ...], *, title: str) -> Figure:
     """Return the page as a figure."""
     rows = int(np.ceil(len(curves) / _PER_ROW))
     figure = new_figure(16.0, 7.6 + 2.1 * rows, title)
@@ -84,7 +84,7 @@ def _correlation(axes: Axes, found: Identification, figure: Figure) -> None:
     figure.colorbar(image, ax=axes, shrink=0.8).ax.tick_params(labelsize=7)
 
 
-def _profile(axes: Axes, curve: Profile, *, first: bool) -> None:
+def _profile(axes: Axes, curve: LossProfile, *, first: bool) -> None:
     order = np.argsort(np.append(curve.values, curve.best))
     values = np.append(curve.values, curve.best)[order]
     spread = curve.error if np.isfinite(curve.error) and curve.error > 0 else 1.0

@@ -23,10 +23,17 @@ from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.dynamics.ratios import Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.rig import Rig
-from dpcontrol.loop.simulated import BenchRecipe
+from dpcontrol.loop.simulated import SimulatedRig
+from dpcontrol.references.problem import Limits
 from dpcontrol.rig import packets as packets
 from dpcontrol.rig.client import real_time_priority, without_collecting
 from dpcontrol.rig.packets import CommandPacket, Condition, Hello, Kind, ReadingPacket, Welcome
@@ -104,14 +111,14 @@ class UdpBench:
                     self._say(f"a run begins for {sender[0]}:{sender[1]}")
                     rig = self._make(content.queued)
                     with without_collecting(), real_time_priority() if self._settings.real_time else nullcontext():
-                        run = _Run(self._socket, sender, rig, self._arms, self._ticks, self._settings)
+                        run = _BenchRun(self._socket, sender, rig, self._arms, self._ticks, self._settings)
                         ended = run.go()
                     self._say(f"run ended: {ended}; {run.sentence}")
                     served += 1
                     break
 
 
-class _Run:
+class _BenchRun:
     """One run of the bench for one loop."""
 
     def __init__(
@@ -269,6 +276,30 @@ def _received(sock: socket.socket) -> list[tuple[Kind, packets.Packet, Any]]:
 _START = 120.0
 """Seconds for the process to load and compile."""
 _END = 5.0
+
+
+@dataclass(frozen=True, eq=False)
+class BenchRecipe:
+    """What makes a simulated bench anew for each run: the model's arms, what is drawn; start (2n+2,), ticks."""
+
+    parameters: ArmChainParameters
+    settings: LoopSettings
+    limits: Limits
+    start: NDArray[np.float64]
+    ticks: int
+    uncertainty: Uncertainty | None = None
+
+    def rig(self, queued: Sequence[float]) -> SimulatedRig:
+        """Return a bench at its start, with the commands (m/s²) on their way, oldest first."""
+        draw = self.settings.draw(self.parameters, ticks=self.ticks, uncertainty=self.uncertainty)
+        return SimulatedRig(draw, self.settings.bench, limits=self.limits, start=self.start, queued=queued)
+
+    def rehearse(self) -> None:
+        """Have everything compiled and in memory before the first run."""
+        rig = self.rig(())
+        for _ in range(min(self.ticks, 100)):
+            rig.read()
+            rig.command(0.0)
 
 
 def _serve(recipe: BenchRecipe, settings: BenchServerSettings, pipe: Connection) -> None:

@@ -21,7 +21,7 @@ from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.references.find import find_reference
-from dpcontrol.references.problem import Ends
+from dpcontrol.references.problem import EndConditions
 from dpcontrol.references.reference import Reference, joined
 from dpcontrol.references.sustained import SustainedOrbit, SustainedSettings, sustained_orbit
 from dpcontrol.scenes.itinerary import Itinerary, WalkPart
@@ -136,7 +136,7 @@ def _flown(
     rows = zip(flight.ends, (goal.start, goal.end), strict=True)
     start, end = (_on_turns(orbits[which.saddle], state + turned) for which, state in rows)
     problem = cart_problem(
-        itinerary, lambda times: sample(times + goal.begin) + turned, goal.seconds, Ends(start=start, end=end)
+        itinerary, lambda times: sample(times + goal.begin) + turned, goal.seconds, EndConditions(start=start, end=end)
     )
     found = find_reference(problem, itinerary.reference, progress=progress)
     text = ", ".join(goal.symbols)

@@ -18,7 +18,7 @@ from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.references.find import find_reference, shadowed
 from dpcontrol.references.method import method_named
-from dpcontrol.references.problem import Ends, Guess, ReferenceProblem
+from dpcontrol.references.problem import EndConditions, Guess, ReferenceProblem
 from dpcontrol.references.reference import Reference, still
 from dpcontrol.references.transfer import find_transfer
 from dpcontrol.scenes.itinerary import Itinerary
@@ -126,7 +126,7 @@ def solve_pieces(itinerary: Itinerary, goals: Sequence[Goal], *, progress: Progr
     return pieces
 
 
-def cart_problem(itinerary: Itinerary, guess: Guess, duration: float, ends: Ends) -> ReferenceProblem:
+def cart_problem(itinerary: Itinerary, guess: Guess, duration: float, ends: EndConditions) -> ReferenceProblem:
     """Return the problem of following a guess for `duration` s with the itinerary's arms, within its limits."""
     return ReferenceProblem(
         equations=equations_of(itinerary.model.arms, Level.CART),
@@ -150,7 +150,7 @@ def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress) -> P
         )
         return Piece("hold", goal.text, goal, lift, piece)
     sample = goal.shadowing.sample
-    problem = cart_problem(itinerary, lambda times: sample(times + goal.begin) + turned, goal.seconds, Ends())
+    problem = cart_problem(itinerary, lambda times: sample(times + goal.begin) + turned, goal.seconds, EndConditions())
     if settings.level == "conservative":
         free = itinerary.model.arms.frictionless()
         conservative = replace(problem, equations=equations_of(free, Level.CART), parameters=free.base())
@@ -224,7 +224,9 @@ def _blend(
     end = after.sample(np.array([0.0]))[0]
     start = before.sample(np.array([before.duration]))[0]
     shift = [np.concatenate([turned, np.zeros(n)]) for turned in (lift, onward)]
-    ends = Ends(start=np.concatenate([start + shift[0], [0.0, 0.0]]), end=np.concatenate([end + shift[1], [0.0, 0.0]]))
+    ends = EndConditions(
+        start=np.concatenate([start + shift[0], [0.0, 0.0]]), end=np.concatenate([end + shift[1], [0.0, 0.0]])
+    )
     found = find_reference(cart_problem(itinerary, guess, duration, ends), itinerary.reference, progress=progress)
     if found.converged:
         return found

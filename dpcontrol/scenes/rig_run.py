@@ -14,9 +14,8 @@ from dpcontrol.logs import read_log
 from dpcontrol.loop.control_loop import ControlLoop
 from dpcontrol.loop.loop import control_loop, loop_controller, loop_fallback
 from dpcontrol.loop.result import LogSink, LoopResult
-from dpcontrol.loop.simulated import BenchRecipe
 from dpcontrol.review.score import Score, score
-from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
+from dpcontrol.rig.bench import BenchProcess, BenchRecipe, BenchServerSettings
 from dpcontrol.rig.client import Deadlines, UdpRig, parse_address, real_time_priority, without_collecting
 from dpcontrol.scenes.plan import Plan
 from dpcontrol.scenes.run import followed, log_writer
@@ -51,10 +50,8 @@ def bench_recipe(plan: Plan, controller: Controller | None = None) -> BenchRecip
     loop = itinerary.loop
     controller = controller or loop_controller(reference, itinerary.model.arms, loop)
     return BenchRecipe(
-        itinerary.model.arms, loop.bench, loop.limits(reference), controller.first_state,
-        ticks=controller.ticks + round(_SPARE * loop.rate) + 1, period=1 / loop.rate, seed=loop.seed,
-        mismatch=loop.mismatch, model_uncertainty=loop.model_uncertainty, uncertainty=itinerary.uncertainty,
-        initial_error=loop.initial_error,
+        itinerary.model.arms, loop, loop.limits(reference), controller.first_state,
+        ticks=controller.ticks + round(_SPARE * loop.rate) + 1, uncertainty=itinerary.uncertainty,
     )  # fmt: skip
 
 

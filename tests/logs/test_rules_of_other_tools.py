@@ -7,11 +7,13 @@ URDF specification, joint: coordinates of continuous joints in rad about the axi
 mimic joint has multiplier · coordinate + offset. Foxglove's 3D panel and robot_state_publisher place links so.
 """
 
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from log_samples import sample, write_sample
+from mcap.reader import make_reader
 from mcap_ros2.reader import read_ros2_messages
 from scipy.spatial.transform import Rotation
 
@@ -44,6 +46,21 @@ def test_joint_states_obey_the_messages_own_rules(messages: Messages) -> None:
             assert len(joints.velocity) in (0, len(joints.name))
             assert len(joints.effort) == 0
             assert joints.header.stamp.sec * 10**9 + joints.header.stamp.nanosec == time
+
+
+def test_descriptions_offer_a_complete_quality_of_service(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    write_sample(path, sample(TICKS))
+    with path.open("rb") as stream:
+        channels = make_reader(stream).get_summary().channels.values()
+    profiles = [channel.metadata["offered_qos_profiles"] for channel in channels if "description" in channel.topic]
+    assert len(profiles) == 2
+    policies = [line[2:].partition(":")[0] for line in profiles[0].splitlines() if not line.startswith("    ")]
+    # rosbags 0.11 reads each of these, and refuses the log where one is missing.
+    assert policies == [
+        "history", "depth", "reliability", "durability", "deadline", "lifespan", "liveliness",
+        "liveliness_lease_duration", "avoid_ros_namespace_conventions",
+    ]  # fmt: skip
 
 
 def test_plotjuggler_makes_a_series_of_every_joint(messages: Messages) -> None:

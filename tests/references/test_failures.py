@@ -13,7 +13,7 @@ from dpcontrol.dynamics.propagator import Propagator
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.find import FARTHEST, find_reference, friction_parameters, raise_friction
 from dpcontrol.references.method import method_named
-from dpcontrol.references.problem import Ends, Guess, Limits, ReferenceProblem, ReferenceSettings
+from dpcontrol.references.problem import EndConditions, Guess, Limits, ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference
 from dpcontrol.references.trajectory import away_from_guess, first_trajectory
 from dpcontrol.references.transcription import solve
@@ -132,10 +132,10 @@ def test_a_dwell_integrated_instead_of_tiled_is_noticed_by_where_it_ends() -> No
     states = Propagator(equations, LAB.base()).sample(DOWN_UP_LOW.state, times)
     integrated = CubicHermiteSpline(times, states, NumericEquations(equations, LAB.base()).rate(states))
     onward = np.array([*DOWN_UP_LOW.state, 0.0, 0.0])
-    problem = replace(problem_of(integrated, wobbles), ends=Ends(start=onward, end=onward))
+    problem = replace(problem_of(integrated, wobbles), ends=EndConditions(start=onward, end=onward))
     with pytest.raises(InputError, match=r"the guess ends .* tile one period"):
         find_reference(problem, QUICK)
-    closed = replace(problem, ends=Ends(closing=np.zeros(6)))
+    closed = replace(problem, ends=EndConditions(closing=np.zeros(6)))
     with pytest.raises(InputError, match=r"the guess closes .* tile one period"):
         find_reference(closed, QUICK)
     single = orbit_stretch(DOWN_UP_LOW.period)

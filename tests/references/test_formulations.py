@@ -12,7 +12,7 @@ from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
-from dpcontrol.references.problem import Ends, Limits, ReferenceProblem, ReferenceSettings
+from dpcontrol.references.problem import EndConditions, Limits, ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference
 from dpcontrol.references.trajectory import first_trajectory
 from dpcontrol.references.transcription import solve
@@ -25,10 +25,12 @@ SECONDS = 0.5
 QUICK = ReferenceSettings(method="radau-7", interval=0.05)
 
 
-def swing(limits: Limits | None = None, ends: Ends | None = None, seconds: float = SECONDS) -> ReferenceProblem:
+def swing(
+    limits: Limits | None = None, ends: EndConditions | None = None, seconds: float = SECONDS
+) -> ReferenceProblem:
     equations = arm_chain_equations(2, Level.CART)
     return ReferenceProblem(
-        equations, LAB.base(), orbit_stretch(seconds).guess, seconds, limits or Limits(), ends or Ends()
+        equations, LAB.base(), orbit_stretch(seconds).guess, seconds, limits or Limits(), ends or EndConditions()
     )
 
 
@@ -55,7 +57,7 @@ def test_a_jerk_limit_holds_between_the_nodes_and_makes_the_input_continuous() -
 
 def test_a_free_duration_saves_effort_within_the_stretch_allowed() -> None:
     fixed = find_reference(swing(), QUICK)
-    freed = find_reference(swing(ends=Ends(stretch=0.2)), QUICK)
+    freed = find_reference(swing(ends=EndConditions(stretch=0.2)), QUICK)
     assert freed.converged, freed.status
     assert abs(freed.duration / SECONDS - 1) <= 0.2 + LIMIT
     assert freed.duration != pytest.approx(SECONDS, rel=1e-4)
@@ -64,7 +66,7 @@ def test_a_free_duration_saves_effort_within_the_stretch_allowed() -> None:
     assert freed.state(freed.duration)[:4] == pytest.approx(given[1], abs=EXACT)
     # The same duration, fixed, is the same optimum.
     again = replace(
-        swing(ends=Ends(start=np.array([*given[0], 0, 0]), end=np.array([*given[1], 0, 0]))),
+        swing(ends=EndConditions(start=np.array([*given[0], 0, 0]), end=np.array([*given[1], 0, 0]))),
         duration=freed.duration,
         guess=lambda t: orbit_stretch(SECONDS).guess(np.asarray(t) * SECONDS / freed.duration),
     )
@@ -72,7 +74,7 @@ def test_a_free_duration_saves_effort_within_the_stretch_allowed() -> None:
 
 
 def test_a_closed_orbit_ends_where_it_starts_at_the_energy_asked_for() -> None:
-    problem = swing(ends=Ends(closing=np.zeros(6), energy=-0.07, stretch=0.1), seconds=DOWN_UP_LOW.period)
+    problem = swing(ends=EndConditions(closing=np.zeros(6), energy=-0.07, stretch=0.1), seconds=DOWN_UP_LOW.period)
     found = find_reference(problem, replace(QUICK, pendulum_weight=0.01))
     assert found.converged, found.status
     first, last = found.state(0.0), found.state(found.duration)
@@ -86,14 +88,14 @@ def test_a_closed_orbit_ends_where_it_starts_at_the_energy_asked_for() -> None:
 @pytest.mark.parametrize(
     ("name", "limits", "ends"),
     [
-        ("radau-5", Limits(), Ends(stretch=0.1)),
-        ("radau-5", Limits(), Ends(closing=np.zeros(6))),
-        ("radau-5", Limits(jerk=100.0), Ends()),
-        ("lobatto-4", Limits(), Ends()),
-        ("hermite-simpson", Limits(), Ends()),
+        ("radau-5", Limits(), EndConditions(stretch=0.1)),
+        ("radau-5", Limits(), EndConditions(closing=np.zeros(6))),
+        ("radau-5", Limits(jerk=100.0), EndConditions()),
+        ("lobatto-4", Limits(), EndConditions()),
+        ("hermite-simpson", Limits(), EndConditions()),
     ],
 )
-def test_fatrop_refuses_what_couples_its_stages(name: str, limits: Limits, ends: Ends) -> None:
+def test_fatrop_refuses_what_couples_its_stages(name: str, limits: Limits, ends: EndConditions) -> None:
     with pytest.raises(InputError, match=r'fatrop.*use "ipopt"'):
         find_reference(swing(limits, ends, DOWN_UP_LOW.period), replace(QUICK, method=name, solver="fatrop"))
 

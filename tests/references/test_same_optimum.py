@@ -12,7 +12,7 @@ from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import Method, interpolation_matrix, method_named
-from dpcontrol.references.problem import Ends, Limits, ReferenceProblem, ReferenceSettings, state_scale
+from dpcontrol.references.problem import EndConditions, Limits, ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.trajectory import Solved, first_trajectory
 from dpcontrol.references.transcription import solve
 
@@ -96,13 +96,13 @@ def test_shooting_agrees_where_a_limit_binds() -> None:
 @pytest.mark.parametrize(
     ("limits", "ends"),
     [
-        (Limits(jerk=100.0), Ends()),
-        (Limits(), Ends(stretch=0.1)),
-        (Limits(), Ends(closing=np.zeros(6))),
-        (Limits(), Ends(energy=-0.07)),
+        (Limits(jerk=100.0), EndConditions()),
+        (Limits(), EndConditions(stretch=0.1)),
+        (Limits(), EndConditions(closing=np.zeros(6))),
+        (Limits(), EndConditions(energy=-0.07)),
     ],
 )
-def test_shooting_refuses_what_only_collocation_serves(limits: Limits, ends: Ends) -> None:
+def test_shooting_refuses_what_only_collocation_serves(limits: Limits, ends: EndConditions) -> None:
     with pytest.raises(InputError, match="multiple shooting serves fixed times"):
         solve_by_shooting(
             replace(swing(limits), ends=ends), method_named("radau-5"), settings=ReferenceSettings(), mesh=mesh_of(0.1)

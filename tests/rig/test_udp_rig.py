@@ -20,10 +20,9 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.loop import LoopSettings, control_loop, sampled_model
 from dpcontrol.loop.result import Ending
 from dpcontrol.loop.rig import Reading
-from dpcontrol.loop.simulated import BenchRecipe
 from dpcontrol.references.reference import Reference
 from dpcontrol.rig import packets as packets
-from dpcontrol.rig.bench import BenchProcess, BenchServerSettings, UdpBench
+from dpcontrol.rig.bench import BenchProcess, BenchRecipe, BenchServerSettings, UdpBench
 from dpcontrol.rig.client import LinkSettings, UdpRig, parse_address
 from dpcontrol.rig.packets import Condition, Kind
 
@@ -347,10 +346,7 @@ def test_the_loop_follows_its_reference_on_a_bench_in_a_process_of_its_own(turn:
         whole, reference_states=whole.reference_states[: ticks + 1], feedforward=whole.feedforward[:ticks],
         gains=whole.gains[:ticks],
     )  # fmt: skip
-    recipe = BenchRecipe(
-        LAB, settings.bench, turn[1].limits, short.first_state, ticks + 2000, 1e-3, seed=0, mismatch=0.02,
-        initial_error=0.02,
-    )  # fmt: skip
+    recipe = BenchRecipe(LAB, settings, turn[1].limits, short.first_state, ticks + 2000)
     # A busy machine misses deadlines and so loses the arms: what is asked here is that it follows where it keeps time.
     for _ in range(KEEPING_TIME):
         with BenchProcess(recipe, PATIENT) as bench:
