@@ -366,7 +366,6 @@ def fit_swings(
 
     now = evaluated(starts, values)
     threshold, converged, iteration, status = np.inf, False, 0, ""
-    damping = 0.0
     for iteration in range(1, settings.iterations + 1):
         if iteration <= _STILL_ADAPTING:
             threshold = _threshold(now, settings)
@@ -374,7 +373,7 @@ def fit_swings(
         if not np.isfinite(normal.scaled).all():
             status = "errors grow so much along a swing that its start tells nothing; cut the swings shorter"
             break
-        step, firsts = _step(normal, values[where], lower[where], damping)
+        step, firsts = _step(normal, values[where], lower[where])
         better, share = None, 1.0
         new_values, new_starts = values, starts
         for _ in range(_HALVINGS):
@@ -391,7 +390,7 @@ def fit_swings(
                 break
             share /= 2
         if better is None:
-            converged = damping == 0.0 and now.gap < 1e-6
+            converged = now.gap < 1e-6
             status = "" if converged else "no step lessened the misfit; check units, signs and the starting model"
             break
         gained = 1 - better.merit(threshold) / max(now.merit(threshold), 1e-300)
@@ -469,7 +468,7 @@ def _normal(now: Linearised, threshold: float, n: int, f: int) -> _Normal:
     return out
 
 
-def _step(normal: _Normal, values: Array, lower: Array, damping: float) -> tuple[Array, list[Array]]:
+def _step(normal: _Normal, values: Array, lower: Array) -> tuple[Array, list[Array]]:
     """Return the change of the unknowns (f,), none below its bound, and of each swing's start (2n,)."""
     f = len(values)
     step = np.zeros(f)
@@ -479,8 +478,6 @@ def _step(normal: _Normal, values: Array, lower: Array, damping: float) -> tuple
         kept = sizes > 1e-12 * sizes[-1]
         root = np.sqrt(sizes[kept])[:, None] * axes[:, kept].T
         right = (axes[:, kept].T @ (normal.right * scale)) / np.sqrt(sizes[kept])
-        if damping:
-            root, right = np.vstack([root, damping * np.eye(f)]), np.append(right, np.zeros(f))
         bounds = np.minimum((lower - values) / scale, -1e-300)
         step = lsq_linear(root, right, bounds=(bounds, np.full(f, np.inf)), method="bvls").x * scale
         step = np.maximum(values + step, lower) - values

@@ -282,6 +282,7 @@ def identify(
             f"{len(swings)} segments: one in {settings.left_out} is left out to choose the laws by; give at "
             f"least {settings.left_out}"
         )
+    fitted, left_out = ([swings[k] for k in np.flatnonzero(which)] for which in (used, ~used))
     choices = {"free": (True,), "none": (False,), "chosen": (False, True)}[settings.zeros]
     ways = [(laws, zeros) for laws in settings.laws for zeros in choices]
     candidates: list[Candidate] = []
@@ -289,7 +290,7 @@ def identify(
     for number, (laws, zeros) in enumerate(ways):
         progress(_doing(laws, zeros), number / (len(ways) + 1))
         near = candidates[-1] if candidates and candidates[-1].laws == laws else None
-        candidate = _fitted(swings, used, with_laws(start, laws), zeros, settings.fit, near)
+        candidate = _fitted(fitted, left_out, with_laws(start, laws), zeros, settings.fit, near)
         if candidate.fit.converged and candidate.predicted.converged:
             candidates.append(candidate)
         else:
@@ -297,7 +298,8 @@ def identify(
     if not candidates:
         raise GoalMissed(f"no candidate could be fitted; {reasons[0]}")
     progress("uncertainty", len(ways) / (len(ways) + 1))
-    before = _start_alone(swings, used, start, settings.fit)
+    nothing = np.zeros((1 + max(s.group for s in swings), start.count))
+    before = _predicted(Swings(start), left_out, base_ratios(start), nothing, settings.fit).rms
     chosen = choose(candidates)
     best = candidates[chosen]
     arms = with_laws(start, best.laws)
@@ -309,7 +311,6 @@ def identify(
     covariance, errors = covariance_at_bounds(best.fit, bound)
     rms = np.empty(len(swings))
     rms[used], rms[~used] = best.fit.rms, best.left_out
-    residuals: list[Array] = []
     of_used, of_left = iter(best.fit.residuals), iter(best.predicted.residuals)
     residuals = [next(of_used if one else of_left) for one in used]
     progress("done", 1.0)
@@ -362,8 +363,8 @@ def choose(candidates: Sequence[Candidate]) -> int:
 
 
 def _fitted(
-    swings: list[Swing],
-    used: NDArray[np.bool_],
+    fitted: list[Swing],
+    left_out: list[Swing],
     arms: ArmChainParameters,
     zeros: bool,
     settings: FitSettings,
@@ -371,10 +372,10 @@ def _fitted(
 ) -> Candidate:
     model = Swings(arms)
     m, from_ = model.parameters, inertial_count(arms.count)
-    groups = 1 + max(s.group for s in swings)
+    groups = 1 + max(s.group for s in (*fitted, *left_out))
     fit = fit_swings(
         model,
-        [s for s, one in zip(swings, used, strict=True) if one],
+        fitted,
         parameters=base_ratios(arms) if near is None else near.fit.parameters,
         zeros=np.zeros((groups, arms.count)),
         free=np.ones(m, dtype=bool),
@@ -383,39 +384,23 @@ def _fitted(
         settings=settings,
         near=None if near is None else near.fit.window_starts,
     )
-    predicted = predict_swings(model, [s for s, one in zip(swings, used, strict=True) if not one], fit, settings)
+    predicted = _predicted(model, left_out, fit.parameters, fit.zeros, settings)
     unknowns = m + (fit.zeros.size if zeros else 0)
     return Candidate(arms.friction, zeros, unknowns, predicted.rms, fit, predicted)
 
 
-def predict_swings(model: Swings, swings: list[Swing], fit: SwingFit, settings: FitSettings) -> SwingFit:
-    """Return the swings' starts fitted by least squares with the ratios and zeros of `fit` held."""
+def _predicted(model: Swings, swings: list[Swing], parameters: Array, zeros: Array, settings: FitSettings) -> SwingFit:
+    """Return the swings' starts fitted by least squares with ratios (m,) and zeros (groups, n) held."""
     return fit_swings(
         model,
         swings,
-        parameters=fit.parameters,
-        zeros=fit.zeros,
+        parameters=parameters,
+        zeros=zeros,
         free=np.zeros(model.parameters, dtype=bool),
         free_zeros=False,
         friction_from=model.parameters,
         settings=replace(settings, robust=0.0),
     )
-
-
-def _start_alone(
-    swings: list[Swing], used: NDArray[np.bool_], start: ArmChainParameters, settings: FitSettings
-) -> Array:
-    model = Swings(start)
-    return fit_swings(
-        model,
-        [s for s, one in zip(swings, used, strict=True) if not one],
-        parameters=base_ratios(start),
-        zeros=np.zeros((1 + max(s.group for s in swings), start.count)),
-        free=np.zeros(model.parameters, dtype=bool),
-        free_zeros=False,
-        friction_from=model.parameters,
-        settings=replace(settings, robust=0.0),
-    ).rms
 
 
 _AT = (-3.0, -1.5, 1.5, 3.0)

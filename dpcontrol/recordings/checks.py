@@ -32,6 +32,8 @@ REPAIRS = {
 }
 """Repairs by name, and what each does."""
 
+ANGLE, RATE, CART, COMMAND = "angle", "rate", "the cart's position", "the command"
+"""Names of columns; those of angles and rates are followed by the arm's number."""
 FEWEST_SAMPLES = 20
 _FILLED_IN_A_ROW = 10
 _GAP = 1.5
@@ -50,7 +52,7 @@ class Samples:
     """K samples as a file gives them, in SI units and our directions.
 
     where: of which part of which file, for messages. rows (K,): each sample's number there, from 1. time (K,) s; values
-    (K, m): the angles (n columns) first, then what else was measured; names (m,) of these columns.
+    (K, m): the angles (n columns) first, then what else was measured; names (m,) of these columns: `ANGLE` 1, … .
     """
 
     where: str
@@ -58,7 +60,16 @@ class Samples:
     time: Array
     values: Array
     names: tuple[str, ...]
-    arms: int
+
+    @property
+    def arms(self) -> int:
+        """Number of arms."""
+        return sum(name.startswith(ANGLE) for name in self.names)
+
+    def of(self, kind: str) -> Array | None:
+        """Return the columns (K, …) of one kind, such as `RATE`, or None where there are none."""
+        columns = [k for k, name in enumerate(self.names) if name.startswith(kind)]
+        return self.values[:, columns] if columns else None
 
     def at(self, index: int) -> str:
         """Return "WHERE: row R (t = T s)" for a message."""
@@ -127,10 +138,9 @@ def _refuse(fault: str, repair: str) -> InputError:
     return InputError(f"{fault}; mend the recording, or ask for --repair {repair}: {REPAIRS[repair]}")
 
 
-def _cut(samples: Samples, keep: NDArray[np.bool_]) -> list[Samples]:
-    """Return the runs of samples to keep."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], keep, [False]]).astype(np.int8)))
-    return [samples.taken(np.arange(first, end)) for first, end in edges.reshape(-1, 2)]
+def _runs(which: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """Return (first, end) of each run of what is true."""
+    return np.flatnonzero(np.diff(np.concatenate([[False], which, [False]]).astype(np.int8))).reshape(-1, 2)
 
 
 def _timed(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
@@ -174,9 +184,8 @@ def _finite(samples: Samples, repairs: frozenset[str], period: float) -> Repaire
         raise _refuse(f"{samples.at(index)}: {samples.names[column]} is no finite number ({count} such rows)", "nan")
     if good.sum() < FEWEST_SAMPLES:
         raise InputError(f"{samples.where}: {count} of {len(rows)} rows are not finite; too few are left")
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]]).astype(np.int8))).reshape(-1, 2)
     keep, values = np.ones(len(rows), bool), samples.values.copy()
-    for first, end in edges:
+    for first, end in _runs(rows):
         if end - first > _FILLED_IN_A_ROW or first == 0 or end == len(rows):
             keep[first:end] = False
     whole = values[good]
@@ -187,7 +196,8 @@ def _finite(samples: Samples, repairs: frozenset[str], period: float) -> Repaire
     values[rows] = _cubic(samples.time[good], whole, samples.time[rows])
     filled = int((rows & keep).sum())
     notes = [f"{samples.where}: {filled} rows filled between their neighbours, {count - filled} left out"]
-    return _cut(replace(samples, values=values), keep), notes
+    whole = replace(samples, values=values)
+    return [whole.taken(np.arange(first, end)) for first, end in _runs(keep)], notes
 
 
 def _cubic(times: Array, values: Array, at: Array) -> Array:
@@ -228,7 +238,7 @@ def _whole(samples: Samples, repairs: frozenset[str], period: float) -> Repaired
 
 
 def _steady(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
-    columns = [k for k, name in enumerate(samples.names) if name.startswith("rate ")]
+    columns = [k for k, name in enumerate(samples.names) if name.startswith(RATE)]
     if not columns or len(samples.time) < FEWEST_SAMPLES:
         return [samples], []
     from scipy.ndimage import median_filter
@@ -325,20 +335,14 @@ _WINDOW = 0.02
 """s: quantised angles have no derivatives from one sample to the next."""
 
 
-def check_plausible(segments: Sequence[Samples], *, arms: int, rates: bool, clamped: bool, file: str) -> None:
-    """Refuse a recording whose numbers contradict what the mapping says of them.
-
-    Args:
-        segments: values hold the angles in their first `arms` columns, and the rates next where `rates`.
-        arms: number of arms.
-        rates: whether rates were recorded.
-        clamped: whether the cart stood still, so that gravity is all that moves the arms.
-        file: for messages.
+def check_plausible(segments: Sequence[Samples], *, file: str) -> None:
+    """Reject a recording whose numbers contradict what the mapping says of them; `file` is for messages.
 
     Raises:
         InputError: says what disagrees, by how much, and what it looks like.
     """
-    turned = [_turned(segment, arms, rates) for segment in segments]
+    first = segments[0]
+    turned = [_turned(segment) for segment in segments]
     derivative = np.concatenate([part[0] for part in turned])
     fastest = float(np.percentile(np.abs(derivative), 99))
     if fastest > _FASTEST:
@@ -346,9 +350,10 @@ def check_plausible(segments: Sequence[Samples], *, arms: int, rates: bool, clam
             f"{file}: the angles turn at {fastest:.4g} rad/s, and no bench's arm does more than {_FASTEST:g}; "
             "check the unit of angles and time in the mapping (degrees taken for rad? counts? ms?)"
         )
-    if rates:
+    if first.of(RATE) is not None:
         _compare(derivative, np.concatenate([part[1] for part in turned]), file=file)
-    if clamped:
+    if first.of(CART) is None and first.of(COMMAND) is None:
+        # With the cart clamped gravity is all that moves the arms.
         _check_zero(segments, file=file)
 
 
@@ -357,14 +362,13 @@ def _stride(segment: Samples) -> int:
     return int(min(max(1, round(_WINDOW / spacing)), max(1, len(segment.time) // 8)))
 
 
-def _turned(segment: Samples, arms: int, rates: bool) -> tuple[Array, Array]:
+def _turned(segment: Samples) -> tuple[Array, Array]:
     """Return how fast the arms turned (W, n) over short windows, by the angles and by the mean of the rates."""
-    stride = _stride(segment)
+    stride, arms, given = _stride(segment), segment.arms, segment.of(RATE)
     ends = np.arange(0, len(segment.time), stride)
     by_angles = np.diff(segment.values[ends, :arms], axis=0) / np.diff(segment.time[ends])[:, None]
-    if not rates:
+    if given is None:
         return by_angles, by_angles
-    given = segment.values[:, arms : 2 * arms]
     area = np.concatenate([np.zeros((1, arms)), np.cumsum((given[1:] + given[:-1]) / 2, axis=0)])
     return by_angles, np.diff(area[ends], axis=0) / stride
 

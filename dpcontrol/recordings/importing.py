@@ -5,7 +5,7 @@ cuts it. Where the segments' times do not follow one another they are laid end t
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,16 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.recordings.checks import Samples, check_plausible, checked_repairs, sound_segments
+from dpcontrol.recordings.checks import (
+    ANGLE,
+    CART,
+    COMMAND,
+    RATE,
+    Samples,
+    check_plausible,
+    checked_repairs,
+    sound_segments,
+)
 from dpcontrol.recordings.formats import column, find, numbers, read_matlab, read_table
 from dpcontrol.recordings.mapping import Mapping, load_mapping
 from dpcontrol.recordings.recording import Recording
@@ -22,25 +31,13 @@ from dpcontrol.recordings.recording import Recording
 Array = NDArray[np.float64]
 
 MATLAB, TABLES = (".mat",), (".csv", ".tsv", ".txt", ".parquet")
-_MOST_ARMS = 6
+MOST_ARMS = 6
 _KNOWN = (
     "multi-arm", "multi-arm-triple-cart", "multi-arm-triple", "multi-arm-double-cart", "multi-arm-double",
     "multi-arm-single-cart", "multi-arm-single",
     "multi-arm-raw-triple", "multi-arm-raw", "multi-arm-raw-single",
 )  # fmt: skip
 """Mappings of MATLAB files to be told by what they hold: what asks for more comes before what asks for less."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Stretch:
-    """What stands together in a file: angles and rates (K, n), the rest (K,), as the file gives them; None: absent."""
-
-    where: str
-    angles: Array
-    rates: Array | None
-    time: Array | None
-    cart: Array | None = None
-    command: Array | None = None
 
 
 def import_recording(
@@ -78,7 +75,7 @@ def import_recording(
         stretches, period = _matlab(path, chosen, variables)
     else:
         chosen = given or load_mapping("table")
-        stretches, period = _table(path, chosen)
+        stretches, period = _table(path, chosen), chosen.period
     progress("checking", 0.5)
     return _recording(path, chosen, stretches, period=period, repairs=allowed)
 
@@ -97,42 +94,57 @@ def _fitting(variables: dict[str, Any], path: Path) -> Mapping:
     return load_mapping(_KNOWN[0])
 
 
-def _table(path: Path, mapping: Mapping) -> tuple[list[_Stretch], float]:
+def _table(path: Path, mapping: Mapping) -> list[Samples]:
     if mapping.state_cells:
         raise InputError(f"{path}: the mapping {mapping.name!r} is for MATLAB cells; give one with columns: --mapping")
     if mapping.period_variable:
         raise InputError(f"{path}: a table holds no variable {mapping.period_variable!r}; give [sampling] period")
-    single = (mapping.time_column, mapping.cart_column, mapping.command_column)
-    names = [*mapping.angle_columns, *mapping.rate_columns, *(name for name in single if name)]
-    return [_stretch(str(path), mapping, read_table(path, list(dict.fromkeys(names))))], mapping.period
+    return [_of_columns(path, mapping, read_table(path, mapping.named), mapping.period)]
 
 
-def _stretch(where: str, mapping: Mapping, columns: dict[str, Array]) -> _Stretch:
+def _of_columns(path: Path, mapping: Mapping, columns: dict[str, Array], period: float) -> Samples:
     lengths = {name: len(values) for name, values in columns.items()}
     if len(set(lengths.values())) > 1:
         said = ", ".join(f"{name} {length}" for name, length in lengths.items())
-        raise InputError(f"{where}: the columns differ in length ({said}); a row needs a value of each")
+        raise InputError(f"{path}: the columns differ in length ({said}); a row needs a value of each")
 
-    def stacked(names: tuple[str, ...]) -> Array | None:
-        return np.column_stack([columns[name] for name in names]) if names else None
+    groups = {
+        ANGLE: mapping.angle_columns, RATE: mapping.rate_columns, CART: (mapping.cart_column,),
+        COMMAND: (mapping.command_column,),
+    }  # fmt: skip
+    found = {kind: np.column_stack([columns[name] for name in names]) for kind, names in groups.items() if any(names)}
+    return _samples(path, str(path), mapping, found, columns.get(mapping.time_column), period)
 
-    def single(name: str) -> Array | None:
-        return columns[name] if name else None
 
-    angles = stacked(mapping.angle_columns)
-    assert angles is not None
-    time = single(mapping.time_column)
-    return _Stretch(
+def _samples(
+    path: Path, where: str, mapping: Mapping, found: dict[str, Array], time: Array | None, period: float
+) -> Samples:
+    """Return what stands together in a file, in SI units and our directions.
+
+    found: columns (K, …) by kind, the angles first; time (K,) in the file's unit, or None where there is a period.
+    """
+    count, arms = found[ANGLE].shape
+    if arms > MOST_ARMS:
+        raise InputError(f"{path}: {arms} angles; a recording has 1 to {MOST_ARMS} arms")
+    for key, given in (("sign", mapping.sign), ("zero", mapping.zero)):
+        if len(given) not in (1, arms):
+            raise InputError(
+                f"{path}: the mapping's {key} has {len(given)} values for {arms} arms; give one or as many"
+            )
+    names: list[str] = []
+    for kind in found:
+        names += [f"{kind} {i + 1}" for i in range(arms)] if kind in (ANGLE, RATE) else [kind]
+    read = {ANGLE: mapping.angles, RATE: mapping.rates, CART: lambda cart: cart * mapping.cart_scale}
+    return Samples(
         where=where,
-        angles=angles,
-        rates=stacked(mapping.rate_columns),
-        time=None if time is None else time * mapping.time_scale,
-        cart=single(mapping.cart_column),
-        command=single(mapping.command_column),
+        rows=np.arange(1, count + 1),
+        time=np.arange(count) * period if time is None else time * mapping.time_scale,
+        values=np.column_stack([read[kind](values) if kind in read else values for kind, values in found.items()]),
+        names=tuple(names),
     )
 
 
-def _matlab(path: Path, mapping: Mapping, variables: dict[str, Any]) -> tuple[list[_Stretch], float]:
+def _matlab(path: Path, mapping: Mapping, variables: dict[str, Any]) -> tuple[list[Samples], float]:
     period = mapping.period
     if mapping.period_variable:
         given = numbers(find(variables, mapping.period_variable, file=path), mapping.period_variable, file=path)
@@ -141,24 +153,24 @@ def _matlab(path: Path, mapping: Mapping, variables: dict[str, Any]) -> tuple[li
             shown = f"{given[0]:.6g}" if given.size == 1 else f"{given.size} numbers"
             raise InputError(f"{path}: {mapping.period_variable} is {shown}; a sampling period is 1e-6 to 1 s")
     if not mapping.state_cells:
-        single = (mapping.time_column, mapping.cart_column, mapping.command_column)
-        names = [*mapping.angle_columns, *mapping.rate_columns, *(name for name in single if name)]
-        found = {name: column(variables, name, file=path) for name in names}
-        return [_stretch(str(path), mapping, found)], period
-    stretches: list[_Stretch] = []
+        found = {name: column(variables, name, file=path) for name in mapping.named}
+        return [_of_columns(path, mapping, found, period)], period
+    stretches: list[Samples] = []
     for k, name in enumerate(mapping.state_cells):
         # Only the first is in every file: a data set may keep nothing back for validation.
         if k and name not in variables:
             continue
         times = mapping.time_cells[k] if mapping.time_cells else ""
-        stretches += _cells(path, mapping, variables, name, times)
-    arms = {stretch.angles.shape[1] for stretch in stretches}
+        stretches += _cells(path, mapping, variables, name, times, period)
+    arms = {stretch.arms for stretch in stretches}
     if len(arms) > 1:
         raise InputError(f"{path}: some cells have {min(arms)} arms, others {max(arms)}; all must have the same")
     return stretches, period
 
 
-def _cells(path: Path, mapping: Mapping, variables: dict[str, Any], name: str, times: str) -> list[_Stretch]:
+def _cells(
+    path: Path, mapping: Mapping, variables: dict[str, Any], name: str, times: str, period: float
+) -> list[Samples]:
     cells = _cell_list(path, variables, name)
     time_cells = _cell_list(path, variables, times) if times else [None] * len(cells)
     if len(cells) != len(time_cells):
@@ -171,18 +183,19 @@ def _cells(path: Path, mapping: Mapping, variables: dict[str, Any], name: str, t
             what = "empty" if values.size == 0 else f"of kind {values.dtype}, {' x '.join(map(str, values.shape))}"
             raise InputError(f"{path}: {label} is {what}; a cell holds rows of angles, then of rates, as numbers")
         rows, length = values.shape
-        if rows % 2 or not 2 <= rows <= 2 * _MOST_ARMS:
-            hint = "; transpose it" if length % 2 == 0 and length <= 2 * _MOST_ARMS else ""
+        if rows % 2 or not 2 <= rows <= 2 * MOST_ARMS:
+            hint = "; transpose it" if length % 2 == 0 and length <= 2 * MOST_ARMS else ""
             raise InputError(
                 f"{path}: {label} is {rows} x {length}; it must have an even number of rows, angles then rates, of at "
-                f"most {_MOST_ARMS} arms, and a column for each sample{hint}"
+                f"most {MOST_ARMS} arms, and a column for each sample{hint}"
             )
-        when = None if time is None else numbers(time, f"{times}{{{number}}}", file=path) * mapping.time_scale
+        when = None if time is None else numbers(time, f"{times}{{{number}}}", file=path)
         if when is not None and len(when) != length:
             raise InputError(f"{path}: {label} has {length} samples and {times}{{{number}}} {len(when)}; give as many")
         turned = values.T.astype(float)
         arms = rows // 2
-        stretches.append(_Stretch(f"{path}: {label}", turned[:, :arms], turned[:, arms:], when))
+        found = {ANGLE: turned[:, :arms], RATE: turned[:, arms:]}
+        stretches.append(_samples(path, f"{path}: {label}", mapping, found, when, period))
     return stretches
 
 
@@ -199,21 +212,12 @@ def _cell_list(path: Path, variables: dict[str, Any], name: str) -> list[Any]:
 
 
 def _recording(
-    path: Path, mapping: Mapping, stretches: list[_Stretch], *, period: float, repairs: frozenset[str]
+    path: Path, mapping: Mapping, stretches: list[Samples], *, period: float, repairs: frozenset[str]
 ) -> Recording:
     parts: list[Samples] = []
     notes: list[str] = []
-    arms = stretches[0].angles.shape[1]
-    if arms > _MOST_ARMS:
-        raise InputError(f"{path}: {arms} angles; a recording has 1 to {_MOST_ARMS} arms")
-    for key, given in (("sign", mapping.sign), ("zero", mapping.zero)):
-        if len(given) not in (1, arms):
-            raise InputError(
-                f"{path}: the mapping's {key} has {len(given)} values for {arms} arms; give one or as many"
-            )
-    first = stretches[0]
     for stretch in stretches:
-        found, said = sound_segments(_samples(stretch, mapping, period), period=period, repairs=repairs)
+        found, said = sound_segments(stretch, period=period, repairs=repairs)
         parts += found
         notes += said
     spacing = period or float(np.median(np.concatenate([np.diff(part.time) for part in parts])))
@@ -221,63 +225,24 @@ def _recording(
         raise InputError(
             f"{path}: samples are {spacing:.6g} s apart, and swings are seen at 1e-6 to 0.1 s; check the unit of time"
         )
-    check_plausible(
-        parts,
-        arms=arms,
-        rates=first.rates is not None,
-        clamped=first.cart is None and first.command is None,
-        file=str(path),
-    )
+    check_plausible(parts, file=str(path))
     parts, laid = _in_order(parts, spacing)
     ends = np.cumsum([len(part.time) for part in parts])
-    values = np.concatenate([part.values for part in parts])
-    rest = list(_columns(first, arms))
-    place = {name: values[:, columns] for name, columns in rest}
+    first = parts[0]
+    whole = replace(first, values=np.concatenate([part.values for part in parts]))
+    cart, command = whole.of(CART), whole.of(COMMAND)
     return Recording(
         name=path.stem,
         source=path.name,
         dt=spacing,
         time=np.concatenate([part.time for part in parts]),
-        angles=np.ascontiguousarray(values[:, :arms]),
-        rates=place.get("rates"),
-        cart=place["cart"][:, 0] if "cart" in place else None,
-        command=place["command"][:, 0] if "command" in place else None,
+        angles=np.ascontiguousarray(whole.of(ANGLE)),
+        rates=whole.of(RATE),
+        cart=None if cart is None else cart[:, 0],
+        command=None if command is None else command[:, 0],
         segments=tuple((int(end) - len(part.time), int(end)) for end, part in zip(ends, parts, strict=True)),
-        arm_lengths=mapping.lengths(arms),
+        arm_lengths=mapping.lengths(first.arms),
         notes=(*notes, *laid),
-    )
-
-
-def _columns(stretch: _Stretch, arms: int) -> list[tuple[str, slice]]:
-    """Return which columns of a stretch's samples hold what, beyond the angles."""
-    found, place = [], arms
-    for name, width in (("rates", arms), ("cart", 1), ("command", 1)):
-        if getattr(stretch, name) is not None:
-            found.append((name, slice(place, place + width)))
-            place += width
-    return found
-
-
-def _samples(stretch: _Stretch, mapping: Mapping, period: float) -> Samples:
-    count, arms = stretch.angles.shape
-    columns = [mapping.angles(stretch.angles)]
-    names = [f"angle {i + 1}" for i in range(arms)]
-    if stretch.rates is not None:
-        columns.append(mapping.rates(stretch.rates))
-        names += [f"rate {i + 1}" for i in range(arms)]
-    if stretch.cart is not None:
-        columns.append(stretch.cart[:, None] * mapping.cart_scale)
-        names.append("the cart's position")
-    if stretch.command is not None:
-        columns.append(stretch.command[:, None])
-        names.append("the command")
-    return Samples(
-        where=stretch.where,
-        rows=np.arange(1, count + 1),
-        time=np.arange(count) * period if stretch.time is None else stretch.time,
-        values=np.column_stack(columns),
-        names=tuple(names),
-        arms=arms,
     )
 
 

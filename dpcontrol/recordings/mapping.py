@@ -7,6 +7,7 @@ counts from upright. Relative encoders are summed from the inner arm outwards. A
 header of a table, or in MATLAB's own notation a variable, a field, a cell or a row (`data{2}.Values.Data`, `Y(1,:)`).
 """
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -59,6 +60,12 @@ class Mapping:
     cart_scale: float = 1.0
     command_column: str = ""
 
+    @property
+    def named(self) -> tuple[str, ...]:
+        """Names of all columns that are read."""
+        single = (self.time_column, self.cart_column, self.command_column)
+        return (*self.angle_columns, *self.rate_columns, *filter(None, single))
+
     def angles(self, values: Array) -> Array:
         """Return absolute angles (K, n) from hanging, counter-clockwise, of what the file holds (K, n)."""
         n = values.shape[1]
@@ -99,39 +106,54 @@ def load_mapping(name: str) -> Mapping:
 
 
 def _mapping(table: Table, name: str) -> Mapping:
-    title = table.text("title", name)
-    lengths = table.numbers("arm_lengths")
     cells, sampling, time = table.table("cells"), table.table("sampling"), table.table("time")
     angles, rates, cart = table.table("angles", required=True), table.table("rates"), table.table("cart")
-    state_cells, time_cells = cells.texts("states", ()), cells.texts("time", ())
+    state_cells = cells.texts("states", ())
     columns = angles.texts("columns", ()) if state_cells else angles.texts("columns")
-    rate_columns = rates.texts("columns", ())
-    period = _period(sampling)
-    variable, time_column = sampling.text("variable", ""), time.text("column", "")
-    time_scale = TIME_UNITS[time.text("unit", "s", allowed=TIME_UNITS)]
+    count = 2 * np.pi / angles.integer("counts_per_turn", least=1) if "counts_per_turn" in angles else 0.0
     angle_unit = angles.text("unit", "rad", allowed=ANGLE_UNITS)
     rate_unit = rates.text("unit", "rad/s", allowed=RATE_UNITS)
-    count = 2 * np.pi / angles.integer("counts_per_turn", least=1) if "counts_per_turn" in angles else 0.0
-    cart_column, command_column = cart.text("position", ""), cart.text("command", "")
-    cart_scale = LENGTH_UNITS[cart.text("unit", "m", allowed=LENGTH_UNITS)]
     sign, zero, relative = _direction(angles)
+    found = Mapping(
+        name=name,
+        title=table.text("title", name),
+        arm_lengths=table.numbers("arm_lengths"),
+        angle_columns=columns,
+        rate_columns=rates.texts("columns", ()),
+        time_column=time.text("column", ""),
+        time_scale=TIME_UNITS[time.text("unit", "s", allowed=TIME_UNITS)],
+        period=_period(sampling),
+        period_variable=sampling.text("variable", ""),
+        state_cells=state_cells,
+        time_cells=cells.texts("time", ()),
+        angle_scale=ANGLE_UNITS[angle_unit] or count,
+        rate_scale=RATE_UNITS[rate_unit] or count,
+        sign=sign,
+        zero=zero,
+        relative=relative,
+        cart_column=cart.text("position", ""),
+        cart_scale=LENGTH_UNITS[cart.text("unit", "m", allowed=LENGTH_UNITS)],
+        command_column=cart.text("command", ""),
+    )
     for part in (table, cells, sampling, time, angles, rates, cart):
         part.finish()
+    lengths, time_cells = found.arm_lengths, found.time_cells
     if not lengths or any(not 0 < length <= 100 for length in lengths):
         raise InputError(f"{table.where('arm_lengths')} = {list(lengths)}: must be lengths in metres, 0 to 100")
     if not state_cells and not columns:
         raise InputError(f"{angles.where('columns')} = []: name one column for each arm, inner arm first")
-    if state_cells and (columns or rate_columns or cart_column or command_column):
+    if state_cells and (columns or found.rate_columns or found.cart_column or found.command_column):
         raise InputError(f"{cells.where('states')}: rows of cells are all a recording's columns; name no others")
     if len(time_cells) not in (0, len(state_cells)):
         raise InputError(f"{cells.where('time')} = {list(time_cells)}: give one name for each of `states`, or none")
-    if rate_columns and len(rate_columns) != len(columns):
-        raise InputError(f"{rates.where('columns')}: {len(rate_columns)} rates for {len(columns)} angles; give as many")
-    every = [*columns, *rate_columns, *(name for name in (time_column, cart_column, command_column) if name)]
-    for column in every:
-        if every.count(column) > 1:
+    if found.rate_columns and len(found.rate_columns) != len(columns):
+        raise InputError(
+            f"{rates.where('columns')}: {len(found.rate_columns)} rates for {len(columns)} angles; give as many"
+        )
+    for column, times in Counter(found.named).items():
+        if times > 1:
             raise InputError(f"{angles.where('columns')}: {column!r} is named twice; a column has one meaning")
-    if not (time_column or time_cells or period or variable):
+    if not (found.time_column or time_cells or found.period or found.period_variable):
         raise InputError(f"{table.file}: neither [time] column nor [sampling] period is given; give one of them")
     if "counts" in (angle_unit, rate_unit.partition("/")[0]) and not count:
         raise InputError(
@@ -142,27 +164,7 @@ def _mapping(table: Table, name: str) -> Mapping:
             raise InputError(
                 f"{angles.where(key)}: {len(values)} values for {len(columns)} angles; give one or as many"
             )
-    return Mapping(
-        name=name,
-        title=title,
-        arm_lengths=lengths,
-        angle_columns=columns,
-        rate_columns=rate_columns,
-        time_column=time_column,
-        time_scale=time_scale,
-        period=period,
-        period_variable=variable,
-        state_cells=state_cells,
-        time_cells=time_cells,
-        angle_scale=ANGLE_UNITS[angle_unit] or count,
-        rate_scale=RATE_UNITS[rate_unit] or count,
-        sign=sign,
-        zero=zero,
-        relative=relative,
-        cart_column=cart_column,
-        cart_scale=cart_scale,
-        command_column=command_column,
-    )
+    return found
 
 
 def _period(sampling: Table) -> float:
