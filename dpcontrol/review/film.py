@@ -24,7 +24,6 @@ def draw_film(axes: Axes, view: RunView, *, frames: int, times: Array | None = N
     """
     state, arms = view.state, view.arms
     reach = sum(view.arm_lengths)
-    step = _FRAME_STEP * reach
     rows = film_rows(view, frames=frames, times=times)
     horizontal, vertical = film_extent(view, frames=frames, times=times)
     axes.set_xlim(*horizontal)
@@ -32,7 +31,7 @@ def draw_film(axes: Axes, view: RunView, *, frames: int, times: Array | None = N
     pivot = view.pivot
     width = 0.05 * reach
     for i, row in enumerate(rows):
-        at = i * step
+        at = frame_place(view, i)
         if times is not None and not view.time[0] <= times[i] <= view.time[-1]:
             axes.text(at, 0, f"no data at\n{times[i]:.2f} s", ha="center", va="center", fontsize=8.5, color=style.MARK)
             continue
@@ -52,6 +51,11 @@ def draw_film(axes: Axes, view: RunView, *, frames: int, times: Array | None = N
         look = {"ha": "center", "va": "top", "fontsize": 8.5, "color": style.NOTE, "linespacing": 1.25}
         axes.text(at, vertical[0] + 0.46 * reach, text, **look)
     axes.axis("off")
+
+
+def frame_place(view: RunView, frame: int) -> float:
+    """Return where the pivot of a frame is drawn, m."""
+    return frame * _FRAME_STEP * sum(view.arm_lengths)
 
 
 def draw_arms(axes: Axes, points: Array, *, size: float = 1.0) -> None:

@@ -369,8 +369,9 @@ def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
     found = []
     if view.plan.planned:
         between = [Span(a, b, "change of orbit", style.FAINT, "transfer") for a, b in view.plan.transfers]
-        found.append(Strip("1_asked", "asked", (*_stays(view.plan.planned), *between)))
-        if view.what != "reference":
+        name = "near" if view.what == "walk" else "asked"
+        found.append(Strip("1_asked", name, (*_stays(view.plan.planned), *between)))
+        if view.what not in ("reference", "walk"):
             found.append(Strip("2_done", "done", (*_stays(view.done), *ended)))
     if view.plan.symbols:
         moments = [begin, *(at for at, _ in view.plan.symbols), end]

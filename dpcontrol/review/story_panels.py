@@ -39,7 +39,9 @@ def story(axes: Axes, view: RunView, *, span: Range | None = None, legend: bool 
     axes.set_yticks([place + _TALL / 2 for place in range(len(rows))], [strip.name for strip in reversed(rows)])
     axes.tick_params(labelsize=SMALL, colors=style.NOTE, length=2.5)
     axes.tick_params(axis="y", length=0)
-    axes.set_xlabel("time (s)", fontsize=SMALL, color=style.NOTE, loc="left", labelpad=0)
+    axes.set_xlabel(
+        "time (s)" if view.arm_lengths else "time", fontsize=SMALL, color=style.NOTE, loc="left", labelpad=0
+    )
     for side, spine in axes.spines.items():
         spine.set_visible(side == "bottom")
         spine.set_color(style.FAINT)
@@ -69,15 +71,15 @@ def _numbers(axes: Axes, view: RunView, rows: list[str], *, letter: float, begin
     """Number the symbols where they are planned and where they were done; name those that have room above."""
     free = begin
     for i, (name, planned, done) in enumerate(view.symbols):
-        for row, moment in (("asked", planned), ("done", done)):
+        for row, moment in ((rows[0], planned), ("done", done)):
             if row in rows and moment is not None:
                 place = len(rows) - 1 - rows.index(row)
                 axes.plot([moment, moment], [place, place + _TALL], color=style.INK, linewidth=1.4, zorder=4.5)
-                if row == "asked":
+                if row == rows[0]:
                     badge(axes, i + 1, moment, place + _TALL / 2)
         half = letter * len(name) / 2
         left = min(max(planned - half, begin), end - 2 * half)
-        if "asked" in rows and left > free:
+        if left > free:
             axes.text(left + half, len(rows) - 0.02, name, ha="center", va="bottom", fontsize=SMALL, color=style.INK)
             free = left + 2 * half + letter
 

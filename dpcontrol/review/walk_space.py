@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from dpcontrol.review import style
 from dpcontrol.review.panel_frame import angle_axis, badge, quiet, wrapped_runs
-from dpcontrol.review.walk_panels import NAMED
 from dpcontrol.review.walk_story import WalkStory
 
 Array = NDArray[np.float64]
 
+NAMED = 20
+"""Symbols that have room for a number in space."""
 TIME = colormaps["viridis"]
 _TOGETHER = 0.05
 LIFTED_TURNS = 2.2

@@ -2,11 +2,16 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.orbits.curve import OrbitCurve
+from dpcontrol.review import style
+from dpcontrol.review.context import PlanView, Stay
+from dpcontrol.review.motion import RunView
+from dpcontrol.review.series import Chart, Level, Line
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
@@ -82,16 +87,6 @@ class WalkStory:
         """Whether the coordinates are angles."""
         return bool(np.isfinite(self.orbit.connections[0].source.system.periods).any())
 
-    def near(self) -> list[tuple[float, float, str]]:
-        """Return (start, end, saddle) of each stretch within NEAR of a periodic orbit; s."""
-        names = np.array([*self.saddles, ""])
-        stacked = np.array([self.distances[saddle] for saddle in self.saddles])
-        nearest = np.where(stacked.min(axis=0) < NEAR, stacked.argmin(axis=0), len(self.saddles))
-        cuts = np.flatnonzero(np.diff(nearest)) + 1
-        spans = zip(np.r_[0, cuts], np.r_[cuts, len(nearest) - 1], strict=True)
-        return [(float(self.times[a]), float(self.times[b]), str(names[nearest[a]])) for a, b in spans
-                if nearest[a] < len(self.saddles)]  # fmt: skip
-
     def wobbles(self) -> list[Wobble]:
         """Return the stretches whose wraps are counted: before the walk, at each stop, and after it."""
         orbit, chain = self.orbit, self.orbit.connections
@@ -109,6 +104,69 @@ class WalkStory:
         late, early = (float(arrivals[-1]), orbit.duration), (0.0, float(departures[0]))
         start, end = late if late[1] - late[0] >= early[1] - early[0] else early
         return [*out, Wobble(start, end, first, orbit.wraps_realised[-1], closing=True)]
+
+    def view(self, model: str) -> RunView:
+        """Return the walk as a run is seen, of a model by name: wobbles as stays, symbols, periodic orbits."""
+        orbit, count = self.orbit, len(self.orbit.symbol_times)
+        kind = "A periodic orbit" if orbit.periodic else "An orbit"
+        energy = f"{orbit.connections[0].source.energy:g}{' J' if self.has_angles else ''}"
+        return RunView(
+            path=Path(),
+            title=f"{kind} of {model} at {energy} that follows {count} symbol{'s' if count > 1 else ''}",
+            time=self.times,
+            state=self.states,
+            what="walk",
+            arm_lengths=self.arm_lengths or (),
+            has_cart=False,
+            rate_hz=len(self.times) / orbit.duration,
+            verdict=self._verdict(),
+            plan=PlanView(
+                symbols=tuple(
+                    (float(t), symbol_text(c)) for t, c in zip(orbit.symbol_times, orbit.connections, strict=True)
+                ),
+                planned=tuple(
+                    Stay(w.start, w.end, w.saddle, f"{w.saddle} {w.wraps}×{' ↻' if w.closing else ''}")
+                    for w in self.wobbles()
+                    if w.end > w.start
+                ),
+                duration=orbit.duration,
+            ),
+        )
+
+    def _verdict(self) -> str:
+        orbit, estimate = self.orbit, self.orbit.estimate
+        unit = " s" if self.has_angles else ""
+        parts = [f"{'period' if orbit.periodic else 'lasts'} {orbit.duration:.3f}{unit}"]
+        parts.append(f"largest gap at a node {orbit.residual:.1e}")
+        if estimate is not None and estimate.radius is not None:
+            parts.append(f"estimated distance from the true orbit {estimate.radius:.1e}")
+        if estimate is not None and estimate.multipliers is not None:
+            sign = "−" if estimate.multipliers.sign < 0 else ""
+            parts.append(f"unstable multiplier {sign}exp({estimate.multipliers.log_unstable:.4g})")
+        if orbit.wraps:
+            parts.append(f"wraps {list(orbit.wraps_realised)} as asked")
+        return "; ".join(parts)
+
+    def coordinates(self) -> Chart:
+        """Return the angles over time, whole turns counted; positions for a system without angles."""
+        names = ("θ₁ inner arm", "θ₂ outer arm") if self.has_angles else ("x", "y")
+        lines = tuple(
+            Line(name, name, name, self.times, self.states[:, k], style.arm_colour(k))
+            for k, name in zip(range(self.states.shape[1] // 2), names, strict=False)
+        )
+        title = "Angles from hanging, whole turns counted" if self.has_angles else "Position"
+        return Chart("", title, title, lines, half_turns=self.has_angles)
+
+    def nearness(self) -> Chart:
+        """Return how near the orbit comes to the periodic orbits."""
+        lines = tuple(
+            Line(saddle, saddle, saddle, self.times, np.maximum(self.distances[saddle], 1e-16),
+                 style.saddle_colour(saddle))
+            for saddle in self.saddles
+        )  # fmt: skip
+        title = "Distance from the periodic orbits (scaled)"
+        level = Level("", "wobbles are counted below", NEAR, style.MARK, "named")
+        return Chart("", title, title, lines, levels=(level,), log=True)
 
 
 def symbol_text(connection: Connection) -> str:

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.review.panel_frame import save_figure
-from dpcontrol.review.walk_figure import draw_walk
-from dpcontrol.review.walk_panels import FILM_SYMBOLS, film_shape
+from dpcontrol.review.walk_figure import FILM_SYMBOLS, draw_walk, film_shape
 from dpcontrol.review.walk_space import LIFTED_TURNS, is_lifted
 from dpcontrol.review.walk_story import NEAR, WalkStory, symbol_text, symbol_words
 from dpcontrol.scenes.model import load_model
@@ -89,8 +88,9 @@ def test_the_coloured_stretches_are_where_the_orbit_is_near() -> None:
     orbit = found(["down-up > up-down", "up-down > down-up"], energy=HIGH)
     told = story(orbit)
     assert told.saddles == ("down-up", "up-down")
-    spans = told.near()
-    assert [saddle for _, _, saddle in spans if saddle] == ["down-up", "up-down", "down-up"]
+    stays = told.view("lab").plan.planned
+    spans = [(stay.first, stay.last, stay.saddle) for stay in stays]
+    assert [saddle for _, _, saddle in spans] == ["down-up", "up-down", "down-up"]
     for time in np.linspace(0.0, orbit.duration, 60):
         state = orbit.sample(np.array([time]))[0]
         inside = [saddle for start, end, saddle in spans if start <= time <= end]
@@ -121,23 +121,23 @@ def test_the_page_names_every_symbol_and_marks_it_at_its_time() -> None:
         assert f"{time:.3f}" in said
     assert "An orbit of lab at 0.2 J that follows 4 symbols" in said
     assert "wraps [1, 1, 1] as asked" in said
-    band = panel(figure, "Symbols over time")
-    marks = {text.get_text(): text.get_position()[0] for text in band.texts if text.get_text() in "1234"}
+    strip = figure.axes[0]
+    marks = {text.get_text(): text.get_position()[0] for text in strip.texts if text.get_text() in "1234"}
     assert [marks[str(k + 1)] for k in range(4)] == pytest.approx(list(orbit.symbol_times))
-    assert [t.get_text() for t in band.texts if t.get_text().endswith("×")] == ["2×", "1×", "1×", "1×", "2×"]
+    stays = [t.get_text() for t in strip.texts if "×" in t.get_text()]
+    assert stays == ["down-up 2×", "down-up 1×", "up-down 1×", "up-down 1×", "down-up 2×"]
     assert "↻" not in said
 
 
 def test_curves_on_the_page_are_the_orbits_own() -> None:
     orbit = found(["down-up +", "down-up -"])
     axes = panel(drawn(orbit), "Angles")
-    inner, outer = axes.lines[:2]
-    times = np.asarray(inner.get_xdata(), dtype=float)
-    assert times[0] == 0.0
-    assert times[-1] == orbit.duration
-    states = orbit.sample(times[::50])
-    assert np.asarray(inner.get_ydata())[::50] == pytest.approx(states[:, 0])
-    assert np.asarray(outer.get_ydata())[::50] == pytest.approx(states[:, 1])
+    for arm, line in enumerate(axes.lines[:2]):
+        times = np.asarray(line.get_xdata(), dtype=float)
+        assert times[0] == 0.0
+        assert times[-1] == orbit.duration
+        # The axis is ticked in units of π.
+        assert np.pi * np.asarray(line.get_ydata())[::50] == pytest.approx(orbit.sample(times[::50])[:, arm])
 
 
 def test_a_closed_walk_says_so() -> None:
@@ -163,10 +163,7 @@ def test_whole_turns_are_counted_in_space_while_there_are_few() -> None:
     ("count", "rows"), [(1, 1), (2, 1), (3, 1), (4, 2), (6, 2), (12, 2), (16, 3), (40, 3), (70, 3)]
 )
 def test_the_film_shows_every_symbol_in_few_rows(count: int, rows: int) -> None:
-    class Walk:
-        symbol_times = np.arange(count, dtype=float)
-
-    film = film_shape(WalkStory(Walk(), None))  # type: ignore[arg-type]
+    film = film_shape(count)
     assert film[0] == rows
     assert film[0] * film[1] >= min(count, FILM_SYMBOLS)
     assert film[1] * film[2] <= 20
