@@ -85,7 +85,7 @@ def near_border(orbit: LyapunovOrbit, states: Array, *, draws: int = DRAWS, rati
         answers = [found_all(orbit, states, distance * (1 + ANEW * draw)) for draw in range(draws)]
         return half_of(answers, "searches miss connections")
 
-    return find_border(probe, x=orbit.energy, line=f"{orbit.energy:g} J", near=5e-6, far=5e-8, ratio=ratio)
+    return find_border(probe, x=orbit.energy, line=f"{orbit.energy:g} J", near=5e-6, far=1e-9, ratio=ratio)
 
 
 def far_border(orbit: LyapunovOrbit, states: Array, *, ratio: float = 1.25) -> Border:

@@ -25,7 +25,13 @@ from dpcontrol.control.estimator_settings import Augment, FilterSettings, extra_
 from dpcontrol.control.interface import Action, Mode
 from dpcontrol.control.lqr import ClosingWeights
 from dpcontrol.control.model import SampledModel
-from dpcontrol.control.tracking import FeedforwardSettings, terminal_cost, tracking_controller
+from dpcontrol.control.tracking import (
+    FeedforwardSettings,
+    TimedController,
+    TimedSession,
+    terminal_cost,
+    tracking_controller,
+)
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import setting
@@ -51,31 +57,16 @@ class AdaptiveSettings(ClosingWeights):
 
 
 @dataclass(frozen=True, eq=False)
-class AdaptiveController:
-    """Feedforward (K,), gains (K, N) on the state, (K, E) on the extras, and reference states (K+1, N) at the ticks.
+class AdaptiveController(TimedController):
+    """Gains by time on the state and, (K, E), on the extras.
 
     shares (E,): which extras are relative errors of parameters; names: of all; trust: of shares, see the settings.
     """
 
-    kind: str
-    reference_states: Array
-    feedforward: Array
-    gains: Array
     extra_gains: Array
     names: tuple[str, ...]
     shares: NDArray[np.bool_]
     trust: float
-    status: str
-
-    @property
-    def first_state(self) -> Array:
-        """Return the state (N,) from which it starts."""
-        return self.reference_states[0]
-
-    @property
-    def ticks(self) -> int:
-        """Return for how many periods it has something to do."""
-        return len(self.feedforward)
 
     def believed(self, extras: Array) -> Array:
         """Return what the gains act on for extras (E,) or (E, S): shares made symmetric and bounded by the trust."""
@@ -95,24 +86,17 @@ class AdaptiveController:
         by_extra = -self.extra_gains[k][:, None] * self.believed(extras)
         return float(self.feedforward[k]), np.add.reduce(np.concatenate([by_state, by_extra]), axis=0), wanted
 
-    def begin(self) -> "AdaptiveSession":
-        """Return a session for one run."""
-        return AdaptiveSession(self)
-
-    def begin_many(self, count: int) -> "AdaptiveController":
-        """Return what answers `commands` for `count` runs in lockstep."""
-        return self
-
     def join(self, tick: int, state: Array) -> "AdaptiveSession":
         """Return a session whose start is at `tick`."""
         return AdaptiveSession(self, tick)
 
 
-class AdaptiveSession:
-    """An adaptive controller during one run: its clock is the loop's, from tick `start` on."""
+class AdaptiveSession(TimedSession):
+    """An adaptive controller during one run."""
 
     def __init__(self, controller: AdaptiveController, start: int = 0) -> None:
-        self._controller, self._start = controller, start
+        super().__init__(start)
+        self._controller = controller
         self._feedforward = controller.feedforward.tolist()
         self._last = len(self._feedforward) - 1
         self._shares = controller.shares.tolist()
@@ -147,10 +131,6 @@ class AdaptiveSession:
             f"model doubted: {law.names[which]} is found to be off by {share:+.0%}, more than first order carries "
             f"(trust {law.trust:g}); identify the arms, or expect the reference to be lost"
         )
-
-    def resynchronise(self, tick: int, state: Array) -> str:
-        """Leave the clock as it is: gains by time have no other."""
-        return ""
 
 
 def preview_gains(
@@ -224,6 +204,7 @@ def adaptive_controller(
     names = extra_names(model.arms, estimator.augments)
     shares = np.array([name.startswith(("M", "S")) for name in names])
     return AdaptiveController(
-        settings.kind, states, commands, gains, extra_gains, names, shares, settings.trust,
+        settings.kind, states, commands, gains,
         f"gains for {len(commands)} ticks, on the state and on {', '.join(names)}",
+        extra_gains, names, shares, settings.trust,
     )  # fmt: skip

@@ -17,6 +17,7 @@ Q stands for wrong parameters, whose effect is a share of the acceleration: an a
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 5.2.6, 10.3.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -28,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import Augment, FilterSettings, extra_names
-from dpcontrol.control.interface import Estimate
+from dpcontrol.control.interface import Estimate, Present
 from dpcontrol.control.model import SampledModel
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
@@ -327,6 +328,25 @@ class EkfProgram:
         covariance = one.reshape(-1, *(1 for _ in shape)) * np.ones(shape)
         return np.concatenate([np.asarray(state, dtype=float), extra, covariance])
 
+    def restarted(self, state: Array, measured: Array) -> tuple[Array, Array]:
+        """Return memory and standard deviations (N+E,) of an estimate that trusts `measured` (n+1,) and little else.
+
+        Raises:
+            InputError: a measured position is missing or not finite.
+        """
+        model, arms = self.model, self.model.arms
+        z = np.asarray(measured, dtype=float)
+        if z.shape != (arms + 1,) or not np.isfinite(z).all():
+            raise InputError(f"measured = {z.tolist()!r}: a restart needs {arms + 1} finite positions")
+        x = np.where(np.isfinite(state), state, 0.0)
+        x[arms : 2 * arms] = np.clip(x[arms : 2 * arms], -3 * RESTART_RATE, 3 * RESTART_RATE)
+        x[-1] = np.clip(x[-1], -3 * RESTART_VELOCITY, 3 * RESTART_VELOCITY)
+        x[model.position_indices] = z
+        sigmas = self.settings.first_sigmas(arms)
+        sigmas[arms : 2 * arms] = RESTART_RATE
+        sigmas[2 * arms + 1] = RESTART_VELOCITY
+        return self.first(x, sigmas), sigmas
+
     def inputs(self, noise: Array, *, runs: int | None = None) -> Array:
         """Return inputs (M,), or (M, runs), with noise R (n+1, n+1), all positions present, and zeros elsewhere.
 
@@ -353,10 +373,8 @@ class _Memory(NamedTuple):
     later: Array
 
 
-class CompiledEkf:
-    """The extended Kalman filter for one sampled model; an `Estimator`. Not to be shared between threads.
-
-    noise (n+1, n+1): of the measured positions.
+class KalmanFilter(ABC):
+    """What the filters share: model, settings, noise (n+1, n+1) of the measured positions, and the compiled equations.
 
     Raises:
         InputError: the noise has the wrong shape or is no covariance.
@@ -365,7 +383,50 @@ class CompiledEkf:
     def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
         self.model = model
         self.settings = settings
+        self.noise = checked_noise(noise, model.arms)
         self.program = EkfProgram(model, settings)
+
+    @property
+    def kind(self) -> str:
+        """Return the name of its kind."""
+        return self.settings.kind
+
+    @property
+    def extra_names(self) -> tuple[str, ...]:
+        """Return the names of what it is augmented by."""
+        return self.program.equations.extra_names
+
+    def first(self, state: Array) -> Estimate:
+        """Return the estimate before any measurement: `state` (N,) with the settings' standard deviations.
+
+        Raises:
+            InputError: the state has the wrong shape.
+        """
+        x = np.array(state, dtype=float)
+        if x.shape != (self.model.dimension,):
+            raise InputError(f"state has shape {x.shape}: the filter's model needs ({self.model.dimension},)")
+        return self._begun(self.program.first(x), self.settings.first_sigmas(self.model.arms))
+
+    def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
+        """Return an estimate that trusts the positions `measured` (n+1,) and little else: for recovery when lost.
+
+        The rates stay where they are finite, but count for little; the extras begin anew.
+
+        Raises:
+            InputError: a measured position is missing or not finite.
+        """
+        return self._begun(*self.program.restarted(estimate.state, measured))
+
+    @abstractmethod
+    def _begun(self, memory: Array, sigmas: Array) -> Estimate:
+        """Return the estimate of a program's first memory, with its standard deviations (N+E,)."""
+
+
+class CompiledEkf(KalmanFilter):
+    """The extended Kalman filter for one sampled model; an `Estimator`. Not to be shared between threads."""
+
+    def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
+        super().__init__(model, settings, noise=noise)
         self._inputs = self.program.inputs(noise)
         self._size = model.dimension
         where, out = self.program.slices, self.program.out
@@ -392,39 +453,15 @@ class CompiledEkf:
             block = np.empty((_AT_ONCE, self.program.step.size_out))
             yield from zip(block, block[:, -3:], *(block[:, part] for part in parts), strict=True)
 
-    @property
-    def kind(self) -> str:
-        """Return the name of its kind."""
-        return self.settings.kind
-
-    @property
-    def extra_names(self) -> tuple[str, ...]:
-        """Return the names of what it is augmented by."""
-        return self.program.equations.extra_names
-
-    def first(self, state: Array) -> Estimate:
-        """Return the estimate before any measurement: `state` (N,) with the settings' standard deviations.
-
-        Raises:
-            InputError: the state has the wrong shape.
-        """
-        x = np.array(state, dtype=float)
-        if x.shape != (self._size,):
-            raise InputError(f"state has shape {x.shape}: the filter's model needs ({self._size},)")
-        return self._begun(self.program.first(x), self.settings.first_sigmas(self.model.arms))
-
     def _begun(self, memory: Array, sigmas: Array) -> Estimate:
         still = np.zeros(self.model.arms + 1)
         state, extra = memory[: self._size], memory[self._size : self._z]
         return Estimate(state, extra, sigmas, still, float("nan"), 0, _Memory(memory, float("nan"), state))
 
-    def update(
-        self, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None = None, *, coming: float = 0.0
-    ) -> Estimate:
+    def update(self, estimate: Estimate, measured: Array, present: Present = None, *, coming: float = 0.0) -> Estimate:
         """Return the estimate after the positions `measured` (n+1,): angles in rad, cart in m.
 
-        present (n+1,): which of them count; all by default. coming: the next period's command, which spares `ahead` its
-        first period.
+        present (n+1,): which of them count. coming: the next period's command, which spares `ahead` its first period.
 
         Raises:
             InputError: the measurement or the estimate has the wrong shape.
@@ -433,13 +470,7 @@ class CompiledEkf:
         return self._called(self.program.update, estimate, measured, present, coming)
 
     def step(
-        self,
-        estimate: Estimate,
-        command: float,
-        measured: Array,
-        present: NDArray[np.bool_] | None = None,
-        *,
-        coming: float = 0.0,
+        self, estimate: Estimate, command: float, measured: Array, present: Present = None, *, coming: float = 0.0
     ) -> Estimate:
         """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came.
 
@@ -453,7 +484,7 @@ class CompiledEkf:
         return self._called(self.program.step, estimate, measured, present, coming)
 
     def _called(
-        self, program: Compiled, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None, coming: float
+        self, program: Compiled, estimate: Estimate, measured: Array, present: Present, coming: float
     ) -> Estimate:
         memory = estimate.memory.kept
         self._inputs[self._coming_at] = coming
@@ -504,33 +535,3 @@ class CompiledEkf:
     def covariance(self, estimate: Estimate) -> Array:
         """Return the covariance (N+E, N+E) of state and extra."""
         return unpacked(estimate.memory.kept[self._z :])
-
-    def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
-        """Return an estimate that trusts the positions `measured` (n+1,) and little else: for recovery when lost.
-
-        The rates stay where they are finite, but count for little; the extras begin anew.
-
-        Raises:
-            InputError: a measured position is missing or not finite.
-        """
-        return self._begun(*restarted(self.program, estimate.state, measured))
-
-
-def restarted(program: EkfProgram, state: Array, measured: Array) -> tuple[Array, Array]:
-    """Return memory and standard deviations (N+E,) of an estimate that trusts `measured` (n+1,) and little else.
-
-    Raises:
-        InputError: a measured position is missing or not finite.
-    """
-    model, arms = program.model, program.model.arms
-    z = np.asarray(measured, dtype=float)
-    if z.shape != (arms + 1,) or not np.isfinite(z).all():
-        raise InputError(f"measured = {z.tolist()!r}: a restart needs {arms + 1} finite positions")
-    x = np.where(np.isfinite(state), state, 0.0)
-    x[arms : 2 * arms] = np.clip(x[arms : 2 * arms], -3 * RESTART_RATE, 3 * RESTART_RATE)
-    x[-1] = np.clip(x[-1], -3 * RESTART_VELOCITY, 3 * RESTART_VELOCITY)
-    x[model.position_indices] = z
-    sigmas = program.settings.first_sigmas(arms)
-    sigmas[arms : 2 * arms] = RESTART_RATE
-    sigmas[2 * arms + 1] = RESTART_VELOCITY
-    return program.first(x, sigmas), sigmas

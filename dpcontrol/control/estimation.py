@@ -7,7 +7,6 @@ from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterpyEkfSettings, UkfSettings
 from dpcontrol.control.interface import Estimator
 from dpcontrol.control.model import SampledModel
-from dpcontrol.control.ukf import FilterpyEkf, Ukf
 
 ESTIMATORS: dict[str, type[EstimatorSettings]] = {
     settings.kind: settings for settings in (EkfSettings, UkfSettings, FilterpyEkfSettings)
@@ -21,8 +20,13 @@ def make_estimator(settings: EstimatorSettings, model: SampledModel, *, noise: N
     Raises:
         InputError: the noise has the wrong shape or is no covariance.
     """
-    if isinstance(settings, UkfSettings):
-        return Ukf(model, settings, noise=noise)
-    if isinstance(settings, FilterpyEkfSettings):
-        return FilterpyEkf(model, settings, noise=noise)
-    return CompiledEkf(model, settings, noise=noise)
+    if isinstance(settings, EkfSettings):
+        return CompiledEkf(model, settings, noise=noise)
+    # filterpy takes a second to import.
+    from dpcontrol.control.ukf import FilterpyEkf, Ukf
+
+    return (
+        Ukf(model, settings, noise=noise)
+        if isinstance(settings, UkfSettings)
+        else FilterpyEkf(model, settings, noise=noise)
+    )

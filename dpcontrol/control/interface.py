@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+Present = NDArray[np.bool_] | None
+"""Which of the positions (n+1,) count; None: all."""
 
 
 class Mode(IntEnum):
@@ -64,23 +66,15 @@ class Estimator(Protocol):
         """Return the estimate before any measurement, at `state` (N,)."""
         ...
 
-    def update(
-        self, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None = None, *, coming: float = 0.0
-    ) -> Estimate:
-        """Return the estimate after the positions `measured` (n+1,); present (n+1,): which of them count.
+    def update(self, estimate: Estimate, measured: Array, present: Present = None, *, coming: float = 0.0) -> Estimate:
+        """Return the estimate after the positions `measured` (n+1,), of which those `present` count.
 
         coming m/s²: the command of the next period, if `ahead` is to be asked for it.
         """
         ...
 
     def step(
-        self,
-        estimate: Estimate,
-        command: float,
-        measured: Array,
-        present: NDArray[np.bool_] | None = None,
-        *,
-        coming: float = 0.0,
+        self, estimate: Estimate, command: float, measured: Array, present: Present = None, *, coming: float = 0.0
     ) -> Estimate:
         """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came."""
         ...

@@ -1,16 +1,13 @@
-"""Holding an equilibrium: the stationary linear-quadratic regulator, its basin, and the delay that it survives.
+"""Linear-quadratic regulation: what it weighs, and holding an equilibrium.
 
     u = -K (x̂ - x*),    K = (r + BᵀPB)⁻¹ BᵀPA,    P of the discrete algebraic Riccati equation of the sampled model
 
-The estimate is predicted through the commands on their way, so that a delay that is known costs nothing but time. One
-that is not known turns x_{k+1} = A x_k + B u_k, u_k = -K x_{k-d} unstable at a number of ticks d that is computed.
-Source: Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed., section 9.3, and 8.6 for delays.
-
-What linear-quadratic feedback weighs: the diagonal of Q and r of a period of T s, from weights per second.
+The diagonal of Q and r of a period of T s follow from weights per second.
 
     Q = T diag(w / s²),   r = T w_u:   weights w of errors measured in s, the scales of angles, rates and cart
 
-Source: Anderson & Moore, Optimal Control: Linear Quadratic Methods, chapter 6, on selecting weights.
+Sources: Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed., section 9.3; Anderson & Moore, Optimal
+Control: Linear Quadratic Methods, chapter 6, on selecting weights.
 """
 
 from dataclasses import dataclass
@@ -21,10 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from dpcontrol.control.interface import Action, Mode
 from dpcontrol.control.model import SampledModel
 from dpcontrol.control.phase import whole_turns
-from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import Settings, setting
-from dpcontrol.references.problem import ANGLE_SCALE, CART_VELOCITY_SCALE, RATE_SCALE, Limits
+from dpcontrol.references.problem import ANGLE_SCALE, CART_VELOCITY_SCALE, RATE_SCALE
 
 Array = NDArray[np.float64]
 
@@ -66,8 +62,6 @@ class ClosingWeights(QuadraticWeights):
 
 AT_REST = 1e-6
 """Acceleration in rad/s² that counts as none: an equilibrium is exact to rounding."""
-CAUGHT = 0.02
-"""Scaled distance from the equilibrium, cart included, that counts as back: 0.06 rad, 0.2 rad/s."""
 
 
 @dataclass(frozen=True)
@@ -166,97 +160,3 @@ def hold_controller(state: ArrayLike, model: SampledModel, settings: HoldSetting
         raise GoalMissed(f"the equilibrium cannot be held: the best loop's largest multiplier is {slowest:.6g}")
     text = f"slowest motion dies out in {-model.period / np.log(slowest):.3g} s"
     return HoldController(settings.kind, x, np.asarray(gain)[0], max(round(seconds / model.period), 1), text)
-
-
-def delay_margin(controller: HoldController, model: SampledModel, *, most: int = 1000) -> int:
-    """Return the most ticks of a delay that nobody knows of for which the loop is stable, at most `most`.
-
-    From the eigenvalues of state and commands on their way, together.
-    """
-    n = model.dimension
-    a, b = (v[0] for v in model.linearised(controller.state[None, :], np.zeros(1)))
-    for ticks in range(most + 1):
-        loop = np.zeros((n + ticks, n + ticks))
-        loop[:n, :n] = a
-        if ticks == 0:
-            loop -= np.outer(b, controller.gain)
-        else:
-            loop[:n, n] = b
-            loop[n : n + ticks - 1, n + 1 :] = np.eye(ticks - 1)
-            loop[-1, :n] = -controller.gain
-        if np.abs(np.linalg.eigvals(loop)).max() >= 1:
-            return ticks - 1
-    return most
-
-
-@dataclass(frozen=True)
-class Basin:
-    """kick: the largest from which the loop comes back, all smaller ones too, in the coordinate's unit.
-
-    lost: the next larger that was tried, from which it does not; infinite if all came back. reason: what ended it.
-    """
-
-    kick: float
-    lost: float
-    reason: str
-
-
-def basin(
-    controller: HoldController,
-    model: SampledModel,
-    *,
-    coordinate: int,
-    limits: Limits,
-    most: float = 20.0,
-    seconds: float = 4.0,
-) -> Basin:
-    """Return how large a jump of one coordinate of the state, from rest, is caught: an arm's angle or rate.
-
-    The model is its own plant and its state known: what sensors and mismatch take away comes on top. Commands are cut
-    at the limits of acceleration and velocity; past that of position the cart has hit its stop. Kicks up to `most` are
-    tried on a grid that is refined twice, to `most` / 32,768. By symmetry a kick the other way is caught as well.
-    """
-    function = model.equations.discrete_step(model.period)
-    step = Compiled(function.factory("plain", function.name_in(), [function.name_out(0)]))
-    low, high, reason = 0.0, most, "nothing up to the largest kick tried"
-    for _ in range(3):
-        kicks = low + (high - low) * np.arange(1, 33) / 32
-        caught, stopped = _flown(controller, model, step, coordinate, kicks, limits, seconds)
-        if caught.all():
-            low = float(kicks[-1])
-            return Basin(low, np.inf if low == most else high, reason)
-        first = int(np.argmin(caught))
-        reason = "the cart reached its stop" if stopped[first] else "the arms fell away"
-        low, high = float(kicks[first - 1]) if first else low, float(kicks[first])
-    return Basin(low, high, reason)
-
-
-def _flown(
-    controller: HoldController,
-    model: SampledModel,
-    step: Compiled,
-    coordinate: int,
-    kicks: Array,
-    limits: Limits,
-    seconds: float,
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Return which kicks (S,) were caught, and in which the cart hit its stop, (S,) each."""
-    where = list(step.slices.values())
-    inputs = np.zeros((step.size_in, len(kicks)))
-    inputs[where[2]] = model.parameters[:, None]
-    states = np.repeat(controller.state[:, None], len(kicks), axis=1)
-    states[coordinate] += kicks
-    stopped = np.zeros(len(kicks), dtype=bool)
-    for k in range(max(round(seconds / model.period), 1)):
-        _, command, _ = controller.commands(k, states)
-        room = (np.array([-limits.velocity, limits.velocity])[:, None] - states[-1]) / model.period
-        command = np.clip(np.clip(command, -limits.acceleration, limits.acceleration), *room)
-        # Those that are lost stand still, lest they overflow.
-        inputs[where[0]], inputs[where[1]] = states, np.where(stopped, 0.0, command)
-        states = step(inputs, np.empty_like(states))
-        stopped |= ~(np.abs(states[-2]) < limits.position)
-        states[:, stopped] = controller.state[:, None]
-    n = model.arms
-    scale = np.array([ANGLE_SCALE] * n + [RATE_SCALE] * n + [1.0, 1.0])
-    away = np.abs((states - controller.state[:, None]) / scale[:, None]).max(0)
-    return ~stopped & (away < CAUGHT), stopped

@@ -59,46 +59,25 @@ class SampledModel:
     def _function(self) -> Any:
         return self.equations.discrete_step(self.period)
 
-    def _buffered(self, function: Any) -> tuple[Any, Any, Array, Array, list[Array]]:
-        """Return (trigger, its keeper, state, input, results) that share memory with `function`'s arguments."""
+    @cached_property
+    def _buffered(self) -> tuple[Any, Any, Array, Array, Array]:
+        """Return (trigger, its keeper, state, input, following) that share memory with the plain step's arguments."""
+        function = self._function.factory("plain", self._function.name_in(), [self._function.name_out(0)])
         buffer, trigger = function.buffer()
-        x, u = np.zeros(self.dimension), np.zeros(1)
-        # casadi writes matrices column by column, so these hold the transposes.
-        results = [np.zeros(function.size_out(k)[::-1]) for k in range(function.n_out())]
+        x, u, following = np.zeros(self.dimension), np.zeros(1), np.zeros(self.dimension)
         for k, array in enumerate((x, u, self.parameters)):
             buffer.set_arg(k, memoryview(array.data))
-        for k, array in enumerate(results):
-            buffer.set_res(k, memoryview(array.data))
+        buffer.set_res(0, memoryview(following.data))
         # The trigger points into the buffer and all arrays but owns neither: they must live as long as it does.
-        return trigger, (buffer, x, u, results), x, u, results
-
-    @cached_property
-    def _plain(self) -> tuple[Any, Any, Array, Array, Array]:
-        name = self._function.name_out(0)
-        alone = self._function.factory("plain", self._function.name_in(), [name])
-        trigger, keeper, x, u, results = self._buffered(alone)
-        return trigger, keeper, x, u, results[0][0]
-
-    @cached_property
-    def _with_jacobian(self) -> tuple[Any, Any, Array, Array, Array, Array]:
-        trigger, keeper, x, u, results = self._buffered(self._function)
-        return trigger, keeper, x, u, results[0][0], results[1].T
+        return trigger, (buffer, x, u, following), x, u, following
 
     def step(self, state: Array, command: float) -> Array:
         """Return the state (N,) one period later, with the cart's acceleration `command` held, m/s²."""
-        trigger, _, x, u, following = self._plain
+        trigger, _, x, u, following = self._buffered
         x[:] = state
         u[0] = command
         trigger()
         return following.copy()
-
-    def step_with_jacobian(self, state: Array, command: float) -> tuple[Array, Array]:
-        """Return the state one period later and A (N, N); both are overwritten by the next call."""
-        trigger, _, x, u, following, jacobian = self._with_jacobian
-        x[:] = state
-        u[0] = command
-        trigger()
-        return following, jacobian
 
     def ahead(self, state: Array, commands: Iterable[float]) -> Array:
         """Return the state (N,) after the commands that are already on their way, one per period.

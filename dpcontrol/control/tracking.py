@@ -15,13 +15,15 @@ stands still the clock goes on with time alone.
 Source: Hauser & Hindman, Manoeuvre regulation from trajectory tracking, NOLCOS (1995), section 3.
 """
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.interface import Action, Mode
+from dpcontrol.control.interface import Action, Mode, Session
 from dpcontrol.control.lqr import ClosingWeights
 from dpcontrol.control.model import SampledModel
 from dpcontrol.foundation.errors import GoalMissed, InputError
@@ -38,14 +40,13 @@ MOST = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class PhaseController:
-    """Feedforward (K,), gains (K, N), reference states (K+1, N) at ticks; normals n (K+1, N)."""
+class ReferenceController:
+    """What follows a reference: its states (K+1, N) and inputs (K,) in m/s² at the ticks, gains (K, N) on the state."""
 
     kind: str
     reference_states: Array
     feedforward: Array
     gains: Array
-    normals: Array
     status: str
 
     @property
@@ -55,8 +56,43 @@ class PhaseController:
 
     @property
     def ticks(self) -> int:
-        """Return for how many periods it has something to do, if the clock went with time."""
+        """Return for how many periods it has something to do, if its clock goes with time."""
         return len(self.feedforward)
+
+
+@dataclass(frozen=True, eq=False)
+class TimedController(ReferenceController, ABC):
+    """One whose clock is the loop's, so that many runs in lockstep share the reference."""
+
+    def begin(self) -> Session:
+        """Return a session for one run."""
+        return self.join(0, self.first_state)
+
+    def begin_many(self, count: int) -> Self:
+        """Return what answers `commands` for `count` runs in lockstep."""
+        return self
+
+    @abstractmethod
+    def join(self, tick: int, state: Array) -> Session:
+        """Return a session whose start is at `tick`."""
+
+
+class TimedSession:
+    """A run whose clock is the loop's, from tick `start` on."""
+
+    def __init__(self, start: int) -> None:
+        self._start = start
+
+    def resynchronise(self, tick: int, state: Array) -> str:
+        """Leave the clock as it is: gains by time have no other."""
+        return ""
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseController(ReferenceController):
+    """One whose clock is corrected to the nearest phase at every tick; normals n (K+1, N)."""
+
+    normals: Array
 
     def begin(self) -> "PhaseSession":
         """Return a session for one run."""
@@ -91,7 +127,7 @@ def phase_controller(kind: str, *, states: Array, feedforward: Array, gains: Arr
     normals = np.zeros_like(states)
     normals[:, : len(scale)] = rates / scale / (np.square(rates).sum(1) + (STANDSTILL * period) ** 2)[:, None]
     text = f"gains for {len(gains)} ticks, by phase"
-    return PhaseController(kind, states, feedforward, gains, normals, text)
+    return PhaseController(kind, states, feedforward, gains, text, normals)
 
 
 def _scale(dimension: int) -> Array:
@@ -158,9 +194,6 @@ class PhaseSession:
         return f"clock of the reference moved by {self._place - expected:+.0f} ticks"
 
 
-_TRACKING = Mode.TRACKING
-
-
 @dataclass(frozen=True)
 class FeedforwardSettings:
     """The reference's input alone: shows that a correct reference is not enough."""
@@ -186,23 +219,8 @@ ControllerSettings = FeedforwardSettings | TvlqrSettings
 
 
 @dataclass(frozen=True, eq=False)
-class TrackingController:
-    """Feedforward (K,), gains (K, N) and reference states (K+1, N) at the ticks; gains of zero: no feedback."""
-
-    kind: str
-    reference_states: Array
-    feedforward: Array
-    gains: Array
-    status: str
-
-    def command(self, tick: int, state: Array) -> tuple[float, float]:
-        """Return feedforward and feedback in m/s² for the period from `tick`, at estimated `state` (N,).
-
-        After the last tick the last gain holds the reference's end.
-        """
-        k = min(tick, len(self.feedforward) - 1)
-        feedback = self.gains[k].dot(self.reference_states[k] - state)
-        return float(self.feedforward[k]), float(feedback)
+class TrackingController(TimedController):
+    """Gains by time; of zero: no feedback. After the last tick the last gain holds the reference's end."""
 
     @cached_property
     def rows(self) -> list[tuple[float, tuple[float, ...], tuple[float, ...]]]:
@@ -213,44 +231,25 @@ class TrackingController:
             for forward, gain, state in zip(self.feedforward.tolist(), gains, states[:-1], strict=True)
         ]
 
-    @property
-    def first_state(self) -> Array:
-        """Return the state (N,) from which it starts."""
-        return self.reference_states[0]
-
-    @property
-    def ticks(self) -> int:
-        """Return for how many periods it has something to do."""
-        return len(self.feedforward)
-
     def commands(self, tick: int, states: Array, extras: Array) -> tuple[float, Array, Array]:
         """Return feedforward m/s², feedbacks (S,) m/s² and the reference (N,) for `states` (N, S) of many runs.
 
         The products are added up in the order of the state, as for one run, so that both agree to the last bit.
         """
-        k = min(tick, len(self.feedforward) - 1)
-        wanted = self.reference_states[min(tick, len(self.feedforward))]
+        k = min(tick, self.ticks - 1)
         products = self.gains[k][:, None] * (self.reference_states[k][:, None] - states)
-        return float(self.feedforward[k]), np.add.reduce(products, axis=0), wanted
-
-    def begin(self) -> "TrackingSession":
-        """Return a session for one run."""
-        return TrackingSession(self)
-
-    def begin_many(self, count: int) -> "TrackingController":
-        """Return what answers `commands` for `count` runs in lockstep."""
-        return self
+        return float(self.feedforward[k]), np.add.reduce(products, axis=0), self.reference_states[min(tick, self.ticks)]
 
     def join(self, tick: int, state: Array) -> "TrackingSession":
         """Return a session whose start is at `tick`."""
         return TrackingSession(self, tick)
 
 
-class TrackingSession:
-    """A tracking controller during one run: its clock is the loop's, from tick `start` on."""
+class TrackingSession(TimedSession):
+    """A tracking controller during one run."""
 
     def __init__(self, controller: TrackingController, start: int = 0) -> None:
-        self._start = start
+        super().__init__(start)
         self._rows, self._wanted = controller.rows, controller.reference_states
         self._still = not controller.gains.any()
         self._last = len(self._rows) - 1
@@ -265,11 +264,7 @@ class TrackingSession:
         if not self._still:
             for gain, wish, seen in zip(gains, due, state.tolist(), strict=True):
                 feedback += gain * (wish - seen)
-        return Action(forward, feedback, wanted, _TRACKING)
-
-    def resynchronise(self, tick: int, state: Array) -> str:
-        """Leave the clock as it is: gains by time have no other."""
-        return ""
+        return Action(forward, feedback, wanted, Mode.TRACKING)
 
 
 def terminal_cost(state_jacobian: Array, input_jacobian: Array, *, weights: Array, effort: float) -> Array:

@@ -13,7 +13,7 @@ They exist to check and to be compared with: the equations of motion and Q are t
 estimate's arithmetic is not.
 """
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -21,9 +21,9 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
 from numpy.typing import NDArray
 
-from dpcontrol.control.ekf import EkfProgram, checked_noise, restarted, unpacked
+from dpcontrol.control.ekf import KalmanFilter, unpacked
 from dpcontrol.control.estimator_settings import FilterSettings, UkfSettings
-from dpcontrol.control.interface import Estimate
+from dpcontrol.control.interface import Estimate, Present
 from dpcontrol.control.model import SampledModel
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.errors import InputError
@@ -31,64 +31,31 @@ from dpcontrol.foundation.errors import InputError
 Array = NDArray[np.float64]
 
 
-class FilterpyEstimator(ABC):
-    """An `Estimator` whose memory is (z (N+E,), P (N+E, N+E)). Not to be shared between threads.
-
-    noise (n+1, n+1): of the measured positions.
-
-    Raises:
-        InputError: the noise has the wrong shape or is no covariance.
-    """
+class FilterpyEstimator(KalmanFilter):
+    """An `Estimator` whose memory is (z (N+E,), P (N+E, N+E)). Not to be shared between threads."""
 
     def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
-        self.model = model
-        self.settings = settings
-        self.noise = checked_noise(noise, model.arms)
-        self._program = EkfProgram(model, settings)
-        equations = self._program.equations
-        self.observation = equations.observation
-        self.size = equations.dimension
-        self._ahead = self._program.ahead
-        self._linear = Compiled(equations.prediction(with_jacobian=True))
-
-    @property
-    def kind(self) -> str:
-        """Return the name of its kind."""
-        return self.settings.kind
-
-    @property
-    def extra_names(self) -> tuple[str, ...]:
-        """Return the names of what it is augmented by."""
-        return self._program.equations.extra_names
+        super().__init__(model, settings, noise=noise)
+        self.size = self.program.equations.dimension
+        self._linear = Compiled(self.program.equations.prediction(with_jacobian=True))
 
     def following(self, points: Array, command: float) -> Array:
         """Return the next z (N+E,) or (N+E, S) of `points` of the same shape."""
-        inputs = np.empty((self._ahead.size_in, *points.shape[1:]))
+        inputs = np.empty((self.program.ahead.size_in, *points.shape[1:]))
         column = (slice(None), *(None for _ in points.shape[1:]))
         inputs[: self.size] = points
         inputs[self.size] = command
-        inputs[self._ahead.slices["parameters"]] = self.model.parameters[column]
-        inputs[self._ahead.slices["process"]] = self._program.process[column]
-        return self._ahead(inputs, np.empty(points.shape))
+        inputs[self.program.ahead.slices["parameters"]] = self.model.parameters[column]
+        inputs[self.program.ahead.slices["process"]] = self.program.process[column]
+        return self.program.ahead(inputs, np.empty(points.shape))
 
     def linearised(self, z: Array, command: float) -> tuple[Array, Array, Array]:
         """Return the next z (N+E,), its Jacobian and Q (N+E, N+E)."""
-        inputs = np.concatenate([z, [command], self.model.parameters, self._program.process])
+        inputs = np.concatenate([z, [command], self.model.parameters, self.program.process])
         out, n = self._linear(inputs, np.empty(self._linear.size_out)), self.size
         return out[:n], out[n : n + n * n].reshape(n, n).T, out[n + n * n :].reshape(n, n).T
 
-    def first(self, state: Array) -> Estimate:
-        """Return the estimate before any measurement: `state` (N,) with the settings' standard deviations.
-
-        Raises:
-            InputError: the state has the wrong shape.
-        """
-        x = np.array(state, dtype=float)
-        if x.shape != (self.model.dimension,):
-            raise InputError(f"state has shape {x.shape}: the filter's model needs ({self.model.dimension},)")
-        return self._begun(self._program.first(x))
-
-    def _begun(self, memory: Array) -> Estimate:
+    def _begun(self, memory: Array, sigmas: Array) -> Estimate:
         z, covariance = memory[: self.size], unpacked(memory[self.size :])
         return self._estimate(z, covariance, np.zeros(self.model.arms + 1), float("nan"), 0)
 
@@ -108,12 +75,8 @@ class FilterpyEstimator(ABC):
     ) -> tuple[Array, Array, Array, float]:
         """Return z, P, innovation (m,) and NIS after m measured values = `observation` (m, N+E) z and noise."""
 
-    def update(
-        self, estimate: Estimate, measured: Array, present: NDArray[np.bool_] | None = None, *, coming: float = 0.0
-    ) -> Estimate:
-        """Return the estimate after the positions `measured` (n+1,): angles in rad, cart in m.
-
-        present (n+1,): which of them count; all by default.
+    def update(self, estimate: Estimate, measured: Array, present: Present = None, *, coming: float = 0.0) -> Estimate:
+        """Return the estimate after the positions `measured` (n+1,), of which those `present` count: rad, cart in m.
 
         Raises:
             InputError: the measurement has the wrong shape.
@@ -127,7 +90,7 @@ class FilterpyEstimator(ABC):
         innovation = np.zeros(m)
         if not len(rows):
             return self._estimate(z, covariance, innovation, 0.0, 0)
-        h, r = self.observation[rows], self.noise[np.ix_(rows, rows)]
+        h, r = self.program.equations.observation[rows], self.noise[np.ix_(rows, rows)]
         # Wrapped: a whole turn in a measured angle makes no difference.
         away = measured[rows] - h @ z
         turns = np.where(rows < m - 1, np.round(away / (2 * np.pi)), 0.0)
@@ -139,13 +102,7 @@ class FilterpyEstimator(ABC):
         return self._estimate(after, left, innovation, nis, len(rows))
 
     def step(
-        self,
-        estimate: Estimate,
-        command: float,
-        measured: Array,
-        present: NDArray[np.bool_] | None = None,
-        *,
-        coming: float = 0.0,
+        self, estimate: Estimate, command: float, measured: Array, present: Present = None, *, coming: float = 0.0
     ) -> Estimate:
         """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came.
 
@@ -170,14 +127,6 @@ class FilterpyEstimator(ABC):
     def covariance(self, estimate: Estimate) -> Array:
         """Return the covariance (N+E, N+E) of state and extra."""
         return estimate.memory[1]
-
-    def restarted(self, estimate: Estimate, measured: Array) -> Estimate:
-        """Return an estimate that trusts the positions `measured` (n+1,) and little else: for recovery when lost.
-
-        Raises:
-            InputError: a measured position is missing or not finite.
-        """
-        return self._begun(restarted(self._program, estimate.state, measured)[0])
 
 
 class FilterpyEkf(FilterpyEstimator):

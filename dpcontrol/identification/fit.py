@@ -33,7 +33,6 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
-from scipy.signal import savgol_filter
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import Compiled
@@ -181,6 +180,9 @@ class Windows:
 
     def guess(self) -> Array:
         """Return starts (W, 2n) from the measured angles, rates by a local polynomial."""
+        # It brings all of scipy.stats, which runs on a model that was identified elsewhere do not need.
+        from scipy.signal import savgol_filter
+
         starts = []
         for swing, windows in zip(self.swings, self.of_swing, strict=True):
             width = min(max(int(0.02 / swing.period) | 1, 5), (len(swing.angles) - 1) | 1)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dpcontrol.control.consistency import chi_square_band
-from dpcontrol.control.ekf import EkfProgram, restarted
+from dpcontrol.control.ekf import EkfProgram
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import Controller, ManySession
 from dpcontrol.dynamics.chain import ArmChainParameters
@@ -392,7 +392,7 @@ class _Lockstep:
                 feedback = back
                 if restarts is not None:
                     for lane in restarts:
-                        memory, _ = restarted(self.program, states[:, lane].copy(), positions[:, lane])
+                        memory, _ = self.program.restarted(states[:, lane].copy(), positions[:, lane])
                         self.memory[:, lane] = memory
                 command = forward + back
                 if watch.any_braking:

@@ -19,8 +19,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import make_interp_spline
-from scipy.signal import savgol_filter
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import LogWriter, Mode, RunLog, control_fields, read_log
@@ -235,6 +233,9 @@ def cart_motion(part: Recording) -> CartMotion | None:
     # A reading now and then that is missing leaves the position on the line through its neighbours.
     position = part.cart
     if not known.all():
+        # Each takes long to import, and models that come from recordings need neither.
+        from scipy.interpolate import make_interp_spline
+
         between = make_interp_spline(part.time[known], part.cart[known], k=1)
         position = np.asarray(between(part.time), dtype=np.float64)
     velocity, felt = (_derivative(position, period, order) for order in (1, 2))
@@ -252,6 +253,8 @@ def _derivative(position: Array, period: float, order: int) -> Array:
     width = min(max(round(_SMOOTHED / period) | 1, 5), len(position) if len(position) % 2 else len(position) - 1)
     if width < 5:
         return np.zeros(len(position))
+    from scipy.signal import savgol_filter
+
     return np.asarray(savgol_filter(position, width, 3, deriv=order, delta=period), dtype=np.float64)
 
 

@@ -70,7 +70,8 @@ def test_the_first_ticks_are_right_to_the_last_digits(plain: CompiledEkf) -> Non
         covariance, h, r = large(plain.covariance(estimate)), large(POSITIONS), large(NOISE)
         settings, step = plain.settings, 1e-3
         for command, _, measured in zip(*swing(5), strict=True):
-            following, jacobian = MODEL.step_with_jacobian(estimate.state, command)
+            following = MODEL.step(estimate.state, command)
+            jacobian = MODEL.linearised(estimate.state[None], np.array([command]))[0][0]
             a, q = large(jacobian), np.zeros((6, 6))
             density = [
                 *(

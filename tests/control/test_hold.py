@@ -5,7 +5,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
 from shadowing_stand_in import LAB
 
-from dpcontrol.control.lqr import HoldController, HoldSettings, basin, delay_margin, hold_controller
+from dpcontrol.control.lqr import HoldController, HoldSettings, hold_controller
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.problem import Limits
 
@@ -44,52 +44,27 @@ def test_each_equilibrium_is_held_by_encoders_with_other_parameters(name: str, s
     assert np.abs(flight.states[:, 4]).max() < 0.2
 
 
-def test_a_kick_inside_the_basin_is_caught_and_one_beyond_is_lost() -> None:
+@pytest.mark.parametrize(("kick", "caught"), [(2.02, True), (2.06, False)])
+def test_a_kick_is_caught_within_the_track_up_to_where_the_cart_meets_its_stop(kick: float, caught: bool) -> None:
+    # rad/s of the outer arm at Up-Up: the border lies at 2.041, by bisection of the same loop in lockstep.
     controller, limits = hold("up-up"), Limits()
-    found = basin(controller, model_of(), coordinate=3, limits=limits)
-    assert 0 < found.kick < found.lost < 1.001 * found.kick + 1e-3
     rate = model_of().equations.function()
-
-    def flown(kick: float) -> tuple[float, float]:
-        state = controller.state + np.array([0, 0, 0, kick, 0, 0])
-        farthest = 0.0
-        for _ in range(3000):
-            u = float(np.clip(controller.gain @ (controller.state - state), -limits.acceleration, limits.acceleration))
-            right = lambda _, x, u=u: np.array(rate(x, u, LAB.base())).ravel()  # noqa: E731
-            state = solve_ivp(right, (0, PERIOD), state, rtol=1e-6, atol=1e-8).y[:, -1]
-            farthest = max(farthest, abs(state[4]))
-            if farthest >= limits.position:
-                break
-        return farthest, float(np.abs(state[:2] - controller.state[:2]).max())
-
-    farthest, away = flown(0.995 * found.kick)
-    assert farthest < limits.position
-    assert away < 0.1
-    assert flown(1.005 * found.lost)[0] >= limits.position
-    assert found.reason == "the cart reached its stop"
+    state, farthest = controller.state + np.array([0, 0, 0, kick, 0, 0]), 0.0
+    for _ in range(3000):
+        u = float(np.clip(controller.gain @ (controller.state - state), -limits.acceleration, limits.acceleration))
+        right = lambda _, x, u=u: np.array(rate(x, u, LAB.base())).ravel()  # noqa: E731
+        state = solve_ivp(right, (0, PERIOD), state, rtol=1e-6, atol=1e-8).y[:, -1]
+        farthest = max(farthest, abs(state[4]))
+        if farthest >= limits.position:
+            break
+    assert (farthest < limits.position) == caught
+    assert not caught or np.abs(state[:2] - controller.state[:2]).max() < 0.1
 
 
-def test_a_shorter_track_and_a_weaker_drive_catch_less() -> None:
-    controller, model = hold("down-up"), model_of()
-    kicks = [
-        basin(controller, model, coordinate=3, limits=limits).kick
-        for limits in (Limits(), Limits(position=0.1), Limits(acceleration=2.0))
-    ]
-    assert kicks[1] < 0.5 * kicks[0]
-    assert kicks[2] < 0.9 * kicks[0]
-
-
-def test_a_hanging_pendulum_comes_back_from_every_small_kick() -> None:
-    found = basin(hold("down-down"), model_of(), coordinate=2, limits=Limits(), most=1.0)
-    assert found.kick == 1.0
-    assert found.lost == np.inf
-
-
-@pytest.mark.parametrize("name", ["down-up", "up-up"])
-def test_a_delay_that_nobody_knows_of_is_survived_up_to_the_margin_and_not_beyond(name: str) -> None:
+@pytest.mark.parametrize(("name", "margin"), [("down-up", 35), ("up-up", 25)])
+def test_a_delay_that_nobody_knows_of_is_tolerated_up_to_the_margin_of_the_eigenvalues(name: str, margin: int) -> None:
+    # Ticks: the most for which all eigenvalues of state and commands on their way lie within the unit circle.
     controller, model = hold(name), model_of()
-    margin = delay_margin(controller, model)
-    assert 5 < margin < 100
 
     def growth(delay: int) -> float:
         state = controller.state + np.array([1e-6, 0, 0, 0, 0, 0])

@@ -34,8 +34,6 @@ def model() -> SampledModel:
 def test_a_step_is_that_of_an_independent_integrator(model: SampledModel) -> None:
     expected = exact_flow(STATE, 3.0, 1e-3)
     assert model.step(STATE, 3.0) == pytest.approx(expected, abs=STEP)
-    following, _ = model.step_with_jacobian(STATE, 3.0)
-    assert following == pytest.approx(expected, abs=STEP)
 
 
 def test_jacobians_are_those_of_differences_of_the_exact_flow(model: SampledModel) -> None:
@@ -47,7 +45,6 @@ def test_jacobians_are_those_of_differences_of_the_exact_flow(model: SampledMode
             assert a[k][:, j] == pytest.approx(column, abs=SLOPE)
         column = exact_flow(state, command + 0.5, 1e-3) - exact_flow(state, command - 0.5, 1e-3)
         assert b[k] == pytest.approx(column, abs=1e-6 * SLOPE**0.5)
-    assert model.step_with_jacobian(STATE, 3.0)[1] == pytest.approx(a[0], abs=1e-14)
 
 
 def test_looking_ahead_is_stepping_through_the_commands_on_their_way(model: SampledModel) -> None:
@@ -62,7 +59,7 @@ def test_many_steps_leave_other_results_alone(model: SampledModel) -> None:
     kept = first.copy()
     junk = []
     for k in range(3000):
-        model.step_with_jacobian(STATE * (k % 7), float(k))
+        model.step(STATE * (k % 7), float(k))
         junk.append(model.step(STATE, float(k)))
     assert (first == kept).all()
     assert junk[1] == pytest.approx(kept, abs=0)

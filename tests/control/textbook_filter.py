@@ -27,7 +27,8 @@ class TextbookFilter:
     def predict(self, command: float) -> None:
         """One period on: white accelerations of the settings' density, the cart's and each arm's."""
         t, s = self.model.period, self.settings
-        following, a = (np.array(v) for v in self.model.step_with_jacobian(self.state, command))
+        following = self.model.step(self.state, command)
+        a = self.model.linearised(self.state[None], np.array([command]))[0][0]
         change = (following - self.state)[2:4] / t
         densities = s.rate_noise**2 + 2 * s.correlation_time * (s.parameter_error * change) ** 2
         q = np.zeros((6, 6))
