@@ -1,14 +1,18 @@
 """dpcontrol bench"""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from textwrap import fill
+from typing import TYPE_CHECKING
 
 import click
 
 from dpcontrol.bench.registry import CHARTS, GROUPS
-from dpcontrol.cli.output import json_option, print_json, print_table, progress_bar, reports_failure
-from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.cli.verbs import OUTPUT, Answer, TextTable, option, verb
+from dpcontrol.foundation.progress import progress_bar
+
+if TYPE_CHECKING:
+    from dpcontrol.bench.run import Drawn
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -33,27 +37,24 @@ slower, and errs by.
 """
 
 
-@click.command("bench", help=_HELP, epilog="Example:  dpcontrol bench propagation --quick --out charts")
+@verb("bench", help=_HELP, example="dpcontrol bench propagation --quick --out charts")
 @click.argument("names", nargs=-1, metavar="[CHART]...")
 @click.option("--quick", is_flag=True, help="Less of the same work: all charts in three minutes.")
-@click.option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    default=Path("charts"),
-    show_default=True,
-    help="Folder for each chart's NAME.png and NAME.json.",
-)
 @click.option(
     "--against",
     type=click.Path(file_okay=False, path_type=Path),
     help="Folder of an earlier drawing, to compare fronts and defaults with.",
 )
 @click.option("--strict", is_flag=True, help="Exit with 1 where a chart has a complaint.")
-@json_option
-@reports_failure
-def command(
-    *, names: tuple[str, ...], quick: bool, out: Path, against: Path | None, strict: bool, as_json: bool
-) -> None:
+@option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("charts"),
+    show_default=True,
+    group=OUTPUT,
+    help="Folder for each chart's NAME.png and NAME.json.",
+)
+def command(*, names: tuple[str, ...], quick: bool, against: Path | None, strict: bool, out: Path) -> Answer:
     """Draw the charts, print their fronts and borders."""
     from dpcontrol.bench.chart import Chart
     from dpcontrol.bench.redrawn import changes, earlier_panels, losses
@@ -74,21 +75,21 @@ def command(
         status += "; " + ("; ".join(changed) or f"the order on each front is that in {against}")
         status += "; " + ("; ".join(lost) or "no default became slower or less accurate")
         complaints += changed + lost
-    if as_json:
-        files = [{"file": str(d.picture), "data": str(d.data), "seconds": d.seconds} for d in drawn]
-        charts = [{**d.chart.document(), **file} for d, file in zip(drawn, files, strict=True)]
-        print_json({"charts": charts, "status": status})
-    for d in () if as_json else drawn:
-        click.echo(f"{d.picture}")
+    files = [{"file": str(d.picture), "data": str(d.data), "seconds": d.seconds} for d in drawn]
+    document = {
+        "charts": [{**d.chart.document(), **file} for d, file in zip(drawn, files, strict=True)],
+        "status": status,
+    }
+    missed = status if strict and complaints else ""
+    return Answer(document, _text(drawn) if missed else [*_text(drawn), status], missed)
+
+
+def _text(drawn: "Sequence[Drawn]") -> Iterator[str | TextTable]:
+    for d in drawn:
+        yield str(d.picture)
         for table in d.chart.tables():
-            print_table(table.title, table.columns, table.rows)
-            for note in table.notes:
-                click.echo(f"  {note}")
-        for line in d.chart.reading:
-            click.echo(f"  {line}")
-        click.echo(fill(f"Chosen: {d.chart.chosen}", 110, initial_indent="  ", subsequent_indent="  "))
-        click.echo(f"  {d.data}, {d.seconds:.0f} s")
-    if strict and complaints:
-        raise GoalMissed(status)
-    if not as_json:
-        click.echo(status)
+            yield TextTable(table.title, table.columns, table.rows)
+            yield from (f"  {note}" for note in table.notes)
+        yield from (f"  {line}" for line in d.chart.reading)
+        yield fill(f"Chosen: {d.chart.chosen}", 110, initial_indent="  ", subsequent_indent="  ")
+        yield f"  {d.data}, {d.seconds:.0f} s"

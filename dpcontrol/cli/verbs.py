@@ -177,6 +177,12 @@ def multiplier_text(value: complex, digits: int = 11) -> str:
     return f"{value.real:.{min(digits, 10)}g}{value.imag:+.{min(digits, 10)}g}i"
 
 
+def extended_text(state: Sequence[str], indent: str) -> list[str]:
+    """Return the lines of a state (N,) in decimal digits: positions, then rates."""
+    half = len(state) // 2
+    return [f"{indent}{'position' if k < half else 'rate'} {k % half + 1}  {value}" for k, value in enumerate(state)]
+
+
 class Hits(click.ParamType):
     """Crossings of the section: N for both tubes, or N,M for the unstable and the stable one."""
 

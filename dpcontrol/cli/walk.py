@@ -1,24 +1,27 @@
 """dpcontrol walk"""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.output import (
+from dpcontrol.cli.verbs import (
+    OUTPUT,
+    Answer,
     DecimalNumber,
     Hits,
-    checked_suffix,
-    json_option,
-    print_json,
-    progress_bar,
-    reports_failure,
+    TextTable,
+    drawn_to,
+    extended_text,
+    file_option,
+    option,
+    verb,
 )
-from dpcontrol.cli.walk_output import print_answer, show_graph, show_walks
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
     from dpcontrol.scenes.model import Model
@@ -29,6 +32,7 @@ REFINED = 4
 """Walks that --precision extended may refine."""
 LISTED = 100_000
 """Walks that --length may list; beyond that they are counted."""
+WALKS, WRAPS, ORBITS = "Walks", "Wraps", "Orbits"
 
 
 class _Wraps(click.ParamType):
@@ -45,53 +49,63 @@ class _Wraps(click.ParamType):
             self.fail(f"{value!r} is not a list of whole numbers, as in 2,3,2.", param, ctx)
 
 
-@click.command("walk", epilog='Example:  dpcontrol walk lab --energy 0.2 -s "down-up +" -s "down-up > up-down" --solve')
+@verb("walk", example='dpcontrol walk lab --energy 0.2 -s "down-up +" -s "down-up > up-down" --solve')
 @click.argument("model")
 @click.option("--energy", required=True, type=DecimalNumber(), help="Energy in J, zero at the pivot's height.")
-@click.option(
+@click.option("--hits", type=Hits(), default="1", show_default=True, help="Last crossings of the sections that count.")
+@option(
     "-s",
     "--symbol",
     "symbols",
     multiple=True,
+    group=WALKS,
     help="A symbol of one walk, in order: as in an itinerary; also to and from rotating orbits.",
 )
-@click.option("--through", multiple=True, metavar="SADDLE", help="A stop of the shortest walk through given stops.")
-@click.option("--length", type=click.IntRange(1), help="List all walks of this many symbols.")
-@click.option("--from", "source", help="With --length: only walks from this saddle.")
-@click.option("--to", "target", help="With --length: only walks to this saddle.")
-@click.option("--random", "count", type=click.IntRange(1), help="Draw this many walks.")
-@click.option("--lengths", type=(int, int), default=(1, 8), show_default=True, help="Symbols of a drawn walk.")
-@click.option("--seed", type=click.IntRange(0), default=0, show_default=True, help="Of the walks that are drawn.")
-@click.option(
-    "--wraps", type=_Wraps(), help="Wraps at the stops of -s or --through.  [default: the least that suffice]"
+@option("--through", multiple=True, metavar="SADDLE", group=WALKS, help="A stop of the shortest walk through stops.")
+@option("--length", type=click.IntRange(1), group=WALKS, help="List all walks of this many symbols.")
+@option("--from", "source", group=WALKS, help="With --length: only walks from this saddle.")
+@option("--to", "target", group=WALKS, help="With --length: only walks to this saddle.")
+@option("--random", "count", type=click.IntRange(1), group=WALKS, help="Draw this many walks.")
+@option("--lengths", type=(int, int), default=(1, 8), show_default=True, group=WALKS, help="Symbols of a drawn walk.")
+@option("--seed", type=click.IntRange(0), default=0, show_default=True, group=WALKS, help="Seed of drawn walks.")
+@option("--periodic", is_flag=True, group=WALKS, help="Walks that close: periodic orbits, with one more stop.")
+@option(
+    "--wraps",
+    type=_Wraps(),
+    group=WRAPS,
+    help="Wraps at the stops of -s or --through.  [default: the least that suffice]",
 )
-@click.option(
+@option(
     "--extra-wraps",
     type=(int, int),
     default=(0, 0),
     show_default=True,
+    group=WRAPS,
     help="Wraps beyond the least that suffice at each stop: drawn from this range.",
 )
-@click.option("--lead-in", type=click.IntRange(0), default=2, show_default=True, help="Wobbles before the walk.")
-@click.option("--lead-out", type=click.IntRange(0), default=2, show_default=True, help="Wobbles after it.")
-@click.option("--periodic", is_flag=True, help="Walks that close: periodic orbits, with one more stop.")
-@click.option("--hits", type=Hits(), default="1", show_default=True, help="Last crossings of the sections that count.")
-@click.option(
+@option("--lead-in", type=click.IntRange(0), default=2, show_default=True, group=WRAPS, help="Wobbles before the walk.")
+@option("--lead-out", type=click.IntRange(0), default=2, show_default=True, group=WRAPS, help="Wobbles after it.")
+@option("--solve", is_flag=True, group=ORBITS, help="Find the orbit of each walk.")
+@option(
     "--precision",
     type=click.Choice(["double", "extended"]),
     default="double",
     show_default=True,
+    group=ORBITS,
     help=f"extended: refine the orbits of up to {REFINED} walks in 113-bit arithmetic; seconds for each symbol.",
 )
-@click.option("--solve", is_flag=True, help="Find the orbit of each walk.")
-@click.option("--out", type=click.Path(file_okay=False, path_type=Path), help="Write each orbit to this folder (.npz).")
-@click.option("--picture", type=click.Path(path_type=Path, dir_okay=False), help="Draw the walk's orbit to this PNG.")
-@json_option
-@reports_failure
+@option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    group=OUTPUT,
+    help="Write each orbit to this folder (.npz).",
+)
+@file_option("--picture", suffix=".png", help="Draw the walk's orbit to this PNG.")
 def command(
     *,
     model: str,
     energy: Decimal,
+    hits: tuple[int, int],
     symbols: tuple[str, ...],
     through: tuple[str, ...],
     length: int | None,
@@ -100,18 +114,16 @@ def command(
     count: int | None,
     lengths: tuple[int, int],
     seed: int,
+    periodic: bool,
     wraps: tuple[int, ...] | None,
     extra_wraps: tuple[int, int],
     lead_in: int,
     lead_out: int,
-    periodic: bool,
-    hits: tuple[int, int],
-    precision: str,
     solve: bool,
+    precision: str,
     out: Path | None,
     picture: Path | None,
-    as_json: bool,
-) -> None:
+) -> Answer:
     """List, count and make walks on the connection graph of an energy, and the orbits that follow them.
 
     One walk is given by its symbols (-s) or its stops (--through); --length lists all walks of a length, --random
@@ -136,20 +148,18 @@ def command(
         raise InputError(f"{' and '.join(chosen)} both choose walks: give one of them")
     if wraps is not None and not (symbols or through):
         raise InputError("--wraps are those of one walk: give its symbols (-s) or stops (--through), or --extra-wraps")
-    if out is not None and not solve:
-        raise InputError("--out writes orbits: give --solve as well")
-    if precision == "extended" and not solve:
-        raise InputError("--precision extended refines orbits: give --solve as well")
-    if picture is not None:
-        checked_suffix(picture, ".png", option="--picture")
-        if not solve:
-            raise InputError("--picture draws an orbit: give --solve as well")
+    if solve and not chosen:
+        raise InputError("--solve needs walks: give -s, --through, --length or --random")
+    needs = {"--out writes orbits": out, "--picture draws an orbit": picture}
+    needs["--precision extended refines orbits"] = precision == "extended" or None
+    for what, given in needs.items():
+        if given is not None and not solve:
+            raise InputError(f"{what}: give --solve as well")
     loaded = load_model(model)
-    system = loaded.system
     numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
-    asked = parse_walk(symbols, vertex_names(system)) if symbols else ways(through)
+    asked = parse_walk(symbols, vertex_names(loaded.system)) if symbols else ways(through)
     with progress_bar("connections") as progress:
-        edges = find_edges(system, float(energy), hits=numbers, symbols=asked, progress=progress)
+        edges = find_edges(loaded.system, float(energy), hits=numbers, symbols=asked, progress=progress)
     leads = (lead_in, lead_out)
     if symbols or through:
         chain = resolve(symbols, edges) if symbols else shortest(through, edges)
@@ -160,20 +170,15 @@ def command(
         requests = drawn_requests(
             edges, count, lengths=lengths, extra=extra_wraps, seed=seed, periodic=periodic, leads=leads
         )
-    elif solve:
-        raise InputError("--solve needs walks: give -s, --through, --length or --random")
     else:
-        show_graph(edges, as_json)
-        return
+        return _graph(edges)
     if not solve:
-        show_walks(edges, requests, as_json)
-        return
+        return _walks(edges, requests)
     if picture is not None and len(requests) != 1:
         raise InputError(f"--picture draws one walk, and here are {len(requests)}: give its symbols with -s")
     if precision == "extended" and len(requests) > REFINED:
         raise InputError(f"--precision extended refines {REFINED} walks at most, and here are {len(requests)}")
-    exact = energy if precision == "extended" else None
-    _solve(edges, requests, loaded, exact, out, picture, as_json)
+    return _solve(edges, requests, loaded, energy if precision == "extended" else None, out, picture)
 
 
 def _listed(
@@ -195,8 +200,52 @@ def _listed(
             "with --random"
         )
     walks = all_walks(edges, length, source=source, target=target)
-    return [request(walk, wraps=None, extra=extra, periodic=periodic, leads=leads)
-            for walk in walks if not periodic or is_closed(walk)]  # fmt: skip
+    return [
+        request(walk, wraps=None, extra=extra, periodic=periodic, leads=leads)
+        for walk in walks
+        if not periodic or is_closed(walk)
+    ]
+
+
+def _graph(edges: "Edges") -> Answer:
+    """Show the connections of an energy, and how many walks they allow."""
+    from dpcontrol.foundation.documents import picked
+    from dpcontrol.walks.walks import count_walks
+
+    counts = {str(k): count_walks(edges, k) for k in range(1, 9)}
+    document = {
+        **picked(edges, "energy", "saddles", "notes"),
+        "absent": [{"saddle": saddle, "reason": reason} for saddle, reason in edges.absent],
+        "edges": [
+            {
+                **picked(c, "name", "winding", "sense"),
+                "from": c.source.saddle,
+                "to": c.target.saddle,
+                "transversality_angle_deg": c.transversality_angle,
+            }
+            for c in edges.connections
+        ],
+        "walks_by_length": counts,
+    }
+    rows = [(f"{a} → {b}", str(len(edges.between(a, b)))) for a, b in edges.searched]
+    text = [
+        TextTable(f"connections at {edges.energy:g} J", ("from → to", "count"), rows),
+        *(f"  {c.name}" for c in edges.connections),
+        "walks by number of symbols: " + ", ".join(f"{k}: {n:,}" for k, n in counts.items()),
+        *(f"not there: {reason}" for _, reason in edges.absent),
+        *(f"perhaps more: {note}" for note in edges.notes),
+    ]
+    return Answer(document, text)
+
+
+def _walks(edges: "Edges", requests: "Sequence[WalkRequest]") -> Answer:
+    """Show walks that were not solved."""
+    from dpcontrol.scenes.walks import asked_document
+
+    walks = [asked_document(asked) for asked in requests]
+    document = {"energy": edges.energy, "count": len(walks), "walks": walks, "notes": edges.notes}
+    end = "1 walk; --solve finds its orbit" if len(walks) == 1 else f"{len(walks)} walks; --solve finds their orbits"
+    return Answer(document, [*("  ".join(c.name for c in asked.chain) for asked in requests), end])
 
 
 def _solve(
@@ -206,9 +255,8 @@ def _solve(
     exact_energy: Decimal | None,
     out: Path | None,
     picture: Path | None,
-    as_json: bool,
-) -> None:
-    """Solve, keep, draw and print walks; refine them where their energy is given exactly."""
+) -> Answer:
+    """Solve, keep and draw walks; refine them where their energy is given exactly."""
     from dpcontrol.scenes.walks import refined_answer, save_walk, solved, walk_document
     from dpcontrol.walks.shadowing import WalkSolver
 
@@ -233,27 +281,20 @@ def _solve(
     status = f"{len(answers) - len(failed)} of {len(answers)} walks converged"
     if failed:
         status += f"; walk {failed[0]}: {answers[failed[0] - 1].status}"
-    if as_json:
-        print_json(
-            {
-                "energy": edges.energy,
-                "walks": [{**walk_document(a), "file": file} for a, file in zip(answers, files, strict=True)],
-                "least_seen": [
-                    {"before": a, "after": b, "wraps": n} for (a, b), n in sorted(solver.least_seen.items())
-                ],
-                "notes": edges.notes,
-                "picture": None if drawn is None else str(drawn),
-                "status": status,
-            }
-        )
-    else:
-        for k, answer in enumerate(answers, start=1):
-            print_answer(k, answer, files[k - 1])
-        if drawn is not None:
-            click.echo(f"drawn to {drawn}")
-        click.echo(status)
-    if failed:
-        raise GoalMissed(status)
+    document = {
+        "energy": edges.energy,
+        "walks": [{**walk_document(a), "file": file} for a, file in zip(answers, files, strict=True)],
+        "least_seen": [{"before": a, "after": b, "wraps": n} for (a, b), n in sorted(solver.least_seen.items())],
+        "notes": edges.notes,
+        "picture": None if drawn is None else str(drawn),
+        "status": status,
+    }
+    text = [
+        line
+        for k, (answer, file) in enumerate(zip(answers, files, strict=True), start=1)
+        for line in _answer_text(k, answer, file)
+    ]
+    return Answer(document, [*text, *drawn_to(drawn), status], status if failed else "")
 
 
 def _drawn(answer: "WalkAnswer", picture: Path, model: "Model") -> bool:
@@ -268,3 +309,42 @@ def _drawn(answer: "WalkAnswer", picture: Path, model: "Model") -> bool:
     lengths = arms.length if isinstance(arms, ArmChainParameters) else None
     save_figure(draw_walk(answer.orbit, arm_lengths=lengths, model=model.name), picture)
     return True
+
+
+def _answer_text(number: int, answer: "WalkAnswer", file: str | None) -> Iterator[str]:
+    """Yield one walk that was solved, its error estimate, and where it was written to."""
+    yield f"walk {number}: " + "  ".join(c.name for c in answer.request.chain)
+    orbit = answer.orbit
+    if orbit is None or not answer.converged:
+        yield f"  {answer.status}"
+        return
+    least = "" if answer.least is None else f" (least {_listing(answer.least)})"
+    yield (
+        f"  {'periodic, ' if orbit.periodic else ''}wraps {_listing(orbit.wraps_realised)}{least}, "
+        f"{orbit.duration:.3f} s; {orbit.status}"
+    )
+    estimate = orbit.estimate
+    assert estimate is not None
+    h = "not measured" if estimate.kantorovich is None else f"{estimate.kantorovich:.1e}"
+    radius = "unknown, as h ≥ 1/2" if estimate.radius is None else f"{estimate.radius:.1e}"
+    yield (
+        f"  estimate: condition {estimate.condition:.1e}, Kantorovich h {h}, distance from the true orbit {radius}, "
+        f"energy error {estimate.energy_error:.1e}"
+    )
+    if estimate.multipliers is not None:
+        multipliers = estimate.multipliers
+        yield (
+            f"  multipliers: ±exp(±{multipliers.log_unstable:.9g}), sign {multipliers.sign:+d}, product off 1 by "
+            f"{multipliers.reciprocity:.1e}"
+        )
+    if answer.refined is not None:
+        yield f"  in 113-bit arithmetic: {answer.refined.status}; at the first symbol's section"
+        yield from extended_text(answer.refined.digits, "    ")
+        if orbit.periodic:
+            yield f"    period      {answer.refined.duration}"
+    if file is not None:
+        yield f"  {file}"
+
+
+def _listing(wraps: Sequence[int]) -> str:
+    return f"[{','.join(map(str, wraps))}]"

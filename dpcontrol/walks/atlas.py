@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Section
+from dpcontrol.foundation.documents import picked
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.rotating import RotatingOrbit
@@ -218,6 +219,30 @@ class Atlas:
         centre = next(point.state for point in self.points if point.name == saddle)
         return (states - centre) @ self.reverser.T + centre
 
+    def document(self) -> "Document":
+        """Return what `dpcontrol atlas --json` prints, the file apart."""
+        return {
+            **picked(self, "energy", "model", "complete", "status"),
+            "orbits": [orbit_document(orbit) for orbit in self.orbits],
+            "rotating_orbits": [rotating_document(orbit) for orbit in self.rotating_orbits],
+            "count": len(self.connections),
+            "connections": [{**connection_document(c), "from": c.source, "to": c.target} for c in self.connections],
+            "kinds": [
+                {
+                    "from": kind.source,
+                    "to": kind.target,
+                    **picked(kind, "section", "hits", "count", "complete", "by_reversal", "status"),
+                    "open_cuts": [
+                        {"branch": f"{tube} {branch:+d}", "phase_interval": interval, "reason": reason}
+                        for tube, branch, interval, reason in kind.open_ends
+                    ],
+                }
+                for kind in self.kinds
+            ],
+            "absent": [{"saddle": saddle, "reason": reason} for saddle, reason in self.absent],
+            "seconds": dict(self.seconds),
+        }
+
 
 def section_axes(section: Section, periods: Array) -> tuple[str, float | None]:
     """Return the name of a section's coordinate q and its period, None on a line."""
@@ -233,48 +258,31 @@ Document = dict[str, Any]
 
 def orbit_document(orbit: AtlasOrbit | LyapunovOrbit) -> Document:
     """Return an orbit with the keys that `dpcontrol orbit --json` prints."""
-    return {
-        "energy": orbit.energy,
-        "period": orbit.period,
-        "state": orbit.state,
-        "floquet_multipliers": orbit.floquet_multipliers,
-        "residual": orbit.residual,
-        "status": orbit.status,
-        "saddle": orbit.saddle,
-        "family": orbit.family,
-    }
+    return picked(orbit, "energy", "period", "state", "floquet_multipliers", "residual", "status", "saddle", "family")
 
 
 def rotating_document(orbit: AtlasRotatingOrbit | RotatingOrbit) -> Document:
     """Return a rotating orbit with the keys that `dpcontrol orbit --rotating --json` prints."""
-    return {
-        "arm": orbit.arm,
-        "winding": orbit.winding,
-        "energy": orbit.energy,
-        "period": orbit.period,
-        "state": orbit.state,
-        "floquet_multipliers": orbit.floquet_multipliers,
-        "trace": orbit.trace,
-        "kind": orbit.kind,
-        "residual": orbit.residual,
-        "status": orbit.status,
-    }
+    return picked(
+        orbit,
+        "arm",
+        "winding",
+        "energy",
+        "period",
+        "state",
+        "floquet_multipliers",
+        "trace",
+        "kind",
+        "residual",
+        "status",
+    )
 
 
 def connection_document(connection: AtlasConnection | Connection) -> Document:
     """Return a connection with the keys that `dpcontrol connect --json` prints."""
     return {
-        "name": connection.name,
+        **picked(connection, "name", "state", "winding", "sense", "symmetric", "residual", "hits"),
+        **picked(connection, "time_in", "time_out", "phase_in", "phase_out"),
         "section": connection.section.name,
-        "state": connection.state,
-        "winding": connection.winding,
-        "sense": connection.sense,
-        "symmetric": connection.symmetric,
-        "residual": connection.residual,
         "transversality_angle_deg": connection.transversality_angle,
-        "hits": connection.hits,
-        "time_in": connection.time_in,
-        "time_out": connection.time_out,
-        "phase_in": connection.phase_in,
-        "phase_out": connection.phase_out,
     }
