@@ -150,10 +150,13 @@ def command(
         raise InputError("--wraps are those of one walk: give its symbols (-s) or stops (--through), or --extra-wraps")
     if solve and not chosen:
         raise InputError("--solve needs walks: give -s, --through, --length or --random")
-    needs = {"--out writes orbits": out, "--picture draws an orbit": picture}
-    needs["--precision extended refines orbits"] = precision == "extended" or None
+    needs = {
+        "--out writes orbits": out is not None,
+        "--picture draws an orbit": picture is not None,
+        "--precision extended refines orbits": precision == "extended",
+    }
     for what, given in needs.items():
-        if given is not None and not solve:
+        if given and not solve:
             raise InputError(f"{what}: give --solve as well")
     loaded = load_model(model)
     numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
