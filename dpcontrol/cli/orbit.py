@@ -127,10 +127,10 @@ def _family(model: "Model", saddle: str, energies: Range, family: int, picture: 
     with progress_bar(f"family of {saddle}") as progress:
         found = lyapunov_family(model.system, saddle, energies=energies, family=family, progress=progress)
     if picture is not None:
-        from dpcontrol.review.family_figure import draw_family
+        from dpcontrol.review.family_figure import draw_families
         from dpcontrol.review.panel_frame import save_figure
 
-        save_figure(draw_family(found), picture)
+        save_figure(draw_families([found], f"Lyapunov orbits about {found.saddle} of {found.system.name}"), picture)
     document = {
         "family": [_orbit_document(m) for m in found.members],
         "ends": [{"energy": e.energy, "kind": e.kind, "reason": e.reason} for e in found.ends],
@@ -258,10 +258,11 @@ def _sustained(model: "Model", saddle: str, energy: float, family: int, sections
     if not orbit.converged:
         picture = None
     if picture is not None:
+        from dpcontrol.review.drawing import draw
+        from dpcontrol.review.of_reference import sustained_view
         from dpcontrol.review.panel_frame import save_figure
-        from dpcontrol.review.sustained_figure import draw_sustained
 
-        save_figure(draw_sustained(orbit), picture)
+        save_figure(draw(sustained_view(orbit, model.arms.length)), picture)
     document = {**orbit.document(sections), "picture": None if picture is None else str(picture)}
     missed = "" if orbit.converged else f"the sustained orbit about {saddle} at {energy:g} J: {orbit.status}"
     return Answer(document, () if missed else [*_sustained_text(orbit, sections), *drawn_to(picture)], missed)

@@ -1,4 +1,4 @@
-"""What there is to see of a reference, from its file alone."""
+"""What there is to see of a reference, from its file alone, and of a sustained orbit."""
 
 import json
 import zipfile
@@ -12,10 +12,13 @@ from dpcontrol.dynamics.chain import pendulum_system
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.reference import FORMAT, load_reference
 from dpcontrol.references.summary import ReferenceSummary, summarised
+from dpcontrol.references.sustained import SustainedOrbit
+from dpcontrol.review.context import PlacedOrbit, PlanView
 from dpcontrol.review.motion import RunView
 from dpcontrol.review.of_log import limits_of, plan_view
 
 _RATE = 500.0  # Hz
+_POINTS = 600  # of an orbit
 _ARM = 0.2  # m: drawn where a reference does not say for which arms it was made
 
 
@@ -73,4 +76,28 @@ def reference_view(summary: ReferenceSummary, path: Path) -> RunView:
         good=None if reference.converged else False,
         plan=plan,
         summary=summary,
+    )
+
+
+def sustained_view(orbit: SustainedOrbit, arm_lengths: tuple[float, ...]) -> RunView:
+    """Return what there is to see of one period of a sustained orbit, beside its Lyapunov orbit; arm_lengths in m."""
+    lyapunov = orbit.lyapunov
+    time = np.arange(0.0, orbit.period, 1 / _RATE)
+    states = orbit.state(time)
+    free = lyapunov.system.propagator.sample(lyapunov.state, np.linspace(0.0, lyapunov.period, _POINTS))
+    effort = f"{orbit.reference.rms_cart_acceleration:.3g} m/s² rms"
+    return RunView(
+        path=Path(),
+        title=f"Sustained orbit about {lyapunov.saddle} at {orbit.energy:g} J",
+        time=time,
+        state=states,
+        what="orbit",
+        arm_lengths=arm_lengths,
+        has_cart=True,
+        rate_hz=_RATE,
+        control={"feedforward": orbit.input(time)},
+        energy=lyapunov.system.numeric.hamiltonian(states[:, :-2]),
+        limits=limits_of(orbit.reference),
+        verdict=f"period {orbit.period:.5g} s, {effort}, within {orbit.departure:.2g} of the Lyapunov orbit (scaled)",
+        plan=PlanView(orbits=(PlacedOrbit("Lyapunov orbit", free, lyapunov.saddle),)),
     )

@@ -235,7 +235,7 @@ def _acceleration(view: RunView, control: dict[str, Array]) -> Chart:
     saturated = control.get("saturated", np.zeros(0)) > 0
     return Chart(
         "acceleration",
-        f"Acceleration (m/s²){_use(view, 2, 1)}",
+        f"Acceleration (m/s²){_use(view, 2, 1, 'limit ')}",
         f"Acceleration {limit}: {words}",
         lines,
         levels=_limits(view, 2, ("least", "greatest"), ("least allowed", "greatest allowed")),

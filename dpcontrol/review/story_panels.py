@@ -101,6 +101,8 @@ def _legend(axes: Axes, rows: list[Strip]) -> None:
 def notes(axes: Axes, view: RunView, *, lines: int) -> None:
     """Write the symbols with their times, then the events, as many as there is room for."""
     axes.axis("off")
+    if not view.symbols and not view.events:
+        return
     text = [("Itinerary: planned → done (s)", True)] if view.symbols else []
     for i, (name, at, done) in enumerate(view.symbols):
         seen = "" if done is None else f" → {done:.2f}"

@@ -15,7 +15,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.equilibria import equilibrium
 from dpcontrol.orbits.family import FamilySettings, lyapunov_family
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.review.family_figure import draw_family
+from dpcontrol.review.family_figure import draw_families
 from dpcontrol.review.panel_frame import save_figure
 from dpcontrol.scenes.model import load_model
 from tests.reference_values import LYAPUNOV_ORBITS
@@ -168,4 +168,4 @@ def test_the_verb_wants_one_energy_or_two(capsys):
 def test_a_folder_that_cannot_be_written_is_refused(families, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot write"):
-        save_figure(draw_family(families["up-down"]), tmp_path / "file" / "family.png")
+        save_figure(draw_families([families["up-down"]], "up-down"), tmp_path / "file" / "family.png")
