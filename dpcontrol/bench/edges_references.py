@@ -26,7 +26,7 @@ from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSett
 from dpcontrol.references.reference import Reference
 from dpcontrol.references.trajectory import first_trajectory
 from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
-from dpcontrol.scenes.plan import shadowing_orbit
+from dpcontrol.scenes.planning import shadowing_orbit
 
 Array = NDArray[np.float64]
 

@@ -11,6 +11,7 @@ Source: Ott, Grebogi & Yorke, Controlling chaos, Physical Review Letters 64 (199
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +25,9 @@ from dpcontrol.control.section_law import Learning, classic_gains, learning, sec
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
-from dpcontrol.references.sustained import SustainedOrbit
+
+if TYPE_CHECKING:
+    from dpcontrol.references.sustained import SustainedOrbit
 
 Array = NDArray[np.float64]
 
@@ -287,7 +290,7 @@ class OgyRuns:
 
 
 def ogy_controller(
-    orbit: SustainedOrbit, model: SampledModel, settings: OgySettings | ClassicOgySettings, *, seconds: float
+    orbit: "SustainedOrbit", model: SampledModel, settings: OgySettings | ClassicOgySettings, *, seconds: float
 ) -> OgyController:
     """Return the controller that holds `orbit` for `seconds` by pulses.
 

@@ -8,6 +8,7 @@ Source: Bittanti, Laub & Willems (eds.), The Riccati Equation, chapter 6; Hauser
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +19,9 @@ from dpcontrol.control.phase import PhaseTable, phase_table
 from dpcontrol.control.tracking import TvlqrSettings, riccati_gains
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
-from dpcontrol.references.sustained import SustainedOrbit
+
+if TYPE_CHECKING:
+    from dpcontrol.references.sustained import SustainedOrbit
 
 Array = NDArray[np.float64]
 
@@ -175,7 +178,7 @@ class OrbitRuns:
 
 
 def orbit_controller(
-    orbit: SustainedOrbit, model: SampledModel, settings: TvlqrSettings, *, seconds: float
+    orbit: "SustainedOrbit", model: SampledModel, settings: TvlqrSettings, *, seconds: float
 ) -> OrbitController:
     """Return the controller that holds `orbit` for `seconds` by feedback at every tick of the model.
 
@@ -211,7 +214,7 @@ def orbit_controller(
     )
 
 
-def check_orbit(orbit: SustainedOrbit, model: SampledModel) -> None:
+def check_orbit(orbit: "SustainedOrbit", model: SampledModel) -> None:
     """Refuse an orbit that cannot be held with this model.
 
     Raises:

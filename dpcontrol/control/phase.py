@@ -8,12 +8,15 @@ Source: Hauser & Hindman, Manoeuvre regulation from trajectory tracking, NOLCOS 
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
-from dpcontrol.references.sustained import SustainedOrbit
+
+if TYPE_CHECKING:
+    from dpcontrol.references.sustained import SustainedOrbit
 
 Array = NDArray[np.float64]
 
@@ -93,7 +96,7 @@ class PhaseTable:
         return (self.states[(index + 1) % count, :n] - self.states[(index - 1) % count, :n]) / (2 * self.step)
 
 
-def phase_table(orbit: SustainedOrbit, *, entries: int = ENTRIES) -> PhaseTable:
+def phase_table(orbit: "SustainedOrbit", *, entries: int = ENTRIES) -> PhaseTable:
     """Return one period of a sustained orbit."""
     times = np.arange(entries + 1) / entries * orbit.period
     states = orbit.state(times)

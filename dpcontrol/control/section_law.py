@@ -14,6 +14,7 @@ Wittenmark, Adaptive Control, section 2.2, for the least squares.
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,9 @@ from dpcontrol.control.periodic import periodic_gains
 from dpcontrol.control.tracking import riccati_gains
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.references.sustained import SectionMap, SustainedOrbit
+
+if TYPE_CHECKING:
+    from dpcontrol.references.sustained import SectionMap, SustainedOrbit
 
 Array = NDArray[np.float64]
 
@@ -63,7 +66,7 @@ class Learning:
         return guess + (gain @ news[..., None])[..., 0], spread - gain @ there
 
 
-def section_gains(maps: tuple[SectionMap, ...], *, weights: Array, effort: float) -> Array:
+def section_gains(maps: "tuple[SectionMap, ...]", *, weights: Array, effort: float) -> Array:
     """Return the gains (k, N) of the periodic Riccati equation of the section maps.
 
     Raises:
@@ -73,7 +76,7 @@ def section_gains(maps: tuple[SectionMap, ...], *, weights: Array, effort: float
     return periodic_gains(matrices, responses, weights=weights, effort=effort)
 
 
-def classic_gains(maps: tuple[SectionMap, ...]) -> Array:
+def classic_gains(maps: "tuple[SectionMap, ...]") -> Array:
     """Return the gains (k, N) whose pulses take the unstable direction to zero at the next section.
 
     Raises:
@@ -114,7 +117,7 @@ def parameter_directions(equations: Equations, parameters: Array) -> Array:
     return np.array(rows)
 
 
-def sensitivities(orbit: SustainedOrbit, maps: tuple[SectionMap, ...], directions: Array) -> Array:
+def sensitivities(orbit: "SustainedOrbit", maps: "tuple[SectionMap, ...]", directions: Array) -> Array:
     """Return D (k, N, m): where flights between sections come to for plants changed along `directions` (m, p).
 
     By central differences of Runge-Kutta flights under the orbit's input.
@@ -137,7 +140,13 @@ def sensitivities(orbit: SustainedOrbit, maps: tuple[SectionMap, ...], direction
 
 
 def learning(
-    orbit: SustainedOrbit, maps: tuple[SectionMap, ...], gains: Array, *, weights: Array, effort: float, share: float
+    orbit: "SustainedOrbit",
+    maps: "tuple[SectionMap, ...]",
+    gains: Array,
+    *,
+    weights: Array,
+    effort: float,
+    share: float,
 ) -> Learning:
     """Return what the sections teach about parameters of which each may be off by `share`; gains of `section_gains`.
 
@@ -160,7 +169,7 @@ def learning(
 
 
 def disturbance_shifts(
-    maps: tuple[SectionMap, ...], gains: Array, disturbances: Array, *, weights: Array, effort: float
+    maps: "tuple[SectionMap, ...]", gains: Array, disturbances: Array, *, weights: Array, effort: float
 ) -> Array:
     """Return s (k, m): how much less to pulse for each unit of the known periodic disturbances D (k, N, m).
 
@@ -189,5 +198,5 @@ def disturbance_shifts(
     )
 
 
-def _arrays(maps: tuple[SectionMap, ...]) -> tuple[Array, Array]:
+def _arrays(maps: "tuple[SectionMap, ...]") -> tuple[Array, Array]:
     return np.array([m.matrix for m in maps]), np.array([m.response for m in maps])

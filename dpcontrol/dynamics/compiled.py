@@ -9,20 +9,22 @@ One step of fixed length, as machine code: for plants whose input changes at kno
 
     k_i = f(x + h Σ_{j<i} a_ij k_j, u; p),      x⁺ = x + h Σ_i b_i k_i        (12 stages, order 8)
 
-The coefficients are those of DOP853, which scipy carries. The step's length is an input, so that one function serves
-whole periods, parts of them and many plants at once. At 1 ms the double pendulum's error is round-off.
+The coefficients are those of DOP853, as scipy has them; its own package takes long to import. The step's length is an
+input, so that one function serves whole periods, parts of them and many plants at once. At 1 ms the double pendulum's
+error is round-off.
 
 Source: Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I (1993), section II.5.
 """
 
+import json
 from functools import cached_property
+from importlib.resources import files
 from typing import Any
 
 import casadi as ca
 import heyoka as hy
 import numpy as np
 from numpy.typing import NDArray
-from scipy.integrate import DOP853
 
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.dynamics.taylor import to_heyoka
@@ -75,10 +77,11 @@ def fixed_step(equations: Equations) -> ca.Function:
     f = equations.function()
     x, u, p, h = equations.state, equations.inputs, equations.parameters, ca.SX.sym("h")
     stages: list[ca.SX] = []
-    for row in DOP853.A:
-        shift = sum((float(a) * k for a, k in zip(row, stages, strict=False) if a), ca.SX.zeros(x.shape[0]))
+    tableau = json.loads(files("dpcontrol.dynamics").joinpath("dop853.json").read_text(encoding="utf-8"))
+    for row in tableau["A"]:
+        shift = sum((a * k for a, k in zip(row, stages, strict=True) if a), ca.SX.zeros(x.shape[0]))
         stages.append(f(x + h * shift, u, p))
-    sloped = sum((float(b) * k for b, k in zip(DOP853.B, stages, strict=True) if b), ca.SX.zeros(x.shape[0]))
+    sloped = sum((b * k for b, k in zip(tableau["B"], stages, strict=True) if b), ca.SX.zeros(x.shape[0]))
     names = ["state", "inputs", "duration", "parameters"]
     return ca.Function("fixed_step", [x, u, h, p], [ca.cse(ca.densify(x + h * sloped))], names, ["following"])
 

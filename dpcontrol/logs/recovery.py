@@ -16,7 +16,6 @@ import zlib
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from importlib.metadata import version
 from io import FileIO
 from itertools import count, pairwise
 from pathlib import Path
@@ -25,6 +24,7 @@ import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 
+import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_other_file, whole_file
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
@@ -356,7 +356,7 @@ def _write(
     """Write the new log, read it back, and give it its name."""
     with whole_file(done.log) as temporary:
         with FileIO(temporary, "wb") as stream:
-            file = McapFile(stream, library=f"dpcontrol {version('dpcontrol')}")
+            file = McapFile(stream, library=f"dpcontrol {dpcontrol.__version__}")
             for name, values in found.metadata.items():
                 if name == layout.RUN_RECORD:
                     file.add_metadata(name, sealed(name, values[0]))

@@ -6,7 +6,6 @@ multiplier -1), so that the next arm hangs at zero. Source: the URDF specificati
 """
 
 from collections.abc import Sequence
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from numpy.typing import NDArray
@@ -90,10 +89,10 @@ def robot_description(
     names = [
         (child.removeprefix(prefix), child) for _, child in frames(len(arm_lengths), has_cart=has_cart, prefix=prefix)
     ]
-    lines = ['<?xml version="1.0"?>', f"<robot name={quoteattr('reference_pendulum' if ghost else 'pendulum')}>"]
+    lines = ['<?xml version="1.0"?>', f'<robot name="{"reference_" if ghost else ""}pendulum">']
     lines += [f'  <material name="{prefix}{part}"><color rgba="{colour}"/></material>' for part, colour in ink.items()]
     for name, link in names:
-        lines.append(f"  <link name={quoteattr(link)}>")
+        lines.append(f'  <link name="{link}">')
         lines += _visuals(name, arm_lengths, depth=depth, reach=reach, prefix=prefix, track=has_cart and not ghost)
         lines.append("  </link>")
     lines += _joints(arm_lengths, has_cart=has_cart, prefix=prefix, reach=reach, speed=speed)
@@ -144,7 +143,7 @@ def _joints(arm_lengths: Sequence[float], *, has_cart: bool, prefix: str, reach:
     axis = '<axis xyz="0 -1 0"/>'
     for parent, child in frames(len(arm_lengths), has_cart=has_cart, prefix=prefix)[1:]:
         name = child.removeprefix(prefix).removesuffix("_link")
-        ends = f"<parent link={quoteattr(parent)}/><child link={quoteattr(child)}/>"
+        ends = f'<parent link="{parent}"/><child link="{child}"/>'
         if name == "cart":
             body = f'<axis xyz="1 0 0"/><limit lower="{-reach:g}" upper="{reach:g}" velocity="{speed:g}" effort="0"/>'
             lines.append(f'  <joint name="{prefix}cart" type="prismatic">{ends}{body}</joint>')

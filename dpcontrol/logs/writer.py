@@ -16,7 +16,6 @@ import json
 import os
 from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
-from importlib.metadata import version
 from io import FileIO
 from pathlib import Path
 from types import TracebackType
@@ -125,7 +124,7 @@ def layout_record(
         "limits": " ".join(repr(float(limit)) for limit in limits or ()),
         "parts": " ".join(part for part in layout.PARTS if part in tick.parts),
         "attachments": json.dumps(list(attachments)),
-        "program": f"dpcontrol {version('dpcontrol')}",
+        "program": f"dpcontrol {dpcontrol.__version__}",
     }
 
 

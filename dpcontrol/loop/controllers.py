@@ -11,7 +11,7 @@ Orbits that are not in a reference are found anew, which is the same search with
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,9 +27,10 @@ from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings, track
 from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.orbits.equilibria import equilibria
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.sustained import SustainedOrbit, SustainedSettings, sustained_from, sustained_orbit
+
+if TYPE_CHECKING:
+    from dpcontrol.references.sustained import SustainedOrbit
 
 KEEPERS = ("none", "ogy", "ogy-classic", "tvlqr")
 """What may keep the stops of a walk; with none the whole reference is followed in one piece."""
@@ -68,7 +69,7 @@ def keeping_controller(
 
 
 def _keeper(
-    orbit: SustainedOrbit, model: SampledModel, *, keep: str, flies: TvlqrSettings
+    orbit: "SustainedOrbit", model: SampledModel, *, keep: str, flies: TvlqrSettings
 ) -> OgyController | OrbitController:
     if keep == "tvlqr":
         return orbit_controller(orbit, model, replace(flies, schedule="phase"), seconds=orbit.period)
@@ -87,13 +88,17 @@ def _part(reference: Reference, entry: Mapping[str, Any]) -> Reference:
     return replace(reference, mesh=mesh, states=reference.states[first:last], inputs=reference.inputs[first:last])
 
 
-def kept_orbit(reference: Reference, entry: Mapping[str, Any], parameters: ArmChainParameters) -> SustainedOrbit:
+def kept_orbit(reference: Reference, entry: Mapping[str, Any], parameters: ArmChainParameters) -> "SustainedOrbit":
     """Return the sustained orbit of which an entry tells: keep (the saddle), energy, family, lyapunov_period, rows,
     turns.
 
     Raises:
         InputError: it is of other arms.
     """
+    # Runs that keep no orbit do without what finds them.
+    from dpcontrol.orbits.lyapunov import lyapunov_orbit
+    from dpcontrol.references.sustained import sustained_from
+
     part = _part(reference, entry)
     period = replace(part, states=part.states - np.asarray(entry["turns"]))
     saddle = entry["keep"]
@@ -104,7 +109,7 @@ def kept_orbit(reference: Reference, entry: Mapping[str, Any], parameters: ArmCh
     return sustained_from(lyapunov, parameters, period)
 
 
-def stay_orbit(reference: Reference, parameters: ArmChainParameters) -> SustainedOrbit:
+def stay_orbit(reference: Reference, parameters: ArmChainParameters) -> "SustainedOrbit":
     """Return the sustained orbit on which a reference stays (notes, `stay`).
 
     Raises:
@@ -153,7 +158,10 @@ def nearest_keeper(
     return NearestKeeper(keepers)
 
 
-def _sought(saddle: str, energy: float, reference: Reference, parameters: ArmChainParameters) -> SustainedOrbit:
+def _sought(saddle: str, energy: float, reference: Reference, parameters: ArmChainParameters) -> "SustainedOrbit":
+    from dpcontrol.orbits.lyapunov import lyapunov_orbit
+    from dpcontrol.references.sustained import SustainedSettings, sustained_orbit
+
     lyapunov = lyapunov_orbit(pendulum_system(saddle, parameters), saddle, energy=energy)
     found = sustained_orbit(lyapunov, parameters, settings=SustainedSettings(limits=reference.limits))
     if not found.converged:

@@ -18,13 +18,10 @@ from dpcontrol.references.reference import Reference
 from dpcontrol.review.context import PlacedOrbit, PlanView, Stay
 from dpcontrol.review.motion import RunView, series_of
 from dpcontrol.review.run_tubes import tubes_of
-from dpcontrol.review.score import REFERENCE_ATTACHMENT, plan_of, recovered_note, score
+from dpcontrol.review.score import MODEL_METADATA, REFERENCE_ATTACHMENT, plan_of, recovered_note, score
 from dpcontrol.review.stops import Decoded, decode_run, orbit_index
 
 Array = NDArray[np.float64]
-
-MODEL_METADATA = "model_parameters"
-"""Metadata that holds the arms' parameters as JSON."""
 
 
 def run_view(log: RunLog) -> RunView:

@@ -23,6 +23,8 @@ from dpcontrol.review.stops import REST, Visit, decode_run, orbit_index
 Array = NDArray[np.float64]
 
 REFERENCE_ATTACHMENT = "reference.npz"
+MODEL_METADATA = "model_parameters"
+"""Metadata that holds the arms' parameters as JSON."""
 
 
 @dataclass(frozen=True)

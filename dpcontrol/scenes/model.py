@@ -15,7 +15,7 @@ from decimal import Decimal
 from fractions import Fraction
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -27,7 +27,9 @@ from dpcontrol.dynamics.three_body import ThreeBodyParameters, three_body_system
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.tables import Table, parse_toml, read_toml
-from dpcontrol.identification.identify import Identification
+
+if TYPE_CHECKING:
+    from dpcontrol.identification.identify import Identification
 
 
 def shipped(kind: str) -> Path:
@@ -241,7 +243,7 @@ def _three_body(table: Table, title: str, text: str, path: Path) -> Model:
     return Model(path.stem, path, title, parameters, {"primaries": source}, text)
 
 
-def model_text(found: Identification, *, title: str, logs: Sequence[str], starting_model: str) -> str:
+def model_text(found: "Identification", *, title: str, logs: Sequence[str], starting_model: str) -> str:
     """Return the TOML text of what was identified from `logs`, started at the model of that name."""
     arms, count = found.arms, len(ratio_names(found.arms))
     left = np.array([s.rms for s in found.segments if not s.used])
@@ -296,7 +298,7 @@ def model_text(found: Identification, *, title: str, logs: Sequence[str], starti
     return "\n".join(lines)
 
 
-def write_model(found: Identification, path: Path, *, title: str, logs: Sequence[str], starting_model: str) -> Path:
+def write_model(found: "Identification", path: Path, *, title: str, logs: Sequence[str], starting_model: str) -> Path:
     """Write what was identified as a model file and return its path.
 
     Raises:

@@ -35,8 +35,7 @@ from dpcontrol.logs import (
 from dpcontrol.loop.loop import LoopSettings, run_loop
 from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, NoSink
 from dpcontrol.references.reference import load_reference
-from dpcontrol.review.of_log import MODEL_METADATA
-from dpcontrol.review.score import REFERENCE_ATTACHMENT, Score, score
+from dpcontrol.review.score import MODEL_METADATA, REFERENCE_ATTACHMENT, Score, score
 from dpcontrol.scenes.itinerary import CONTROLLERS, Itinerary, itinerary_from
 from dpcontrol.scenes.model import model_from
 from dpcontrol.scenes.plan import Plan, plan_key

@@ -20,11 +20,14 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.tubes.connection import Connection
+
+if TYPE_CHECKING:
+    from dpcontrol.tubes.connection import Connection
 
 _PREFIX = re.compile(r"^(?:(?P<source>[\w-]+)>(?P<target>[\w-]+)\[[-\d,]+\]h\d+\.\d+(?::[\w-]+)?@)?(?=\()")
 # People may leave out the dots, which few keyboards have.
@@ -183,7 +186,7 @@ def expanded(symbols: Sequence[Symbol], wraps: Sequence[int]) -> tuple[tuple[str
     return tuple(texts), tuple(counts)
 
 
-def choose(symbol: Symbol, connections: Sequence[Connection]) -> Connection:
+def choose(symbol: Symbol, connections: "Sequence[Connection]") -> "Connection":
     """Return the connection that a symbol stands for.
 
     Raises:

@@ -23,7 +23,7 @@ from dpcontrol.logs import LogWriter, read_log
 from dpcontrol.loop.loop import run_loop
 from dpcontrol.loop.result import LogSink, NoSink
 from dpcontrol.references.reference import Reference
-from dpcontrol.review.of_log import MODEL_METADATA
+from dpcontrol.review.score import MODEL_METADATA
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.run_options import RunOptions

@@ -8,7 +8,8 @@ import pytest
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan, plan_key, shadowing_orbit
+from dpcontrol.scenes.plan import make_plan, plan_key
+from dpcontrol.scenes.planning import shadowing_orbit
 from dpcontrol.scenes.run import run_plan
 from tests.command_line import dpcontrol
 
