@@ -17,8 +17,12 @@ Source: Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I (19
 """
 
 import json
-from functools import cached_property
+import pickle
+import platform
+from contextlib import suppress
+from functools import cache, cached_property
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import casadi as ca
@@ -28,6 +32,9 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.dynamics.taylor import to_heyoka
+from dpcontrol.foundation.cache import cache_folder, code_hash
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import content_hash, write_whole
 
 Array = NDArray[np.float64]
 
@@ -61,6 +68,18 @@ class Compiled:
     @cached_property
     def machine(self) -> Any:
         """What `self` calls, with the same arguments: for loops that call nothing else."""
+        file = _kept_at(self._function)
+        if file is not None:
+            # Damaged, or kept by a program that this one cannot read: compiled anew.
+            with suppress(Exception):
+                return pickle.loads(file.read_bytes())
+        machine = self._compiled()
+        if file is not None:
+            with suppress(InputError):
+                write_whole(file, pickle.dumps(machine))
+        return machine
+
+    def _compiled(self) -> Any:
         variables = hy.make_vars(*[f"v{i}" for i in range(self.size_in)])
         variables = variables if isinstance(variables, list) else [variables]
         outputs = to_heyoka(self._function, [variables[where] for where in self.slices.values()])
@@ -70,6 +89,29 @@ class Compiled:
         """Evaluate at `inputs` (size_in,) or (size_in, S) into `out` (size_out,) or (size_out, S), and return it."""
         # By position: a name costs as much as a third of the call.
         return self.machine(inputs, out)
+
+
+def _kept_at(function: ca.Function) -> Path | None:
+    """Return where the machine code of a function is kept for the next process; None where the processor is unknown.
+
+    Compiling takes four times as long as reading; the code is of this processor and this version of all that makes it.
+    """
+    processor = _processor()
+    if not processor:
+        return None
+    key = content_hash(function.serialize(), code_hash(__name__), hy.__version__, ca.CasadiMeta.version(), processor)
+    return cache_folder("machine-code") / f"{function.name()}-{key}.bin"
+
+
+@cache
+def _processor() -> str:
+    """Return what the processor can do, as Linux tells it; empty on other systems."""
+    with suppress(OSError):
+        lines = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
+        return platform.machine() + "".join(
+            line for line in lines if line.startswith(("model name", "flags", "Features"))
+        )
+    return ""
 
 
 def fixed_step(equations: Equations) -> ca.Function:

@@ -48,6 +48,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.archives import archive
+from dpcontrol.foundation.cache import cache_folder, code_hash
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash, whole_file
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -56,7 +57,6 @@ from dpcontrol.orbits.equilibria import Equilibrium, equilibria
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.orbits.rotating import RotatingOrbit, can_rotate, rotating_orbits
-from dpcontrol.scenes.cache import cache_folder, code_hash
 from dpcontrol.scenes.model import Model
 from dpcontrol.tubes.connection import Connection, can_be_reversed
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections, reversed_search

@@ -5,9 +5,9 @@ from dataclasses import asdict
 
 from dpcontrol.bifurcations.bifurcations import BranchDiagram, branch_diagram, diagram_from, find_bifurcations
 from dpcontrol.bifurcations.sweep import SweepSettings
+from dpcontrol.foundation.cache import cache_folder, code_hash
 from dpcontrol.foundation.files import content_hash, write_whole
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.scenes.cache import cache_folder, code_hash
 from dpcontrol.scenes.model import Model
 
 FORMAT = 1

@@ -11,11 +11,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from dpcontrol.foundation.cache import cache_folder, code_hash
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.references.reference import Reference, load_reference, save_reference
-from dpcontrol.scenes.cache import cache_folder, code_hash
 from dpcontrol.scenes.itinerary import Itinerary, itinerary_from
 from dpcontrol.scenes.model import model_from
 

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 import dpcontrol
+from dpcontrol.foundation.cache import code_hash, module_sources
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import read_log
 from dpcontrol.references.reference import load_reference, save_reference
 from dpcontrol.review.score import score
 from dpcontrol.scenes import plan as planning
-from dpcontrol.scenes.cache import code_hash, module_sources
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan, plan_key
 from dpcontrol.scenes.run import run_plan
