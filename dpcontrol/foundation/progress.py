@@ -1,5 +1,6 @@
 """Progress of long work: a function that is called as the work goes on."""
 
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -22,7 +23,14 @@ def part_of(progress: Progress, low: float, high: float) -> Progress:
 
 @contextmanager
 def progress_bar(label: str) -> Iterator[Progress]:
-    """Show a progress bar on stderr while the block runs; yields the function to report to."""
+    """Show a progress bar on stderr while the block runs; yields the function to report to.
+
+    Where stderr is no terminal, only the end is reported.
+    """
+    if not sys.stderr.isatty():
+        yield no_progress
+        sys.stderr.write(f"{label}: done\n")
+        return
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar

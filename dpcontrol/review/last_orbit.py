@@ -11,6 +11,8 @@ from dpcontrol.references.reference import Reference
 Array = NDArray[np.float64]
 
 NEAR_LAST_ORBIT = 0.1  # rad
+_FEW = 1_000_000
+"""Pairs of points whose distances are computed sooner than scipy.spatial is imported."""
 
 
 def far_from_orbit(plan: Reference, orbit: int, angles: Array, *, ticks: float) -> float | None:
@@ -21,7 +23,7 @@ def far_from_orbit(plan: Reference, orbit: int, angles: Array, *, ticks: float) 
     if not np.isfinite(angles).all():
         return np.inf
     samples = plan.extra[f"orbit_{orbit}"][:, : angles.shape[1]]
-    if _in_step(samples, angles, ticks=ticks):
+    if _in_step(samples, angles, ticks=ticks) or _near(samples, angles):
         return None
     gap = float(_tree(plan, orbit, angles.shape[1]).query(angles, p=np.inf)[0].max())
     return gap if gap > NEAR_LAST_ORBIT else None
@@ -36,6 +38,14 @@ def _in_step(orbit: Array, angles: Array, *, ticks: float) -> bool:
     first = int(np.argmin(np.abs(orbit - angles[0]).max(axis=1)))
     ahead = np.rint(np.arange(len(angles)) * (closed / ticks)).astype(np.intp)
     return bool(np.abs(orbit[(first + ahead) % closed] - angles).max() <= NEAR_LAST_ORBIT)
+
+
+def _near(orbit: Array, angles: Array) -> bool:
+    """Tell whether angles (K, n) stay near the points (M, n) themselves; between them they may be nearer still."""
+    if len(orbit) * len(angles) > _FEW:
+        return False
+    apart = np.maximum.reduce([np.abs(angles[:, i, None] - orbit[:, i]) for i in range(orbit.shape[1])])
+    return bool(apart.min(axis=1).max() <= NEAR_LAST_ORBIT)
 
 
 @lru_cache(maxsize=4)
