@@ -83,7 +83,6 @@ def command(
     from dpcontrol.tubes.connections import find_connections, orbits_between
     from dpcontrol.tubes.cut import CutSettings
     from dpcontrol.tubes.intersections import ConnectionSettings
-    from dpcontrol.walks.atlas import connection_document
 
     if precision == "extended" and name is None:
         raise InputError("--precision extended refines one connection: give its --name as `dpcontrol connect` lists it")
@@ -103,7 +102,7 @@ def command(
         return _extended(loaded, found[0], energy)
     document = {
         "count": len(found),
-        "connections": [connection_document(c) for c in found],
+        "connections": [c.document() for c in found],
         "open_cuts": [
             {"branch": f"{tube} {end.branch:+d}", "phase_interval": end.phase_interval, "reason": end.reason}
             for tube, end in search.open_ends
@@ -158,7 +157,6 @@ def _named(search: "ConnectionSearch", name: str) -> "Connection":
 def _extended(model: "Model", connection: "Connection", energy: Decimal) -> Answer:
     """Refine one connection in extended precision."""
     from dpcontrol.shooting.extended import refine
-    from dpcontrol.walks.atlas import connection_document
 
     with progress_bar("refining in 113-bit arithmetic"):
         refined = refine(connection.solution, energy=energy, parameters=model.exact_parameters)
@@ -167,7 +165,7 @@ def _extended(model: "Model", connection: "Connection", energy: Decimal) -> Answ
     residual = f"{float(refined.residual):.3e}"
     ends = dict(zip((connection.source.saddle, connection.target.saddle), refined.ends, strict=True))
     own = {"state": refined.digits, "residual": residual, "precision": "extended"}
-    one = {**connection_document(connection), **own}
+    one = {**connection.document(), **own}
     document = {
         **one,
         "count": 1,

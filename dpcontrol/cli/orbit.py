@@ -92,7 +92,7 @@ def command(
     if energies is None:
         assert energy is not None
         orbit = _lyapunov(loaded, saddle, energy, family)
-        return Answer(_orbit_document(orbit), _orbit_text(orbit))
+        return Answer(orbit.document(), _orbit_text(orbit))
     if energy is not None:
         raise InputError("give either --energy for one orbit or --energies LO HI for its family")
     return _family(loaded, saddle, energies, family, picture)
@@ -105,12 +105,6 @@ def _lyapunov(model: "Model", saddle: str, energy: float, family: int) -> "Lyapu
     if not orbit.converged:
         raise GoalMissed(f"the Lyapunov orbit about {saddle} at {energy:g} J: {orbit.status}")
     return orbit
-
-
-def _orbit_document(orbit: "LyapunovOrbit") -> dict[str, object]:
-    from dpcontrol.walks.atlas import orbit_document
-
-    return orbit_document(orbit)
 
 
 def _orbit_text(orbit: "LyapunovOrbit") -> Iterator[str]:
@@ -132,9 +126,9 @@ def _family(model: "Model", saddle: str, energies: Range, family: int, picture: 
 
         save_figure(draw_families([found], f"Lyapunov orbits about {found.saddle} of {found.system.name}"), picture)
     document = {
-        "family": [_orbit_document(m) for m in found.members],
+        "family": [m.document() for m in found.members],
         "ends": [{"energy": e.energy, "kind": e.kind, "reason": e.reason} for e in found.ends],
-        "events": [{"kind": e.kind, **_orbit_document(e.orbit)} for e in found.events],
+        "events": [{"kind": e.kind, **e.orbit.document()} for e in found.events],
         "saddle": saddle,
         "energies": energies,
         "status": found.status,
@@ -163,7 +157,6 @@ def _family_text(found: "LyapunovFamily", saddle: str) -> Iterator[str | TextTab
 
 def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | None, picture: Path | None) -> Answer:
     from dpcontrol.orbits.rotating import rotating_families, rotating_orbits
-    from dpcontrol.walks.atlas import rotating_document
 
     if energy is None:
         assert energies is not None
@@ -178,7 +171,7 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
     if energies is None:
         title = f"Orbits of {system.name} at {energy:g} J that turn the {arm} arm forward"
         document = {
-            "rotating_orbits": [rotating_document(orbit) for orbit in orbits],
+            "rotating_orbits": [orbit.document() for orbit in orbits],
             "count": len(orbits),
             **asked,
             "status": f"{len(orbits)} symmetric orbits that turn the {arm} arm forward; each has a reflection",
@@ -195,17 +188,17 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
     document = {
         "families": [
             {
-                "members": [rotating_document(member) for member in family.members],
+                "members": [member.document() for member in family.members],
                 "changes": [
                     {
                         "critical_trace": c.critical_trace,
                         "before": c.before,
                         "after": c.after,
-                        **rotating_document(c.orbit),
+                        **c.orbit.document(),
                     }
                     for c in family.changes
                 ],
-                "folds": [rotating_document(fold) for fold in family.folds],
+                "folds": [fold.document() for fold in family.folds],
                 "ends": family.ends,
                 "status": family.status,
             }

@@ -4,7 +4,8 @@ The arc's equations (module symmetric_shooting) are closed by H(x(0)) = energy: 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,26 +31,43 @@ class ContinuationSettings:
 
 
 @dataclass(frozen=True)
-class LyapunovOrbit:
-    """A periodic orbit about a saddle.
+class OrbitRecord:
+    """What is published of a periodic orbit about a saddle.
 
-    state (N,): where it crosses the saddle's fixed set. period in s. floquet_multipliers (N,), largest first.
-    residual: closure over one period, the largest component of x(T) - x(0). newton_residual: of the shooting
-    equations, scaled. status: a sentence.
+    energy in J, period in s, state (N,): where it crosses the saddle's fixed set. floquet_multipliers (N,), largest
+    first. residual: closure over one period, the largest component of x(T) - x(0). status: a sentence.
+    """
+
+    energy: float
+    period: float
+    state: Array
+    floquet_multipliers: NDArray[np.complex128]
+    residual: float
+    status: str
+    saddle: str
+    family: int
+
+    @property
+    def name(self) -> str:
+        """The saddle, and the family where it is not the first."""
+        return self.saddle if self.family == 0 else f"{self.saddle} family {self.family}"
+
+    def document(self) -> dict[str, Any]:
+        """Return the record with the keys that `dpcontrol orbit --json` prints."""
+        return {field.name: getattr(self, field.name) for field in fields(OrbitRecord)}
+
+
+@dataclass(frozen=True)
+class LyapunovOrbit(OrbitRecord):
+    """A periodic orbit about a saddle: its record, and what its tubes are made from.
+
+    newton_residual: of the shooting equations, scaled.
     """
 
     system: System
-    saddle: str
-    family: int
-    energy: float
-    state: Array
-    period: float
-    floquet_multipliers: NDArray[np.complex128]
     monodromy: Array
-    residual: float
     newton_residual: float
     converged: bool
-    status: str
 
     @property
     def unstable_multiplier(self) -> float:

@@ -21,8 +21,9 @@ Source: Meyer & Offin, Introduction to Hamiltonian Dynamical Systems and the N-B
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,8 +57,8 @@ class RotatingSettings:
 
 
 @dataclass(frozen=True)
-class RotatingOrbit:
-    """A symmetric orbit that turns one arm once a period.
+class RotatingRecord:
+    """What is published of a symmetric orbit that turns one arm once a period.
 
     arm: which turns, 1 the innermost; winding (n,): whole turns of each angle over a period. state (N,): on the mirror
     line, the turning arm hanging; period in s. floquet_multipliers (2,): of the section's map, larger modulus first;
@@ -65,19 +66,29 @@ class RotatingOrbit:
     residual: largest component of x(T) - x(0) - 2π winding. status: a sentence.
     """
 
-    system: System
     arm: int
     winding: tuple[int, ...]
     energy: float
-    state: Array
     period: float
+    state: Array
     floquet_multipliers: NDArray[np.complex128]
     trace: float
     kind: str
     residual: float
+    status: str
+
+    def document(self) -> dict[str, Any]:
+        """Return the record with the keys that `dpcontrol orbit --rotating --json` prints."""
+        return {field.name: getattr(self, field.name) for field in fields(RotatingRecord)}
+
+
+@dataclass(frozen=True)
+class RotatingOrbit(RotatingRecord):
+    """A symmetric orbit that turns one arm once a period; newton_residual: of the shooting equations, scaled."""
+
+    system: System
     newton_residual: float
     converged: bool
-    status: str
 
 
 @dataclass(frozen=True)

@@ -1,10 +1,6 @@
 """The atlas of an energy: orbits of all saddles, each tube cut once, all kinds of connection; kept by content.
 
-Of two opposite kinds (a → b, b → a) one is searched, the other is its image under time reversal.
-
-Orbits, cuts and connections of a search as the plain records of an atlas.
-
-Atlases on disk: one .npz file, readable with numpy alone (`numpy.load(path)`), without pickles.
+On disk it is one .npz file, readable with numpy alone (`numpy.load(path)`), without pickles.
 
 Keys; arrays are float64 unless said otherwise. K-th orbit, cut, piece and connection, counted from 0:
 
@@ -35,12 +31,10 @@ States are angles, then rates (rad, rad/s), or positions and velocities.
 """
 
 import json
-import math
 import time
-from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,18 +43,18 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.archives import archive
 from dpcontrol.foundation.cache import cache_folder, code_hash
+from dpcontrol.foundation.documents import plain
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash, whole_file
-from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting
-from dpcontrol.orbits.equilibria import Equilibrium, equilibria
-from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
+from dpcontrol.orbits.equilibria import equilibria
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, OrbitRecord
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.orbits.rotating import RotatingOrbit, can_rotate, rotating_orbits
+from dpcontrol.orbits.rotating import RotatingOrbit, RotatingRecord, can_rotate, rotating_orbits
 from dpcontrol.scenes.model import Model
-from dpcontrol.tubes.connection import Connection, can_be_reversed
-from dpcontrol.tubes.connections import ConnectionSearch, find_connections, reversed_search
-from dpcontrol.tubes.cut import Cut, Piece, section_points, tube_cut
+from dpcontrol.tubes.connection import Connection, ConnectionRecord
+from dpcontrol.tubes.cut import Cut, Piece, section_points
 from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.atlas import (
     Atlas,
@@ -71,346 +65,21 @@ from dpcontrol.walks.atlas import (
     AtlasPiece,
     AtlasPoint,
     AtlasRotatingOrbit,
-    rotating_document,
 )
+from dpcontrol.walks.edges import PairSearch, TubeCuts, orbits_at, search_pairs
 
 Array = NDArray[np.float64]
+Arrays = dict[str, NDArray[Any]]
+Record = TypeVar("Record")
 
+FORMAT_ATLAS = 2
+"""Raised whenever an atlas made by older code must not be taken for one made by this."""
+FORMAT = "dpcontrol-atlas"
+VERSION = 2
 _ORBIT_SAMPLES = 256
 _FLIGHT_SAMPLES = 400
 _DENSE = 4
 """Times as many instants are flown as are kept."""
-
-
-def orbit_record(orbit: LyapunovOrbit) -> AtlasOrbit:
-    """Return the record of an orbit, sampled at 256 equally spaced phases."""
-    return AtlasOrbit(
-        saddle=orbit.saddle,
-        family=orbit.family,
-        energy=orbit.energy,
-        period=orbit.period,
-        state=orbit.state,
-        floquet_multipliers=orbit.floquet_multipliers,
-        residual=orbit.residual,
-        status=orbit.status,
-        samples=UnstableManifold(orbit).frame(np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES).states,
-    )
-
-
-def rotating_record(orbit: RotatingOrbit) -> AtlasRotatingOrbit:
-    """Return the record of a rotating orbit, sampled at 256 equally spaced phases."""
-    phases = np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES
-    return AtlasRotatingOrbit(
-        **rotating_document(orbit), samples=orbit.system.propagator.sample(orbit.state, phases * orbit.period)
-    )
-
-
-def cut_record(manifold: UnstableManifold, cut: Cut, strands: int, instants: int) -> AtlasCut:
-    """Return the record of a cut with `strands` trajectories of each branch, each at `instants` instants."""
-    flown = [strand for branch in (1, -1) for strand in _strands(manifold, cut, branch, strands, instants)]
-    size = manifold.orbit.system.dimension
-    return AtlasCut(
-        saddle=manifold.orbit.saddle,
-        section=cut.section,
-        hit=cut.hit,
-        pieces=tuple(_piece(manifold, cut, piece) for piece in cut.pieces),
-        open_ends=tuple((end.branch, end.phase_interval, end.reason) for end in cut.open_ends),
-        trajectories=cut.trajectories,
-        resolved=cut.resolved,
-        status=cut.status,
-        strands=np.array([states for _, _, states in flown]).reshape(-1, instants, size),
-        strand_branches=np.array([branch for branch, _, _ in flown], dtype=np.int64),
-        strand_phases=np.array([phase for _, phase, _ in flown], dtype=float),
-    )
-
-
-def _strands(
-    manifold: UnstableManifold, cut: Cut, branch: int, count: int, instants: int
-) -> list[tuple[int, float, Array]]:
-    """Return (branch, phase, states) of trajectories that reach the section, spread evenly over the phases."""
-    pieces = [piece for piece in cut.pieces if piece.branch == branch]
-    if not pieces:
-        return []
-    phases = np.concatenate([piece.phases for piece in pieces])
-    times = np.concatenate([piece.times for piece in pieces])
-    nearest = [int(np.argmin(np.abs((phases - k / count + 0.5) % 1 - 0.5))) for k in range(count)]
-    chosen = list(dict.fromkeys(nearest))
-    seeds, _ = manifold.seeds(phases[chosen], branch)
-    system, flown = manifold.orbit.system, []
-    for seed, k in zip(seeds, chosen, strict=True):
-        dense = np.linspace(0.0, times[k], _DENSE * instants)
-        states = system.propagator.sample(seed, dense)
-        flown.append((branch, float(phases[k] % 1), states[_evenly(system, dense, states, instants)]))
-    return flown
-
-
-def _evenly(system: System, times: Array, states: Array, count: int) -> NDArray[np.int64]:
-    """Return `count` of the indices of samples, spread evenly over half the time and half the scaled path."""
-    path = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(states / system.scale, axis=0), axis=1))]
-    along = (times - times[0]) / (times[-1] - times[0]) + path / path[-1]
-    return np.rint(np.interp(np.linspace(0.0, along[-1], count), along, np.arange(len(times)))).astype(np.int64)
-
-
-def _piece(manifold: UnstableManifold, cut: Cut, piece: Piece) -> AtlasPiece:
-    system, centre = manifold.orbit.system, manifold.orbit.centre
-    turned = (piece.states - centre) @ system.reversers[0].T + centre
-    return AtlasPiece(
-        branch=piece.branch,
-        direction=piece.direction,
-        closed=piece.closed,
-        phases=piece.phases,
-        points=piece.points,
-        stable_points=section_points(system, cut.section, turned),
-        states=piece.states,
-        times=piece.times,
-    )
-
-
-def connection_record(connection: Connection) -> AtlasConnection:
-    """Return the record of a connection with its flight."""
-    orbit = connection.orbit
-    system: System = orbit.system
-    begin, end = float(orbit.times[0]), float(orbit.times[-1])
-    # A flight that never comes within the distance that counts as joined is shown whole.
-    if np.isfinite(connection.time_out):
-        begin = max(begin, -connection.time_out - connection.source.period)
-    if np.isfinite(connection.time_in):
-        end = min(end, connection.time_in + connection.target.period)
-    dense = np.linspace(begin, end, _DENSE * _FLIGHT_SAMPLES)
-    flown = orbit.sample(dense)
-    kept = np.unique(_evenly(system, dense, flown, _FLIGHT_SAMPLES))
-    return AtlasConnection(
-        name=connection.name,
-        source=connection.source.saddle,
-        target=connection.target.saddle,
-        section=connection.section,
-        state=connection.state,
-        point=section_points(system, connection.section, connection.state),
-        winding=connection.winding,
-        sense=connection.sense,
-        symmetric=connection.symmetric,
-        residual=connection.residual,
-        transversality_angle=connection.transversality_angle,
-        hits=connection.hits,
-        time_out=connection.time_out,
-        time_in=connection.time_in,
-        phase_out=connection.phase_out,
-        phase_in=connection.phase_in,
-        times=dense[kept],
-        states=flown[kept],
-        node_times=orbit.times,
-        nodes=orbit.states,
-    )
-
-
-def with_kind(search: ConnectionSearch, *, by_reversal: bool) -> tuple[ConnectionSearch, AtlasKind]:
-    """Return a search and how it ended."""
-    source, target = search.source.saddle, search.target.saddle
-    return search, AtlasKind(
-        source=source,
-        target=target,
-        section=search.cuts[0].section.name,
-        hits=(search.cuts[0].hit, search.cuts[1].hit),
-        count=len(search.connections),
-        failed=search.failed,
-        complete=search.complete,
-        open_ends=tuple((tube, end.branch, end.phase_interval, end.reason) for tube, end in search.open_ends),
-        by_reversal=by_reversal,
-        status=search.status,
-    )
-
-
-def atlas_status(
-    orbits: list[LyapunovOrbit], absent: list[tuple[str, str]], kinds: tuple[AtlasKind, ...], system: System
-) -> str:
-    """Return one sentence on what there is, what is not, and what may be hidden."""
-    count = sum(kind.count for kind in kinds)
-    parts = [f"{len(orbits)} orbits, {count} connections of {len({(k.source, k.target) for k in kinds})} kinds"]
-    if not system.sections:
-        parts.append(f"{system.name} has no sections on which connections are sought")
-    later = {(k.source, k.target): k.hits for k in kinds if k.count and k.hits != (1, 1)}
-    empty = {(k.source, k.target) for k in kinds if not k.count and k.hits == (1, 1)}
-    for (source, target), hits in later.items():
-        if (source, target) in empty:
-            parts.append(f"{source} → {target} is empty at first hits and has its first connections at {list(hits)}")
-    parts += [f"{k.source} → {k.target} has none at {list(k.hits)}" for k in kinds
-              if not k.count and (k.source, k.target) not in later]  # fmt: skip
-    incomplete = [k for k in kinds if not k.complete]
-    if incomplete:
-        names = ", ".join(f"{k.source} → {k.target} at {list(k.hits)}" for k in incomplete)
-        parts.append(f"the searches of {names} are not complete: connections at these hits may be missing")
-    elif kinds:
-        parts.append("all cuts are resolved, so none of these hits is missing down to the cuts' chord")
-    parts += [reason for _, reason in absent]
-    return "; ".join(parts)
-
-
-FORMAT = "dpcontrol-atlas"
-VERSION = 2
-_IN_HEADER = ("state", "point")
-"""Short arrays that stand in the header; the others are arrays of their own."""
-
-Arrays = dict[str, NDArray[Any]]
-
-
-def save_atlas(path: Path, atlas: Atlas) -> None:
-    """Write `atlas` to `path` (whole, or not at all) in the layout above.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    arrays: Arrays = {"periods": atlas.periods, "reverser": atlas.reverser}
-    sections = list(dict.fromkeys([*(c.section for c in atlas.cuts), *(c.section for c in atlas.connections)]))
-    header: dict[str, Any] = {
-        "format": FORMAT,
-        "version": VERSION,
-        "model": atlas.model,
-        "title": atlas.title,
-        "energy": atlas.energy,
-        "status": atlas.status,
-        "seconds": dict(atlas.seconds),
-        "absent": atlas.absent,
-        "points": [_split(point, "", arrays, sections) for point in atlas.points],
-        "sections": [_split(section, "", arrays, sections) for section in sections],
-        "orbits": [_split(orbit, f"orbit_{k}_", arrays, sections) for k, orbit in enumerate(atlas.orbits)],
-        "rotating_orbits": [
-            _split(orbit, f"rotating_orbit_{k}_", arrays, sections) for k, orbit in enumerate(atlas.rotating_orbits)
-        ],
-        "cuts": [_split(cut, f"cut_{k}_", arrays, sections) for k, cut in enumerate(atlas.cuts)],
-        "kinds": [_split(kind, "", arrays, sections) for kind in atlas.kinds],
-        "connections": [
-            _split(connection, f"connection_{k}_", arrays, sections) for k, connection in enumerate(atlas.connections)
-        ],
-    }
-    text = json.dumps(_plain(header), allow_nan=False)
-    with whole_file(Path(path), suffix=".npz") as temporary:
-        np.savez(temporary, header=np.array(text), **arrays)  # type: ignore[arg-type]
-
-
-def _split(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -> dict[str, Any]:
-    """Return a record's entry in the header; its arrays go into `arrays` under `prefix` and their names."""
-    entry: dict[str, Any] = {}
-    for part in fields(record):
-        value = getattr(record, part.name)
-        if isinstance(value, Section):
-            entry[part.name] = sections.index(value)
-        elif part.name == "pieces":
-            entry["pieces"] = [
-                _split(piece, f"{prefix}piece_{k}_", arrays, sections) for k, piece in enumerate(record.pieces)
-            ]
-        elif isinstance(value, np.ndarray) and part.name not in _IN_HEADER and not np.iscomplexobj(value):
-            arrays[prefix + part.name] = value
-        else:
-            entry[part.name] = value
-    return entry
-
-
-def _plain(value: Any) -> Any:
-    """Return `value` in JSON's terms: arrays as lists, complex numbers as [re, im], what is not finite as null."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, complex):
-        return [value.real, value.imag]
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    return value
-
-
-def load_atlas(path: Path) -> Atlas:
-    """Read what `save_atlas` wrote.
-
-    Raises:
-        InputError: there is no such file, or it is damaged or not an atlas; says which.
-    """
-    making = {"make": "make one with `dpcontrol atlas MODEL --energy H`", "again": "make it again"}
-    with archive(path, what="an atlas", **making) as (header, arrays):
-        return _atlas(header, arrays)
-
-
-def is_atlas(path: Path) -> bool:
-    """Tell by its first bytes whether a file is a zip archive, as atlases are and logs are not."""
-    try:
-        with Path(path).open("rb") as file:
-            return file.read(4) == b"PK\x03\x04"
-    except OSError:
-        return False
-
-
-def _atlas(header: Any, arrays: Arrays) -> Atlas:
-    """Make an atlas of a file's parts; any of the raised errors means that the file is not one."""
-    if header["format"] != FORMAT:
-        raise ValueError(f"its format is {header['format']!r}")
-    if header["version"] != VERSION:
-        raise ValueError(f"its version is {header['version']!r}, this program reads version {VERSION}")
-    sections = [Section(**{key: _tuples(value) for key, value in entry.items()}) for entry in header["sections"]]
-    size = len(arrays["periods"])
-
-    def record(kind: Any, entry: dict[str, Any], prefix: str) -> Any:
-        values: dict[str, Any] = {}
-        for part in fields(kind):
-            name = part.name
-            if name not in entry:
-                values[name] = _checked(arrays[prefix + name], prefix + name, size)
-            elif name == "section" and isinstance(entry[name], int):
-                values[name] = sections[entry[name]]
-            elif name == "pieces":
-                pieces = enumerate(entry[name])
-                values[name] = tuple(record(AtlasPiece, piece, f"{prefix}piece_{k}_") for k, piece in pieces)
-            elif name in _IN_HEADER:
-                values[name] = np.array(entry[name], dtype=float)
-            elif name == "floquet_multipliers":
-                values[name] = np.array([complex(*pair) for pair in entry[name]])
-            else:
-                values[name] = float("nan") if entry[name] is None else _tuples(entry[name])
-        return kind(**values)
-
-    return Atlas(
-        model=str(header["model"]),
-        title=str(header["title"]),
-        energy=float(header["energy"]),
-        periods=arrays["periods"],
-        reverser=_checked(arrays["reverser"], "reverser", size),
-        points=tuple(record(AtlasPoint, entry, "") for entry in header["points"]),
-        orbits=tuple(record(AtlasOrbit, e, f"orbit_{k}_") for k, e in enumerate(header["orbits"])),
-        rotating_orbits=tuple(
-            record(AtlasRotatingOrbit, e, f"rotating_orbit_{k}_") for k, e in enumerate(header["rotating_orbits"])
-        ),
-        absent=_tuples(header["absent"]),
-        cuts=tuple(record(AtlasCut, e, f"cut_{k}_") for k, e in enumerate(header["cuts"])),
-        kinds=tuple(record(AtlasKind, entry, "") for entry in header["kinds"]),
-        connections=tuple(record(AtlasConnection, e, f"connection_{k}_") for k, e in enumerate(header["connections"])),
-        seconds=dict(header["seconds"]),
-        status=str(header["status"]),
-    )
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
-
-
-_LAST = {"points": 2, "stable_points": 2, "reverser": None, "samples": None, "strands": None, "states": None}
-"""Length of the last axis by the end of an array's name; None: that of the state."""
-
-
-def _checked(array: NDArray[Any], name: str, size: int) -> NDArray[Any]:
-    """Return a finite array whose last axis has the length that its name asks for, or raise ValueError."""
-    if not np.isfinite(array).all():
-        raise ValueError(f"its array {name} is not finite")
-    for ending, last in {**_LAST, "nodes": None}.items():
-        if name == ending or name.endswith("_" + ending):
-            wanted = size if last is None else last
-            if array.ndim < 2 or array.shape[-1] != wanted:
-                raise ValueError(f"its array {name} has shape {array.shape}, the last length must be {wanted}")
-            break
-    return array
-
-
-FORMAT_ATLAS = 2
-"""Raised whenever an atlas made by older code must not be taken for one made by this."""
 
 
 @dataclass(frozen=True)
@@ -497,43 +166,38 @@ def compute_atlas(
         _compile(system, [])
     progress("orbits", 0.1)
     with _timed(seconds, "orbits"):
-        orbits, absent = _orbits(system, saddles, energy)
+        families = {point.name: sum(v.imag > 1e-6 * abs(v) for v in point.eigenvalues) for point in saddles}
+        orbits, absent = orbits_at(system, families, energy)
     if not orbits:
         births = ", ".join(f"{saddle.name} {saddle.energy:.6g} J" for saddle in saddles)
         raise InputError(
             f"energy = {energy:g} J: no saddle of {model.name} has a Lyapunov orbit; their families begin at {births}"
         )
-    tubes = _Tubes(system, settings, seconds)
     # Sections are cut for the first of each saddle's families, which is the one that has sections.
     first = {orbit.saddle: orbit for orbit in orbits if orbit.family == 0}
     pairs = [pair for pair in system.sections if pair[0] in first and pair[1] in first]
     with _timed(seconds, "jit"):
         _compile(system, [system.sections[pair] for pair in pairs])
-    searches: list[tuple[ConnectionSearch, AtlasKind]] = []
-    for k, (source, target) in enumerate(pairs):
-        low, high = 0.2 + 0.7 * k / len(pairs), 0.2 + 0.7 * (k + 1) / len(pairs)
-        within: Progress = lambda what, done, low=low, high=high: progress(what, low + (high - low) * done)  # noqa: E731
-        opposite = [s for s, kind in searches if (kind.target, kind.source) == (source, target)]
-        symmetric = settings.hits is None or settings.hits[0] == settings.hits[1]
-        if opposite and source != target and symmetric and can_be_reversed(system, source, target):
-            searches += [with_kind(reversed_search(search), by_reversal=True) for search in opposite]
-        else:
-            searches += tubes.searches(first[source], first[target], within)
+    tubes = TubeCuts(system, settings.search)
+    hits = [(hit, hit) for hit in range(1, settings.last_hit + 1)] if settings.hits is None else [settings.hits]
+    with _timed(seconds, "connections"):
+        within = part_of(progress, 0.2, 0.9)
+        searches = search_pairs(tubes, first, pairs, hits, until_found=True, progress=within)
+        connections = tuple(_sampled_connection(c) for one in searches for c in one.search.connections)
+    seconds["tubes"], seconds["connections"] = tubes.seconds, seconds["connections"] - tubes.seconds
     progress("tubes", 0.9)
     with _timed(seconds, "tubes"):
-        cuts = tuple(cut_record(tubes.manifold(first[saddle]), cut, settings.strands, settings.strand_instants)
-                     for (saddle, _, _), cut in tubes.cuts.items())  # fmt: skip
-    with _timed(seconds, "connections"):
-        connections = tuple(connection_record(c) for search, _ in searches for c in search.connections)
+        cuts = tuple(_sampled_cut(tubes.manifold(first[saddle]), cut, settings)
+                     for (saddle, _, _), cut in tubes.made.items())  # fmt: skip
     with _timed(seconds, "orbits"):
-        samples = tuple(orbit_record(orbit) for orbit in orbits)
+        samples = tuple(_sampled_orbit(orbit) for orbit in orbits)
         progress("rotating orbits", 0.95)
         rotating = tuple(
-            rotating_record(orbit)
+            _sampled_rotating(orbit)
             for arm in ((1, 2) if can_rotate(system) else ())
             for orbit in rotating_orbits(system, arm, energy)
         )
-    kinds = tuple(kind for _, kind in searches)
+    kinds = tuple(_kind(one) for one in searches)
     progress("atlas", 1.0)
     return Atlas(
         model=model.name,
@@ -549,7 +213,7 @@ def compute_atlas(
         kinds=kinds,
         connections=connections,
         seconds=seconds,
-        status=atlas_status(orbits, absent, kinds, system),
+        status=_status(orbits, absent, kinds, system),
     )
 
 
@@ -579,73 +243,246 @@ def _compile(system: System, sections: list[Section]) -> None:
         system.propagator.flow_with_stm(state, instant)
 
 
-def _orbits(
-    system: System, saddles: list[Equilibrium], energy: float
-) -> tuple[list[LyapunovOrbit], list[tuple[str, str]]]:
-    """Return the orbits of all families at `energy`, and (saddle, reason) for those that are not there."""
-    orbits: list[LyapunovOrbit] = []
-    absent: list[tuple[str, str]] = []
-    for saddle in saddles:
-        centres = sum(value.imag > 1e-6 * abs(value) for value in saddle.eigenvalues)
-        for family in range(centres):
-            try:
-                orbit = lyapunov_orbit(system, saddle.name, energy=energy, family=family)
-            except InputError as error:
-                absent.append((saddle.name, str(error)))
-                break
-            if orbit.converged:
-                orbits.append(orbit)
-            else:
-                absent.append((saddle.name, f"the orbit of family {family} about {saddle.name} {orbit.status}"))
-    return orbits, absent
+def _fields(kind: type, record: Any) -> dict[str, Any]:
+    """Return what `kind` declares of a record of that kind, by name."""
+    return {part.name: getattr(record, part.name) for part in fields(kind)}
 
 
-class _Tubes:
-    """Cuts tubes when they are first asked for, and searches their connections."""
-
-    def __init__(self, system: System, settings: AtlasSettings, seconds: dict[str, float]) -> None:
-        self.system, self.settings, self.seconds = system, settings, seconds
-        self.cuts: dict[tuple[str, str, int], Cut] = {}
-        self._manifolds: dict[str, UnstableManifold] = {}
-
-    def manifold(self, orbit: LyapunovOrbit) -> UnstableManifold:
-        if orbit.saddle not in self._manifolds:
-            self._manifolds[orbit.saddle] = UnstableManifold(orbit, self.settings.search.distance)
-        return self._manifolds[orbit.saddle]
-
-    def cut(self, orbit: LyapunovOrbit, section: Section, hit: int) -> Cut:
-        key = (orbit.saddle, section.name, hit)
-        if key not in self.cuts:
-            with _timed(self.seconds, "tubes"):
-                self.cuts[key] = tube_cut(self.manifold(orbit), section, hit=hit, settings=self.settings.search.cut)
-        return self.cuts[key]
-
-    def searches(
-        self, source: LyapunovOrbit, target: LyapunovOrbit, progress: Progress
-    ) -> list[tuple[ConnectionSearch, AtlasKind]]:
-        """Search one kind at its hits, or at the first hits at which there are any."""
-        section, wanted = self.system.sections[source.saddle, target.saddle], self.settings.hits
-        tried: list[tuple[ConnectionSearch, AtlasKind]] = []
-        first = [(hit, hit) for hit in range(1, self.settings.last_hit + 1)]
-        for hits in first if wanted is None else (wanted,):
-            progress(f"tubes {source.saddle} → {target.saddle}", 0.0)
-            cuts = (self.cut(source, section, hits[0]), self.cut(target, section, hits[1]))
-            progress(f"connections {source.saddle} → {target.saddle}", 0.5)
-            with _timed(self.seconds, "connections"):
-                search = find_connections(
-                    source,
-                    target,
-                    hits=hits,
-                    settings=self.settings.search,
-                    cuts=cuts,
-                    progress=_upper_half(progress, source.saddle, target.saddle),
-                )
-            tried.append(with_kind(search, by_reversal=False))
-            if search.connections:
-                break
-        return tried
+def _sampled_orbit(orbit: LyapunovOrbit) -> AtlasOrbit:
+    phases = np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES
+    return AtlasOrbit(**_fields(OrbitRecord, orbit), samples=UnstableManifold(orbit).frame(phases).states)
 
 
-def _upper_half(progress: Progress, source: str, target: str) -> Progress:
-    report: Callable[[str, float], None] = lambda _, done: progress(f"connections {source} → {target}", 0.5 + done / 2)  # noqa: E731
-    return report
+def _sampled_rotating(orbit: RotatingOrbit) -> AtlasRotatingOrbit:
+    times = np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES * orbit.period
+    return AtlasRotatingOrbit(
+        **_fields(RotatingRecord, orbit), samples=orbit.system.propagator.sample(orbit.state, times)
+    )
+
+
+def _sampled_connection(connection: Connection) -> AtlasConnection:
+    orbit, system = connection.orbit, connection.orbit.system
+    begin, end = float(orbit.times[0]), float(orbit.times[-1])
+    # A flight that never comes within the distance that counts as joined is shown whole.
+    if np.isfinite(connection.time_out):
+        begin = max(begin, -connection.time_out - connection.source.period)
+    if np.isfinite(connection.time_in):
+        end = min(end, connection.time_in + connection.target.period)
+    dense = np.linspace(begin, end, _DENSE * _FLIGHT_SAMPLES)
+    flown = orbit.sample(dense)
+    kept = np.unique(_evenly(system, dense, flown, _FLIGHT_SAMPLES))
+    return AtlasConnection(
+        **_fields(ConnectionRecord, connection),
+        source=connection.source.saddle,
+        target=connection.target.saddle,
+        point=section_points(system, connection.section, connection.state),
+        times=dense[kept],
+        states=flown[kept],
+        node_times=orbit.times,
+        nodes=orbit.states,
+    )
+
+
+def _sampled_cut(manifold: UnstableManifold, cut: Cut, settings: AtlasSettings) -> AtlasCut:
+    """Return the record of a cut with trajectories of each branch."""
+    orbit, instants = manifold.orbit, settings.strand_instants
+    system = orbit.system
+    flown = [strand for branch in (1, -1) for strand in _strands(manifold, cut, branch, settings.strands, instants)]
+
+    def piece(one: Piece) -> AtlasPiece:
+        turned = (one.states - orbit.centre) @ orbit.reverser.T + orbit.centre
+        return AtlasPiece(**_fields(Piece, one), stable_points=section_points(system, cut.section, turned))
+
+    return AtlasCut(
+        saddle=orbit.saddle,
+        section=cut.section,
+        hit=cut.hit,
+        pieces=tuple(piece(one) for one in cut.pieces),
+        open_ends=tuple((end.branch, end.phase_interval, end.reason) for end in cut.open_ends),
+        trajectories=cut.trajectories,
+        resolved=cut.resolved,
+        status=cut.status,
+        strands=np.array([states for _, _, states in flown]).reshape(-1, instants, system.dimension),
+        strand_branches=np.array([branch for branch, _, _ in flown], dtype=np.int64),
+        strand_phases=np.array([phase for _, phase, _ in flown], dtype=float),
+    )
+
+
+def _strands(
+    manifold: UnstableManifold, cut: Cut, branch: int, count: int, instants: int
+) -> list[tuple[int, float, Array]]:
+    """Return (branch, phase, states) of trajectories that reach the section, spread evenly over the phases."""
+    pieces = [piece for piece in cut.pieces if piece.branch == branch]
+    if not pieces:
+        return []
+    phases = np.concatenate([piece.phases for piece in pieces])
+    times = np.concatenate([piece.times for piece in pieces])
+    nearest = [int(np.argmin(np.abs((phases - k / count + 0.5) % 1 - 0.5))) for k in range(count)]
+    chosen = list(dict.fromkeys(nearest))
+    seeds, _ = manifold.seeds(phases[chosen], branch)
+    system, flown = manifold.orbit.system, []
+    for seed, k in zip(seeds, chosen, strict=True):
+        dense = np.linspace(0.0, times[k], _DENSE * instants)
+        states = system.propagator.sample(seed, dense)
+        flown.append((branch, float(phases[k] % 1), states[_evenly(system, dense, states, instants)]))
+    return flown
+
+
+def _evenly(system: System, times: Array, states: Array, count: int) -> NDArray[np.int64]:
+    """Return `count` of the indices of samples, spread evenly over half the time and half the scaled path."""
+    path = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(states / system.scale, axis=0), axis=1))]
+    along = (times - times[0]) / (times[-1] - times[0]) + path / path[-1]
+    return np.rint(np.interp(np.linspace(0.0, along[-1], count), along, np.arange(len(times)))).astype(np.int64)
+
+
+def _kind(one: PairSearch) -> AtlasKind:
+    search = one.search
+    return AtlasKind(
+        source=one.pair[0],
+        target=one.pair[1],
+        section=search.cuts[0].section.name,
+        hits=(search.cuts[0].hit, search.cuts[1].hit),
+        count=len(search.connections),
+        failed=search.failed,
+        complete=search.complete,
+        open_ends=tuple((tube, end.branch, end.phase_interval, end.reason) for tube, end in search.open_ends),
+        by_reversal=one.by_reversal,
+        status=search.status,
+    )
+
+
+def _status(
+    orbits: list[LyapunovOrbit], absent: list[tuple[str, str]], kinds: tuple[AtlasKind, ...], system: System
+) -> str:
+    """Return one sentence on what there is, what is not, and what may be hidden."""
+    count = sum(kind.count for kind in kinds)
+    parts = [f"{len(orbits)} orbits, {count} connections of {len({(k.source, k.target) for k in kinds})} kinds"]
+    if not system.sections:
+        parts.append(f"{system.name} has no sections on which connections are sought")
+    later = {(k.source, k.target): k.hits for k in kinds if k.count and k.hits != (1, 1)}
+    empty = {(k.source, k.target) for k in kinds if not k.count and k.hits == (1, 1)}
+    for (source, target), hits in later.items():
+        if (source, target) in empty:
+            parts.append(f"{source} → {target} is empty at first hits and has its first connections at {list(hits)}")
+    parts += [f"{k.source} → {k.target} has none at {list(k.hits)}" for k in kinds
+              if not k.count and (k.source, k.target) not in later]  # fmt: skip
+    incomplete = [k for k in kinds if not k.complete]
+    if incomplete:
+        names = ", ".join(f"{k.source} → {k.target} at {list(k.hits)}" for k in incomplete)
+        parts.append(f"the searches of {names} are not complete: connections at these hits may be missing")
+    elif kinds:
+        parts.append("all cuts are resolved, so none of these hits is missing down to the cuts' chord")
+    parts += [reason for _, reason in absent]
+    return "; ".join(parts)
+
+
+def save_atlas(path: Path, atlas: Atlas) -> None:
+    """Write `atlas` to `path` (whole, or not at all) in the layout above.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    arrays: Arrays = {}
+    sections = list(dict.fromkeys(one.section for one in (*atlas.cuts, *atlas.connections)))
+    header = {
+        "format": FORMAT,
+        "version": VERSION,
+        "sections": [asdict(section) for section in sections],
+        **_packed(atlas, "", arrays, sections),
+    }
+    text = json.dumps(plain(header), allow_nan=False)
+    with whole_file(Path(path), suffix=".npz") as temporary:
+        np.savez(temporary, header=np.array(text), **arrays)  # type: ignore[arg-type]
+
+
+def _packed(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -> dict[str, Any]:
+    """Return a record's entry in the header; its arrays go into `arrays` under `prefix` and their names.
+
+    Entries of a list "orbits" have the prefix "orbit_0_" and so on. One state, or point, stands in the header.
+    """
+    entry: dict[str, Any] = {}
+    for name, value in _fields(type(record), record).items():
+        if isinstance(value, Section):
+            entry[name] = sections.index(value)
+        elif isinstance(value, tuple) and value and is_dataclass(value[0]):
+            each = f"{prefix}{name.removesuffix('s')}"
+            entry[name] = [_packed(one, f"{each}_{k}_", arrays, sections) for k, one in enumerate(value)]
+        elif isinstance(value, np.ndarray) and name not in ("state", "point") and not np.iscomplexobj(value):
+            arrays[prefix + name] = value
+        else:
+            entry[name] = value
+    return entry
+
+
+def load_atlas(path: Path) -> Atlas:
+    """Read what `save_atlas` wrote.
+
+    Raises:
+        InputError: there is no such file, or it is damaged or not an atlas; says which.
+    """
+    making = {"make": "make one with `dpcontrol atlas MODEL --energy H`", "again": "make it again"}
+    with archive(path, what="an atlas", **making) as (header, arrays):
+        # Any error in here means that the file is no atlas.
+        if header["format"] != FORMAT:
+            raise ValueError(f"its format is {header['format']!r}")
+        if header["version"] != VERSION:
+            raise ValueError(f"its version is {header['version']!r}, this program reads version {VERSION}")
+        sections = [Section(**{key: _tuples(value) for key, value in entry.items()}) for entry in header["sections"]]
+        return _unpacked(Atlas, header, "", arrays, sections)
+
+
+def is_atlas(path: Path) -> bool:
+    """Tell by its first bytes whether a file is a zip archive, as atlases are and logs are not."""
+    try:
+        with Path(path).open("rb") as file:
+            return file.read(4) == b"PK\x03\x04"
+    except OSError:
+        return False
+
+
+def _unpacked(
+    kind: type[Record], entry: dict[str, Any], prefix: str, arrays: Arrays, sections: list[Section]
+) -> Record:
+    """Return the record of which `_packed` made an entry and arrays."""
+    values: dict[str, Any] = {}
+    for name, hint in get_type_hints(kind).items():
+        member = next((one for one in get_args(hint) if is_dataclass(one)), None)
+        if name not in entry:
+            values[name] = _checked(arrays[prefix + name], prefix + name, len(arrays["periods"]))
+        elif hint is Section:
+            values[name] = sections[entry[name]]
+        elif member is not None:
+            each = f"{prefix}{name.removesuffix('s')}"
+            values[name] = tuple(
+                _unpacked(member, one, f"{each}_{k}_", arrays, sections)  # type: ignore[arg-type]
+                for k, one in enumerate(entry[name])
+            )
+        elif name in ("state", "point"):
+            values[name] = np.array(entry[name], dtype=float)
+        elif name == "floquet_multipliers":
+            values[name] = np.array([complex(*pair) for pair in entry[name]])
+        else:
+            values[name] = float("nan") if entry[name] is None else _tuples(entry[name])
+    return kind(**values)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
+
+
+_LAST = {"points": 2, "stable_points": 2, "reverser": None, "samples": None, "strands": None, "states": None}
+"""Length of the last axis by the end of an array's name; None: that of the state."""
+
+
+def _checked(array: NDArray[Any], name: str, size: int) -> NDArray[Any]:
+    """Return a finite array whose last axis has the length that its name asks for, or raise ValueError."""
+    # Coordinates that are no angles have an infinite period.
+    if name != "periods" and not np.isfinite(array).all():
+        raise ValueError(f"its array {name} is not finite")
+    for ending, last in {**_LAST, "nodes": None}.items():
+        if name == ending or name.endswith("_" + ending):
+            wanted = size if last is None else last
+            if array.ndim < 2 or array.shape[-1] != wanted:
+                raise ValueError(f"its array {name} has shape {array.shape}, the last length must be {wanted}")
+            break
+    return array

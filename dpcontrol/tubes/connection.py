@@ -5,7 +5,8 @@ Source: Kaheman et al. (2023), section 3.
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,20 +31,18 @@ _MIDDLE = 1e-3
 
 
 @dataclass(frozen=True)
-class Connection:
-    """An orbit from one Lyapunov orbit to another (or the same).
+class ConnectionRecord:
+    """What is published of an orbit from one periodic orbit to another (or the same).
 
     state (N,): its point on the section, on the lift that starts at the source saddle's named position. winding:
     whole turns of each coordinate between the source and target saddles' named positions. hits: which crossing of the
     section this is for the unstable tube forward and the stable tube backward. time_out: s from leaving the source
     orbit (scaled distance 1e-3) to the section; time_in: s from the section to the target orbit; phase_out, phase_in:
     the orbits' phases there. transversality_angle: degrees between the cuts in (q, p/p₀). residual: largest gap
-    between the segments of `orbit`, whose time zero is the section.
+    between the segments of its orbit.
     """
 
     name: str
-    source: LyapunovOrbit
-    target: LyapunovOrbit
     section: Section
     state: Array
     winding: tuple[int, ...]
@@ -56,6 +55,20 @@ class Connection:
     time_in: float
     phase_out: float
     phase_in: float
+
+    def document(self) -> dict[str, Any]:
+        """Return the record with the keys that `dpcontrol connect --json` prints."""
+        values = {field.name: getattr(self, field.name) for field in fields(ConnectionRecord)}
+        angle = values.pop("transversality_angle")
+        return {**values, "section": self.section.name, "transversality_angle_deg": angle}
+
+
+@dataclass(frozen=True)
+class Connection(ConnectionRecord):
+    """A connection: its record, the orbits that it leaves and joins, and its own; time zero is at the section."""
+
+    source: LyapunovOrbit
+    target: LyapunovOrbit
     orbit: ShootingOrbit
 
     @property

@@ -8,15 +8,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import networkx as nx
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.foundation.documents import picked
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.orbits.lyapunov import LyapunovOrbit
-from dpcontrol.orbits.rotating import RotatingOrbit
-from dpcontrol.tubes.connection import Connection
+from dpcontrol.orbits.lyapunov import OrbitRecord
+from dpcontrol.orbits.rotating import RotatingRecord
+from dpcontrol.tubes.connection import ConnectionRecord
+from dpcontrol.tubes.cut import Piece
+from dpcontrol.walks.graph import connection_graph
 
 Array = NDArray[np.float64]
 
@@ -32,61 +35,28 @@ class AtlasPoint:
 
 
 @dataclass(frozen=True)
-class AtlasOrbit:
-    """A Lyapunov orbit: what `dpcontrol orbit` publishes, and samples (M, N) at equally spaced phases from zero."""
+class AtlasOrbit(OrbitRecord):
+    """A Lyapunov orbit with samples (M, N) at equally spaced phases from zero."""
 
-    saddle: str
-    family: int
-    energy: float
-    period: float
-    state: Array
-    floquet_multipliers: NDArray[np.complex128]
-    residual: float
-    status: str
     samples: Array
-
-    @property
-    def name(self) -> str:
-        """The saddle, and the family where it is not the first."""
-        return self.saddle if self.family == 0 else f"{self.saddle} family {self.family}"
 
 
 @dataclass(frozen=True)
-class AtlasRotatingOrbit:
-    """An orbit that turns one arm forward: what `dpcontrol orbit --rotating` publishes, and samples (M, N).
+class AtlasRotatingOrbit(RotatingRecord):
+    """An orbit that turns one arm forward, with samples (M, N).
 
     Each stands for its reflection as well, which turns backward.
     """
 
-    arm: int
-    winding: tuple[int, ...]
-    energy: float
-    period: float
-    state: Array
-    floquet_multipliers: NDArray[np.complex128]
-    trace: float
-    kind: str
-    residual: float
-    status: str
     samples: Array
 
 
 @dataclass(frozen=True)
-class AtlasPiece:
-    """One connected piece of a tube's cut, K points in order of phase.
+class AtlasPiece(Piece):
+    """One connected piece of a tube's cut; stable_points (K, 2): of the stable tube, which is this one turned around in
+    time."""
 
-    phases (K,) of the seeds; points (K, 2): (q, p/p₀), q not wrapped; states (K, N); times (K,) s of flight; direction:
-    sign of the crossing. stable_points (K, 2): of the stable tube, which is this one turned around in time.
-    """
-
-    branch: int
-    direction: int
-    closed: bool
-    phases: Array
-    points: Array
     stable_points: Array
-    states: Array
-    times: Array
 
 
 @dataclass(frozen=True)
@@ -111,29 +81,16 @@ class AtlasCut:
 
 
 @dataclass(frozen=True)
-class AtlasConnection:
-    """A connection: what `dpcontrol connect` publishes, its place on the section, and its flight.
+class AtlasConnection(ConnectionRecord):
+    """A connection, its place on the section, and its flight; source and target by their saddles' names.
 
     point (2,): (q, p/p₀). times (F,) s from the section and states (F, N): from one period before it leaves the source
     orbit to one after it joins the target. node_times (K,), nodes (K, N): the multiple shooting's own.
     """
 
-    name: str
     source: str
     target: str
-    section: Section
-    state: Array
     point: Array
-    winding: tuple[int, ...]
-    sense: int
-    symmetric: bool
-    residual: float
-    transversality_angle: float
-    hits: tuple[int, int]
-    time_out: float
-    time_in: float
-    phase_out: float
-    phase_in: float
     times: Array
     states: Array
     node_times: Array
@@ -199,6 +156,10 @@ class Atlas:
         """Crossings of cuts that did not converge, in all kinds."""
         return sum(kind.failed for kind in self.kinds)
 
+    def graph(self) -> "nx.MultiDiGraph[str]":
+        """Return the multigraph: orbits of all families as nodes, connections as edges."""
+        return connection_graph(self.orbits, ((c.source, c.target, c) for c in self.connections))
+
     def between(self, source: str, target: str) -> tuple[AtlasConnection, ...]:
         """Return the connections from one saddle's orbit to another's."""
         return tuple(c for c in self.connections if (c.source, c.target) == (source, target))
@@ -219,14 +180,14 @@ class Atlas:
         centre = next(point.state for point in self.points if point.name == saddle)
         return (states - centre) @ self.reverser.T + centre
 
-    def document(self) -> "Document":
+    def document(self) -> dict[str, Any]:
         """Return what `dpcontrol atlas --json` prints, the file apart."""
         return {
             **picked(self, "energy", "model", "complete", "status"),
-            "orbits": [orbit_document(orbit) for orbit in self.orbits],
-            "rotating_orbits": [rotating_document(orbit) for orbit in self.rotating_orbits],
+            "orbits": [orbit.document() for orbit in self.orbits],
+            "rotating_orbits": [orbit.document() for orbit in self.rotating_orbits],
             "count": len(self.connections),
-            "connections": [{**connection_document(c), "from": c.source, "to": c.target} for c in self.connections],
+            "connections": [{**c.document(), "from": c.source, "to": c.target} for c in self.connections],
             "kinds": [
                 {
                     "from": kind.source,
@@ -251,38 +212,3 @@ def section_axes(section: Section, periods: Array) -> tuple[str, float | None]:
     name = f"θ{'₁₂₃₄₅₆'[coordinate]}" if angular else "xyz"[coordinate]
     period = float(periods[coordinate])
     return name, period if np.isfinite(period) else None
-
-
-Document = dict[str, Any]
-
-
-def orbit_document(orbit: AtlasOrbit | LyapunovOrbit) -> Document:
-    """Return an orbit with the keys that `dpcontrol orbit --json` prints."""
-    return picked(orbit, "energy", "period", "state", "floquet_multipliers", "residual", "status", "saddle", "family")
-
-
-def rotating_document(orbit: AtlasRotatingOrbit | RotatingOrbit) -> Document:
-    """Return a rotating orbit with the keys that `dpcontrol orbit --rotating --json` prints."""
-    return picked(
-        orbit,
-        "arm",
-        "winding",
-        "energy",
-        "period",
-        "state",
-        "floquet_multipliers",
-        "trace",
-        "kind",
-        "residual",
-        "status",
-    )
-
-
-def connection_document(connection: AtlasConnection | Connection) -> Document:
-    """Return a connection with the keys that `dpcontrol connect --json` prints."""
-    return {
-        **picked(connection, "name", "state", "winding", "sense", "symmetric", "residual", "hits"),
-        **picked(connection, "time_in", "time_out", "phase_in", "phase_out"),
-        "section": connection.section.name,
-        "transversality_angle_deg": connection.transversality_angle,
-    }

@@ -3,17 +3,24 @@
 Source: Kaheman et al. (2023), section 4.
 """
 
-from collections.abc import Iterable, Sequence
+import time
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import networkx as nx
 
+from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.orbits.curve import local_manifold
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.tubes.connection import Connection, can_be_reversed
-from dpcontrol.tubes.connections import find_connections, reversed_search
+from dpcontrol.tubes.connections import ConnectionSearch, find_connections, reversed_search
+from dpcontrol.tubes.cut import Cut, tube_cut
+from dpcontrol.tubes.intersections import ConnectionSettings
+from dpcontrol.walks.graph import connection_graph
 from dpcontrol.walks.rotating import is_rotating, rotating_connections, rotating_named
 from dpcontrol.walks.symbols import Symbol
 
@@ -55,12 +62,116 @@ class Edges:
         return tuple(c for c in self.connections if c.source.saddle == saddle)
 
     def graph(self) -> "nx.MultiDiGraph[str]":
-        """Return the multigraph: saddles as nodes, connections as edges keyed by name."""
-        graph: nx.MultiDiGraph[str] = nx.MultiDiGraph()
-        graph.add_nodes_from(self.orbits)
-        for c in self.connections:
-            graph.add_edge(c.source.saddle, c.target.saddle, key=c.name, connection=c)
-        return graph
+        """Return the multigraph: orbits as nodes, connections as edges."""
+        return connection_graph(self.orbits.values(), ((c.source.saddle, c.target.saddle, c) for c in self.connections))
+
+
+class TubeCuts:
+    """The cuts of one system's tubes, each made when it is first asked for; seconds: what making them has taken."""
+
+    def __init__(self, system: System, settings: ConnectionSettings | None = None) -> None:
+        self.system, self.settings, self.seconds = system, settings or ConnectionSettings(), 0.0
+        self.made: dict[tuple[str, str, int], Cut] = {}
+        self._manifolds: dict[str, UnstableManifold] = {}
+
+    def manifold(self, orbit: LyapunovOrbit) -> UnstableManifold:
+        """Return the local unstable manifold of a saddle's orbit."""
+        if orbit.saddle not in self._manifolds:
+            self._manifolds[orbit.saddle] = local_manifold(orbit, self.settings.distance)
+        return self._manifolds[orbit.saddle]
+
+    def cut(self, orbit: LyapunovOrbit, section: Section, hit: int) -> Cut:
+        """Return the cut of an orbit's unstable tube at the `hit`-th crossing of a section."""
+        key = (orbit.saddle, section.name, hit)
+        if key not in self.made:
+            began = time.perf_counter()
+            self.made[key] = tube_cut(self.manifold(orbit), section, hit=hit, settings=self.settings.cut)
+            self.seconds += time.perf_counter() - began
+        return self.made[key]
+
+
+@dataclass(frozen=True)
+class PairSearch:
+    """One search between two saddles' orbits; by_reversal: it is another's image under time reversal."""
+
+    search: ConnectionSearch
+    by_reversal: bool
+
+    @property
+    def pair(self) -> tuple[str, str]:
+        """The saddles whose orbits the connections leave and join."""
+        return self.search.source.saddle, self.search.target.saddle
+
+
+def orbits_at(
+    system: System, families: Mapping[str, int], energy: float, *, required: bool = False
+) -> tuple[list[LyapunovOrbit], list[tuple[str, str]]]:
+    """Return the Lyapunov orbits at `energy` of so many families of each saddle, and (saddle, reason) where none is.
+
+    Raises:
+        InputError: one is `required` and there is none.
+    """
+    orbits: list[LyapunovOrbit] = []
+    absent: list[tuple[str, str]] = []
+    for saddle, count in families.items():
+        for family in range(count):
+            try:
+                orbit = lyapunov_orbit(system, saddle, energy=energy, family=family)
+            except InputError as error:
+                if required:
+                    raise
+                absent.append((saddle, str(error)))
+                break
+            if orbit.converged:
+                orbits.append(orbit)
+            else:
+                absent.append((saddle, f"the Lyapunov orbit about {orbit.name}: {orbit.status}"))
+    return orbits, absent
+
+
+def search_pairs(
+    tubes: TubeCuts,
+    orbits: Mapping[str, LyapunovOrbit],
+    pairs: Sequence[tuple[str, str]],
+    hits: Sequence[tuple[int, int]],
+    *,
+    until_found: bool = False,
+    progress: Progress = no_progress,
+) -> list[PairSearch]:
+    """Search the connections between the orbits of `pairs` of saddles at all `hits`, each tube cut once.
+
+    Of two opposite pairs one is searched, the other is its image under time reversal where that keeps the section.
+    until_found: stop with the first of the hits at which a pair has connections.
+    """
+    found: list[PairSearch] = []
+    # An image under time reversal has its hits exchanged: it serves where both are asked for.
+    both_ways = all((b, a) in hits for a, b in hits)
+    for k, (source, target) in enumerate(pairs):
+        opposite = [one.search for one in found if one.pair == (target, source)]
+        if opposite and source != target and both_ways and can_be_reversed(tubes.system, source, target):
+            found += [PairSearch(reversed_search(search), by_reversal=True) for search in opposite]
+            continue
+        section = tubes.system.sections[source, target]
+        here = part_of(progress, k / len(pairs), (k + 1) / len(pairs))
+        for hit in hits:
+            here(f"tubes {source} → {target}", 0.0)
+            cuts = (tubes.cut(orbits[source], section, hit[0]), tubes.cut(orbits[target], section, hit[1]))
+            within = part_of(here, 0.5, 1.0)
+            search = find_connections(
+                orbits[source], orbits[target], hits=hit, settings=tubes.settings, cuts=cuts, progress=within
+            )
+            found.append(PairSearch(search, by_reversal=False))
+            if until_found and search.connections:
+                break
+    return found
+
+
+def _doubts(search: ConnectionSearch) -> list[str]:
+    """Return a sentence on what a search may have missed, if it may."""
+    if search.complete:
+        return []
+    hits = ".".join(str(cut.hit) for cut in search.cuts)
+    return [f"{search.source.saddle} → {search.target.saddle}, hits {hits}: {search.status}"]
 
 
 def find_edges(
@@ -82,46 +193,17 @@ def find_edges(
             none, or a symbol names a section that there is not.
     """
     wanted = dict.fromkeys(s for pair in pairs for s in pair) if pairs else dict.fromkeys(system.saddles)
-    orbits: dict[str, LyapunovOrbit] = {}
-    absent: list[tuple[str, str]] = []
-    for saddle in wanted:
-        try:
-            orbit = lyapunov_orbit(system, saddle, energy=energy)
-        except InputError as error:
-            if pairs:
-                raise
-            absent.append((saddle, str(error)))
-            continue
-        if orbit.converged:
-            orbits[saddle] = orbit
-        else:
-            absent.append((saddle, f"the Lyapunov orbit about {saddle}: {orbit.status}"))
+    found, absent = orbits_at(system, dict.fromkeys(wanted, 1), energy, required=bool(pairs))
+    orbits = {orbit.saddle: orbit for orbit in found}
     if not orbits:
         raise InputError("; ".join(dict.fromkeys(reason for _, reason in absent)))
     kinds = [p for p in system.sections if p[0] in orbits and p[1] in orbits and (not pairs or p in pairs)]
-    found: dict[tuple[str, str], tuple[Connection, ...]] = {}
-    notes: list[str] = []
     numbers = sorted(set(hits))
-    # An image under time reversal has its hits exchanged: it serves where both are asked for.
-    both_ways = all((b, a) in numbers for a, b in numbers)
-    for k, (source, target) in enumerate(kinds):
-        here: Progress = lambda what, done, k=k: progress(what, (k + done) / len(kinds))  # noqa: E731
-        if (source, target) in found:
-            continue
-        listed: list[Connection] = []
-        for hit in numbers:
-            search = find_connections(orbits[source], orbits[target], hits=hit, progress=here)
-            listed += search.connections
-            if search.failed or not all(cut.resolved for cut in search.cuts):
-                notes.append(f"{source} → {target}, hits {hit[0]}.{hit[1]}: {search.status}")
-            opposite = source != target and (target, source) in kinds and both_ways
-            if opposite and can_be_reversed(system, source, target):
-                image = reversed_search(search).connections
-                found[target, source] = (*found.get((target, source), ()), *image)
-        found[source, target] = tuple(listed)
+    searches = search_pairs(TubeCuts(system), orbits, kinds, numbers, progress=progress)
     progress("connections", 1.0)
-    connections = tuple(c for pair in kinds for c in found[pair])
-    edges = Edges(system, energy, orbits, tuple(absent), tuple(kinds), connections, tuple(notes))
+    notes = tuple(note for one in searches if not one.by_reversal for note in _doubts(one.search))
+    connections = tuple(c for one in searches for c in one.search.connections)
+    edges = Edges(system, energy, orbits, tuple(absent), tuple(kinds), connections, notes)
     simple = [s for symbol in symbols for s in symbol.simple]
     return _with_named(_with_rotating(edges, simple, progress), simple, numbers, progress)
 
@@ -172,6 +254,5 @@ def _with_named(
             progress=progress,
         )
         found += search.connections
-        if search.failed or not all(cut.resolved for cut in search.cuts):
-            notes.append(f"{source} → {target}, hits {hit[0]}.{hit[1]}: {search.status}")
+        notes += _doubts(search)
     return replace(edges, named=tuple(found), notes=(*edges.notes, *notes))

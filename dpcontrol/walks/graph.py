@@ -3,43 +3,25 @@
 Source: Kaheman et al. (2023), section 4, where the graph's walks are the itineraries.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 import networkx as nx
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.walks.atlas import Atlas
 
 
-def connection_graph(atlas: Atlas) -> "nx.MultiDiGraph[str]":
-    """Return the multigraph of an atlas: nodes are orbits by name, edges are connections keyed by name.
+def connection_graph(orbits: Iterable[Any], connections: Iterable[tuple[str, str, Any]]) -> "nx.MultiDiGraph[str]":
+    """Return the multigraph of orbits and connections: nodes by name, edges keyed by the connection's name.
 
-    Nodes carry saddle, family, energy (J), period (s) and multiplier; edges carry winding, sense, symmetric, hits,
-    transversality_angle (degrees), time_out and time_in (s). Every orbit is a node, connected or not.
+    connections: (source, target, connection), ends by name. Nodes carry their `orbit`, edges their `connection`. Every
+    orbit is a node, connected or not.
     """
-    graph: nx.MultiDiGraph[str] = nx.MultiDiGraph(model=atlas.model, energy=atlas.energy)
-    for orbit in atlas.orbits:
-        graph.add_node(
-            orbit.name,
-            saddle=orbit.saddle,
-            family=orbit.family,
-            energy=orbit.energy,
-            period=orbit.period,
-            multiplier=float(orbit.floquet_multipliers[0].real),
-        )
-    for c in atlas.connections:
-        graph.add_edge(
-            c.source,
-            c.target,
-            key=c.name,
-            winding=c.winding,
-            sense=c.sense,
-            symmetric=c.symmetric,
-            hits=c.hits,
-            transversality_angle=c.transversality_angle,
-            time_out=c.time_out,
-            time_in=c.time_in,
-        )
+    graph: nx.MultiDiGraph[str] = nx.MultiDiGraph()
+    for orbit in orbits:
+        graph.add_node(orbit.name, orbit=orbit)
+    for source, target, connection in connections:
+        graph.add_edge(source, target, key=connection.name, connection=connection)
     return graph
 
 

@@ -9,11 +9,11 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.scenes import atlas as atlas_module
 from dpcontrol.scenes.atlas import AtlasSettings, compute_atlas, load_atlas, make_atlas, save_atlas
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connection import can_be_reversed
 from dpcontrol.tubes.connections import find_connections, orbits_between, reversed_search
+from dpcontrol.walks import edges
 from dpcontrol.walks.atlas import Atlas
 from tests.command_line import dpcontrol
 from tests.reference_values import CONNECTIONS, LYAPUNOV_ORBITS
@@ -123,13 +123,13 @@ def test_strands_of_a_tube_end_on_its_cut(high):
 
 def test_each_tube_is_cut_once(model, monkeypatch):
     cut = []
-    plain = atlas_module.tube_cut
+    plain = edges.tube_cut
 
     def counted(manifold, section, **options):
         cut.append((manifold.orbit.saddle, section.name, options["hit"]))
         return plain(manifold, section, **options)
 
-    monkeypatch.setattr(atlas_module, "tube_cut", counted)
+    monkeypatch.setattr(edges, "tube_cut", counted)
     monkeypatch.setattr("dpcontrol.tubes.connections.tube_cut", counted)
     compute_atlas(model, 0.2)
     assert len(cut) == len(set(cut)) == 4

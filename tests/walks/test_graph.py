@@ -10,47 +10,19 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.walks.graph import connection_graph, walks
 
 
-def orbit(saddle, family=0):
-    name = saddle if family == 0 else f"{saddle} family {family}"
-    multipliers = np.array([100.0, 1.0, 1.0, 0.01], dtype=complex)
-    return SimpleNamespace(
-        name=name, saddle=saddle, family=family, energy=0.2, period=0.9, floquet_multipliers=multipliers
-    )
-
-
-def connection(name, source, target):
-    return SimpleNamespace(
-        name=name,
-        source=source,
-        target=target,
-        winding=(0, 1),
-        sense=1,
-        symmetric=True,
-        hits=(1, 1),
-        transversality_angle=30.0,
-        time_out=1.0,
-        time_in=1.1,
-    )
-
-
 @pytest.fixture
 def graph():
     """Two loops at a, one at b, one edge each way, and c alone."""
     edges = [("p", "a", "a"), ("q", "a", "a"), ("r", "b", "b"), ("ab", "a", "b"), ("ba", "b", "a")]
-    atlas = SimpleNamespace(
-        model="toy",
-        energy=0.2,
-        orbits=[orbit("a"), orbit("b"), orbit("c"), orbit("c", 1)],
-        connections=[connection(*edge) for edge in edges],
-    )
-    return connection_graph(atlas)  # type: ignore[arg-type]
+    orbits = [SimpleNamespace(name=name) for name in ("a", "b", "c", "c family 1")]
+    return connection_graph(orbits, [(a, b, SimpleNamespace(name=name)) for name, a, b in edges])
 
 
 def test_every_orbit_is_a_node_and_every_connection_an_edge_of_its_own(graph):
     assert set(graph.nodes) == {"a", "b", "c", "c family 1"}
     assert graph.number_of_edges("a", "a") == 2
-    assert graph.edges["a", "b", "ab"]["transversality_angle"] == 30.0
-    assert graph.nodes["a"]["multiplier"] == 100.0
+    assert graph.edges["a", "b", "ab"]["connection"].name == "ab"
+    assert graph.nodes["a"]["orbit"].name == "a"
 
 
 def test_as_many_walks_as_the_adjacency_matrix_raised_to_their_length_counts(graph):

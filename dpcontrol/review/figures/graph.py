@@ -8,7 +8,7 @@ from dpcontrol.review import style
 from dpcontrol.review.figures.page import Gallery, Page
 from dpcontrol.review.panel_frame import new_figure
 from dpcontrol.walks.atlas import Atlas
-from dpcontrol.walks.graph import connection_graph, walks
+from dpcontrol.walks.graph import walks
 
 ENERGIES = (-0.07, 0.2)
 _RADIUS = 0.45
@@ -23,7 +23,7 @@ def draw(gallery: Gallery) -> Page:
     for k, atlas in enumerate(atlases):
         axes = figure.add_axes((0.01 + 0.36 * k, 0.02, 0.36 if k == 0 else 0.62, 0.86))
         _graph(axes, atlas)
-        graph = connection_graph(atlas)
+        graph = atlas.graph()
         count = sum(1 for node in graph.nodes for _ in walks(graph, node, length=_LENGTH))
         words.append(
             f"at {atlas.energy:g} J: {graph.number_of_nodes()} {'orbit' if len(graph) == 1 else 'orbits'}, "
