@@ -151,11 +151,6 @@ class Atlas:
         """Whether nothing that was searched may hide a connection at its hits."""
         return all(kind.complete for kind in self.kinds)
 
-    @property
-    def failed(self) -> int:
-        """Crossings of cuts that did not converge, in all kinds."""
-        return sum(kind.failed for kind in self.kinds)
-
     def graph(self) -> "nx.MultiDiGraph[str]":
         """Return the multigraph: orbits of all families as nodes, connections as edges."""
         return connection_graph(self.orbits, ((c.source, c.target, c) for c in self.connections))
