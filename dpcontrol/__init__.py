@@ -3,8 +3,6 @@
 `import dpcontrol as dp` offers the functions of `dpcontrol.api`, each loaded when it is first used.
 """
 
-import importlib
-
 TYPE_CHECKING = False  # typing's own takes as long to import as all of this
 if TYPE_CHECKING:
     from dpcontrol.api import (
@@ -14,6 +12,8 @@ if TYPE_CHECKING:
         Model,
         ReferenceSettings,
         RunOptions,
+        Section,
+        System,
         atlas,
         campaign,
         connections,
@@ -35,15 +35,39 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 __all__ = [
-    "GoalMissed", "InputError", "Limits", "Model", "ReferenceSettings", "RunOptions", "atlas", "campaign",
-    "connections", "find_bifurcations", "graph", "identify", "load_model", "open_atlas", "open_log", "open_plan",
-    "open_recording", "orbit", "plan", "reference", "run", "shadow", "swings",
-]  # fmt: skip
+    "GoalMissed",
+    "InputError",
+    "Limits",
+    "Model",
+    "ReferenceSettings",
+    "RunOptions",
+    "Section",
+    "System",
+    "atlas",
+    "campaign",
+    "connections",
+    "find_bifurcations",
+    "graph",
+    "identify",
+    "load_model",
+    "open_atlas",
+    "open_log",
+    "open_plan",
+    "open_recording",
+    "orbit",
+    "plan",
+    "reference",
+    "run",
+    "shadow",
+    "swings",
+]
 
 
 def __getattr__(name: str) -> object:
     if name not in __all__:
         raise AttributeError(f"module 'dpcontrol' has no attribute {name!r}")
+    import importlib
+
     value = getattr(importlib.import_module("dpcontrol.api"), name)
     globals()[name] = value
     return value

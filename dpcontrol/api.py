@@ -17,11 +17,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from dpcontrol.dynamics.propagator import Section as Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of, progress_bar
 from dpcontrol.references.problem import Limits, ReferenceSettings
-from dpcontrol.scenes.model import Model, load_model, model_of
+from dpcontrol.scenes.model import Model, model_of
+from dpcontrol.scenes.model import load_model as load_model
 from dpcontrol.scenes.run_options import RunOptions
 
 if TYPE_CHECKING:
@@ -36,12 +38,6 @@ if TYPE_CHECKING:
     from dpcontrol.walks.atlas import Atlas
     from dpcontrol.walks.edges import Edges
     from dpcontrol.walks.shadowing import ShadowingOrbit
-
-__all__ = [
-    "GoalMissed", "InputError", "Limits", "Model", "ReferenceSettings", "RunOptions", "atlas", "campaign",
-    "connections", "find_bifurcations", "graph", "identify", "load_model", "open_atlas", "open_log", "open_plan",
-    "open_recording", "orbit", "plan", "reference", "run", "shadow", "swings",
-]  # fmt: skip
 
 Reporting = Progress | Literal[True] | None
 """Where progress goes: a function, True for a bar on stderr, None for nowhere."""
@@ -164,8 +160,8 @@ def atlas(
 
     hits: of the unstable and the stable tube; by default the first at which they meet, up to the second.
 
-    >>> dp.atlas(lab, energy=-0.07).status
-    '...'
+    >>> len(dp.atlas(lab, energy=-0.07).connections)
+    8
 
     Raises:
         InputError: no saddle has an orbit at this energy.
@@ -366,7 +362,7 @@ def identify(
     model: to start from. zeros: whether the encoders' zeros are fitted, by the segments left out by default. out: the
     model file to write, for `load_model`, if any.
 
-    >>> dp.identify(dp.swings(lab, count=6), model=lab).friction_terms
+    >>> dp.identify(dp.swings(lab, count=3, seconds=1.5), model=lab).friction_terms
     ('viscous',)
 
     Raises:
@@ -419,6 +415,9 @@ def open_plan(file: Place) -> "Plan":
 
 def open_atlas(file: Place) -> "Atlas":
     """Open an atlas that `dpcontrol atlas --out` wrote.
+
+    >>> dp.open_atlas(atlas_file).energy
+    -0.07
 
     Raises:
         InputError: the file is missing, damaged or no atlas.

@@ -103,6 +103,9 @@ class BifurcationSearch:
     complete: bool
     status: str
 
+    def __repr__(self) -> str:
+        return f"<bifurcations: {self.status}>"
+
     def document(self) -> dict[str, Any]:
         """Return what `dpcontrol bifurcations --json` prints, the energies that were asked for apart."""
         event = ("energy", "kind", "state", "count_below", "count_above", "at_least", "symmetric", "winding")

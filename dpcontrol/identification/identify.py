@@ -223,6 +223,9 @@ class Identification:
     residuals: tuple[Array, ...]
     status: str
 
+    def __repr__(self) -> str:
+        return f"<identified arms: {self.status}>"
+
     @property
     def friction_terms(self) -> tuple[str, ...]:
         """Laws of friction that were chosen."""

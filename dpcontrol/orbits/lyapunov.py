@@ -69,6 +69,9 @@ class LyapunovOrbit(OrbitRecord):
     newton_residual: float
     converged: bool
 
+    def __repr__(self) -> str:
+        return f"<orbit about {self.saddle} at {self.energy:g}: {self.status}>"
+
     @property
     def unstable_multiplier(self) -> float:
         """The largest Floquet multiplier, real for a saddle's orbit."""

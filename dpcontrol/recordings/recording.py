@@ -54,6 +54,9 @@ class Recording:
     command: Array | None = None
     notes: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<recording {self.name!r}: {len(self.segments)} segments, {len(self.time)} samples>"
+
     @property
     def arms(self) -> int:
         """Number of arms."""

@@ -72,6 +72,9 @@ class Reference:
     extra: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
     notes: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
+    def __repr__(self) -> str:
+        return f"<reference of {self.duration:.4g} s: {self.status}>"
+
     @property
     def trajectory(self) -> Trajectory:
         """Return its values on the mesh alone."""

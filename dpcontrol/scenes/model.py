@@ -100,6 +100,9 @@ class Model:
     encoder_zeros: tuple[float, ...] = ()
     uncertainty: Uncertainty | None = None
 
+    def __repr__(self) -> str:
+        return f"<model {self.name!r}: {self.title}>"
+
     @cached_property
     def system(self) -> "ModelSystem":
         """The conservative system in which orbits and tubes live: for arms, without friction, on a fixed pivot."""
@@ -170,6 +173,9 @@ def model_of(system: System) -> Model:
 
 def load_model(name: str) -> Model:
     """Load a model by name or path.
+
+    >>> dp.load_model("lab").arms.count
+    2
 
     Raises:
         InputError: no such model, or a mistake in its file: names file, table, key, value and what is allowed.

@@ -56,6 +56,9 @@ class ConnectionSearch:
     complete: bool
     status: str
 
+    def __repr__(self) -> str:
+        return f"<connections {self.source.saddle} → {self.target.saddle}: {self.status}>"
+
     @property
     def open_ends(self) -> tuple[tuple[str, OpenEnd], ...]:
         """Where cuts are open: (tube, end) with tube "unstable" or "stable"."""

@@ -141,6 +141,9 @@ class Atlas:
     seconds: Mapping[str, float]
     status: str
 
+    def __repr__(self) -> str:
+        return f"<atlas of {self.model} at {self.energy:g}: {self.status}>"
+
     @property
     def turn_lengths(self) -> Array:
         """Lengths (N,) of a whole turn of each coordinate, zero where it is no angle."""

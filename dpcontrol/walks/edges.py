@@ -43,6 +43,9 @@ class Edges:
     notes: tuple[str, ...]
     named: tuple[Connection, ...] = ()
 
+    def __repr__(self) -> str:
+        return f"<graph at {self.energy:g}: {len(self.orbits)} orbits, {len(self.connections)} connections>"
+
     @property
     def saddles(self) -> tuple[str, ...]:
         """Saddles that have an orbit at this energy."""

@@ -229,6 +229,9 @@ class ShadowingOrbit:
     estimate: ErrorEstimate | None
     fault: int | None
 
+    def __repr__(self) -> str:
+        return f"<walk {', '.join(self.walk)}: {self.status}>"
+
     @property
     def periodic(self) -> bool:
         """Whether the walk closes."""

@@ -1,0 +1,148 @@
+"""The front door: its example as it stands, an example of every function, and what each promises."""
+
+import doctest
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import dpcontrol as dp
+from dpcontrol import api
+from dpcontrol.references.reference import load_reference
+from dpcontrol.scenes.atlas import make_atlas
+from dpcontrol.scenes.itinerary import itinerary_from
+
+EXAMPLE = """
+lab = dp.load_model("lab")
+orbit = dp.orbit(lab, "down-up", energy=-0.07)
+found = dp.connections(orbit)                       # or dp.connections(orbit, other)
+walk = dp.shadow(found, ["down-up +"])
+reference = dp.reference(walk, limits=dp.Limits(position=0.4))
+run = dp.run(reference, mismatch=0.02, seed=3)      # in memory; log="turn.mcap" writes one
+print(run.score().sentence)
+run.frame()                                         # pandas; run.plot() for the page
+campaign = dp.campaign(reference, runs=200, mismatch=0.1)
+"""
+FUNCTIONS = [name for name in dp.__all__ if inspect.isfunction(getattr(api, name))]
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """What the example leaves, with the log of its run besides."""
+    values: dict[str, Any] = {"dp": dp}
+    exec(EXAMPLE, values)
+    values["log"] = tmp_path_factory.mktemp("api") / "turn.mcap"
+    values["logged"] = dp.run(values["reference"], mismatch=0.02, seed=3, log=values["log"])
+    return values
+
+
+@pytest.fixture(scope="module")
+def atlas_file(example: dict[str, Any]) -> Path:
+    return make_atlas(example["lab"], -0.07).file
+
+
+def test_the_example_runs_as_it_stands(example: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
+    assert example["run"].score().sentence.startswith("completed: 1 of 1 symbols")
+    assert example["campaign"].completed.runs == 200
+    assert 150 < example["campaign"].completed.successes <= 200
+
+
+def test_there_are_at_most_twenty_functions() -> None:
+    assert len(FUNCTIONS) <= 20
+    assert all(hasattr(api, name) for name in dp.__all__)
+    assert set(dp.__all__) <= set(dir(dp))
+
+
+@pytest.mark.parametrize("name", FUNCTIONS)
+def test_every_function_has_types_and_an_example_that_runs(
+    name: str, example: dict[str, Any], atlas_file: Path
+) -> None:
+    function = getattr(dp, name)
+    assert all(p.annotation is not p.empty for p in inspect.signature(function).parameters.values())
+    assert inspect.signature(function).return_annotation is not inspect.Signature.empty
+    (test,) = doctest.DocTestFinder(recurse=False).find(
+        function, name, globs={**example, "planned": example["reference"], "atlas_file": atlas_file}
+    )
+    assert test.examples, f"{name} has no example"
+    runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
+    said: list[str] = []
+    assert runner.run(test, out=said.append).failed == 0, "".join(said)
+
+
+def test_a_run_in_memory_is_the_one_that_is_logged(example: dict[str, Any]) -> None:
+    """The same figures to rounding: a log keeps its times in whole nanoseconds."""
+    memory, logged = example["run"].document(), example["logged"].document()
+    apart = {key for key, value in memory.items() if logged[key] != value}
+    assert apart <= {"log", "real_time_factor"}
+    assert example["logged"].frame().shape == example["run"].frame().shape
+
+
+def test_a_plan_of_a_walk_is_that_of_the_file_it_writes(example: dict[str, Any]) -> None:
+    plan = example["reference"]
+    assert itinerary_from(plan.itinerary.text, "walk", plan.itinerary.model) == plan.itinerary
+    again = dp.open_plan(plan.file)
+    assert again.itinerary.parts == plan.itinerary.parts
+    assert again.document()["reference"] == plan.document()["reference"]
+    assert dp.run(again, mismatch=0.02, seed=3).document() == {
+        **example["run"].document(),
+        "real_time_factor": pytest.approx(0, abs=1e6),
+    }
+
+
+def test_a_run_draws_its_page(example: dict[str, Any]) -> None:
+    assert len(example["run"].plot().axes) > 5
+
+
+def test_results_show_themselves_in_a_line(example: dict[str, Any]) -> None:
+    for name in ("lab", "orbit", "found", "walk", "reference", "run", "campaign"):
+        assert len(repr(example[name])) < 300, name
+        assert "\n" not in repr(example[name])
+
+
+def test_a_failure_is_a_value_and_bad_input_an_error(example: dict[str, Any]) -> None:
+    missed = dp.run(example["reference"], options=dp.RunOptions(controller="feedforward"), mismatch=0.05)
+    assert not missed.converged
+    assert missed.status.startswith("NOT completed")
+    with pytest.raises(dp.InputError, match="down-up"):
+        dp.orbit(example["lab"], "down-upp", energy=-0.07)
+    with pytest.raises(dp.InputError, match="mismatch = 2"):
+        dp.run(example["reference"], mismatch=2.0)
+    with pytest.raises(dp.InputError, match="no such run setting"):
+        dp.campaign(example["reference"], over={"mismach": [0.1]})
+    with pytest.raises(dp.InputError, match="no arms"):
+        _ = dp.load_model("three-body").arms
+
+
+def test_an_interior_stop_has_the_fewest_wraps_unless_asked(example: dict[str, Any]) -> None:
+    walk = dp.shadow(example["found"], ["down-up +", "down-up -"])
+    assert walk.converged
+    assert len(walk.wraps) == 1
+    with pytest.raises(dp.InputError, match="stops"):
+        dp.shadow(example["found"], ["down-up +", "down-up -"], wraps=[1, 2])
+
+
+def test_progress_is_reported_to_a_function(example: dict[str, Any]) -> None:
+    told: list[tuple[str, float]] = []
+    dp.connections(example["orbit"], progress=lambda what, done: told.append((what, done)))
+    assert told
+    assert all(0 <= done <= 1 for _, done in told)
+
+
+def test_importing_the_package_imports_nothing_else() -> None:
+    script = "import sys; before = set(sys.modules); import dpcontrol; print(*(set(sys.modules) - before))"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["dpcontrol"]
+
+
+def test_a_name_that_there_is_not_is_no_attribute() -> None:
+    with pytest.raises(AttributeError, match="swing_up"):
+        _ = dp.swing_up  # type: ignore[attr-defined]
+
+
+def test_a_log_carries_the_plan_that_opens(example: dict[str, Any], tmp_path: Path) -> None:
+    file = tmp_path / "reference.npz"
+    file.write_bytes(example["logged"].log.attachments["reference.npz"])
+    assert dp.open_plan(file).status == load_reference(file).status
