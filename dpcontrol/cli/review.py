@@ -61,14 +61,17 @@ Writers = tuple[Callable[[Path], None], Callable[[Path], "Picture"]]
 
 
 def _writers(file: Path) -> Writers:
+    from dpcontrol.foundation.archives import archive_format, is_archive
     from dpcontrol.logs import read_log
+    from dpcontrol.references.reference import FORMAT as REFERENCE
     from dpcontrol.review.of_log import run_view
-    from dpcontrol.review.of_reference import is_reference, read_reference_view
+    from dpcontrol.review.of_reference import read_reference_view
     from dpcontrol.review.picture import write_atlas_picture, write_picture
-    from dpcontrol.scenes.atlas import is_atlas, load_atlas
 
-    reference = is_reference(file)
-    if not reference and is_atlas(file):
+    reference = archive_format(file) == REFERENCE
+    if not reference and is_archive(file):
+        from dpcontrol.scenes.atlas import load_atlas
+
         atlas = load_atlas(file)
 
         def record_atlas(path: Path) -> None:

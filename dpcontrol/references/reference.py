@@ -22,7 +22,6 @@ Keys, all float64 unless said otherwise:
 The state on an interval is the polynomial through its K+1 values, the input the one through its K values.
 """
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -33,9 +32,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpcontrol.foundation.archives import archive
-from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import whole_file
+from dpcontrol.foundation.archives import archive, write_archive
+from dpcontrol.foundation.documents import picked, plain
 from dpcontrol.references.method import Method, interpolation_matrix, method_named
 from dpcontrol.references.problem import Limits, state_scale
 from dpcontrol.references.trajectory import Trajectory, largest_values
@@ -238,37 +236,21 @@ def save_reference(path: Path, reference: Reference) -> None:
         "format": FORMAT,
         "version": VERSION,
         "method": reference.method.name,
-        "status": reference.status,
-        "converged": reference.converged,
         "limits": reference.limits.named(),
-        # JSON has no infinity: null stands for a figure that was not measured.
-        "numbers": {name: value if np.isfinite(value := getattr(reference, name)) else None for name in _NUMBERS},
+        "numbers": plain(picked(reference, *_NUMBERS)),
         "notes": dict(reference.notes),
+        **picked(reference, "status", "converged"),
     }
-    try:
-        text = json.dumps(header, allow_nan=False)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"cannot write {path}: the notes are not plain JSON ({error})") from error
-    arrays: dict[str, Any] = {_EXTRA + name: array for name, array in reference.extra.items()}
-    with whole_file(Path(path), suffix=".npz") as temporary:
-        np.savez(
-            temporary,
-            header=np.array(text),
-            mesh=reference.mesh,
-            points=reference.method.points,
-            support=reference.method.support,
-            states=reference.states,
-            inputs=reference.inputs,
-            **arrays,
-        )
+    arrays = {
+        **picked(reference, "mesh", "states", "inputs"),
+        **picked(reference.method, "points", "support"),
+        **{_EXTRA + name: array for name, array in reference.extra.items()},
+    }
+    write_archive(path, header, arrays)
 
 
 def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
     """Make a reference of a file's parts; any of the raised errors means that the file is not one."""
-    if header["format"] != FORMAT:
-        raise ValueError(f"its format is {header['format']!r}")
-    if header["version"] not in READ:
-        raise ValueError(f"its version is {header['version']!r}, this program reads {' and '.join(map(str, READ))}")
     method = method_named(header["method"])
     mesh, states, inputs = (np.asarray(arrays[k], dtype=float) for k in ("mesh", "states", "inputs"))
     intervals, count = len(mesh) - 1, len(method.points)
@@ -304,5 +286,5 @@ def load_reference(path: Path | IO[bytes]) -> Reference:
         InputError: there is no such file, or it is damaged or not a reference; says which.
     """
     making = {"make": "plan the itinerary first", "again": "plan again"}
-    with archive(path, what="a reference", **making) as (header, arrays):
+    with archive(path, what="a reference", **making, format=FORMAT, versions=READ) as (header, arrays):
         return _checked(header, arrays)

@@ -1,7 +1,5 @@
 """What there is to see of a reference, from its file alone, and of a sustained orbit."""
 
-import json
-import zipfile
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,7 +8,7 @@ import numpy as np
 
 from dpcontrol.dynamics.chain import pendulum_system
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.references.reference import FORMAT, load_reference
+from dpcontrol.references.reference import load_reference
 from dpcontrol.references.summary import ReferenceSummary, summarised
 from dpcontrol.references.sustained import SustainedOrbit
 from dpcontrol.review.context import PlacedOrbit, PlanView
@@ -20,15 +18,6 @@ from dpcontrol.review.of_log import limits_of, plan_view
 _RATE = 500.0  # Hz
 _POINTS = 600  # of an orbit
 _ARM = 0.2  # m: drawn where a reference does not say for which arms it was made
-
-
-def is_reference(file: Path) -> bool:
-    """Tell by its header whether a file is a reference; what cannot be read is none."""
-    try:
-        with np.load(file, allow_pickle=False) as content:
-            return json.loads(str(content["header"]))["format"] == FORMAT
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
-        return False
 
 
 def read_reference_view(file: Path) -> RunView:

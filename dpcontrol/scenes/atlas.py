@@ -41,11 +41,11 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.archives import archive
+from dpcontrol.foundation.archives import archive, write_archive
 from dpcontrol.foundation.cache import cache_folder, code_hash
 from dpcontrol.foundation.documents import plain
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import content_hash, whole_file
+from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.orbits.equilibria import equilibria
@@ -390,9 +390,7 @@ def save_atlas(path: Path, atlas: Atlas) -> None:
         "sections": [asdict(section) for section in sections],
         **_packed(atlas, "", arrays, sections),
     }
-    text = json.dumps(plain(header), allow_nan=False)
-    with whole_file(Path(path), suffix=".npz") as temporary:
-        np.savez(temporary, header=np.array(text), **arrays)  # type: ignore[arg-type]
+    write_archive(path, plain(header), arrays)
 
 
 def _packed(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -> dict[str, Any]:
@@ -421,23 +419,10 @@ def load_atlas(path: Path) -> Atlas:
         InputError: there is no such file, or it is damaged or not an atlas; says which.
     """
     making = {"make": "make one with `dpcontrol atlas MODEL --energy H`", "again": "make it again"}
-    with archive(path, what="an atlas", **making) as (header, arrays):
+    with archive(path, what="an atlas", **making, format=FORMAT, versions=(VERSION,)) as (header, arrays):
         # Any error in here means that the file is no atlas.
-        if header["format"] != FORMAT:
-            raise ValueError(f"its format is {header['format']!r}")
-        if header["version"] != VERSION:
-            raise ValueError(f"its version is {header['version']!r}, this program reads version {VERSION}")
         sections = [Section(**{key: _tuples(value) for key, value in entry.items()}) for entry in header["sections"]]
         return _unpacked(Atlas, header, "", arrays, sections)
-
-
-def is_atlas(path: Path) -> bool:
-    """Tell by its first bytes whether a file is a zip archive, as atlases are and logs are not."""
-    try:
-        with Path(path).open("rb") as file:
-            return file.read(4) == b"PK\x03\x04"
-    except OSError:
-        return False
 
 
 def _unpacked(

@@ -1,6 +1,5 @@
 """Walks of a model at an energy, as `dpcontrol walk` asks for them: drawn, given wraps, solved, kept in files."""
 
-import json
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -10,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from dpcontrol.dynamics.extended import Exact, digits
+from dpcontrol.foundation.archives import write_archive
+from dpcontrol.foundation.documents import picked, plain
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import whole_file
 from dpcontrol.shooting.extended import ExtendedOrbit, refine
 from dpcontrol.walks.edges import Edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
@@ -198,22 +198,10 @@ def estimate_document(orbit: ShadowingOrbit) -> dict[str, Any] | None:
     estimate = orbit.estimate
     if estimate is None:
         return None
-    document: dict[str, Any] = {
-        "condition": estimate.condition,
-        "kantorovich": estimate.kantorovich,
-        "radius": estimate.radius,
-        "energy_error": estimate.energy_error,
-        "departure": estimate.departure,
-        "stops": estimate.stops,
-    }
+    document = picked(estimate, "condition", "kantorovich", "radius", "energy_error", "departure", "stops")
     if estimate.multipliers is not None:
-        multipliers = estimate.multipliers
-        document["multipliers"] = {
-            "log_unstable": multipliers.log_unstable,
-            "log_stable": multipliers.log_stable,
-            "sign": multipliers.sign,
-            "reciprocity": multipliers.reciprocity,
-        }
+        numbers = ("log_unstable", "log_stable", "sign", "reciprocity")
+        document["multipliers"] = picked(estimate.multipliers, *numbers)
     return document
 
 
@@ -233,28 +221,16 @@ def save_walk(path: Path, model: str, orbit: ShadowingOrbit, *, refined: Extende
         "walk": list(orbit.walk),
         "wraps": list(orbit.wraps),
         "wraps_realised": list(orbit.wraps_realised),
-        "periodic": orbit.periodic,
-        "lead_in": orbit.lead_in,
-        "lead_out": orbit.lead_out,
-        "duration": orbit.duration,
-        "residual": orbit.residual,
-        "certificate": estimate_document(orbit),
-        "status": orbit.status,
+        **picked(orbit, "periodic", "lead_in", "lead_out", "duration", "residual", "status"),
+        "certificate": plain(estimate_document(orbit)),
     }
     turn = orbit.orbit.turn
-    arrays: dict[str, Any] = {}
+    arrays: dict[str, Any] = {
+        **picked(orbit.orbit, "times", "states"),
+        "symbol_times": orbit.symbol_times,
+        "turn": np.zeros(orbit.orbit.states.shape[1]) if turn is None else turn,
+    }
     if refined is not None:
-        arrays = {
-            "times_digits": np.array(digits(refined.times)),
-            "states_digits": np.array([digits(state) for state in refined.states]),
-        }
-    with whole_file(path, suffix=".npz") as temporary:
-        np.savez_compressed(
-            temporary,
-            header=np.array(json.dumps(header)),
-            times=orbit.orbit.times,
-            states=orbit.orbit.states,
-            symbol_times=orbit.symbol_times,
-            turn=np.zeros(orbit.orbit.states.shape[1]) if turn is None else turn,
-            **arrays,
-        )
+        arrays["times_digits"] = np.array(digits(refined.times))
+        arrays["states_digits"] = np.array([digits(state) for state in refined.states])
+    write_archive(path, header, arrays, compressed=True)

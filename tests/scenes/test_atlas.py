@@ -248,7 +248,7 @@ def rewritten(path, change):
     ("change", "reason"),
     [
         (lambda h, a: h.update(format="other"), "its format is 'other'"),
-        (lambda h, a: h.update(version=99), "its version is 99, this program reads version 2"),
+        (lambda h, a: h.update(version=99), "its version is 99, this program reads 2"),
         (lambda h, a: h.pop("orbits"), "it lacks 'orbits'"),
         (lambda h, a: a.pop("orbit_0_samples"), "it lacks 'orbit_0_samples'"),
         (lambda h, a: a.update(orbit_0_samples=np.zeros((4, 3))), "orbit_0_samples has shape"),
