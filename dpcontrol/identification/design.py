@@ -1,4 +1,4 @@
-"""Which recordings would tell most about a model: free swings from rest, and swings that the cart's motion drives.
+"""Which recordings would reveal most about a model: free swings from rest, and swings that the cart's motion drives.
 
     I = 1/σ² (J_pᵀJ_p - J_pᵀJ_x (J_xᵀJ_x)⁻¹ J_xᵀJ_p),     digits = ½ log₁₀(det I) / f          (D-optimality)
 
@@ -83,11 +83,11 @@ class Design:
     status: str
 
     def ranked(self) -> list[Experiment]:
-        """Return the usable experiments, the most telling first."""
+        """Return the usable experiments, the most informative first."""
         return sorted((e for e in self.experiments if e.usable), key=lambda e: -e.information)
 
     def best_pair(self) -> tuple[Experiment, Experiment]:
-        """Return the most telling experiment and the one that adds most to it (it may be the same again)."""
+        """Return the most informative experiment and the one that adds most to it (it may be the same again)."""
         ranked = self.ranked()
         first = ranked[0]
         return first, max(ranked, key=lambda e: digits(first.matrix + e.matrix))
@@ -112,7 +112,7 @@ def digits(matrix: Array) -> float:
 def design_experiments(
     arms: ArmChainParameters, *, settings: DesignSettings | None = None, progress: Progress = no_progress
 ) -> Design:
-    """Compare free swings over a grid of angles, and sines of the cart's acceleration, for what they tell of `arms`.
+    """Compare free swings over a grid of angles, and sines of the cart's acceleration, for what they reveal of `arms`.
 
     Raises:
         InputError: no experiment is usable.
@@ -122,7 +122,7 @@ def design_experiments(
     values = base_ratios(arms)
     used = np.flatnonzero(values)
     half = np.linspace(-np.pi, np.pi, 2 * settings.steps + 1)[1:-1]
-    # A swing's mirror image tells the same, so the first angle is taken as positive; at rest upright nothing moves.
+    # A swing's mirror image reveals the same, so the first angle is taken as positive; at rest upright nothing moves.
     grid = [a for a in product(half[half > -1e-9], *[half] * (n - 1)) if np.abs(a).max() > 1e-9]
     sines = list(product(settings.amplitudes, settings.frequencies))
     times = np.arange(round(settings.seconds / settings.period) + 1) * settings.period
@@ -153,22 +153,22 @@ def design_experiments(
         swings = k < len(grid)
         amplitude, frequency = (0.0, 0.0) if swings else sines[k - len(grid)]
         reach = 0.0 if swings else amplitude / (2 * np.pi * frequency) ** 2
-        told = digits(matrix)
+        digit_count = digits(matrix)
         experiments.append(
             Experiment(
                 kind="swing" if swings else "cart",
                 angles=tuple(float(a) for a in starts[k, :n]),
                 amplitude=amplitude,
                 frequency=frequency,
-                information=told,
+                information=digit_count,
                 amplification=growth,
-                usable=growth < _CHAOTIC and 2 * reach <= settings.track and bool(np.isfinite(told)),
+                usable=growth < _CHAOTIC and 2 * reach <= settings.track and bool(np.isfinite(digit_count)),
                 matrix=matrix,
             )
         )
     usable = sum(e.usable for e in experiments)
     if not usable:
-        raise InputError("no experiment is usable: the arms' ratios cannot be told by any; check the model's friction")
+        raise InputError("no experiment is usable: none determines the arms' ratios; check the model's friction")
     left_out = [ratio_names(arms)[k] for k in range(len(values)) if k not in used]
     without = f"; without those that are zero: {', '.join(left_out)}" if left_out else ""
     return Design(

@@ -349,7 +349,7 @@ def fit_swings(
         InputError: a swing is too short.
     """
     if any(len(s.angles) < 8 for s in swings):
-        raise InputError("a swing of fewer than 8 samples tells nothing; leave it out")
+        raise InputError("a swing of fewer than 8 samples determines nothing; leave it out")
     cut = Windows(swings, model, settings.window)
     n, m, arms = model.states, model.parameters, model.states // 2
     unknown = np.concatenate([free, np.full(zeros.size, free_zeros)])
@@ -373,7 +373,7 @@ def fit_swings(
             threshold = _threshold(now, settings)
         normal = _normal(now, threshold, n, len(where))
         if not np.isfinite(normal.scaled).all():
-            status = "errors grow so much along a swing that its start tells nothing; cut the swings shorter"
+            status = "errors grow so much along a swing that its start determines nothing; cut the swings shorter"
             break
         step, firsts = _step(normal, values[where], lower[where])
         better, share = None, 1.0

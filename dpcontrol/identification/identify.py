@@ -7,7 +7,7 @@ length. The one of fewest unknowns whose mean squared error is within one standa
 Sources: Hastie, Tibshirani, Friedman, The elements of statistical learning (2009), section 7.10, for the choice;
 `dpcontrol.identification.fit` for the fit; `dpcontrol.identification.identify` for what is said of its errors.
 
-How well identified numbers are known: covariance, what cannot be told apart.
+How well identified numbers are known: covariance, what cannot be distinguished.
 
     Cov = H⁻¹ (b/(b-f) Σ_blocks g gᵀ) H⁻¹,     H = Σ w J̃ᵀJ̃,   g = Σ_block J̃ᵀ ψ(e)
 
@@ -51,7 +51,7 @@ _LEAST_BLOCK = 10
 _BLOCKS_PER_UNKNOWN = 4
 _UNSEEN = 1e-10
 ALIKE = 0.95
-"""Correlation from which two numbers are said not to be told apart."""
+"""Correlation from which two numbers count as indistinguishable."""
 
 
 def correlation_time(residuals: Sequence[Array]) -> float:
@@ -116,7 +116,7 @@ def covariance_of(fit: SwingFit, among: NDArray[np.bool_] | None = None) -> Arra
 def undetermined_of(
     names: Sequence[str], values: Array, errors: Array, *, covariance: Array, friction: slice
 ) -> list[str]:
-    """Return sentences on numbers that the data leave open, and on pairs that they cannot tell apart."""
+    """Return sentences on numbers that the data leave open, and on pairs that they cannot distinguish."""
     deviations = np.sqrt(np.diag(covariance))
     sentences: list[str] = []
     for k, name in enumerate(names):

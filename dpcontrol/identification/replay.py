@@ -2,7 +2,7 @@
 
 Three predictions, each compared with the measured angles: over whole segments from the initial state that fits best;
 one sample and `ahead` samples from the estimate. Where the cart moved, its motion is the input
-(`recordings.recording`). Angles are taken less the encoders' zeros, where the model tells them, and predictions
+(`recordings.recording`). Angles are taken less the encoders' zeros, where the model gives them, and predictions
 are given as the encoders would show them. The estimator (`dpcontrol.identification.replay`) sees angles
 alone; its NIS has a chi-square distribution with as many degrees of freedom as angles if model and noise are as stated.
 
@@ -21,7 +21,7 @@ An estimator run over a recording's angles: over means of a few samples, correct
 
     z = mean θ - ½ mean(τ²) θ̈(x̂),      R = R_encoder / M        (samples at times τ about their middle, over M ms)
 
-One sample of a real encoder is no Gaussian number: it sticks when the arm turns back and jumps by whole counts, so the
+One sample of a real encoder is not Gaussian: it sticks when the arm turns back and jumps by whole counts, so the
 95 % band of a single sample's NIS holds four fifths of them. Means of ten come close to Gaussian, and what a mean
 misses of a curved motion is known from the model.
 
@@ -85,7 +85,7 @@ class CartDrive:
 class FreeMotion:
     """Arms on a pivot that rests or is moved, sampled every `period` s, for many motions at once.
 
-    moving: whether the pivot is on a cart; then `paths` is told how it moves. Not to be shared between threads.
+    moving: whether the pivot is on a cart; then `paths` is given its motion. Not to be shared between threads.
     """
 
     def __init__(self, arms: ArmChainParameters, *, period: float, moving: bool = False) -> None:
@@ -197,7 +197,7 @@ def fit_initial_states(
         path = np.where(better, following, path)
         cost = np.where(better, lower, cost)
         damping = np.clip(np.where(better, damping / 10, damping * 10), 1e-12, 1e9)
-        # A step that gains nothing however short it is has nothing left to gain.
+        # Even the shortest step gains nothing: this is the minimum.
         ended |= ~better & (damping >= 1e3)
         if ended.all():
             break
@@ -248,7 +248,7 @@ def estimate_recording(
     mean_over: float,
     progress: Progress = no_progress,
 ) -> RecordedEstimate:
-    """Run an estimator over each segment of a recording, beginning anew in each.
+    """Run an estimator over each segment of a recording, starting afresh in each.
 
     Args:
         recording: angles in segments.
@@ -257,7 +257,7 @@ def estimate_recording(
         filters: kind and process noise of the estimator.
         counts: of an encoder per turn.
         mean_over: s of each mean; samples less than a millisecond apart share their rounding and count as one.
-        progress: told how far it is.
+        progress: called with how far it is.
 
     Raises:
         InputError: a segment is shorter than a mean.
@@ -485,7 +485,7 @@ def filter_settings(name: str, *, model_error: float = 0.003) -> EstimatorSettin
     """
     if name not in ESTIMATORS:
         raise InputError(f"--estimator {name}: there is no such estimator; {suggest(name, ESTIMATORS)}")
-    # Zeros are the model's to tell: estimated besides, they would take up what it misses.
+    # Zeros belong to the model: estimated here, they would absorb its errors.
     return replace(ESTIMATORS[name](), parameter_error=model_error, rate_noise=_FLOOR, augment=())
 
 
@@ -506,7 +506,7 @@ def replay_recording(
         filters: the estimator's settings.
         settings: noise and spans.
         zeros: what the recorded absolute angles show where the true ones are zero, rad; all zero if empty.
-        progress: told how far it is.
+        progress: called with how far it is.
 
     Raises:
         InputError: the model has another number of arms, or the cart moved in some of the segments only.
@@ -542,7 +542,7 @@ def replay_recording(
     settled = np.concatenate([np.arange(end - first) * recording.dt >= _SETTLED for first, end in recording.segments])
     if not settled.any():
         settled[:] = True
-    told = nis[settled & np.isfinite(nis)]
+    known = nis[settled & np.isfinite(nis)]
     low, high = chi_square_band(n)
     progress("predicting", 0.9)
     rates_rms = None
@@ -561,8 +561,8 @@ def replay_recording(
             k: _ahead(motion, recording, found, settled, k, velocity, acceleration) for k in sorted({1, settings.ahead})
         },
         rates_rms=rates_rms,
-        nis_inside_95=float(np.mean((told >= low) & (told <= high))) if len(told) else float("nan"),
-        nis_below_95=float(np.mean(told <= chi_square_band(n, share=0.9)[1])) if len(told) else float("nan"),
+        nis_inside_95=float(np.mean((known >= low) & (known <= high))) if len(known) else float("nan"),
+        nis_below_95=float(np.mean(known <= chi_square_band(n, share=0.9)[1])) if len(known) else float("nan"),
     )
 
 

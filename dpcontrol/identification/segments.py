@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 LONGEST, LONGEST_DRIVEN = 4.0, 1.0
 """s: of pieces, and of those on a moving cart. About a saddle errors grow e⁸-fold in a second; over four seconds
-rounding leaves nothing of what a start tells."""
+rounding leaves nothing of what a start determines."""
 _STILL = 1e-3
 _MOST_LOST = 5
 """Readings in a row that may be missing."""

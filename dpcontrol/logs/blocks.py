@@ -175,7 +175,7 @@ class ChunkEncoder:
             return []
         robots = [self._robot(rows)] + ([rows.parts["reference"]] if "reference" in rows.parts else [])
         states = np.concatenate([robot[chosen] for robot in robots], axis=1)
-        # A pose of a state that is no number would be refused by every reader of transforms.
+        # Readers of transforms reject poses that are not finite.
         if not np.isfinite(states).all():
             finite = np.flatnonzero(np.isfinite(states).all(axis=1))
             chosen, states = [chosen[k] for k in finite], states[finite]

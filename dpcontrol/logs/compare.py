@@ -29,7 +29,7 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
     What `one` has lost, if it was recovered, or if it ends early, is passed over in `other`.
 
     Raises:
-        InputError: one of them is missing, damaged or no log of this program.
+        InputError: one of them is missing, damaged or not a log of this program.
     """
     sides = [open_verified(Path(path)) for path in (one, other)]
     tick = sides[0].tick

@@ -155,7 +155,7 @@ def read_log(path: Path | str) -> RunLog:
     """Return the run logged in `path`.
 
     Raises:
-        InputError: the file is missing, empty, cut off, damaged, no MCAP file or not a log of a run.
+        InputError: the file is missing, empty, cut off, damaged, not an MCAP file or not a log of a run.
     """
     file = open_verified(Path(path))
     with file.decoding():
@@ -277,7 +277,7 @@ def summarise(path: Path | str) -> LogSummary:
     """Return what is in the log `path`, its checksums compared.
 
     Raises:
-        InputError: the file is missing, cut off, damaged or no log of this program.
+        InputError: the file is missing, cut off, damaged or not a log of this program.
     """
     file = open_verified(Path(path))
     with file.decoding():

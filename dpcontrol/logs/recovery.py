@@ -248,7 +248,7 @@ def _only(path: Path, found: Salvage, name: str) -> dict[str, str] | None:
 
 
 def _several(path: Path) -> InputError:
-    return InputError(f"{path} holds pieces of several logs, and which belong together cannot be told; recover each")
+    return InputError(f"{path} holds pieces of several logs, and which belong together is not known; recover each")
 
 
 def _nothing(found: Salvage) -> str:

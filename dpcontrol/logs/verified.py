@@ -1,4 +1,4 @@
-"""Read an MCAP file's records, and believe none before the checksums agree.
+"""Read an MCAP file's records, and trust none before the checksums agree.
 
 Indexes and single chunks are not enough: an index can point elsewhere and two chunks can change places without any
 checksum of their own failing. So the file is walked from front to back, and the checksum of the whole data section
@@ -275,10 +275,10 @@ def _check(path: Path, data: bytes, records: list[tuple[int, int, int]]) -> bool
 
 
 def open_verified(path: Path) -> VerifiedFile:
-    """Read `path`, compare its checksums and make out what a tick holds.
+    """Read `path`, compare its checksums and find what a tick holds.
 
     Raises:
-        InputError: there is no such file, or it is empty, no MCAP file, cut off, damaged or no log of this program.
+        InputError: there is no such file, or it is empty, no MCAP file, cut off, damaged or not a log of this program.
     """
     data = recorded_bytes(path)
     if not (data.startswith(MAGIC) or MAGIC.startswith(data)):
@@ -295,7 +295,7 @@ def open_verified(path: Path) -> VerifiedFile:
     except MALFORMED as error:
         damaged(path, f"a record does not read: {error}", cause=error)
     with file.decoding():
-        # Made out here, once and for all.
+        # Read once, so that later uses cannot fail.
         _ = file.tick
     return file
 

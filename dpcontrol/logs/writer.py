@@ -243,7 +243,7 @@ class LogWriter:
     def _give_up(self, error: BaseException) -> None:
         """Keep what was written and say where it is; a chunk that was cut short is followed by no other."""
         if self._encoder is None and not self._buffer.filled:
-            # A run that failed before its first tick leaves nothing worth a look.
+            # A run that failed before its first tick leaves nothing worth keeping.
             self.partial.unlink(missing_ok=True)
             return
         if not self._torn:

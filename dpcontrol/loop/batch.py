@@ -77,7 +77,7 @@ class BatchBench:
         self._longest = min(longest_step(d.plant) for d in draws)
         self._braking: NDArray[np.bool_] | None = None
         self.faults: dict[int, str] = {}
-        """What runs have come to grief by, by their number."""
+        """Why runs have failed, by their number."""
 
     @property
     def truth(self) -> Array:
@@ -185,7 +185,7 @@ class BatchBench:
 
 
 _TURN = 32
-"""Ticks turned at once from lanes side by side into one after the other: singly, each row would be fetched anew."""
+"""Ticks turned at once from lanes side by side into one after the other: singly, each row would be fetched again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +251,7 @@ def run_batch(
     the settings' own.
 
     Raises:
-        InputError: the settings ask for what `can_batch` refuses.
+        InputError: the settings ask for what `can_batch` rejects.
     """
     if not can_batch(settings, controller):
         raise InputError("these runs cannot go in lockstep; run them tick by tick, --path ticks")
@@ -333,7 +333,7 @@ class _Lockstep:
         (self.program.step if k else self.program.update)(inputs, self.outputs)
         nis = self.outputs[out["nis"]][0]
         self.sound = None
-        # What is no number fails both.
+        # NaN fails both.
         if np.minimum.reduce(nis) >= 0 and np.maximum.reduce(nis) < np.inf:
             self.memory[:] = self.outputs[out["memory"]]
             return nis, self.outputs[out["used"]][0]
@@ -411,7 +411,7 @@ class _Lockstep:
                     truth[:, k - turn : k + 1] = latest.transpose(2, 0, 1)
                 applied[k], feedbacks[k] = acted, feedback
                 if restarts is not None or watch.any_braking:
-                    # As in the loop: a filter that failed shows its last NIS, one that starts anew has none.
+                    # As in the loop: a filter that failed shows its last NIS, one that restarts has none.
                     nis = np.where(np.isfinite(nis), nis, nis_rows[k - 1] if k else np.nan)
                     nis[restarts or []] = np.nan
                 nis_rows[k] = nis

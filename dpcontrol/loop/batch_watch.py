@@ -76,7 +76,7 @@ class BatchStuck:
         out: dict[int, str] = {}
         for i, lane in zip(*np.nonzero(still), strict=True):
             if int(lane) not in out:
-                words = one.told(
+                words = one.sentence(
                     int(i), same=int(self._same[i, lane]), moved=float(self._moved[i, lane]),
                     step=float(self._steps[i, lane]),
                 )  # fmt: skip
@@ -133,7 +133,7 @@ class BatchPath:
 
 
 class BatchWatch:
-    """The supervisors of S runs. Only where one has something to say is it asked itself, for its words."""
+    """The supervisors of S runs. A single one is asked, for its words, only where it has to step in."""
 
     def __init__(self, settings: LoopSettings, limits: Limits, *, runs: int) -> None:
         self._settings, self._limits, self._runs = settings, limits, runs
@@ -232,9 +232,9 @@ class BatchWatch:
     def _all_well(
         self, nis: Array, error: Array, position: Array, velocity: Array, sent: Array, switch: NDArray[np.bool_]
     ) -> bool:
-        """Tell whether the worst of each kind among all runs, taken together, would not be worth a word.
+        """Tell whether even the worst value of each kind among all runs, taken together, is well within bounds.
 
-        Quicker than asking run by run, while all of them go well. What is no number fails every comparison.
+        Quicker than asking run by run, while all of them go well. NaN fails every comparison.
         """
         one, most = self._one, self._most
         if not (most(nis) <= one.settings.lost_estimate and most(error) <= one.settings.lost_tracking):

@@ -240,7 +240,7 @@ class ControlLoop:
             thinking[k] = clock() - before
             rig.command(command)
             if self._braking_since is not None:
-                # The drive knows best what it is doing; what is sent meanwhile is what the loop believes that it does.
+                # The drive brakes by itself; what is sent meanwhile is what the loop believes it does.
                 rig.stop()
             acted = path.acted(estimate.state.item(n - 1))
             mode = action.mode
@@ -300,7 +300,7 @@ class ControlLoop:
         error = 0.0
         for i in self._angles:
             away = abs(seen[i] - due[i])
-            # What is no number must not be passed over.
+            # NaN must not be passed over.
             if not away <= error:
                 error = away
         path, supervisor = self.path, self.supervisor
@@ -347,6 +347,6 @@ class ControlLoop:
     def _flush(self, until: int) -> None:
         first = self._flushed
         if until > first:
-            # Noted first: what an interrupt falls into is not handed over twice.
+            # Noted first, so that rows on which an interrupt falls are not written twice.
             self._flushed = until
             self.sink.ticks(self._rows.between(first, until))

@@ -6,7 +6,7 @@ equilibria need one, and kinds that track take it as any other.
 Controllers that need the orbits of a reference: programs of stays and flights, and what to fall back to.
 
 The notes of a reference whose stops are kept say which of its intervals are a stay's and which a flight's (`program`).
-Orbits that are not in a reference are found anew, which is the same search with the same result each time.
+Orbits that are not in a reference are searched for again, which is the same search with the same result each time.
 """
 
 from collections.abc import Mapping
@@ -105,7 +105,7 @@ def kept_orbit(reference: Reference, entry: Mapping[str, Any], parameters: ArmCh
     system = pendulum_system(saddle, parameters)
     lyapunov = lyapunov_orbit(system, saddle, energy=entry["energy"], family=entry["family"])
     if not lyapunov.converged or not np.isclose(lyapunov.period, entry["lyapunov_period"], rtol=1e-9):
-        raise InputError(f"the reference stays on an orbit about {saddle} of other arms; plan it anew")
+        raise InputError(f"the reference stays on an orbit about {saddle} of other arms; plan it again")
     return sustained_from(lyapunov, parameters, period)
 
 

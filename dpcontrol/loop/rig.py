@@ -60,5 +60,5 @@ class Rig(Protocol):
 
     @property
     def fault(self) -> str:
-        """Return what the bench has come to grief by, such as the end of its track, or "" while it is well."""
+        """Return why the bench has failed, such as the end of its track, or "" while it works."""
         ...

@@ -130,7 +130,7 @@ class Supervisor:
         else:
             self.silent += self.period
         self.error += (error - self.error) * self.tracking_share
-        # Written so that what is no number stops the run.
+        # Written so that NaN stops the run.
         if not self.nis <= s.lost_estimate or not math.isfinite(error):
             return self._estimate(now)
         if self.silent > s.missing:
@@ -164,7 +164,7 @@ class Supervisor:
         if self.restarts < self.settings.restarts:
             self.restarts += 1
             self.nis = 0.0
-            return Outcome.RESTART, Ending.ESTIMATE_LOST, f"{shown}: the estimator starts anew from the encoders"
+            return Outcome.RESTART, Ending.ESTIMATE_LOST, f"{shown}: the estimator restarts from the encoders"
         why = f"{shown} where 1 or so is expected; check the encoders and the model's parameters, or assume more noise"
         return Outcome.STOP, Ending.ESTIMATE_LOST, f"estimate lost at t = {now:.3f} s: {why}"
 
@@ -192,7 +192,7 @@ _JOINT_MOVED, _CART_MOVED = 0.02, 2e-3
 _COUNTS = 4.0
 _DOUBT = 300.0
 """Mean NIS per position: with 256 counts, stuck encoders gave 450 and more when they were found, slow arms up to 270.
-The cart's scale is told without it: nothing but its own commands contradicts it."""
+The cart's scale is detected without it: only its own commands contradict it."""
 _UNSEEN = 0.2
 """rad: taken for a count while a sensor has not moved at all."""
 SAME = 1e-9
@@ -242,13 +242,13 @@ class StuckWatch:
             same[i] += 1
             moved = self._moved[i] = max(self._moved[i], abs(should - begin[i]))
             if same[i] >= self.still[i] and moved >= self.least[i] and not nis <= self.doubt[i]:
-                told = self.told(i, same=same[i], moved=moved, step=self._steps[i])
-                if told:
-                    return told
+                found = self.sentence(i, same=same[i], moved=moved, step=self._steps[i])
+                if found:
+                    return found
         return ""
 
-    def told(self, i: int, *, same: int, moved: float, step: float) -> str:
-        """Return that sensor i is stuck, or "" where it may as well turn back.
+    def sentence(self, i: int, *, same: int, moved: float, step: float) -> str:
+        """Return a sentence saying that sensor i is stuck, or "" where its joint may be turning back.
 
         same: ticks with one reading; moved: by how much it should have changed meanwhile; step: the smallest seen.
         """

@@ -2,13 +2,13 @@
 
 In order: time that stands or runs backward (time), values that are not finite (nan), samples left out (gaps), angles
 wrapped into one turn (wrap), rates that stand out (spikes), uneven sampling (sampling). What no repair can mend is
-refused: jumps, too few samples.
+rejected: jumps, too few samples.
 
 Whether a recording can be of a pendulum as its mapping says: units, columns, signs and zero.
 
-The rates must be the angles' derivative. Where they are not, what would make them so tells the mistake: a factor of
+The rates must be the angles' derivative. Where they are not, what would make them so reveals the mistake: a factor of
 180/π a unit, a factor of -1 a sign, another arm's derivative a swapped column. And gravity pulls arms down: over a free
-swing the mean of θ̈ sin θ is negative, so a positive one tells that the zero is upright.
+swing the mean of θ̈ sin θ is negative, so a positive one means that the zero is upright.
 """
 
 from collections.abc import Callable, Sequence
@@ -101,11 +101,11 @@ def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) 
 
     Args:
         samples: one stretch of the recording.
-        period: s between samples, as the file says; 0 where only the times tell.
+        period: s between samples, as the file says; 0 where only the times say.
         repairs: names of `REPAIRS` that may be made.
 
     Raises:
-        InputError: something is wrong whose repair was not asked for, or that none can mend; names row and time.
+        InputError: something is wrong whose repair was not asked for, or that no repair mends; names row and time.
     """
     steps: list[Callable[[Samples, frozenset[str], float], Repaired]] = [
         _timed,
@@ -181,7 +181,7 @@ def _finite(samples: Samples, repairs: frozenset[str], period: float) -> Repaire
     rows: NDArray[np.bool_] = np.any(bad, axis=1, keepdims=True)[:, 0]
     count, good = int(rows.sum()), ~rows
     if "nan" not in repairs:
-        raise _refuse(f"{samples.at(index)}: {samples.names[column]} is no finite number ({count} such rows)", "nan")
+        raise _refuse(f"{samples.at(index)}: {samples.names[column]} is not finite ({count} such rows)", "nan")
     if good.sum() < FEWEST_SAMPLES:
         raise InputError(f"{samples.where}: {count} of {len(rows)} rows are not finite; too few are left")
     keep, values = np.ones(len(rows), bool), samples.values.copy()
@@ -253,7 +253,7 @@ def _steady(samples: Samples, repairs: frozenset[str], period: float) -> Repaire
     others = f"among {median[index, column]:.4g} ({spikes.sum()} such spikes)"
     fault = f"{samples.at(index)}: {name} is {value:.4g} rad/s {others}"
     if spikes.mean() > _MOST_LEFT_OUT:
-        raise InputError(f"{fault}; these are no rates: check unit and columns")
+        raise InputError(f"{fault}; these are not rates: check unit and columns")
     if "spikes" not in repairs:
         raise _refuse(fault, "spikes")
     values = samples.values.copy()
@@ -330,7 +330,7 @@ _FALLS_UP = 0.5
 _MATCHES = 0.97
 """Correlation that rates filtered on line still reach with the angles' differences; other columns come to 0.9."""
 _LEAST_MOTION = 0.2
-"""rad/s: slower recordings tell nothing."""
+"""rad/s: slower recordings say nothing."""
 _WINDOW = 0.02
 """s: quantised angles have no derivatives from one sample to the next."""
 

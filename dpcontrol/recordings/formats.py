@@ -1,4 +1,4 @@
-"""CSV and Parquet files as columns of numbers; what is no number is told by its row.
+"""CSV and Parquet files as columns of numbers; cells that are not numbers are reported by row.
 
 MATLAB files of any version as nested values, and columns found in them by MATLAB's own notation.
 
@@ -29,7 +29,7 @@ def read_table(path: Path, columns: Sequence[str]) -> dict[str, Array]:
     """Return the named columns (K,) of a .csv or .parquet file; an empty cell is nan.
 
     Raises:
-        InputError: the file cannot be read, is no table, lacks a column, or holds text where numbers belong.
+        InputError: the file cannot be read, is not a table, lacks a column, or holds text where numbers belong.
     """
     import pyarrow as pa
 
@@ -41,7 +41,7 @@ def read_table(path: Path, columns: Sequence[str]) -> dict[str, Array]:
         raise InputError(f"cannot read {path}: {reason}; check the name, or save the recording again") from error
     except (pa.ArrowException, UnicodeError, csv.Error, MemoryError) as error:
         reason = str(error).strip().splitlines() or [type(error).__name__]
-        raise InputError(f"{path} is no table that can be read ({reason[0]}); save the recording again") from error
+        raise InputError(f"{path} is not a readable table ({reason[0]}); save the recording again") from error
     if table.num_rows == 0:
         raise InputError(f"{path} holds no rows; save the recording again")
     return {name: _numbers(table.column(name), name, path) for name in columns}
@@ -75,7 +75,7 @@ def _csv(path: Path, columns: Sequence[str]) -> Any:
     delimiter = max(",;\t", key=first.count)
     header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter))]
     _check(path, header, columns)
-    # Read as text, so that a cell that is no number can be told by its row.
+    # Read as text, so that a cell that is not a number can be reported by its row.
     table = arrow.read_csv(
         path,
         read_options=arrow.ReadOptions(column_names=header, skip_rows=1),
@@ -134,7 +134,7 @@ def read_matlab(path: Path) -> dict[str, Any]:
     """Return the variables of a MATLAB file by name.
 
     Raises:
-        InputError: the file cannot be read, or is no MATLAB file.
+        InputError: the file cannot be read, or is not a MATLAB file.
     """
     try:
         head = path.open("rb").read(600)
@@ -151,7 +151,7 @@ def read_matlab(path: Path) -> dict[str, Any]:
     except UNREADABLE as error:
         reason = str(error).strip().splitlines()
         raise InputError(
-            f"{path} is no MATLAB file, or is cut off or damaged ({reason[0] if reason else type(error).__name__}); "
+            f"{path} is not a MATLAB file, or is cut off or damaged ({reason[0] if reason else type(error).__name__}); "
             "save or copy it again"
         ) from error
     named = {name: value for name, value in variables.items() if isinstance(name, str) and not name.startswith("__")}
@@ -166,7 +166,7 @@ def _plain(path: Path, size: int) -> dict[str, Any]:
     try:
         declared = whosmat(path)
     except TypeError:
-        # Objects have no shape that scipy could tell.
+        # scipy cannot tell the shape of objects.
         return _with_objects(path)
     for name, shape, _ in declared:
         if np.prod([float(length) for length in shape]) > _LARGEST_RATIO * size:

@@ -37,7 +37,7 @@ _KNOWN = (
     "multi-arm-single-cart", "multi-arm-single",
     "multi-arm-raw-triple", "multi-arm-raw", "multi-arm-raw-single",
 )  # fmt: skip
-"""Mappings of MATLAB files to be told by what they hold: what asks for more comes before what asks for less."""
+"""Mappings of MATLAB files, recognised by their variables: those that need more come before those that need less."""
 
 
 def import_recording(
@@ -54,7 +54,7 @@ def import_recording(
         mapping: name or path of a mapping; by default the one of the MultiArm-Pendulum data set's kinds whose columns
             a MATLAB file holds, and `table` for others.
         repairs: names of repairs that may be made.
-        progress: told how far it is.
+        progress: called with how far it is.
 
     Raises:
         InputError: the file or the mapping cannot be used; one sentence with file, row, value and remedy.
@@ -205,7 +205,7 @@ def _cell_list(path: Path, variables: dict[str, Any], name: str) -> list[Any]:
         shape = " x ".join(map(str, np.shape(value)))
         kind = getattr(value, "dtype", type(value).__name__)
         raise InputError(
-            f"{path}: {name} is no cell array with cells in it (it is {shape}, {kind}); "
+            f"{path}: {name} is not a cell array with cells in it (it is {shape}, {kind}); "
             "give a mapping that names this file's columns: --mapping"
         )
     return list(value.reshape(-1, order="F"))

@@ -8,7 +8,7 @@ How the cart of a recording moved: the acceleration that its arms felt, from the
 
     u_k = (a_k + a_{k+1}) / 2,      a = d²/dt² of cubics through 20 ms of the position (Savitzky–Golay)
 
-A command is sharper, but a drive may lag, saturate or give less than it is told. It is taken where it explains the
+A command is sharper, but a drive may lag, saturate or give less than commanded. It is taken where it explains the
 position: where its integral, smoothed alike, has the accelerations of the position to a tenth of their rms.
 Source: Savitzky & Golay, Smoothing and Differentiation of Data (1964).
 """
@@ -146,14 +146,14 @@ def load_recording(path: Path | str) -> Recording:
     """Return the recording in a log that `dpcontrol import` or `replay` wrote; a run's log is one segment of its own.
 
     Raises:
-        InputError: the file cannot be read, is no log, or holds too few samples.
+        InputError: the file cannot be read, is not a log, or holds too few samples.
     """
     path = Path(path)
     with suppress(OSError), path.open("rb") as file:
         head = file.read(len(MAGIC))
         if head != MAGIC[: len(head)]:
-            said = f"{path} is no log (it begins with {head!r})"
-            raise InputError(f"{said}; of a bench's recording `dpcontrol import` makes one")
+            said = f"{path} is not a log (it begins with {head!r})"
+            raise InputError(f"{said}; import a recording with `dpcontrol import` first")
     return recording_of(read_log(path))
 
 

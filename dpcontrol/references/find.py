@@ -153,13 +153,13 @@ def limits_passed(problem: ReferenceProblem, trajectory: Trajectory) -> str:
 
 
 def wanting(problem: ReferenceProblem, first: Trajectory, settings: ReferenceSettings) -> str:
-    """Say what stands in the way where nothing was found: the cart's authority, limits, or the guess."""
+    """Say what prevented a solution: the cart's authority, limits, or the guess."""
     if not has_authority(problem, first.mesh):
         return "the cart's acceleration moves no arm, so nothing makes up for friction; check the arms' parameters"
     free = without_limits(problem, first, settings)
     if not free.succeeded:
         return (
-            "without limits it finds nothing either: check that the guess is an orbit of the same arms, or "
+            "without limits it finds no solution either: check that the guess is an orbit of the same arms, or "
             "lower the friction"
         )
     return limits_passed(problem, free.trajectory) or (

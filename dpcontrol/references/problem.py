@@ -92,7 +92,7 @@ class ReferenceProblem:
     cart_guess: Guess | None = None
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be transcribed.
+        """Reject problems that cannot be transcribed.
 
         Raises:
             InputError: names what is wrong and what is allowed.

@@ -1,4 +1,4 @@
-"""What there is to say of a reference: its use of each limit, its effort, and its error anew on every interval.
+"""A reference in figures: its use of each limit, its effort, and its error measured again on every interval.
 
 The error between nodes and the energy need the arms that it was made for, which a plan's notes carry: `made_from`,
 whose `parameters` are those of `dpcontrol.dynamics.chain.ArmChainParameters` by name.
@@ -96,7 +96,7 @@ class ReferenceSummary:
 
 
 def summarised(reference: Reference) -> ReferenceSummary:
-    """Return the summary of a reference, its error between nodes measured anew.
+    """Return the summary of a reference, its error between nodes measured again.
 
     Raises:
         InputError: the notes name arms that cannot be, or others than it has.

@@ -62,10 +62,10 @@ class BenchServerSettings(Settings, table="bench"):
 class UdpBench:
     """Serves a bench on a socket of its own; a context manager.
 
-    make: makes the rig of a run from the commands on their way. say: is told what happens.
+    make: makes the rig of a run from the commands on their way. say: called with what happens.
 
     Raises:
-        InputError: the port cannot be had.
+        InputError: the port is not available.
     """
 
     def __init__(
@@ -240,9 +240,7 @@ class _BenchRun:
         if self._tick - content.tick < _REMEMBERED:
             self._trip = now - self._sent_at[content.tick % _REMEMBERED]
         if not math.isfinite(content.acceleration):
-            self._stop(
-                Condition.FAULT, f"the command at tick {content.tick} was no finite number; the cart was stopped"
-            )
+            self._stop(Condition.FAULT, f"the command at tick {content.tick} was not finite; the cart was stopped")
         elif not self._stopped:
             self._rig.command(content.acceleration)
 
@@ -259,13 +257,13 @@ class _BenchRun:
 
 
 def _received(sock: socket.socket) -> list[tuple[Kind, packets.Packet, Any]]:
-    """Return the packets that have come, with their senders; what is no packet is passed over."""
+    """Return the packets that have come, with their senders; malformed packets are skipped."""
     out = []
     while True:
         try:
             data, sender = sock.recvfrom(packets.LARGEST)
         except OSError:
-            # Nothing more; or a loop that has left, of which the system tells once.
+            # Nothing more; or a loop that has left, which the system reports once.
             return out
         try:
             out.append((*packets.unpacked(data), sender))

@@ -97,7 +97,7 @@ class Deadlines:
 
     @property
     def sentence(self) -> str:
-        """What a user wants to know of it."""
+        """What a user should know of it."""
         return (
             f"{self.missed} of {self.ticks} deadlines missed; ticks began up to {1e3 * self.worst:.3g} ms late (99 %: "
             f"{1e3 * self.lateness_99:.3g} ms); {self.lost} readings lost, {self.stale} too late; the bench repeated a "
@@ -134,7 +134,7 @@ def parse_address(text: str) -> tuple[str, int]:
     """Return host and port of `udp://HOST:PORT`.
 
     Raises:
-        InputError: it is no such address.
+        InputError: it is not such an address.
     """
     try:
         parts = urlsplit(text)
@@ -217,7 +217,7 @@ class UdpRig:
 
     @property
     def fault(self) -> str:
-        """Return what the bench says that it has come to grief by, or ""."""
+        """Return why the bench says that it has failed, or ""."""
         return self._fault
 
     @property
@@ -324,7 +324,7 @@ class UdpRig:
                 return None
 
     def _received(self, wait: float) -> tuple[Kind | None, packets.Packet]:
-        """Return the next packet, or (None, None) if none came within `wait` s; what is no packet counts as nothing."""
+        """Return the next packet, or (None, None) if none came within `wait` s; malformed packets are ignored."""
         try:
             data = self._socket.recv(packets.LARGEST)
         except BlockingIOError:

@@ -59,7 +59,7 @@ class Condition(IntEnum):
 
     WELL = 0
     FAULT = 1
-    """It has come to grief, as the sentence says."""
+    """It has failed, as the sentence says."""
     SILENCE = 2
     """It heard nothing from the loop for too long and has stopped the cart."""
 
@@ -156,7 +156,7 @@ def unpacked(data: bytes) -> tuple[Kind, Packet]:
     """Return a packet's kind and content.
 
     Raises:
-        ValueError: it is none of version 1, or damaged; says how.
+        ValueError: it is not of version 1, or damaged; says how.
     """
     if len(data) < _HEAD.size:
         raise ValueError(f"a packet of {len(data)} bytes has no head")

@@ -102,7 +102,7 @@ def test_a_reference_is_reviewed_too_but_not_beside_a_log(demo: tuple[Path, Ende
     assert (tmp_path / "turn.png").read_bytes().startswith(PNG)
     beside = dpcontrol("review", log, reference, "--save", tmp_path / "none.rrd")
     assert beside.code == 2
-    assert "turn.npz is no log" in beside.stderr
+    assert "turn.npz is not a log" in beside.stderr
 
 
 @pytest.mark.parametrize(("suffix", "first"), [("png", PNG), ("pdf", b"%PDF")])

@@ -35,7 +35,7 @@ def test_a_fault_is_refused_with_the_option_that_mends_it_and_then_mended() -> N
     write_csv(Path("swing.csv"), columns)
     refused = dpcontrol("import", "swing.csv")
     assert refused.code == 2
-    assert "row 51 (t = 0.05 s): angle 1 is no finite number" in refused.message
+    assert "row 51 (t = 0.05 s): angle 1 is not finite" in refused.message
     assert "--repair nan" in refused.message
     assert not Path("logs").exists()
     mended = dpcontrol("import", "swing.csv", "--repair", "nan,gaps", "--out", "mended.mcap")

@@ -223,7 +223,7 @@ def _uneven(columns: dict[str, Any]) -> None:
 @pytest.mark.parametrize(
     ("fault", "repair", "said"),
     [
-        (_missing, "nan", "row 101 (t = 0.1 s): angle 2 is no finite number (5 such rows)"),
+        (_missing, "nan", "row 101 (t = 0.1 s): angle 2 is not finite (5 such rows)"),
         (_repeated, "time", "row 101 (t = 0.099 s) repeats the time of the row before"),
         (_backward, "time", "row 101 (t = 0.097 s) goes back in time by 0.002 s"),
         (_gap, "gaps", "row 100 (t = 0.099 s): the next sample comes 0.031 s later, not 0.001 s"),

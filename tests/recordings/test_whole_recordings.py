@@ -114,7 +114,9 @@ def test_two_and_three_arms_open_with_the_way_of_their_cart(
 
 def test_what_is_no_log_is_to_be_imported_first(tmp_path: Path) -> None:
     savemat(tmp_path / "swing.mat", {"Theta1": np.zeros(5)})
-    with pytest.raises(InputError, match=r"swing\.mat is no log .*; of a .* `dpcontrol import` makes one"):
+    with pytest.raises(
+        InputError, match=r"swing\.mat is not a log .*; import a recording with `dpcontrol import` first"
+    ):
         load_recording(tmp_path / "swing.mat")
 
 
