@@ -49,7 +49,6 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.tables import suggest
-from dpcontrol.logs import LogWriter, Mode, control_fields
 from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.recordings.recording import (
     REPLAYED,
@@ -58,7 +57,7 @@ from dpcontrol.recordings.recording import (
     Recording,
     cart_motion,
     described,
-    measured_rates,
+    write_samples,
 )
 
 Array = NDArray[np.float64]
@@ -634,43 +633,28 @@ def write_replay(result: Replay, path: Path | str, *, model: str, model_text: st
     Raises:
         InputError: the file cannot be written.
     """
-    recording, n = result.recording, result.recording.arms
-    has_cart = recording.cart is not None
-    measured, rates = recording.angles, measured_rates(recording)
+    recording = result.recording
     estimated, predicted, sigmas = result.estimated, result.predicted, result.sigmas
-    fields = control_fields(n, has_cart=has_cart)
-    control = np.zeros((len(recording.time), len(fields)))
     velocity, acceleration = driven(recording, result.carts)
     if recording.cart is not None:
-        measured = np.column_stack([measured, recording.cart])
         pivot = np.column_stack([recording.cart, velocity])
         estimated, predicted = np.column_stack([estimated, pivot]), np.column_stack([predicted, pivot])
         sigmas = np.column_stack([sigmas, np.zeros_like(pivot)])
-    control[:, fields.index("mode")] = Mode.IDLE
-    control[:, fields.index("nis")] = result.nis
-    control[:, fields.index("applied")] = acceleration
-    control[:, fields.index("sigma_1") :] = sigmas
+    control = {"nis": result.nis, "applied": acceleration}
     if recording.command is not None:
-        control[:, fields.index("command")] = recording.command
-    metadata = described(recording, kind=REPLAYED) | {"model": model, SUMMARY: result.summary(model)}
-    with LogWriter(
-        path,
-        arm_lengths=recording.arm_lengths,
-        rate_hz=1 / recording.dt,
-        has_cart=has_cart,
-        metadata=metadata,
+        control["command"] = recording.command
+    pieces = [
+        (
+            first,
+            end,
+            "info" if fit.converged else "warn",
+            f"segment {index}: predicted to {1e3 * np.sqrt(np.mean(fit.residual**2)):.2f} mrad rms",
+        )
+        for (index, first, end), fit in zip(result.stretches, result.fits, strict=True)
+    ]
+    return write_samples(
+        recording, path, "replay", pieces,
+        metadata=described(recording, kind=REPLAYED) | {"model": model, SUMMARY: result.summary(model)},
+        states={"estimate": estimated, "reference": predicted}, control=control, sigmas=sigmas,
         attachments={"model.toml": model_text.encode()},
-    ) as log:
-        for (index, first, end), fit in zip(result.stretches, result.fits, strict=True):
-            text = f"segment {index}: predicted to {1e3 * np.sqrt(np.mean(fit.residual**2)):.2f} mrad rms"
-            log.event(float(recording.time[first]), "info" if fit.converged else "warn", "replay", text)
-            rows = slice(first, end)
-            log.ticks(
-                recording.time[rows],
-                measured=measured[rows],
-                rates=None if rates is None else rates[rows],
-                estimate=estimated[rows],
-                reference=predicted[rows],
-                control=control[rows],
-            )
-    return Path(path)
+    )  # fmt: skip

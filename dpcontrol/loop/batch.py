@@ -22,8 +22,9 @@ from dpcontrol.dynamics.compiled import VECTOR
 from dpcontrol.dynamics.plant import after_blow, longest_step, plant_step
 from dpcontrol.dynamics.ratios import Uncertainty
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.loop.batch_watch import BatchPath, BatchWatch
-from dpcontrol.loop.bench import BenchSettings
+from dpcontrol.loop.batch_watch import BatchWatch
+from dpcontrol.loop.bench import BenchSettings, clip_lanes
+from dpcontrol.loop.control_loop import BRAKING, CommandPath
 from dpcontrol.loop.draw import BenchDraw
 from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.result import Ending, LoopResult
@@ -48,7 +49,7 @@ class BatchBench:
         self._draws, self._runs, self._period = draws, len(draws), first.period
         self._arms = n = first.plant.arms.count
         own = settings.drive.limits(limits)
-        self._drive = settings.drive.within(limits, first.period)
+        self._drive = settings.drive.within(limits, first.period, clip=clip_lanes)
         self._track, self._switch_at = own.position, own.position - settings.drive.switch_margin
         whole = math.floor(settings.drive.delay)
         self._fraction = settings.drive.delay - whole
@@ -61,7 +62,7 @@ class BatchBench:
         self._blows = sorted({tick for d in draws for tick in d.blows})
         demands: list[Array] = [np.zeros(self._runs)] * (whole + 1)
         for command in queued:
-            demands.append(self._demanded(np.broadcast_to(command, (self._runs,)), 0.0, demands[-1]))
+            demands.append(self._drive.demanded(np.broadcast_to(command, (self._runs,)), 0.0, demands[-1]))
         self._demands = demands[-(whole + 1) :]
         self._step = step = plant_step(n, first.plant.level, friction=first.plant.arms.friction)
         self._inputs = np.zeros((step.size_in, self._runs))
@@ -118,7 +119,7 @@ class BatchBench:
     def command(self, k: int, accelerations: Array) -> None:
         """Send the carts' wanted accelerations (S,), m/s², at tick k."""
         noise = 0.0 if self._command_noise is None else self._command_noise[k]
-        self._demands.append(self._demanded(accelerations, noise, self._demands[-1]))
+        self._demands.append(self._drive.demanded(accelerations, noise, self._demands[-1]))
 
     def stop(self, lanes: NDArray[np.intp]) -> None:
         """Brake the carts of these runs to a standstill from now on, without the commands' delay."""
@@ -126,24 +127,13 @@ class BatchBench:
             self._braking = np.zeros(self._runs, dtype=bool)
         self._braking[lanes] = True
 
-    def _demanded(self, command: Array, noise: Array | float, last: Array) -> Array:
-        drive = self._drive
-        wanted = drive.response * command + noise
-        wanted = np.minimum(np.maximum(wanted, -drive.acceleration), drive.acceleration)
-        return np.minimum(np.maximum(wanted, last - drive.jerk_step), last + drive.jerk_step)
-
     def _acting(self, demand: Array, duration: float) -> Array:
         drive, n = self._drive, self._arms
         velocity = self._state[2 * n + 1]
         if self._lag:
             velocity = velocity + self._lag * self._state[2 * n + 2]
-        low, high = (-drive.velocity - velocity) / duration, (drive.velocity - velocity) / duration
-        wanted = np.minimum(np.maximum(demand, low), high)
-        most = drive.acceleration
-        acting = np.minimum(np.maximum(wanted, -most), most)
-        if self._braking is None:
-            return acting
-        return np.where(self._braking, np.minimum(np.maximum(-velocity / duration, -most), most), acting)
+        acting = drive.acting(demand, velocity, duration)
+        return acting if self._braking is None else np.where(self._braking, drive.braking(velocity, duration), acting)
 
     def _pass(self, k: int) -> None:
         """Let period k pass."""
@@ -295,7 +285,7 @@ class _Lockstep:
         for name, value in (("parameters", program.model.parameters), ("process", program.process)):
             self.ahead_inputs[program.ahead.slices[name]] = value[:, None]
         self.predicted = np.empty((program.ahead.size_out, self.runs))
-        self.path = BatchPath(limits, delay=settings.drive.delay, period=self.period, runs=self.runs)
+        self.path = CommandPath(limits, delay=settings.drive.delay, period=self.period, runs=self.runs)
         z = self.memory[: program.out["z"].stop]
         # Angles alone, for that is what a run is judged by; of all runs at once where they have one clock.
         self.wanted = np.empty((self.count + self.path.lead, arms, 1))
@@ -397,7 +387,7 @@ class _Lockstep:
                 command = forward + back
                 if watch.any_braking:
                     braking = watch.braking
-                    command = np.where(braking, path.braking(), command)
+                    command = np.where(braking, path.braking(BRAKING), command)
                     feedback = np.where(braking, command, back)
                     watch.brake(k, path.velocity)
                 path.send(command)

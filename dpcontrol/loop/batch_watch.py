@@ -1,16 +1,11 @@
-"""Command paths and supervisors of many runs in lockstep: `CommandPath` and `Supervisor` on arrays (S,).
+"""Supervisors and stuck sensors of many runs in lockstep: `Supervisor` and `StuckWatch` on arrays (S,), (n+1, S)."""
 
-Stuck sensors of many runs in lockstep: `StuckWatch` on arrays (n+1, S).
-"""
-
-import math
-from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from dpcontrol.loop.control_loop import AT_REST, BRAKING, SETTLING
+from dpcontrol.loop.control_loop import SETTLING
 from dpcontrol.loop.loop import LoopSettings, loop_supervisor
 from dpcontrol.loop.result import Ending
 from dpcontrol.loop.supervisor import SAME, Outcome, StuckWatch, Supervisor
@@ -83,53 +78,6 @@ class BatchStuck:
                 if words:
                     out[int(lane)] = words
         return out
-
-
-class BatchPath:
-    """The commands on their way in S runs; see `CommandPath`."""
-
-    def __init__(self, limits: Limits, *, delay: float, period: float, runs: int) -> None:
-        self._limits, self._period = limits, period
-        self.lead = round(delay)
-        whole = math.floor(delay)
-        self._share = delay - whole
-        self._sent: deque[Array] = deque([np.zeros(runs)] * (whole + 2), maxlen=whole + 2)
-        self.velocity = np.zeros(runs)
-        """The carts' velocities (S,) in m/s once all that was sent has acted."""
-
-    def start(self, commands: Sequence[ArrayLike], *, velocity: float) -> None:
-        """Fill the path with commands that are on their way, oldest first, the carts having `velocity` m/s."""
-        self.velocity = np.full_like(self.velocity, velocity)
-        for command in commands:
-            self.send(np.broadcast_to(command, self.velocity.shape))
-
-    def send(self, commands: Array) -> None:
-        """Take the commands (S,) that have just been computed."""
-        most, fastest = self._limits.acceleration, self._limits.velocity
-        clipped = np.minimum(np.maximum(commands, -most), most)
-        self._sent.append(clipped)
-        velocity = np.minimum(np.maximum(self.velocity + clipped * self._period, -fastest), fastest)
-        self.velocity = np.where(np.abs(velocity) > AT_REST, velocity, 0.0)
-
-    def braking(self) -> Array:
-        """Return the commands (S,) that brake the carts."""
-        most = BRAKING * self._limits.acceleration
-        return np.minimum(np.maximum(-self.velocity / self._period, -most), most)
-
-    def acted(self, velocities: Array) -> Array:
-        """Return what is believed to have acted in the period that ends, (S,)."""
-        sent, fastest = self._sent, self._limits.velocity
-        mean = sent[1] if not self._share else self._share * sent[0] + (1 - self._share) * sent[1]
-        low, high = (-fastest - velocities) / self._period, (fastest - velocities) / self._period
-        return np.minimum(np.maximum(mean, low), high)
-
-    def on_their_way(self) -> list[Array]:
-        """Return what will act in each of the `lead` periods from now on."""
-        sent = self._sent
-        newer = [sent[min(k + 1, len(sent) - 1)] for k in range(1, self.lead + 1)]
-        if not self._share:
-            return newer
-        return [self._share * sent[k] + (1 - self._share) * new for k, new in enumerate(newer, start=1)]
 
 
 class BatchWatch:

@@ -1,34 +1,26 @@
 """What stands between the model and the world: sensors, drive, disturbances; and the plant that they make of the arms.
 
-Source: the rig's data sheets as read for its parameters: 40,000 counts per turn, 1 µm on the cart, 3 m/s.
-
-What the sensors say of a state: relative encoders that count, a cart's scale, and what goes wrong with them.
+Relative encoders that count, a cart's scale, and what goes wrong with them; angles count from hanging, q: one count:
 
     joint_i = θ_i - θ_{i-1} + zero_i + noise,   s_i = q round(joint_i / q) - q missed_i,   θ̂_i = s_1 + … + s_i
 
-q: one count. Angles count from hanging, the cart from the track's centre.
-
-Source: the rig's data sheets as read for its parameters: 40,000 counts per turn, 1 µm on the cart.
-
-The cart's drive: how long a command takes, what becomes of it, and where the track ends.
+The cart's drive; a command given at tick k acts from (k + delay) periods on, for one period:
 
     demanded = clip(response · command + noise),   |demanded| ≤ a_max,   |demanded - last| ≤ jerk · period
     acting:   |w + u Δt| ≤ v_max,   w = v + lag · a         (w: velocity reference of the drive's loop)
 
-A command given at tick k acts from (k + delay) periods on, for one period.
-
-Source: the rig's data sheets as read for its parameters: commanded in velocity, 3 m/s, limit switches at both ends.
-
-What nobody commanded: pushes on the arms, knocks on the cart, a track that is not level.
+Pushes on the arms and knocks on the cart, which act in no time at a tick, right after its reading; a tilted track:
 
     push:  M(θ) Δω = impulse          knock:  Δẋ given, arms keep their momenta          tilt:  gravity (g sin, -g cos)
 
-Pushes and knocks take no time and act at a tick, right after its reading.
+Source: the rig's data sheets as read for its parameters: 40,000 counts per turn, 1 µm on the cart; commanded in
+velocity, 3 m/s, limit switches at both ends.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -204,16 +196,29 @@ class DriveSettings(Settings, table="drive"):
             jerk=self.jerk if math.isfinite(self.jerk) else 0.0,
         )
 
-    def within(self, limits: Limits, period: float) -> "DriveLimits":
-        """Return what it does with demands, `period` s apart, under the scene's limits."""
+    def within(self, limits: Limits, period: float, *, clip: "Clip | None" = None) -> "DriveLimits":
+        """Return what it does with demands, `period` s apart, under the scene's limits; clip: `clip_lanes` for many."""
         own = self.limits(limits)
         step = self.jerk * period if math.isfinite(self.jerk) else math.inf
-        return DriveLimits(float(own.acceleration), float(own.velocity), step, self.response)
+        return DriveLimits(float(own.acceleration), float(own.velocity), step, self.response, clip or clip_number)
+
+
+Clip = Callable[[Any, Any, Any], Any]
+
+
+def clip_number(value: float, low: float, high: float) -> float:
+    """Return a number within two bounds, quicker than min and max do."""
+    return high if value > high else low if value < low else value
+
+
+def clip_lanes(value: Array, low: Array | float, high: Array | float) -> Array:
+    """Return the numbers (S,) of many runs within two bounds."""
+    return np.minimum(np.maximum(value, low), high)
 
 
 @dataclass(frozen=True)
 class DriveLimits:
-    """What the drive does with a demand within its bounds; all numbers are plain floats.
+    """What the drive does with a demand within its bounds; demands are plain floats or, by `clip_lanes`, arrays (S,).
 
     acceleration m/s², velocity m/s, jerk_step m/s² per period (inf for none), response.
     """
@@ -222,27 +227,24 @@ class DriveLimits:
     velocity: float
     jerk_step: float
     response: float
+    clip: Clip
 
-    def demanded(self, command: float, noise: float, last: float) -> float:
+    def demanded(self, command: Any, noise: Any, last: Any) -> Any:
         """Return what becomes of `command` on its way, `last` having been demanded before it."""
-        wanted = self.response * command + noise
-        most = self.acceleration
-        wanted = most if wanted > most else -most if wanted < -most else wanted
-        low, high = last - self.jerk_step, last + self.jerk_step
-        return high if wanted > high else low if wanted < low else wanted
+        wanted = self.clip(self.response * command + noise, -self.acceleration, self.acceleration)
+        return self.clip(wanted, last - self.jerk_step, last + self.jerk_step)
 
-    def acting(self, demanded: float, velocity: float, duration: float) -> float:
+    def acting(self, demanded: Any, velocity: Any, duration: float) -> Any:
         """Return what acts for `duration` s, so that the loop's velocity reference, now `velocity`, stays in bounds.
 
         One that a knock has thrown out of them comes back as fast as the drive can.
         """
         low, high = (-self.velocity - velocity) / duration, (self.velocity - velocity) / duration
-        wanted, most = high if demanded > high else low if demanded < low else demanded, self.acceleration
-        return wanted if -most <= wanted <= most else math.copysign(most, wanted)
+        return self.clip(self.clip(demanded, low, high), -self.acceleration, self.acceleration)
 
-    def braking(self, velocity: float, duration: float) -> float:
+    def braking(self, velocity: Any, duration: float) -> Any:
         """Return the acceleration that brings `velocity` to zero, as fast as the drive can."""
-        return min(max(-velocity / duration, -self.acceleration), self.acceleration)
+        return self.clip(-velocity / duration, -self.acceleration, self.acceleration)
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,8 @@ and velocity are the drive's own, applied before it is believed.
 import math
 import time
 from collections import deque
-from typing import Protocol
+from collections.abc import Sequence
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +29,7 @@ from numpy.typing import NDArray
 from dpcontrol.control.interface import Action, Controller, Estimate, Estimator, Mode, Session
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.loop.bench import clip_lanes, clip_number
 from dpcontrol.loop.result import Ending, LoopResult, LoopSink, Ticks
 from dpcontrol.loop.rig import Reading, Rig
 from dpcontrol.loop.supervisor import Outcome, StuckWatch, Supervisor
@@ -42,74 +44,65 @@ LONGEST_DELAY = 1000.0
 class CommandPath:
     """The commands on their way, for a delay in periods and a loop's period in s.
 
+    Commands and velocities are numbers or, for `runs` runs in lockstep, arrays (S,).
+
     Raises:
         InputError: the delay is negative or absurd.
     """
 
-    def __init__(self, limits: Limits, *, delay: float, period: float) -> None:
+    def __init__(self, limits: Limits, *, delay: float, period: float, runs: int = 0) -> None:
         if not 0 <= delay <= LONGEST_DELAY:
             raise InputError(f"run: delay = {delay!r}: must be 0 to {LONGEST_DELAY:g} periods")
-        self.limits = limits
+        self.limits, self.period = limits, period
         self._most, self._fastest = float(limits.acceleration), float(limits.velocity)
-        self.period = period
+        self._runs, self._clip = runs, clip_lanes if runs else clip_number
         self.lead = round(delay)
         """By how many ticks a command is computed ahead."""
         whole = math.floor(delay)
         self._share = delay - whole
         # Oldest first; the last is the newest sent. One more than the whole periods, for the blend.
-        self._sent: deque[float] = deque([0.0] * (whole + 2), maxlen=whole + 2)
-        self.velocity = 0.0
+        self.velocity: Any = np.zeros(runs) if runs else 0.0
         """The cart's velocity in m/s once all that was sent has acted."""
+        self._sent: deque[Any] = deque([self.velocity] * (whole + 2), maxlen=whole + 2)
 
-    def clipped(self, command: float) -> float:
+    def clipped(self, command: Any) -> Any:
         """Return the command within the limit of acceleration, m/s²."""
-        # Here and below in place of min and max, which cost more than the rest.
-        most = self._most
-        return most if command > most else -most if command < -most else command
+        return self._clip(command, -self._most, self._most)
 
-    def start(self, commands: list[float], *, velocity: float) -> None:
+    def start(self, commands: Sequence[Any], *, velocity: float) -> None:
         """Fill the path with the commands (m/s²) on their way when the run begins, the cart having `velocity` m/s."""
-        self.velocity = velocity
+        self.velocity = self.velocity * 0.0 + velocity
         for command in commands:
             self.send(command)
 
-    def braking(self, share: float) -> float:
+    def braking(self, share: float) -> Any:
         """Return the command in m/s² that brakes the cart to rest with a share of the greatest acceleration."""
-        most = share * self.limits.acceleration
-        return min(max(-self.velocity / self.period, -most), most)
+        most = share * self._most
+        return self._clip(-self.velocity / self.period, -most, most)
 
-    def send(self, command: float) -> None:
+    def send(self, command: Any) -> None:
         """Take the command (m/s²) that has just been computed."""
-        most, fastest = self._most, self._fastest
-        clipped = most if command > most else -most if command < -most else command
+        clipped = self.clipped(command)
         self._sent.append(clipped)
-        velocity = self.velocity + clipped * self.period
-        if velocity > fastest:
-            velocity = fastest
-        elif velocity < -fastest:
-            velocity = -fastest
+        velocity = self._clip(self.velocity + clipped * self.period, -self._fastest, self._fastest)
         # Braking to rest leaves what rounding leaves.
-        self.velocity = velocity if velocity > AT_REST or velocity < -AT_REST else 0.0
+        moves = abs(velocity) > AT_REST
+        self.velocity = np.where(moves, velocity, 0.0) if self._runs else velocity if moves else 0.0
 
-    def acted(self, velocity: float) -> float:
+    def acted(self, velocity: Any) -> Any:
         """Return what acted in the period that now ends, m/s², at the cart's believed `velocity` m/s at its start."""
-        sent = self._sent
+        sent, fastest, period = self._sent, self._fastest, self.period
         mean = sent[1] if not self._share else self._share * sent[0] + (1 - self._share) * sent[1]
-        fastest, period = self._fastest, self.period
-        low, high = (-fastest - velocity) / period, (fastest - velocity) / period
-        return high if mean > high else low if mean < low else mean
+        return self._clip(mean, (-fastest - velocity) / period, (fastest - velocity) / period)
 
-    def on_their_way(self) -> list[float]:
+    def on_their_way(self) -> list[Any]:
         """Return what will act in each of the `lead` periods from now on, m/s²."""
         sent = list(self._sent)
         # The next to act is one place newer than what acted last.
         if not self._share:
             return sent[2:]
-        coming = []
-        for k in range(1, self.lead + 1):
-            newer = sent[min(k + 1, len(sent) - 1)]
-            coming.append(self._share * sent[k] + (1 - self._share) * newer)
-        return coming
+        newer = (sent[min(k + 1, len(sent) - 1)] for k in range(1, self.lead + 1))
+        return [self._share * sent[k] + (1 - self._share) * new for k, new in enumerate(newer, start=1)]
 
 
 Array = NDArray[np.float64]

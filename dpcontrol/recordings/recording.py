@@ -13,6 +13,7 @@ position: where its integral, smoothed alike, has the accelerations of the posit
 Source: Savitzky & Golay, Smoothing and Differentiation of Data (1964).
 """
 
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -113,31 +114,56 @@ def write_recording(recording: Recording, path: Path | str) -> Path:
     Raises:
         InputError: the file cannot be written.
     """
-    k, n = recording.angles.shape
+    command = recording.command
+    pieces = [
+        (first, end, "info", f"segment {index}: {end - first} samples")
+        for index, (first, end) in enumerate(recording.segments)
+    ]
+    control = {} if command is None else {"command": command, "applied": command}
+    return write_samples(recording, path, "import", pieces, metadata=described(recording), control=control)
+
+
+def write_samples(
+    recording: Recording,
+    path: Path | str,
+    verb: str,
+    pieces: Sequence[tuple[int, int, str, str]],
+    *,
+    metadata: Mapping[str, str],
+    states: Mapping[str, Array] | None = None,
+    control: Mapping[str, Array] | None = None,
+    sigmas: Array | None = None,
+    attachments: Mapping[str, bytes] | None = None,
+) -> Path:
+    """Write what was measured, with states (K, N) and fields of control (K,) by name, as a log; return its path.
+
+    pieces: first and end row of each, and the level and text of the event that `verb` tells of it; sigmas (K, N): the
+    standard deviations of the estimate.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
     has_cart = recording.cart is not None
     measured = recording.angles if recording.cart is None else np.column_stack([recording.angles, recording.cart])
-    rates, control = measured_rates(recording), None
-    if recording.command is not None:
-        fields = control_fields(n, has_cart=has_cart)
-        control = np.zeros((k, len(fields)))
-        control[:, fields.index("nis")] = np.nan
-        control[:, fields.index("mode")] = Mode.IDLE
-        control[:, fields.index("command")] = control[:, fields.index("applied")] = recording.command
+    parts: dict[str, Array | None] = {"rates": measured_rates(recording), **(states or {})}
+    if control:
+        fields = control_fields(recording.arms, has_cart=has_cart)
+        rows = np.zeros((len(recording.time), len(fields)))
+        for name, values in {"nis": np.nan, "mode": Mode.IDLE, **control}.items():
+            rows[:, fields.index(name)] = values
+        if sigmas is not None:
+            rows[:, fields.index("sigma_1") :] = sigmas
+        parts["control"] = rows
     with LogWriter(
-        path,
-        arm_lengths=recording.arm_lengths,
-        rate_hz=1 / recording.dt,
-        has_cart=has_cart,
-        metadata=described(recording),
-    ) as log:
-        for index, (first, end) in enumerate(recording.segments):
-            rows = slice(first, end)
-            log.event(float(recording.time[first]), "info", "import", f"segment {index}: {end - first} samples")
+        path, arm_lengths=recording.arm_lengths, rate_hz=1 / recording.dt, has_cart=has_cart, metadata=metadata,
+        attachments=attachments,
+    ) as log:  # fmt: skip
+        for first, end, level, text in pieces:
+            log.event(float(recording.time[first]), level, verb, text)
             log.ticks(
-                recording.time[rows],
-                measured=measured[rows],
-                rates=None if rates is None else rates[rows],
-                control=None if control is None else control[rows],
+                recording.time[first:end],
+                measured=measured[first:end],
+                **{name: None if values is None else values[first:end] for name, values in parts.items()},
             )
     return Path(path)
 
