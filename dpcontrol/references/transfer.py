@@ -18,7 +18,7 @@ from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.references.find import find_reference, wanting
-from dpcontrol.references.method import Method, method_named
+from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import (
     LIMIT_UNITS,
     EndConditions,
@@ -83,11 +83,18 @@ def find_transfer(
     method = method_named(settings.method)
     tries = list(product(transfer.durations, ends))
     solved: list[tuple[float, ReferenceProblem, Trajectory]] = []
-    problem, first = _try(equations, parameters, start, ends[0], transfer.durations[0], limits, transfer, method)
-    outcome = ""
-    for k, (duration, end) in enumerate(tries):
+
+    def sought(duration: float, end: Array) -> tuple[ReferenceProblem, Trajectory]:
+        """Return one problem, and the guess on its coarse mesh."""
+        guess, both = smooth_guess(start[:-2], end[:-2], duration), EndConditions(start=start, end=end)
+        problem = ReferenceProblem(equations, parameters, guess, duration, limits=limits, ends=both)
+        mesh = np.linspace(0.0, duration, int(np.ceil(duration / transfer.interval)) + 1)
+        return problem, first_trajectory(problem, method, mesh)
+
+    (problem, first), outcome = sought(*tries[0]), ""
+    for k, one in enumerate(tries):
         progress("transfer", k / len(tries))
-        problem, first = _try(equations, parameters, start, end, duration, limits, transfer, method)
+        problem, first = sought(*one)
         attempt = solve(problem, first, settings=tried, limits=limits)
         outcome = attempt.outcome
         if attempt.succeeded:
@@ -104,30 +111,6 @@ def find_transfer(
     seconds = ", ".join(f"{duration:g}" for duration in transfer.durations)
     why = wanting(problem, first, tried)
     raise GoalMissed(f"no transfer in {seconds} s within the cart's limits ({_named(limits)}): {outcome}; {why}")
-
-
-def _try(
-    equations: Equations,
-    parameters: Array,
-    start: Array,
-    end: Array,
-    duration: float,
-    limits: Limits,
-    transfer: TransferSettings,
-    method: Method,
-) -> tuple[ReferenceProblem, Trajectory]:
-    """Return one problem, and the guess on its coarse mesh."""
-    nz = equations.dimension - 2
-    problem = ReferenceProblem(
-        equations=equations,
-        parameters=parameters,
-        guess=smooth_guess(start[:nz], end[:nz], duration),
-        duration=duration,
-        limits=limits,
-        ends=EndConditions(start=start, end=end),
-    )
-    mesh = np.linspace(0.0, duration, int(np.ceil(duration / transfer.interval)) + 1)
-    return problem, first_trajectory(problem, method, mesh)
 
 
 def _share(trajectory: Trajectory, limits: Limits) -> float:
