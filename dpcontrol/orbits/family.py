@@ -1,7 +1,8 @@
-"""Families of Lyapunov orbits, followed along their own curve until they end.
+"""Families of periodic orbits, followed along their own curve until they end; and those of Lyapunov orbits.
 
-The shooting equations leave a curve in (c, τ); it is followed by pseudo-arclength, y(s + h) on the plane through the
-predicted point across the tangent, so that it may turn back in energy. Along it are watched
+The shooting equations (module symmetric_shooting) leave a curve in (c, τ). It is followed by pseudo-arclength: the next
+point lies on the plane through the predicted point across the tangent, so that the curve may turn back in energy; steps
+halve where Newton's method leaves the curve and grow again after. Along a Lyapunov family are watched
 
     dH/ds = 0                                          the energy folds,
     det(M' - σ) = 0, σ = ±1,                           a multiplier crosses σ (M' on ker ∇H modulo the flow),
@@ -9,27 +10,15 @@ predicted point across the tangent, so that it may turn back in energy. Along it
 each located as a root along the curve, every trial point corrected onto it. At σ = 1 a family branches (or folds), at
 σ = -1 its period doubles; either way hyperbolicity, and with it the tube, may be lost.
 
-Source: Doedel et al., Computation of periodic solutions of conservative systems (2003).
-
-A family of symmetric periodic orbits as a curve in (c, τ), followed by pseudo-arclength.
-
-The shooting equations (module symmetric_shooting) leave a curve. The next point lies on the plane through the predicted
-point across the tangent, so that the curve may turn back in energy; step lengths halve where Newton's method leaves the
-curve and grow again after. What is measured at each point (its test functions) belongs to the family; a place between
-two points at which a measure takes a value is a root along the curve, every trial point corrected onto it.
-
-Source: Doedel et al., Computation of periodic solutions of conservative systems with application to the 3-body problem
-(2003).
-
-Why a family of periodic orbits was left: hyperbolicity lost, homoclinics of an equilibrium, or not known.
-
 A family that runs into an equilibrium's homoclinics has a period that grows without bound: with μ the equilibrium's
 slowest growth rate and two passages to a period, energy - limit ~ exp(-μ T/2); the limit is extrapolated.
-Source: Vanderbauwhede & Fiedler, Homoclinic period blow-up in reversible and conservative systems (1992).
+
+Sources: Doedel et al., Computation of periodic solutions of conservative systems with application to the 3-body problem
+(2003); Vanderbauwhede & Fiedler, Homoclinic period blow-up in reversible and conservative systems (1992).
 """
 
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,11 +132,25 @@ class FamilyCurve:
             return None
 
 
-SIZE = "size"
-"""Measure of a family's point: the largest multiplier's modulus, at least one."""
+@dataclass(frozen=True)
+class FollowingSettings:
+    """How a family is followed. step, smallest_step: along the curve, in scaled units of (c, τ)."""
 
-LINGERS = 0.05
-"""Scaled distance of an equilibrium within which an orbit is said to linger by it."""
+    step: float = 0.05
+    smallest_step: float = 1e-6
+    most_members: int = 400
+    newton_iterations: int = 12
+    tolerance: float = 1e-12
+
+
+@dataclass(frozen=True)
+class CurveEvent:
+    """A place on a family's curve at which the measure `test` vanishes, and its values before and after."""
+
+    test: str
+    place: FamilyPoint
+    before: float
+    after: float
 
 
 @dataclass(frozen=True)
@@ -167,6 +170,96 @@ def lost(test: str, place: FamilyPoint) -> FamilyEnd:
     what = "a branch leaves the family or it folds" if test.endswith("+1") else "the period doubles"
     reason = f"hyperbolicity is lost at {place.energy:.12g} J: a multiplier crosses {test.split()[1]}, where {what}"
     return FamilyEnd(place.energy, "hyperbolicity lost", reason)
+
+
+@dataclass
+class Followed:
+    """What following a family one way has met: points within the bounds, and events.
+
+    here: the last point of all; first: where it came in, if it began outside; last: where and why it was left, None
+    where no step converges.
+    """
+
+    here: FamilyPoint
+    points: list[FamilyPoint] = field(default_factory=list)
+    events: list[CurveEvent] = field(default_factory=list)
+    first: FamilyEnd | None = None
+    last: FamilyEnd | None = None
+
+
+def follow(
+    curve: FamilyCurve,
+    start: FamilyPoint,
+    energies: tuple[float, float],
+    *,
+    tests: Sequence[str],
+    settings: FollowingSettings,
+    stop: Callable[[FamilyPoint], str],
+    losing: Sequence[str] = (),
+    born: bool = False,
+    too_long: Callable[[FamilyPoint, FamilyPoint], bool] = lambda here, following: False,
+    progress: Progress = no_progress,
+) -> Followed:
+    """Follow a family from a point of its curve until it leaves the bounds `energies` in J, or `stop` gives a reason.
+
+    tests: measures whose zeros are located; `losing`: those of them that end it. born: it starts where the family does.
+    """
+    low, high = energies
+    run = Followed(start)
+
+    def within(energy: float) -> bool:
+        return low <= energy <= high
+
+    def at(guess: FamilyPoint, energy: float) -> FamilyPoint | None:
+        found, residual = curve.problem.at_energy(
+            guess.unknowns, energy, iterations=settings.newton_iterations, tolerance=settings.tolerance
+        )
+        if residual > curve.accept:
+            return None
+        return replace(curve.point(found, guess.tangent, residual), energy=energy)
+
+    steps = curve.followed(start, step=settings.step, smallest=settings.smallest_step, too_long=too_long)
+    for before, following, length in steps:
+        run.here = following
+        # At the birth dH/ds = 0 too, which is no fold.
+        for test in () if born and before is start else tests:
+            sides = (before.measures[test], following.measures[test])
+            if sides[0] * sides[1] < 0 and (within(before.energy) or within(following.energy)):
+                place = curve.located(before, length, lambda point, test=test: point.measures[test])
+                if place is not None and within(place.energy):
+                    run.events.append(CurveEvent(test, place, *sides))
+                    if test in losing and run.last is None:
+                        run.points.append(place)
+                        run.last = lost(test, place)
+        if run.last is not None:
+            return run
+        way = 1 if following.energy > before.energy else -1
+        for bound in energies[::way]:
+            if (before.energy - bound) * (following.energy - bound) < 0 or following.energy == bound:
+                place = at(following, bound)
+                run.points += [] if place is None else [place]
+                end = FamilyEnd(bound, "energy bound", f"left at the asked bound of {bound:g} J; the family goes on")
+                if bound == energies[::way][1]:
+                    run.last = end
+                    return run
+                run.first = end
+        if within(following.energy):
+            run.points.append(following)
+            progress("family of orbits", min(1.0, abs(following.energy - start.energy) / (high - low)))
+        reason = stop(following)
+        if not reason and len(run.points) >= settings.most_members:
+            reason = f"left after {settings.most_members} members at {following.energy:.9g} J; allow more"
+        if reason:
+            run.last = FamilyEnd(following.energy, "not followed further", reason)
+            return run
+    return run
+
+
+SIZE = "size"
+"""Measure of a family's point: the largest multiplier's modulus, at least one."""
+
+LINGERS = 0.05
+"""Scaled distance of an equilibrium within which an orbit is said to linger by it."""
 
 
 def nearest_equilibrium(problem: SymmetricShooting, place: FamilyPoint) -> tuple[str, float]:
@@ -226,18 +319,13 @@ _TESTS = (SLOPE, "multiplier +1", "multiplier -1")
 
 
 @dataclass(frozen=True)
-class FamilySettings:
-    """How a family is followed. step, smallest_step: along the curve, in scaled units of (c, τ).
+class FamilySettings(FollowingSettings):
+    """How a family of Lyapunov orbits is followed.
 
     largest_multiplier: of members; beyond it the multipliers at one are off by more than 1e-2 in double. The curve is
     followed `tail` steps on from there, to find out where it leads.
     """
 
-    step: float = 0.05
-    smallest_step: float = 1e-6
-    most_members: int = 400
-    newton_iterations: int = 12
-    tolerance: float = 1e-12
     largest_multiplier: float = 1e7
     tail: int = 25
 
@@ -310,16 +398,13 @@ def lyapunov_family(
     low, high = energies
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         raise InputError(f"energies {low:g} to {high:g} J: must be two finite numbers, the lower first")
-    near, far = (low, high) if linear.sign > 0 else (high, low)
+    far = high if linear.sign > 0 else low
     if (far - linear.energy) * linear.sign <= 0:
         raise InputError(
             f"energies {low:g} to {high:g} J: the Lyapunov orbits about {saddle} exist only "
             f"{'above' if linear.sign > 0 else 'below'} its energy of {linear.energy:.6g} J"
         )
     curve = _curve(problem, linear, settings)
-
-    def within(energy: float) -> bool:
-        return (energy - near) * linear.sign >= 0
 
     def orbit(point: FamilyPoint) -> LyapunovOrbit:
         return described_orbit(
@@ -333,61 +418,22 @@ def lyapunov_family(
             status=f"converged to a residual of {point.residual:.1e}, as a member of its family",
         )
 
-    def at_bound(guess: FamilyPoint, energy: float) -> FamilyPoint | None:
-        found, residual = problem.at_energy(
-            guess.unknowns, energy, iterations=settings.newton_iterations, tolerance=settings.tolerance
-        )
-        if residual > curve.accept:
-            return None
-        return replace(curve.point(found, guess.tangent, residual), energy=energy)
-
-    points: list[FamilyPoint] = []
-    events: list[FamilyEvent] = []
     birth, heading = _birth(linear, curve)
     # At the saddle the curve meets that of the resting arcs (0, τ): only the linear centre tells the tangent.
     here = replace(curve.point(birth, heading, 0.0), tangent=heading)
-    first = FamilyEnd(
-        linear.energy, "saddle", f"the orbits shrink to {saddle} itself at its energy of {linear.energy:.9g} J"
-    )
-    last: FamilyEnd | None = None
-    at_birth = True
-    for before, following, length in curve.followed(here, step=settings.step, smallest=settings.smallest_step):
-        # At the birth dH/ds = 0 too, which is no fold.
-        for test in () if at_birth else _TESTS:
-            if before.measures[test] * following.measures[test] < 0 and within(following.energy):
-                place = curve.located(before, length, lambda point, test=test: point.measures[test])
-                if place is None:
-                    continue
-                events.append(FamilyEvent("fold" if test == SLOPE else test, orbit(place)))
-                if test != SLOPE and last is None:
-                    points.append(place)
-                    last = lost(test, place)
-        if last is not None:
-            break
-        if not within(before.energy) and within(following.energy):
-            bound = at_bound(following, near)
-            first = FamilyEnd(near, "energy bound", f"left at the asked bound of {near:g} J; the family goes on")
-            points += [] if bound is None else [bound]
-        if (following.energy - far) * linear.sign >= 0:
-            bound = at_bound(following, far)
-            points += [] if bound is None else [bound]
-            last = FamilyEnd(far, "energy bound", f"left at the asked bound of {far:g} J; the family goes on")
-            break
-        if within(following.energy):
-            points.append(following)
-            progress(f"family of {saddle}", abs((following.energy - linear.energy) / (far - linear.energy)))
-        here, at_birth = following, False
-        if here.measures[SIZE] > settings.largest_multiplier:
-            last = family_end(
-                system, [*points, *_tail(curve, here, settings)], problem, largest=settings.largest_multiplier
-            )
-            points = [p for p in points if p.measures[SIZE] <= settings.largest_multiplier]
-            break
-        if len(points) >= settings.most_members:
-            reason = f"left after {settings.most_members} members at {here.energy:.9g} J; allow more, or longer steps"
-            last = FamilyEnd(here.energy, "not followed further", reason)
-            break
-    last = last or family_end(system, points or [here], problem)
+    largest = settings.largest_multiplier
+    run = follow(
+        curve, here, energies, tests=_TESTS, losing=_TESTS[1:], settings=settings, born=True, progress=progress,
+        stop=lambda point: SIZE if point.measures[SIZE] > largest else "",
+    )  # fmt: skip
+    at_saddle = f"the orbits shrink to {saddle} itself at its energy of {linear.energy:.9g} J"
+    first = run.first or FamilyEnd(linear.energy, "saddle", at_saddle)
+    last, points = run.last, run.points
+    if last is None:
+        last = family_end(system, points or [run.here], problem)
+    elif last.reason == SIZE:
+        last = family_end(system, [*points, *_tail(curve, run.here, settings)], problem, largest=largest)
+        points = [p for p in points if p.measures[SIZE] <= largest]
     if not points:
         raise InputError(
             f"energies {low:g} to {high:g} J: the family about {saddle} does not reach them; {last.reason}"
@@ -395,7 +441,8 @@ def lyapunov_family(
     members = tuple(orbit(p) for p in points)
     converged = last.kind != "not followed further"
     status = f"{len(members)} orbits from {members[0].energy:.9g} to {members[-1].energy:.9g} J; {last.reason}"
-    return LyapunovFamily(system, saddle, family, members, tuple(events), (first, last), converged, status)
+    events = tuple(FamilyEvent("fold" if e.test == SLOPE else e.test, orbit(e.place)) for e in run.events)
+    return LyapunovFamily(system, saddle, family, members, events, (first, last), converged, status)
 
 
 def _curve(problem: SymmetricShooting, linear: LinearCentre, settings: FamilySettings) -> FamilyCurve:

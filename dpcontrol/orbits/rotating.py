@@ -9,19 +9,15 @@ is mirrored into itself, so that T = 2τ. On the mirror line at an energy the ra
 over ψ, and refined where the other arm's angle on arrival jumps; each change of its sign gives Newton's method on
 (ω, τ) a guess. "Simple" orbits are those of which the turning arm first arrives half a turn on at θ(τ).
 
-Source: Kaheman et al. (2023), section 3; Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998).
+Their families are followed in energy (module family). The trace of the section's map is watched: at +2 another family
+branches off or the family folds, at -2 the period doubles.
 
-A family of rotating orbits, followed in energy along its own curve, with the changes of its stability.
-
-The half turn's equations leave a curve in (ω, τ), followed by pseudo-arclength so that it may turn back in energy. The
-trace of the section's map is watched: at +2 another family branches off or the family folds, at -2 the period
-doubles. Each change is located as a root along the curve, every trial point corrected onto it.
-
-Source: Meyer & Offin, Introduction to Hamiltonian Dynamical Systems and the N-Body Problem, 3rd ed., chapter 11.
+Sources: Kaheman et al. (2023), section 3; Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998); Meyer &
+Offin, Introduction to Hamiltonian Dynamical Systems and the N-Body Problem, 3rd ed., chapter 11.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from itertools import pairwise
 from typing import Any
 
@@ -32,7 +28,17 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.orbits.family import LINGERS, SLOPE, FamilyCurve, FamilyPoint, nearest_equilibrium
+from dpcontrol.orbits.family import (
+    LINGERS,
+    SLOPE,
+    CurveEvent,
+    FamilyCurve,
+    FamilyPoint,
+    Followed,
+    FollowingSettings,
+    follow,
+    nearest_equilibrium,
+)
 from dpcontrol.orbits.symmetric_shooting import SymmetricShooting, fixed_and_moved
 
 Array = NDArray[np.float64]
@@ -298,20 +304,18 @@ def _refined(
     return arrivals
 
 
+_STUCK = "could not be followed beyond"
 _TRACE = "trace"
+_CRITICAL = {"multiplier +1": 2.0, "multiplier -1": -2.0}
+"""Traces at which a multiplier crosses ±1."""
 
 
 @dataclass(frozen=True)
-class RotatingFamilySettings:
-    """step, smallest_step: along the curve, in scaled units of (ω, τ); longest: period in s, largest: trace."""
+class RotatingFamilySettings(FollowingSettings):
+    """How a family of rotating orbits is followed. longest: period in s, largest: trace."""
 
-    step: float = 0.05
-    smallest_step: float = 1e-6
-    most_members: int = 400
     longest: float = 5.0
     largest: float = 1e8
-    newton_iterations: int = 12
-    tolerance: float = 1e-12
 
 
 @dataclass(frozen=True)
@@ -368,10 +372,15 @@ def rotating_family(
     sense = 1 if sum(orbit.winding) > 0 else -1
     other = orbit.state[2 - orbit.arm]
     problem = half_turn(orbit.system, orbit.arm, sense, float(other))
+
+    def measure(unknowns: Array) -> dict[str, float]:
+        trace = section_trace(problem, unknowns)[0]
+        return {_TRACE: trace, **{test: trace - critical for test, critical in _CRITICAL.items()}}
+
     curve = FamilyCurve(
         problem,
         weights=np.append(orbit.system.scale[2:], orbit.period / 2),
-        measure=lambda unknowns: {_TRACE: section_trace(problem, unknowns)[0]},
+        measure=measure,
         iterations=settings.newton_iterations,
         tolerance=settings.tolerance,
         accept=settings.tolerance,
@@ -382,19 +391,20 @@ def rotating_family(
 
     unknowns = np.append(problem.start.T @ (orbit.state - problem.centre), orbit.period / 2)
     first = curve.point(unknowns, None, orbit.newton_residual)
-    up = _follow(curve, first, (low, high), described_point, settings, progress)
-    down = _follow(curve, first.reversed(), (low, high), described_point, settings, progress)
+    up, down = (_followed(curve, start, energies, settings, progress) for start in (first, first.reversed()))
     points = [*reversed(down.points), first, *up.points]
     members = tuple(described_point(p) for p in points)
-    # Down the curve, what came before a change comes after it.
-    changes = [replace(c, before=c.after, after=c.before) for c in reversed(down.changes)] + up.changes
-    folds = (*reversed(down.folds), *up.folds)
-    failed = [run.reason for run in (down, up) if run.failed]
+    changes = [_change(event, described_point(event.place), downward=True)
+               for event in reversed(down.events) if event.test != SLOPE]  # fmt: skip
+    changes += [_change(event, described_point(event.place)) for event in up.events if event.test != SLOPE]
+    folds = tuple(described_point(e.place) for e in (*reversed(down.events), *up.events) if e.test == SLOPE)
+    lower, upper = (_homoclinics(problem, run.here) if run.last is None else run.last.reason for run in (down, up))
+    failed = [end for end in (lower, upper) if end.startswith(_STUCK)]
     status = f"{len(members)} orbits from {members[0].energy:.9g} to {members[-1].energy:.9g} J, "
     status += f"{len(changes)} changes of stability, {len(folds)} folds in energy"
     if failed:
         status += "; " + "; ".join(failed)
-    return RotatingFamily(members, tuple(changes), folds, (down.reason, up.reason), not failed, status)
+    return RotatingFamily(members, tuple(changes), folds, (lower, upper), not failed, status)
 
 
 def rotating_families(
@@ -437,87 +447,46 @@ def _passes(family: RotatingFamily, orbit: RotatingOrbit) -> bool:
     return False
 
 
-@dataclass
-class _Run:
-    """What one direction of following has met so far."""
-
-    points: list[FamilyPoint]
-    changes: list[StabilityChange]
-    folds: list[RotatingOrbit]
-    reason: str = ""
-    failed: bool = False
-
-
-def _follow(
+def _followed(
     curve: FamilyCurve,
     start: FamilyPoint,
     energies: tuple[float, float],
-    described_point: Callable[[FamilyPoint], RotatingOrbit],
     settings: RotatingFamilySettings,
     progress: Progress,
-) -> _Run:
+) -> Followed:
     def too_long(here: FamilyPoint, following: FamilyPoint) -> bool:
         # A step across all of the elliptic range would confuse its two ends.
         first, second = here.measures[_TRACE], following.measures[_TRACE]
         return abs(first) > 2 and abs(second) > 2 and first * second < 0
 
-    run, here = _Run([], [], []), start
-    steps = curve.followed(start, step=settings.step, smallest=settings.smallest_step, too_long=too_long)
-    for before, after, length in steps:
-        following = after
-        beyond = min(max(following.energy, energies[0]), energies[1])
-        if beyond != following.energy:
-            place = curve.located(before, length, lambda point, beyond=beyond: point.energy - beyond)
-            if place is not None:
-                following = replace(place, energy=beyond)
-            run.reason = f"left at the asked bound of {beyond:g} J; the family goes on"
-        _events(curve, run, before, following, length, described_point)
-        run.points.append(following)
-        progress("family of rotating orbits", abs(following.energy - start.energy) / (energies[1] - energies[0]))
-        here = following
-        period, trace = curve.problem.period(here.unknowns), abs(here.measures[_TRACE])
-        if not run.reason and period > settings.longest:
-            run.reason = f"left at {here.energy:.9g} J: the period has grown to {period:.3g} s"
-        elif not run.reason and trace > settings.largest:
-            run.reason = f"left at {here.energy:.9g} J: multipliers above {settings.largest:g} are rounding in double"
-        elif not run.reason and len(run.points) >= settings.most_members:
-            run.reason = f"left after {settings.most_members} members at {here.energy:.9g} J; allow more"
-        if run.reason:
-            return run
-    run.reason = _homoclinics(curve.problem, here)
-    run.failed = not run.reason
-    run.reason = run.reason or f"could not be followed beyond {here.energy:.9g} J: no step converges"
-    return run
+    def stop(here: FamilyPoint) -> str:
+        period = curve.problem.period(here.unknowns)
+        if period > settings.longest:
+            return f"left at {here.energy:.9g} J: the period has grown to {period:.3g} s"
+        if abs(here.measures[_TRACE]) > settings.largest:
+            return f"left at {here.energy:.9g} J: multipliers above {settings.largest:g} are rounding in double"
+        return ""
+
+    tests = (*_CRITICAL, SLOPE)
+    return follow(
+        curve, start, energies, tests=tests, settings=settings, stop=stop, too_long=too_long, progress=progress
+    )
 
 
-def _events(
-    curve: FamilyCurve,
-    run: _Run,
-    here: FamilyPoint,
-    following: FamilyPoint,
-    length: float,
-    described_point: Callable[[FamilyPoint], RotatingOrbit],
-) -> None:
-    for critical in (2.0, -2.0):
-        sides = [p.measures[_TRACE] - critical for p in (here, following)]
-        if sides[0] * sides[1] < 0:
-            place = curve.located(here, length, lambda point, critical=critical: point.measures[_TRACE] - critical)
-            if place is not None:
-                before, after = (kind_of(float(critical + np.sign(side))) for side in sides)
-                run.changes.append(StabilityChange(described_point(place), critical, before, after))
-    if here.measures[SLOPE] * following.measures[SLOPE] < 0:
-        place = curve.located(here, length, lambda point: point.measures[SLOPE])
-        if place is not None:
-            run.folds.append(described_point(place))
+def _change(event: CurveEvent, orbit: RotatingOrbit, *, downward: bool = False) -> StabilityChange:
+    """Return the change of stability at an event; downward: the curve was followed against its direction."""
+    critical = _CRITICAL[event.test]
+    before, after = (kind_of(float(critical + np.sign(side))) for side in (event.before, event.after))
+    return StabilityChange(orbit, critical, *((after, before) if downward else (before, after)))
 
 
 def _homoclinics(problem: SymmetricShooting, place: FamilyPoint) -> str:
-    """Say that the family ends at an equilibrium by which its last orbit lingers; empty if it does not linger."""
+    """Say that the family ends at an equilibrium by which its last orbit lingers, or that no step converges."""
     system = problem.system
     name, near = nearest_equilibrium(problem, place)
     height = float(system.numeric.hamiltonian(system.equilibria[name]))
     if near > LINGERS or abs(height - place.energy) > 1e-3 * system.energy_scale:
-        return ""
+        return f"{_STUCK} {place.energy:.9g} J: no step converges"
     return (
         f"ends in the homoclinics of {name}: at {place.energy:.9g} J the period has grown to "
         f"{problem.period(place.unknowns):.3g} s and the orbit passes {name} ({height:.9g} J) "
