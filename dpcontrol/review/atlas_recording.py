@@ -12,24 +12,17 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from dpcontrol.foundation.files import whole_file
 from dpcontrol.review import style
-from dpcontrol.review.figures.cuts import colours, connections_of, stable_direction
-from dpcontrol.review.panel_frame import wrapped_runs
+from dpcontrol.review.blueprint import page
+from dpcontrol.review.figures.cuts import BRANCHES, colours, connections_of, section_curves, section_place, tubes_of_cut
 from dpcontrol.review.recorded_planes import Box, reading_lines
+from dpcontrol.review.recording import recording_to
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, section_axes
 
 Array = NDArray[np.float64]
 
 TIMELINE = "time_from_section"
 """Seconds from the passage of the section, the same for all flights."""
-BRANCHES = {
-    (False, 1): style.UNSTABLE,
-    (False, -1): style.PALE_UNSTABLE,
-    (True, 1): style.STABLE,
-    (True, -1): style.PALE_STABLE,
-}
-"""(stable, branch): red leaves the orbit, green comes to it; the second branch is pale."""
 _DARK = [18, 20, 24]
 _MOMENTS = 240
 
@@ -41,10 +34,7 @@ def write_atlas_recording(atlas: Atlas, path: Path) -> None:
         InputError: the recording cannot be written.
     """
     shown = _Shown(atlas)
-    with whole_file(Path(path), suffix=".rrd") as temporary:
-        recording = rr.RecordingStream("dpcontrol", send_properties=True)
-        recording.save(temporary, default_blueprint=_blueprint(atlas, shown))
-        recording.send_recording_name(f"{atlas.model} at {atlas.energy:g} J")
+    with recording_to(path, f"{atlas.model} at {atlas.energy:g} J", _blueprint(atlas, shown)) as recording:
         recording.log("summary", rr.TextDocument(_summary(atlas), media_type="text/markdown"), static=True)
         for cut in atlas.cuts:
             _tubes(recording, atlas, shown, cut)
@@ -53,8 +43,6 @@ def write_atlas_recording(atlas: Atlas, path: Path) -> None:
             if connections_of(atlas, kind):
                 _section(recording, atlas, kind)
                 _flights(recording, shown, connections_of(atlas, kind), _key(kind))
-        recording.flush()
-        recording.disconnect()
 
 
 class _Shown:
@@ -87,22 +75,16 @@ def _lines(colour: str, *, width: float, alpha: int = 255) -> dict[str, object]:
 
 
 def _tubes(recording: rr.RecordingStream, atlas: Atlas, shown: _Shown, cut: AtlasCut) -> None:
-    home = _home(cut)
-    for stable in (False, True):
-        for branch in (1, -1):
-            strands = cut.strands[cut.strand_branches == branch]
-            pieces = [piece.states for piece in cut.pieces if piece.branch == branch]
-            if stable:
-                strands = atlas.turned(strands, cut.saddle)
-                pieces = [atlas.turned(states, cut.saddle) for states in pieces]
-            word = f"{home}/{'stable' if stable else 'unstable'}_{'plus' if branch > 0 else 'minus'}"
-            colour = BRANCHES[stable, branch]
-            if len(strands):
-                tube = rr.LineStrips3D(list(shown.places(strands)), **_lines(colour, width=0.4, alpha=110))  # type: ignore[arg-type]
-                recording.log(word, tube, static=True)
-            if pieces:
-                ends = rr.LineStrips3D([shown.places(s) for s in pieces], **_lines(style.CUT, width=0.8))  # type: ignore[arg-type]
-                recording.log(f"{word}/cut", ends, static=True)
+    for tube in tubes_of_cut(atlas, cut):
+        word = f"{_home(cut)}/{'stable' if tube.stable else 'unstable'}_{'plus' if tube.branch > 0 else 'minus'}"
+        strands = rr.LineStrips3D(
+            [shown.places(states) for states in tube.strands],
+            **_lines(tube.colour, width=0.4, alpha=110),  # type: ignore[arg-type]
+        )
+        ends = rr.LineStrips3D([shown.places(s) for s in tube.ends], **_lines(style.CUT, width=0.8))  # type: ignore[arg-type]
+        for path, drawn, known in ((word, strands, tube.strands), (f"{word}/cut", ends, tube.ends)):
+            if known:
+                recording.log(path, drawn, static=True)
 
 
 def _home(cut: AtlasCut) -> str:
@@ -151,18 +133,16 @@ def _section(recording: rr.RecordingStream, atlas: Atlas, kind: AtlasKind) -> No
     cut = atlas.cut(kind.source, kind.section, kind.hits[0])
     turning = section_axes(cut.section, atlas.periods)[1] is not None
     reading_lines(recording, home, _box(atlas, kind), scale=height, turning=turning, dark=True)
-    for stable, runs in _curves(atlas, kind).items():
-        strips = [run * [1.0, -height] for _, run in runs]
+    for stable in (False, True):
+        runs = [(sign, points) for which, sign, points in section_curves(atlas, kind) if which == stable]
         tints = [(*style.rgb(BRANCHES[stable, sign]), 255) for sign, _ in runs]
-        if strips:
+        if runs:
+            strips = [points * [1.0, -height] for _, points in runs]
             lines = rr.LineStrips2D(strips, colors=tints, radii=rr.Radius.ui_points(1.2))
             recording.log(f"{home}/{'stable' if stable else 'unstable'}", lines, static=True)
     connections = connections_of(atlas, kind)
     look = colours(connections)
-    _, period = section_axes(connections[0].section, atlas.periods)
-    points = np.array([c.point for c in connections])
-    if period:
-        points[:, 0] -= np.rint(points[:, 0] / period) * period
+    points = np.array([section_place(atlas, c) for c in connections])
     for k, (c, point) in enumerate(zip(connections, points * [1.0, -height], strict=True)):
         mark = rr.Points2D(
             [point],
@@ -174,23 +154,9 @@ def _section(recording: rr.RecordingStream, atlas: Atlas, kind: AtlasKind) -> No
         recording.log(f"{home}/connections/{k + 1}_{_plain(c.name)}", mark, static=True)
 
 
-def _curves(atlas: Atlas, kind: AtlasKind) -> dict[bool, list[tuple[int, Array]]]:
-    """Return the runs of both cuts by (stable): (direction in which they are crossed, points (K, 2))."""
-    out: dict[bool, list[tuple[int, Array]]] = {False: [], True: []}
-    for stable, saddle, hit in ((False, kind.source, kind.hits[0]), (True, kind.target, kind.hits[1])):
-        cut = atlas.cut(saddle, kind.section, hit)
-        _, period = section_axes(cut.section, atlas.periods)
-        for piece in cut.pieces:
-            points = piece.stable_points if stable else piece.points
-            closed = np.vstack([points, points[:1]]) if piece.closed else points
-            sign = stable_direction(atlas, cut, piece.direction) if stable else piece.direction
-            out[stable] += [(1 if sign > 0 else -1, run) for run in wrapped_runs(closed, (period, None))]
-    return out
-
-
 def _height(atlas: Atlas, kind: AtlasKind) -> float:
     """Return what scales p/p₀ so that the cuts are two thirds as high as wide: the viewer's scales are equal."""
-    points = np.concatenate([run for runs in _curves(atlas, kind).values() for _, run in runs])
+    points = np.concatenate([run for _, _, run in section_curves(atlas, kind)])
     low, high = np.quantile(points, [0.01, 0.99], axis=0)
     spans = np.maximum(high - low, 1e-12)
     return float(2 / 3 * spans[0] / spans[1])
@@ -198,7 +164,7 @@ def _height(atlas: Atlas, kind: AtlasKind) -> float:
 
 def _box(atlas: Atlas, kind: AtlasKind) -> Box:
     """Return least and greatest x, least and greatest y of a section's cuts, as drawn."""
-    points = np.concatenate([run for runs in _curves(atlas, kind).values() for _, run in runs])
+    points = np.concatenate([run for _, _, run in section_curves(atlas, kind)])
     points = points * [1.0, -_height(atlas, kind)]
     low, high = points.min(axis=0), points.max(axis=0)
     margin = 0.12 * float(max(high - low)) + 1e-6
@@ -265,13 +231,5 @@ def _blueprint(atlas: Atlas, shown: _Shown) -> rrb.Blueprint:
         )
     summary = rrb.TextDocumentView(name="Summary", origin="/summary")
     beside = [rrb.Grid(*sections, grid_columns=1 if len(sections) < 3 else 2)] if sections else []
-    return rrb.Blueprint(
-        rrb.Horizontal(
-            rrb.Vertical(space, summary, row_shares=[3, 1]), *beside, column_shares=[1, 1][: 1 + len(beside)]
-        ),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-        auto_views=False,
-        auto_layout=False,
-    )
+    left = rrb.Vertical(space, summary, row_shares=[3, 1])
+    return page(rrb.Horizontal(left, *beside, column_shares=[1, 1][: 1 + len(beside)]), timeline=TIMELINE)

@@ -1,5 +1,7 @@
 """Cuts of two tubes on their section, with the connections where they meet: one panel of several figures."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
@@ -11,6 +13,66 @@ from dpcontrol.review.panel_frame import angle_axis, quiet, wrapped_runs
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, section_axes
 
 Array = NDArray[np.float64]
+
+
+BRANCHES = {
+    (False, 1): style.UNSTABLE,
+    (False, -1): style.PALE_UNSTABLE,
+    (True, 1): style.STABLE,
+    (True, -1): style.PALE_STABLE,
+}
+"""(stable, branch): red leaves the orbit, green comes to it; the second branch is pale."""
+
+
+@dataclass(frozen=True, eq=False)
+class TubePart:
+    """One branch of a tube in space: trajectories (M, N) up to its section, and where they end (K, N)."""
+
+    stable: bool
+    branch: int
+    strands: list[Array]
+    ends: list[Array]
+
+    @property
+    def colour(self) -> str:
+        """Of the trajectories."""
+        return BRANCHES[self.stable, self.branch]
+
+
+def section_curves(atlas: Atlas, kind: AtlasKind) -> list[tuple[bool, int, Array]]:
+    """Return the cuts of a kind's tubes as runs: (stable, sign of the crossing, points (K, 2) within a period)."""
+    found = []
+    for stable, saddle, hit in ((False, kind.source, kind.hits[0]), (True, kind.target, kind.hits[1])):
+        cut = atlas.cut(saddle, kind.section, hit)
+        _, period = section_axes(cut.section, atlas.periods)
+        for piece in cut.pieces:
+            points = piece.stable_points if stable else piece.points
+            closed = np.vstack([points, points[:1]]) if piece.closed else points
+            sign = stable_direction(atlas, cut, piece.direction) if stable else piece.direction
+            runs = wrapped_runs(closed, (period, None))
+            found += [(stable, 1 if sign > 0 else -1, run) for run in runs]
+    return found
+
+
+def section_place(atlas: Atlas, connection: AtlasConnection) -> Array:
+    """Return where a connection meets its section (q, p/p₀), q within a period."""
+    _, period = section_axes(connection.section, atlas.periods)
+    q, p = connection.point
+    return np.array([q - (np.rint(q / period) * period if period else 0.0), p])
+
+
+def tubes_of_cut(atlas: Atlas, cut: AtlasCut) -> list[TubePart]:
+    """Return both branches of a saddle's tubes up to a cut: unstable as flown, stable turned around in time."""
+    parts = []
+    for stable in (False, True):
+        for branch in (1, -1):
+            strands = list(cut.strands[cut.strand_branches == branch])
+            pieces = [piece for piece in cut.pieces if piece.branch == branch]
+            closed = [np.vstack([p.states, p.states[:1]]) if p.closed else p.states for p in pieces]
+            if stable:
+                strands, closed = ([atlas.turned(states, cut.saddle) for states in some] for some in (strands, closed))
+            parts.append(TubePart(stable, branch, strands, closed))
+    return parts
 
 
 def kind_of(atlas: Atlas, source: str, target: str) -> AtlasKind | None:
@@ -54,25 +116,19 @@ def draw_cuts(
     legend: bool = True,
 ) -> None:
     """Draw both tubes' cuts of a kind and mark its connections (those of `shown`), labelled by `numbers`."""
-    unstable = atlas.cut(kind.source, kind.section, kind.hits[0])
-    stable = atlas.cut(kind.target, kind.section, kind.hits[1])
-    coordinate, period = section_axes(unstable.section, atlas.periods)
-    for cut, colour, is_stable in ((unstable, style.UNSTABLE, False), (stable, style.STABLE, True)):
-        for piece in cut.pieces:
-            points = piece.stable_points if is_stable else piece.points
-            direction = stable_direction(atlas, cut, piece.direction) if is_stable else piece.direction
-            closed = np.vstack([points, points[:1]]) if piece.closed else points
-            for run in wrapped_runs(closed, (period, None)):
-                style_ = "-" if direction > 0 else (0, (4, 1.6))
-                axes.plot(run[:, 0], run[:, 1], color=colour, linewidth=1.3, linestyle=style_, zorder=2)
+    section = atlas.cut(kind.source, kind.section, kind.hits[0]).section
+    coordinate, period = section_axes(section, atlas.periods)
+    for is_stable, direction, points in section_curves(atlas, kind):
+        line = "-" if direction > 0 else (0, (4, 1.6))
+        axes.plot(*points.T, color=BRANCHES[is_stable, 1], linewidth=1.3, linestyle=line, zorder=2)
     connections = connections_of(atlas, kind) if shown is None else shown
     look = colours(connections)
     for c in connections:
-        q = float(c.point[0] - (np.rint(c.point[0] / period) * period if period else 0.0))
-        axes.plot(q, c.point[1], "o", color=look[c.name], markeredgecolor="white", markersize=7, zorder=4)
+        place = section_place(atlas, c)
+        axes.plot(*place, "o", color=look[c.name], markeredgecolor="white", markersize=7, zorder=4)
         if numbers and c.name in numbers:
             axes.annotate(
-                numbers[c.name], (q, c.point[1]), xytext=(5, 5), textcoords="offset points",
+                numbers[c.name], tuple(place), xytext=(5, 5), textcoords="offset points",
                 fontsize=8.5, color=look[c.name], weight="bold", zorder=5,
                 path_effects=[withStroke(linewidth=2.5, foreground="white")],
             )  # fmt: skip

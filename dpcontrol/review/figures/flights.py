@@ -1,14 +1,52 @@
-"""A connection's flight: in the plane of the two coordinates, with its orbits, and its angles against time."""
+"""Flights of connections: in the plane of the two coordinates, beside the cuts where they meet, and against time."""
+
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.gridspec import SubplotSpec
 from numpy.typing import NDArray
 
 from dpcontrol.review import style
+from dpcontrol.review.figures.cuts import colours, connections_of, draw_cuts
 from dpcontrol.review.panel_frame import angle_axis, quiet
-from dpcontrol.walks.atlas import Atlas, AtlasConnection
+from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasKind
 
 Array = NDArray[np.float64]
+
+
+def draw_row(
+    figure: Figure,
+    cell: SubplotSpec,
+    atlas: Atlas,
+    kind: AtlasKind,
+    shown: Sequence[AtlasConnection],
+    *,
+    numbers: dict[str, str],
+    marked: tuple[AtlasConnection, ...] | None = None,
+    flat: bool = False,
+    share: float = 1.65,
+) -> list[Axes]:
+    """Draw a kind's cuts left and the flights of `shown` right, each under its number; return the flights' axes.
+
+    numbers: by connection's name. marked: on the cuts, all connections if not given. flat: flights one below the other.
+    share: width of the flights over that of the cuts.
+    """
+    left, right = cell.subgridspec(1, 2, wspace=0.1, width_ratios=[1, share])
+    draw_cuts(figure.add_subplot(left), atlas, kind, shown=marked, numbers=numbers)
+    count = max(len(shown), 1)
+    flights = right.subgridspec(*((count, 1) if flat else (1, count)), wspace=0.27, hspace=0.75)
+    look = colours(connections_of(atlas, kind) if marked is None else marked)
+    drawn = []
+    for k, c in enumerate(shown):
+        axes = figure.add_subplot(flights[k, 0] if flat else flights[0, k])
+        draw_flight(axes, atlas, c, look[c.name], labelled=k == 0 or flat)
+        turns = ", ".join(f"{turn:+d}" if turn else "0" for turn in c.winding)
+        title = f"{numbers[c.name]}  {c.transversality_angle:.1f}°, winding [{turns}]"
+        axes.set_title(title, fontsize=9 if count < 5 else 7.5, loc="left", color=look[c.name])
+        drawn.append(axes)
+    return drawn
 
 
 def draw_flight(axes: Axes, atlas: Atlas, connection: AtlasConnection, colour: str, *, labelled: bool = True) -> None:

@@ -1,7 +1,7 @@
 """Heteroclinic connections of the lab pendulum at 0.2 J, there and back."""
 
-from dpcontrol.review.figures.cuts import colours, draw_cuts, kind_of
-from dpcontrol.review.figures.flights import draw_flight
+from dpcontrol.review.figures.cuts import kind_of
+from dpcontrol.review.figures.flights import draw_row
 from dpcontrol.review.figures.page import Gallery, Page
 from dpcontrol.review.panel_frame import new_figure
 
@@ -13,24 +13,14 @@ def draw(gallery: Gallery) -> Page:
     """Draw the connections from Down-Up to Up-Down and back at 0.2 J."""
     atlas = gallery.atlas("lab", ENERGY, (1, 1))
     figure = new_figure(14, 9.2, f"Heteroclinic connections between Down-Up and Up-Down at {ENERGY:g} J (first hits)")
-    grid = figure.add_gridspec(2, 2, left=0.05, right=0.99, top=0.89, bottom=0.06, hspace=0.32, wspace=0.08,
-                               width_ratios=[1, 1.75])  # fmt: skip
+    grid = figure.add_gridspec(2, 1, left=0.05, right=0.99, top=0.89, bottom=0.06, hspace=0.32)
     counts = []
     for row, (source, target) in enumerate(PAIRS):
         kind = kind_of(atlas, source, target)
         assert kind is not None
-        connections = atlas.between(source, target)
-        look = colours(connections)
-        numbers = {c.name: "abcd efgh"[5 * row + k] for k, c in enumerate(connections[:4])}
-        axes = figure.add_subplot(grid[row, 0])
-        draw_cuts(axes, atlas, kind, numbers=numbers)
-        flights = grid[row, 1].subgridspec(1, min(len(connections), 4), wspace=0.28)
-        for k, c in enumerate(connections[:4]):
-            panel = figure.add_subplot(flights[0, k])
-            draw_flight(panel, atlas, c, look[c.name], labelled=k == 0)
-            turns = ", ".join(f"{t:+d}" if t else "0" for t in c.winding)
-            panel.set_title(f"{numbers[c.name]}  {c.transversality_angle:.1f}°, winding [{turns}]", fontsize=9,
-                            color=look[c.name], loc="left")  # fmt: skip
+        shown = atlas.between(source, target)[:4]
+        numbers = {c.name: "abcdefgh"[4 * row + k] for k, c in enumerate(shown)}
+        draw_row(figure, grid[row, 0], atlas, kind, shown, numbers=numbers, share=1.75)
         counts.append(f"{kind.count} from {source} to {target}")
     return Page(
         figure,

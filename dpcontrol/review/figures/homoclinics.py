@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from dpcontrol.review.figures.cuts import colours, draw_cuts, kind_of, one_of_each
-from dpcontrol.review.figures.flights import draw_flight
+from dpcontrol.review.figures.cuts import colours, kind_of, one_of_each
+from dpcontrol.review.figures.flights import draw_row
 from dpcontrol.review.figures.page import Gallery, Page
 from dpcontrol.review.panel_frame import new_figure
 from dpcontrol.walks.atlas import Atlas, AtlasConnection
@@ -38,33 +38,20 @@ def draw_high(gallery: Gallery) -> Page:
 
 
 def _page(atlas: Atlas, saddles: list[str], lead: str, differs: str) -> Page:
-    rows = len(saddles)
-    figure = new_figure(14, 0.7 + 4.3 * rows, f"Homoclinic connections at {atlas.energy:g} J (first hits)")
+    tall = 0.7 + 4.3 * len(saddles)
+    figure = new_figure(14, tall, f"Homoclinic connections at {atlas.energy:g} J (first hits)")
     grid = figure.add_gridspec(
-        rows, 2, left=0.05, right=0.99, top=1 - 0.95 / (0.7 + 4.3 * rows), bottom=0.5 / (0.7 + 4.3 * rows),
-        hspace=0.32, wspace=0.09, width_ratios=[1, 1.65],
-    )  # fmt: skip
+        len(saddles), 1, left=0.05, right=0.99, top=1 - 0.95 / tall, bottom=0.5 / tall, hspace=0.32
+    )
     words = []
     for row, saddle in enumerate(saddles):
         kind = kind_of(atlas, saddle, saddle)
         assert kind is not None
         connections = atlas.between(saddle, saddle)
         kept = one_of_each(connections)[:_MOST]
-        numbers = numbered(connections, kept)
-        draw_cuts(figure.add_subplot(grid[row, 0]), atlas, kind, numbers=numbers)
         # Where the outer arm turns flights are tall, where the inner one does they are wide.
-        tall = bool(kept[0].winding[1])
-        rows_of, columns_of = (1, len(kept)) if tall else (len(kept), 1)
-        flights = grid[row, 1].subgridspec(rows_of, columns_of, wspace=0.25, hspace=0.75)
-        look = colours(connections)
-        for k, c in enumerate(kept):
-            axes = figure.add_subplot(flights[0, k] if tall else flights[k, 0])
-            draw_flight(axes, atlas, c, look[c.name], labelled=k == 0 or not tall)
-            if not tall and k < len(kept) - 1:
-                axes.set_xlabel("")
-            kind_word = "symmetric" if c.symmetric else "mirror pair"
-            axes.set_title(f"{numbers[c.name]}  {c.transversality_angle:.1f}°, {kind_word}", fontsize=9,
-                           color=look[c.name], loc="left")  # fmt: skip
+        flat = not kept[0].winding[1]
+        draw_row(figure, grid[row, 0], atlas, kind, kept, numbers=numbered(connections, kept), flat=flat)
         symmetric = sum(c.symmetric for c in connections)
         word = "closed" if kind.complete else "open in places"
         words.append(

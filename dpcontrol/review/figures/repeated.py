@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from dpcontrol.review.figures.cuts import colours, draw_cuts, kind_of
-from dpcontrol.review.figures.flights import draw_angles, draw_flight
+from dpcontrol.review.figures.cuts import kind_of
+from dpcontrol.review.figures.flights import draw_angles, draw_row
 from dpcontrol.review.figures.page import Gallery, Page
 from dpcontrol.review.panel_frame import new_figure
 from dpcontrol.walks.atlas import AtlasConnection
@@ -38,22 +38,15 @@ def _draw(gallery: Gallery, turns: int) -> Page:
     for c in sorted(repeated, key=lambda c: (c.time_in + c.time_out, c.name)):
         lengths.setdefault(round(c.time_in + c.time_out, 4), c)
     kept = list(lengths.values())[:_SHOWN] or [c for c in connections if c.sense > 0][:_SHOWN]
-    figure = new_figure(14, 6.0, f"{title} homoclinic connections of Down-Up at {ENERGY:g} J (hits {list(hits)})")
-    grid = figure.add_gridspec(2, 1 + max(len(kept), 1), left=0.05, right=0.99, top=0.84, bottom=0.09, hspace=0.42,
-                               wspace=0.24, width_ratios=[1.6, *[1] * max(len(kept), 1)],
-                               height_ratios=[1.4, 1])  # fmt: skip
-    axes = figure.add_subplot(grid[:, 0])
+    figure = new_figure(14, 8.2, f"{title} homoclinic connections of Down-Up at {ENERGY:g} J (hits {list(hits)})")
+    grid = figure.add_gridspec(2, 1, left=0.05, right=0.99, top=0.84, bottom=0.09, hspace=0.3, height_ratios=[1.5, 1])
     names = {c.name: "abc"[k] for k, c in enumerate(kept)}
-    draw_cuts(axes, atlas, kind, shown=tuple(kept), numbers=names)
-    look = colours(tuple(kept))
+    draw_row(figure, grid[0, 0], atlas, kind, kept, numbers=names, marked=tuple(kept))
+    below = grid[1, 0].subgridspec(1, max(len(kept), 1), wspace=0.15)
     for k, c in enumerate(kept):
-        panel = figure.add_subplot(grid[0, k + 1])
-        draw_flight(panel, atlas, c, look[c.name], labelled=k == 0)
-        panel.set_title(f"{'abc'[k]}  winding [{c.winding[0]}, {c.winding[1]}], {c.transversality_angle:.1f}°",
-                        fontsize=9, loc="left", color=look[c.name])  # fmt: skip
-        panel = figure.add_subplot(grid[1, k + 1])
+        panel = figure.add_subplot(below[0, k])
         draw_angles(panel, atlas, c)
-        panel.set_title("θ₁ blue, θ₂ orange, against time (s)", fontsize=8.5, loc="left")
+        panel.set_title(f"{names[c.name]}: θ₁ blue, θ₂ orange, against time (s)", fontsize=8.5, loc="left")
     windings = {tuple(int(v) for v in np.abs(c.winding)) for c in connections}
     counts = ", ".join(
         f"{sum(tuple(map(abs, c.winding)) == t for c in connections)} of winding ±{list(t)}" for t in sorted(windings)
@@ -69,15 +62,15 @@ def _draw(gallery: Gallery, turns: int) -> Page:
     )
     return Page(
         figure,
-        f"Left: the cuts of the unstable tube at its {ordinal} crossing of θ₂ = 2πk and of the stable tube at its "
-        "first one back, with the connections shown at right. Above: their flights in the plane of the angles: the "
-        f"outer arm turns {times} before the arms settle about Down-Up again, {number} turns on (dot: the section at "
-        "time zero). "
+        f"Above, left: the cuts of the unstable tube at its {ordinal} crossing of θ₂ = 2πk and of the stable tube at "
+        "its first one back, with the connections shown at right: their flights in the plane of the angles, in which "
+        f"the outer arm turns {times} before the arms settle about Down-Up again, {number} turns on (dot: the section "
+        "at time zero). "
         "Below: both angles against time; dotted lines mark where the flight leaves one orbit and joins the other. "
         f"{'In all' if resolved else 'At least'} {len(connections)} connections were found at these hits: {counts}; "
         "those of smaller winding turn there and back. The cut is in pieces: part of the tube has been torn apart by "
         f"passing near the orbit again.{scattered}",
-        "The paper finds them on θ₁ = θ₂, crossing back; here they are drawn on the section of the single ones, at "
-        "later hits, so that one section shows how single, double and triple turns follow from each other. On θ₁ = θ₂ "
-        "`dpcontrol connect --section aligned` lists them.",
+        "The paper cuts them on θ₂ = 4π and 6π; here the section is that of the single ones, θ₂ = 2πk, at later hits, "
+        "so that one section shows how single, double and triple turns follow from each other. On θ₁ = θ₂ `dpcontrol "
+        "connect --section aligned` lists them.",
     )

@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from dpcontrol.review import style
+from dpcontrol.review.figures.cuts import tubes_of_cut
 from dpcontrol.review.panel_frame import angle_axis
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut
 
@@ -29,16 +30,11 @@ def draw_space(
     for cut in atlas.cuts:
         if hit_of(cut) is None or (only is not None and cut.saddle != only):
             continue
-        for strand, branch in zip(cut.strands, cut.strand_branches, strict=True):
-            for stable in (False, True):
-                states = atlas.turned(strand, cut.saddle) if stable else strand
-                strong, pale = (style.STABLE, style.PALE_STABLE) if stable else (style.UNSTABLE, style.PALE_UNSTABLE)
-                colour = strong if branch > 0 else pale
-                axes.plot(*states[:, [0, 1, rate]].T, color=colour, linewidth=0.5, alpha=0.8)
-        for piece in cut.pieces:
-            for states in (piece.states, atlas.turned(piece.states, cut.saddle)):
-                closed = np.vstack([states, states[:1]]) if piece.closed else states
-                axes.plot(*closed[:, [0, 1, rate]].T, color=style.CUT, linewidth=1.6)
+        for tube in tubes_of_cut(atlas, cut):
+            for states in tube.strands:
+                axes.plot(*states[:, [0, 1, rate]].T, color=tube.colour, linewidth=0.5, alpha=0.8)
+            for states in tube.ends:
+                axes.plot(*states[:, [0, 1, rate]].T, color=style.CUT, linewidth=1.6)
     for orbit in atlas.orbits:
         closed = np.vstack([orbit.samples, orbit.samples[:1]])
         colour = one_colour or style.saddle_colour(orbit.saddle)

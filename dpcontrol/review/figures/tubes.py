@@ -42,7 +42,8 @@ def draw(gallery: Gallery) -> Page:
         "hangs straight down. Right: on that section each tube is a closed curve, q the inner arm's angle, p its "
         f"momentum over p₀. Solid curves are crossed with the outer arm's angle rising, dashed ones with it falling; "
         f"where two of one kind meet lie the {kind.count} homoclinic connections, both senses together.",
-        "Both branches of both tubes are drawn, and the section's coordinates are canonical, so that areas on it are "
-        "those that the flow keeps. Parameters are the rig's identified ones, which reproduce the paper's pictures; "
-        "those it prints do not.",
+        f"The energy is that of the homoclinic connections, {ENERGY:g} J; the paper need not have drawn its tubes at "
+        "the same. Both branches of both tubes are drawn, and the section's coordinates are canonical, so that areas "
+        "on it are those that the flow keeps. Parameters are the rig's identified ones, which reproduce the paper's "
+        "pictures; those it prints do not.",
     )
