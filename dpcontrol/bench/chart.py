@@ -21,7 +21,7 @@ READING_LINES = 3
 
 
 @dataclass(frozen=True)
-class TextTable:
+class ChartTable:
     """A table for people: title, heads of the columns, rows of text; notes follow it, a line each."""
 
     title: str
@@ -41,13 +41,13 @@ class Part(Protocol):
         """Return everything in JSON's terms."""
         ...
 
-    def table(self) -> TextTable:
+    def table(self) -> ChartTable:
         """Return what the terminal shows."""
         ...
 
 
 @dataclass(frozen=True)
-class Page:
+class ChartPage:
     """What `dpcontrol bench` draws, saves and prints: its name on the command line and of its files, title, three lines
     on how to read it, what was chosen.
 
@@ -83,7 +83,7 @@ class Page:
         head = {name: getattr(self, name) for name in ("name", "title", "reading", "chosen", "complaints")}
         return {**head, self.PARTS: [part.document() for part in self.parts]}
 
-    def tables(self) -> tuple[TextTable, ...]:
+    def tables(self) -> tuple[ChartTable, ...]:
         """Return each part's table."""
         return tuple(part.table() for part in self.parts)
 
@@ -204,7 +204,7 @@ class Panel:
         ]
         return {**asdict(self), "front": [p.name for p in self.front], "defaults": standing}
 
-    def table(self) -> TextTable:
+    def table(self) -> ChartTable:
         """Return the front as a table, the defaults that are off it after it."""
         shown = [*self.front, *(p for p in self.defaults if p not in self.front)]
         rows = tuple(
@@ -213,11 +213,13 @@ class Panel:
         )
         notes = tuple(f"without {m.method} {m.setting}: {m.reason}" for m in self.missing)
         why = (f"the default is kept: {self.why}",) if self.why else ()
-        return TextTable(self.title, ("front", "setting", self.x_label, self.y_label, "default", ""), rows, notes + why)
+        return ChartTable(
+            self.title, ("front", "setting", self.x_label, self.y_label, "default", ""), rows, notes + why
+        )
 
 
 @dataclass(frozen=True)
-class Chart(Page):
+class PrecisionChart(ChartPage):
     """A page of work-precision diagrams.
 
     Raises:

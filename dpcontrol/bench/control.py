@@ -14,8 +14,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.candidates import Compared, Judged
-from dpcontrol.bench.chart import Chart, Missing, Panel, Point
+from dpcontrol.bench.alternatives import Compared, Judged
+from dpcontrol.bench.chart import Missing, Panel, Point, PrecisionChart
 from dpcontrol.bench.estimation import noise_of
 from dpcontrol.bench.measure import timed_in_turns
 from dpcontrol.control.adaptive import AdaptiveSettings, adaptive_controller
@@ -70,7 +70,7 @@ class ControlTask:
     judge: Judge
 
 
-def chart(quick: bool, progress: Progress) -> Chart:
+def chart(quick: bool, progress: Progress) -> PrecisionChart:
     """Return the chart; quick: fewer seeds, sections and weights, and shorter holds."""
     seeds = 4 if quick else 20
     progress("control, one turn", 0.0)
@@ -79,7 +79,7 @@ def chart(quick: bool, progress: Progress) -> Chart:
     orbit = _orbit(QUICK_SECTIONS if quick else SECTIONS, seeds if quick else 10, 4.0 if quick else 10.0)
     progress("control, both arms up", 0.9)
     hold = _hold(WEIGHTS[::2] if quick else WEIGHTS, seeds)
-    return Chart(
+    return PrecisionChart(
         name="control",
         title=f"Control: {SMALL:.0%} of mismatch for the error, {LARGE:.0%} for what fails",
         panels=(*tracking, *orbit, hold),

@@ -6,7 +6,7 @@ from typing import Any
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-from dpcontrol.bench.chart import Chart, Page, Panel
+from dpcontrol.bench.chart import ChartPage, Panel, PrecisionChart
 from dpcontrol.bench.edges import EdgeMap
 from dpcontrol.review.style import FAINT, INK, LIMIT, REFERENCE, STABLE
 
@@ -23,13 +23,13 @@ _WIDE = 1e3
 """Ratio of a map's ends from which on powers of ten are labels enough."""
 
 
-def figure(page: Page) -> Figure:
+def figure(page: ChartPage) -> Figure:
     """Return a page's picture: its diagrams side by side, methods in one colour and mark throughout."""
-    columns = 2 if len(page.parts) == 4 and isinstance(page, Chart) else min(len(page.parts), 3)
+    columns = 2 if len(page.parts) == 4 and isinstance(page, PrecisionChart) else min(len(page.parts), 3)
     rows = -(-len(page.parts) // columns)
     picture = Figure(figsize=(WIDTH * columns, HEIGHT * rows + 1.0), layout="constrained", dpi=110)
     picture.suptitle(page.title, fontsize=13, color=INK)
-    panels = page.panels if isinstance(page, Chart) else ()
+    panels = page.panels if isinstance(page, PrecisionChart) else ()
     methods = list(dict.fromkeys(p.method for panel in panels for p in panel.points))
     looks = {m: (MARKS[k % len(MARKS)], COLOURS[k % len(COLOURS)]) for k, m in enumerate(methods)}
     axes = picture.subplots(rows, columns, squeeze=False).ravel()

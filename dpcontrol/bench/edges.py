@@ -17,7 +17,7 @@ from dataclasses import asdict, dataclass
 from textwrap import shorten
 from typing import Any, ClassVar, TypeVar
 
-from dpcontrol.bench.chart import Page, TextTable
+from dpcontrol.bench.chart import ChartPage, ChartTable
 from dpcontrol.foundation.progress import Progress
 
 AGREES = 0.25
@@ -28,23 +28,23 @@ _SHOWN = 90
 
 
 @dataclass(frozen=True)
-class Answer:
+class Attempt:
     """Whether something works, and what is said of it where it does not."""
 
     works: bool
     says: str = ""
 
 
-def half_of(answers: Sequence[Answer], lost: str) -> Answer:
+def half_of(answers: Sequence[Attempt], lost: str) -> Attempt:
     """Return whether at least half of the answers work, else how many do not (`lost` in words) and what one says."""
     said = [answer.says for answer in answers if not answer.works]
     if 2 * len(said) <= len(answers):
-        return Answer(True)
+        return Attempt(True)
     first = next(filter(None, said), "")
-    return Answer(False, first and f"{len(said)} of {len(answers)} {lost}; {first}")
+    return Attempt(False, first and f"{len(said)} of {len(answers)} {lost}; {first}")
 
 
-Probe = Callable[[float], Answer]
+Probe = Callable[[float], Attempt]
 
 
 @dataclass(frozen=True)
@@ -185,7 +185,7 @@ class EdgeMap:
         """Return the map in JSON's terms."""
         return {**asdict(self), "borders": [b.document() for b in self.borders], "complaints": list(self.complaints())}
 
-    def table(self) -> TextTable:
+    def table(self) -> ChartTable:
         """Return the borders as a table."""
         rows = tuple(
             (b.line, _number(b.near), _number(b.far), _number(b.predicted), "" if b.off is None else f"{b.off:.0%}",
@@ -193,7 +193,7 @@ class EdgeMap:
             for b in self.borders
         )  # fmt: skip
         notes = (f"predicted: {self.theory}",) if self.theory else ()
-        return TextTable(
+        return ChartTable(
             f"{self.title}: {self.y_label}",
             ("line", self.near, self.far, "predicted", "apart", "what it says"),
             rows,
@@ -206,7 +206,7 @@ def _number(value: float | None) -> str:
 
 
 @dataclass(frozen=True)
-class EdgeChart(Page):
+class EdgeChart(ChartPage):
     """A page of maps of failure."""
 
     PARTS: ClassVar[str] = "maps"

@@ -19,7 +19,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, borders, find_border
+from dpcontrol.bench.edges import Attempt, Border, EdgeChart, EdgeMap, borders, find_border
 from dpcontrol.control.interface import Controller
 from dpcontrol.control.lqr import HoldController, HoldSettings, hold_controller
 from dpcontrol.control.model import SampledModel
@@ -67,7 +67,7 @@ class Stand:
     settings: LoopSettings
     near: float
 
-    def run(self, *, limits: Limits, mismatch: float = 0.0, error: float = 1e-3, delay: float = 0.0) -> Answer:
+    def run(self, *, limits: Limits, mismatch: float = 0.0, error: float = 1e-3, delay: float = 0.0) -> Attempt:
         """Return whether a run stays at its reference with a mismatch, an error in rad at the start, a delay in s."""
         # Half a period of wrong timing is another error, which a slow loop pays for dearly.
         drive = DriveSettings(delay=round(delay * self.settings.rate))
@@ -88,13 +88,13 @@ class Stand:
         return SampledModel(self.model.equations, plant.arms.base(), period=period)
 
 
-def answer_of(run: BatchRun, *, near: float) -> Answer:
+def answer_of(run: BatchRun, *, near: float) -> Attempt:
     """Return whether a run came to its end, its angles within `near` rad of the reference over its last tenth."""
     if run.ending is not Ending.FINISHED:
-        return Answer(False, run.reason)
+        return Attempt(False, run.reason)
     tail, n = max(len(run.times) // 10, 1), run.references.shape[1]
     last = float(np.abs(run.truth[-tail:, :n] - run.references[-tail:]).max())
-    return Answer(last < near, f"finished, but {last:.2g} rad away over its last tenth")
+    return Attempt(last < near, f"finished, but {last:.2g} rad away over its last tenth")
 
 
 def held(rate: float, *, saddle: str = SADDLE, seconds: float = 8.0) -> Stand:

@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, borders, find_border, half_of
+from dpcontrol.bench.edges import Attempt, Border, EdgeChart, EdgeMap, borders, find_border, half_of
 from dpcontrol.control.lqr import HoldSettings, hold_controller
 from dpcontrol.control.periodic import orbit_controller
 from dpcontrol.control.tracking import TvlqrSettings
@@ -97,12 +97,12 @@ def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, se
     controller = hold_controller(equilibrium, sampled_model(arms, rate), HoldSettings(), seconds=SECONDS)
     reference = still(controller.state, SECONDS, method=method_named("radau-7"), limits=Limits(), interval=1.0)
 
-    def probe(kept: float) -> Answer:
+    def probe(kept: float) -> Attempt:
         one = replace(settings, sensors=SensorSettings(dropout=1 - kept / rate))
         runs = [
             run_loop(reference, arms, settings=replace(one, seed=seed), controller=controller) for seed in range(seeds)
         ]
-        return half_of([Answer(run.ending is Ending.FINISHED, run.reason) for run in runs], "runs lost")
+        return half_of([Attempt(run.ending is Ending.FINISHED, run.reason) for run in runs], "runs lost")
 
     predicted = arriving(rate, missing=settings.supervisor.missing, seconds=SECONDS)
     return find_border(
@@ -126,10 +126,10 @@ def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: floa
     at = round((wholes + phase) * orbit.period, 3)
     settings = LoopSettings(seed=0, sensors=SensorSettings(stuck_at=at, stuck_sensor=sensor))
 
-    def probe(after: float) -> Answer:
+    def probe(after: float) -> Attempt:
         controller = orbit_controller(orbit, model, TvlqrSettings(), seconds=at + after)
         run = run_loop(orbit.reference, arms, settings=settings, controller=controller)
-        return Answer(run.ending is Ending.FINISHED, "" if run.ending is Ending.FINISHED else run.reason)
+        return Attempt(run.ending is Ending.FINISHED, "" if run.ending is Ending.FINISHED else run.reason)
 
     least = earliest_report(orbit, at % orbit.period, sensor=sensor)
     return find_border(probe, x=phase, line=f"{phase:g}", near=least / 2, far=8 * least, ratio=1.1, unit=1e-3)

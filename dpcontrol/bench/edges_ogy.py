@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 
 from dpcontrol.bench.control import held
-from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, borders, find_border, half_of
+from dpcontrol.bench.edges import Attempt, Border, EdgeChart, EdgeMap, borders, find_border, half_of
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.ogy import OgyController, OgySettings, ogy_controller
 from dpcontrol.dynamics.chain import ArmChainParameters
@@ -41,7 +41,7 @@ WEAKEST, STRONGEST = 0.01, 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Stay:
+class HeldOrbit:
     """An orbit to be held for `seconds`, and the arms that are believed and simulated alike."""
 
     orbit: SustainedOrbit
@@ -54,10 +54,10 @@ class Stay:
         return ogy_controller(self.orbit, sampled_model(self.arms, RATE), settings, seconds=self.seconds)
 
 
-def stay(saddle: str = "down-up", energy: float = -0.07, *, seconds: float = SECONDS) -> Stay:
+def stay(saddle: str = "down-up", energy: float = -0.07, *, seconds: float = SECONDS) -> HeldOrbit:
     """Return the lab's orbit about a saddle at an energy in J."""
     lab = load_model("lab")
-    return Stay(sustained_orbit(lyapunov_orbit(lab.system, saddle, energy=energy), lab.arms), lab.arms, seconds)
+    return HeldOrbit(sustained_orbit(lyapunov_orbit(lab.system, saddle, energy=energy), lab.arms), lab.arms, seconds)
 
 
 def chart(quick: bool, progress: Progress) -> EdgeChart:
@@ -90,7 +90,7 @@ def chart(quick: bool, progress: Progress) -> EdgeChart:
     )
 
 
-def holds(one: Stay, controller: OgyController, *, counts: float, seeds: int) -> Answer:
+def holds(one: HeldOrbit, controller: OgyController, *, counts: float, seeds: int) -> Attempt:
     """Return whether at least half of the runs hold the orbit, else what ended the first that did not."""
     whole = max(round(counts), 1)
     sensors = SensorSettings(counts=whole, cart_resolution=1e-6, zero_error=np.pi / whole)
@@ -104,29 +104,29 @@ def holds(one: Stay, controller: OgyController, *, counts: float, seeds: int) ->
     judge = held(one.orbit.state(np.linspace(0, period, 1000))[:, : one.arms.count], period=period)
     away = "finished, but away from the orbit in its last period"
     return half_of(
-        [Answer(judge(run), away if run.ending is Ending.FINISHED else run.reason) for run in runs], "runs lost"
+        [Attempt(judge(run), away if run.ending is Ending.FINISHED else run.reason) for run in runs], "runs lost"
     )
 
 
-def limit_border(one: Stay, sections: int, *, seeds: int = SEEDS, ratio: float = RATIO) -> Border:
+def limit_border(one: HeldOrbit, sections: int, *, seeds: int = SEEDS, ratio: float = RATIO) -> Border:
     """Return the smallest limit of the pulses, m/s², with which `sections` of them a period hold the orbit."""
     controller = one.controller(sections)
 
-    def probe(limit: float) -> Answer:
+    def probe(limit: float) -> Attempt:
         return holds(one, replace(controller, pulse_limit=limit), counts=COUNTS, seeds=seeds)
 
     return _border(probe, sections, near=STRONGEST, far=WEAKEST, ratio=ratio)
 
 
-def counts_border(one: Stay, sections: int, *, seeds: int = SEEDS, ratio: float = RATIO) -> Border:
+def counts_border(one: HeldOrbit, sections: int, *, seeds: int = SEEDS, ratio: float = RATIO) -> Border:
     """Return the fewest counts per turn with which `sections` pulses a period hold the orbit."""
     controller = one.controller(sections)
 
-    def probe(counts: float) -> Answer:
+    def probe(counts: float) -> Attempt:
         return holds(one, controller, counts=counts, seeds=seeds)
 
     return _border(probe, sections, near=MOST, far=FEWEST, ratio=ratio)
 
 
-def _border(probe: Callable[[float], Answer], sections: int, *, near: float, far: float, ratio: float) -> Border:
+def _border(probe: Callable[[float], Attempt], sections: int, *, near: float, far: float, ratio: float) -> Border:
     return find_border(probe, x=sections, line=f"k = {sections}", near=near, far=far, ratio=ratio)

@@ -19,11 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
-from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border
+from dpcontrol.bench.edges import Attempt, Border, EdgeChart, EdgeMap, find_border
 from dpcontrol.bench.edges_control import HELD_ERROR, ROOM, STRONG, held
+from dpcontrol.bench.schemes import Stepper
 from dpcontrol.control.model import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations
-from dpcontrol.dynamics.compiled import compiled_step
+from dpcontrol.dynamics.compiled import fixed_step
 from dpcontrol.dynamics.plant import PlantParameters, longest_step
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress
@@ -85,15 +86,8 @@ def model_step(arms: ArmChainParameters) -> Step:
 def plant_step(arms: ArmChainParameters) -> Step:
     """Return the step of simulated plants, of any length, the cart's acceleration zero."""
     equations = arm_chain_equations(arms.count, Level.CART, friction=arms.friction)
-    compiled = compiled_step(equations)
-    inputs, where = np.zeros(compiled.size_in), compiled.slices
-    inputs[where["parameters"]] = arms.base()
-
-    def step(x: Array, h: float) -> Array:
-        inputs[where["state"]], inputs[where["duration"]] = x, h
-        return compiled(inputs, np.empty(compiled.size_out))
-
-    return step
+    stepper = Stepper(fixed_step(equations), arms.base())
+    return lambda x, h: stepper.fly(x, h, step=h)
 
 
 def stability(tableau: tuple[Array, Array], z: complex) -> complex:
@@ -140,15 +134,15 @@ def step_border(
     state, values, right, left = decaying(arms, saddle)
     predicted = predicted_step(tableau, values)
 
-    def probe(h: float) -> Answer:
+    def probe(h: float) -> Attempt:
         for vector, dual in zip(right, left, strict=True):
             y = state + AMPLITUDE * np.real(vector) / np.abs(vector).max()
             before = abs(dual @ (y - state))
             for _ in range(STEPS):
                 y = step(y, h)
             if abs(dual @ (y - state)) > before:
-                return Answer(False)
-        return Answer(True)
+                return Attempt(False)
+        return Attempt(True)
 
     found = find_border(
         probe, x=x, line=saddle, near=predicted / 1.5, far=1.5 * predicted, predicted=predicted, ratio=ratio

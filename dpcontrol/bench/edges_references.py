@@ -17,7 +17,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, borders, find_border
+from dpcontrol.bench.edges import Attempt, Border, EdgeChart, EdgeMap, borders, find_border
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.references.find import find_reference
@@ -96,9 +96,9 @@ def mesh_border(friction: float, *, x: float) -> Border:
     """Return the longest interval, s, with which the turn is good to the tolerance between its nodes in one round."""
     problem = problem_of(friction)
 
-    def probe(interval: float) -> Answer:
+    def probe(interval: float) -> Attempt:
         found = on_equal_intervals(problem, interval)
-        return Answer(found.converged, "" if found.converged else found.status)
+        return Attempt(found.converged, "" if found.converged else found.status)
 
     fine = on_equal_intervals(problem, FINE).max_error_between_nodes
     # What the product accepts is a little less than the tolerance.
@@ -111,9 +111,9 @@ def mesh_border(friction: float, *, x: float) -> Border:
 def acceleration_border(track: float) -> Border:
     """Return the least acceleration, m/s², with which the turn exists on a track of ± `track` m."""
 
-    def probe(acceleration: float) -> Answer:
+    def probe(acceleration: float) -> Attempt:
         found = find_reference(problem_of(limits=Limits(position=track, acceleration=acceleration)), _QUICKLY)
-        return Answer(found.converged, "" if found.converged else found.status)
+        return Attempt(found.converged, "" if found.converged else found.status)
 
     free = find_reference(problem_of(limits=Limits(position=track)), _QUICKLY)
     taken = free.max_cart_acceleration if free.converged else 10.0

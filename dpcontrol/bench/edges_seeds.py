@@ -7,7 +7,7 @@ the tube's second-order part is left out, an error of δ² at the seed. Neither 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, find_border, half_of
+from dpcontrol.bench.edges import Attempt, Border, EdgeChart, EdgeMap, find_border, half_of
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.scenes.model import load_model
@@ -67,21 +67,21 @@ def default_states(orbit: LyapunovOrbit) -> Array:
     return np.array([c.state for c in search(orbit, DEFAULT).connections])
 
 
-def found_all(orbit: LyapunovOrbit, states: Array, distance: float) -> Answer:
+def found_all(orbit: LyapunovOrbit, states: Array, distance: float) -> Attempt:
     """Return whether a search finds the connections of `states` (K, N), and no others, else what it says."""
     found = search(orbit, distance)
     away = [float(np.min(orbit.system.scaled_distance(states, c.state))) for c in found.connections]
     right = len(away) == len(states) and max(away) < RIGHT
     if right:
-        return Answer(True)
+        return Attempt(True)
     # A search that believes itself complete has reported nothing.
-    return Answer(False, "" if found.status.startswith(f"{len(away)} connections") else found.status)
+    return Attempt(False, "" if found.status.startswith(f"{len(away)} connections") else found.status)
 
 
 def near_border(orbit: LyapunovOrbit, states: Array, *, draws: int = DRAWS, ratio: float = 1.25) -> Border:
     """Return the distance of seeds at which half of the searches find all connections, those of `states` (K, N)."""
 
-    def probe(distance: float) -> Answer:
+    def probe(distance: float) -> Attempt:
         answers = [found_all(orbit, states, distance * (1 + ANEW * draw)) for draw in range(draws)]
         return half_of(answers, "searches miss connections")
 

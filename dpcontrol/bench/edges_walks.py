@@ -18,7 +18,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from dpcontrol.bench.edges import Answer, Border, EdgeChart, EdgeMap, borders, find_border, half_of
+from dpcontrol.bench.edges import Attempt, Border, EdgeChart, EdgeMap, borders, find_border, half_of
 from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.scenes.model import load_model
 from dpcontrol.shooting.newton import NewtonSettings
@@ -85,10 +85,10 @@ def rounding_floor(walk: Sequence[Connection], *, segments: int) -> float:
 def tolerance_border(walks: Sequence[Sequence[Connection]], *, segments: int, wraps: int, x: float) -> Border:
     """Return the smallest tolerance at which half of the walks' orbits are found with `segments` nodes a period."""
 
-    def probe(tolerance: float) -> Answer:
+    def probe(tolerance: float) -> Attempt:
         settings = ShadowingSettings(segments, newton=NewtonSettings(tolerance=tolerance))
         orbits = [shadow(walk, wraps=[wraps], settings=settings) for walk in walks]
-        return half_of([Answer(orbit.converged, orbit.status) for orbit in orbits], "not converged")
+        return half_of([Attempt(orbit.converged, orbit.status) for orbit in orbits], "not converged")
 
     floor = rounding_floor(walks[0], segments=segments)
     line = f"{wraps} wraps, {segments} nodes"

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.candidates import Candidate, Judged, compare
-from dpcontrol.bench.chart import Chart, Panel
+from dpcontrol.bench.alternatives import Alternative, Judged, compare
+from dpcontrol.bench.chart import Panel, PrecisionChart
 from dpcontrol.control.consistency import nees, share_inside
 from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterpyEkfSettings, UkfSettings
@@ -54,7 +54,7 @@ _WHY = (
 )
 
 
-def chart(quick: bool, progress: Progress) -> Chart:
+def chart(quick: bool, progress: Progress) -> PrecisionChart:
     """Return the chart; quick: two resolutions, one second of one swing, the UKF with and without zeros only."""
     arms = load_model("lab").arms
     resolutions = QUICK_RESOLUTIONS if quick else RESOLUTIONS
@@ -64,7 +64,7 @@ def chart(quick: bool, progress: Progress) -> Chart:
     for k, counts in enumerate(resolutions):
         progress(f"estimation, {counts} counts", k / len(resolutions))
         panels.append(_panel(arms, swings, counts, quick=quick))
-    return Chart(
+    return PrecisionChart(
         name="estimation",
         title=f"Estimation: plant off by {MISMATCH:.0%}, encoders' zeros by {ZERO_ERROR * 1e3:g} mrad",
         panels=tuple(panels),
@@ -120,13 +120,13 @@ def swing(arms: ArmChainParameters, *, seconds: float, seed: int, mismatch: floa
 def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, quick: bool) -> Panel:
     model = SampledModel(equations_of(arms, Level.CART), arms.base(), period=PERIOD)
     judged: dict[tuple[str, str], Judged] = {}
-    tried: list[Candidate[Any]] = []
+    tried: list[Alternative[Any]] = []
     measured = swings[0].measured(counts)
     for name, settings in _METHODS:
         for augment in AUGMENTS[:2] if quick and settings is UkfSettings else AUGMENTS:
             estimator = make_estimator(settings(augment=augment), model, noise=noise_of(arms, counts))
             last = estimator.update(estimator.first(np.array(_SWING)), measured[0])
-            one = Candidate(
+            one = Alternative(
                 name, "+".join(augment) or "state only", partial(estimator.step, last, 0.1, measured[1]),
                 default=settings is EkfSettings and augment == EkfSettings().augment,
             )  # fmt: skip
@@ -135,7 +135,7 @@ def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, q
     joints, rates = measured[:, : arms.count], swings[0].states[0, arms.count : 2 * arms.count]
     for cutoff in CUTOFFS:
         label = f"{cutoff:g} Hz" if cutoff < math.inf else "no low pass"
-        tried.append(Candidate("differences", label, partial(differences, rates, joints[0], joints[1], cutoff)))
+        tried.append(Alternative("differences", label, partial(differences, rates, joints[0], joints[1], cutoff)))
         judged["differences", label] = derivative_trial(cutoff, swings, counts=counts)
     found = compare(tried, lambda one, _: judged[one.method, one.setting])
     return found.panel(f"{counts} counts per turn", "s per tick", "rms error of the arms' state (scaled)", why=_WHY)

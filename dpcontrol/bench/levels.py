@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.candidates import Candidate, Compared, Judged, compare
-from dpcontrol.bench.chart import Chart, Missing, Panel, Point
+from dpcontrol.bench.alternatives import Alternative, Compared, Judged, compare
+from dpcontrol.bench.chart import Missing, Panel, Point, PrecisionChart
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import compiled_step
 from dpcontrol.dynamics.plant import PlantLevel, PlantParameters, plant_step
@@ -52,14 +52,14 @@ reference: one run on a plant that is the model. plant: runs with the scene's ow
 force: a cart of {CART_MASS:g} kg besides. effort: m/s² rms of the cart; error: rad rms of the angles."""
 
 
-def chart(quick: bool, progress: Progress) -> Chart:
+def chart(quick: bool, progress: Progress) -> PrecisionChart:
     """Return the chart; quick: one scene and fewer seeds. The whole table of scenes is the package's own evidence."""
     names = QUICK_SCENES if quick else SCENES
     panels: list[Panel] = []
     for k, name in enumerate(names):
         progress(f"levels, {name}", k / len(names))
         panels += _panels(load_itinerary(name), seeds=4 if quick else 20)
-    return Chart(
+    return PrecisionChart(
         name="levels",
         title="Levels of the model: what each costs, and what leaving the next ones out does",
         panels=tuple(panels),
@@ -149,13 +149,13 @@ def motions(reference: Reference, arms: ArmChainParameters) -> Compared:
     scale = np.array([ANGLE_SCALE] * n + [RATE_SCALE] * n)[:, None]
     full = ends[PLANT_LEVELS[-1]]
 
-    def judge(one: Candidate[Array], _: Array) -> Judged:
+    def judge(one: Alternative[Array], _: Array) -> Judged:
         away = np.abs((ends[one.method][: 2 * n] - full[: 2 * n]) / scale).max(axis=0)
         return Judged(max(float(np.sqrt(np.mean(away**2))), _FLOOR))
 
     start, command = first[:, 0], float(inputs[0, 0])
     tried = [
-        Candidate(level, "", _tick(level, arms, start, command), default=level == "cart", units=TICK)
+        Alternative(level, "", _tick(level, arms, start, command), default=level == "cart", units=TICK)
         for level in MOTION_LEVELS
     ]
     return compare(tried, judge, rounds=61)

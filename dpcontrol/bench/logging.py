@@ -24,8 +24,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from dpcontrol.bench.candidates import Candidate, Compared, Judged, compare
-from dpcontrol.bench.chart import Chart, Missing, Point
+from dpcontrol.bench.alternatives import Alternative, Compared, Judged, compare
+from dpcontrol.bench.chart import Missing, Point, PrecisionChart
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.logs import LogWriter, recover
@@ -51,7 +51,7 @@ _WHY = (
 )
 
 
-def chart(quick: bool, progress: Progress) -> Chart:
+def chart(quick: bool, progress: Progress) -> PrecisionChart:
     """Return the chart; quick: one second of a run, fewer kills, chunks and levels."""
     kinds: list[Format] = [Blocks(chunk) for chunk in (QUICK_CHUNKS if quick else CHUNKS)]
     kinds += [Blocks(compression=level) for level in (QUICK_LEVELS if quick else LEVELS)]
@@ -71,7 +71,7 @@ def chart(quick: bool, progress: Progress) -> Chart:
     blocks = tuple(replace(p, seconds=_size(p)) for p in tried.points if p.method == Blocks.method)
     sizes = tuple(replace(p, error=_size(p)) for p in alive)
     time, loss = "s per message", "mean loss, s"
-    return Chart(
+    return PrecisionChart(
         name="logging",
         title="Logging: loss on a kill and size against the time of a message",
         panels=(
@@ -320,7 +320,7 @@ def trials(kinds: list[Format], folder: Path, run: LoggedRun, *, kills: int, pro
         write(kind, path, run)
         return kind, path
 
-    def judge(_: Candidate[tuple[Format, Path]], found: tuple[Format, Path]) -> Judged:
+    def judge(_: Alternative[tuple[Format, Path]], found: tuple[Format, Path]) -> Judged:
         kind, path = found
         size = path.stat().st_size / count
         lost = losses(kind, path.with_suffix(".killed"), run, kills=kills)
@@ -329,7 +329,7 @@ def trials(kinds: list[Format], folder: Path, run: LoggedRun, *, kills: int, pro
 
     messages = float(len(run.messages.messages))
     tried = [
-        Candidate(kind.method, kind.setting, partial(written, kind, folder / f"run-{k}"), default=kind.default,
+        Alternative(kind.method, kind.setting, partial(written, kind, folder / f"run-{k}"), default=kind.default,
                   outside=kind.outside, units=messages)
         for k, kind in enumerate(kinds)
     ]  # fmt: skip

@@ -63,23 +63,6 @@ def yardstick() -> float:
     return time.process_time() - began
 
 
-def timed(
-    function: Callable[[], T],
-    repeats: int = 5,
-    *,
-    grain: float = GRAIN,
-    most: float = 2.0,
-    clock: Callable[[], float] = time.process_time,
-    beside: Callable[[], float] = yardstick,
-) -> Timed[T]:
-    """Call `function` once, then in `repeats` measurements of at least `grain` s each.
-
-    most: s after which no further measurement is begun; slow work has little noise.
-    clock: seconds; `time.perf_counter` for work that waits (files, other processes). beside: seconds of the yardstick.
-    """
-    return timed_in_turns({None: function}, repeats, grain=grain, most=most, least=1, clock=clock, beside=beside)[None]
-
-
 def timed_in_turns(
     functions: Mapping[Key, Callable[[], T]],
     rounds: int = 31,

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from dpcontrol.bench.candidates import Candidate, Compared, Judged, compare
-from dpcontrol.bench.chart import Chart, Panel
+from dpcontrol.bench.alternatives import Alternative, Compared, Judged, compare
+from dpcontrol.bench.chart import Panel, PrecisionChart
 from dpcontrol.bench.schemes import Stepper, buffered_rate, runge_kutta_4, symplectic_gauss
 from dpcontrol.control.model import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
@@ -50,7 +50,7 @@ TICK, COMMAND = 1e-3, 5.0
 TICK_ROUNDING = 1e-15
 
 
-def chart(quick: bool, progress: Progress) -> Chart:
+def chart(quick: bool, progress: Progress) -> PrecisionChart:
     """Return the chart of propagation."""
     model = load_model("lab")
     system = model.system
@@ -68,7 +68,7 @@ def chart(quick: bool, progress: Progress) -> Chart:
     drifts = tuple(replace(p, error=p.others["drift"]) for p in chaotic.points)
     progress("propagation: tick", 0.8)
     title, label = f"chaotic swing, {swing.duration:.0f} s", "time, s per trajectory"
-    return Chart(
+    return PrecisionChart(
         name="propagation",
         title="Propagation: time against error",
         panels=(
@@ -128,10 +128,10 @@ def work_of(system: System, states: Array, duration: float) -> Work:
     return Work(system, states, duration, np.array([exact.flow(extended(x), length) for x in states]).astype(float))
 
 
-def compared(tried: list[Candidate[Array]], work: Work, *, quick: bool, progress: Progress = no_progress) -> Compared:
+def compared(tried: list[Alternative[Array]], work: Work, *, quick: bool, progress: Progress = no_progress) -> Compared:
     """Fly each candidate; what cannot be flown is missing with its reason."""
 
-    def judge(_: Candidate[Array], arrived: Array) -> Judged | str:
+    def judge(_: Alternative[Array], arrived: Array) -> Judged | str:
         if not np.isfinite(arrived).all():
             return "its step is too long: the state became infinite"
         return Judged(work.error(arrived), {"drift": work.drift(arrived)})
@@ -139,7 +139,7 @@ def compared(tried: list[Candidate[Array]], work: Work, *, quick: bool, progress
     return compare(tried, judge, rounds=5 if quick else 9, most=0.1 if quick else 1.0, progress=progress)
 
 
-def candidates(work: Work, *, batches: bool, quick: bool) -> list[Candidate[Array]]:
+def candidates(work: Work, *, batches: bool, quick: bool) -> list[Alternative[Array]]:
     """Return all methods, which fly a work's states; slow ones fly fewer. batches: also many at once."""
     few = work.states[: 2 if quick else 4]
     return [
@@ -160,7 +160,7 @@ def _together(fly: Callable[..., Array], states: Array, *args: Any, **more: Any)
     return lambda: fly(states.T, *args, **more).T
 
 
-def _taylor(work: Work, *, batches: bool) -> list[Candidate[Array]]:
+def _taylor(work: Work, *, batches: bool) -> list[Alternative[Array]]:
     system, states = work.system, work.states
     found = []
     for tolerance in TOLERANCES:
@@ -168,14 +168,14 @@ def _taylor(work: Work, *, batches: bool) -> list[Candidate[Array]]:
         label, count = f"{tolerance:.0e}" if tolerance else "rounding", len(states)
         # The product flies one trajectory by itself, many in a batch.
         alone = not tolerance and not batches
-        found.append(Candidate("Taylor", label, _each(one.flow, states, work.duration), alone, units=count))
+        found.append(Alternative("Taylor", label, _each(one.flow, states, work.duration), alone, units=count))
         if batches:
             many = partial(SegmentPropagator(one).flows, states, np.full(count, work.duration))
-            found.append(Candidate("Taylor, 8 at once", label, many, not tolerance, units=count))
+            found.append(Alternative("Taylor, 8 at once", label, many, not tolerance, units=count))
     return found
 
 
-def _stepped(work: Work, *, batches: bool, quick: bool) -> list[Candidate[Array]]:
+def _stepped(work: Work, *, batches: bool, quick: bool) -> list[Alternative[Array]]:
     parameters, equations = work.system.parameters, work.system.equations
     schemes = {
         "RK4, compiled": runge_kutta_4(equations),
@@ -189,14 +189,14 @@ def _stepped(work: Work, *, batches: bool, quick: bool) -> list[Candidate[Array]
         one, many = Stepper(function, parameters), Stepper(function, parameters, lanes=lanes)
         for step in STEPS[1::2] if quick else STEPS:
             label, some = f"{1e3 * step:g} ms", work.states[:2]
-            found.append(Candidate(method, label, _each(one.fly, some, work.duration, step=step), units=len(some)))
+            found.append(Alternative(method, label, _each(one.fly, some, work.duration, step=step), units=len(some)))
             if batches and "compiled" in method:
                 fly = _together(many.fly, work.states, work.duration, step=step)
-                found.append(Candidate(f"{method}, {lanes} at once", label, fly, units=lanes))
+                found.append(Alternative(f"{method}, {lanes} at once", label, fly, units=lanes))
     return found
 
 
-def _casadi(work: Work, states: Array) -> list[Candidate[Array]]:
+def _casadi(work: Work, states: Array) -> list[Alternative[Array]]:
     e, parameters = work.system.equations, ca.DM(work.system.parameters)
     program = {"x": e.state, "p": e.parameters, "ode": e.rate}
     cases: list[tuple[str, str, str, dict[str, Any]]] = [
@@ -213,7 +213,7 @@ def _casadi(work: Work, states: Array) -> list[Candidate[Array]]:
     found = []
     for method, label, kind, options in cases:
         flow = ca.integrator("flow", kind, program, 0.0, work.duration, options)
-        found.append(Candidate(method, label, _each(partial(_by_casadi, flow, p=parameters), states),
+        found.append(Alternative(method, label, _each(partial(_by_casadi, flow, p=parameters), states),
                                units=len(states)))  # fmt: skip
     return found
 
@@ -222,7 +222,7 @@ def _by_casadi(flow: ca.Function, x: Array, **known: Any) -> Array:
     return np.array(flow(x0=x, **known)["xf"]).ravel()
 
 
-def _scipy(work: Work, states: Array, *, quick: bool) -> list[Candidate[Array]]:
+def _scipy(work: Work, states: Array, *, quick: bool) -> list[Alternative[Array]]:
     rate = buffered_rate(work.system.equations, work.system.parameters)
     cases: list[tuple[str, float, dict[str, Any]]] = [
         (method, tolerance, {}) for method in ("DOP853", "LSODA") for tolerance in (1e-12, 1e-9, 1e-6)
@@ -231,7 +231,7 @@ def _scipy(work: Work, states: Array, *, quick: bool) -> list[Candidate[Array]]:
     more = {"jac": lambda _, x: work.system.numeric.jacobian(x), "max_step": 0.05}
     cases += [("Radau", tolerance, more) for tolerance in ((1e-6,) if quick else (1e-8, 1e-6))]
     return [
-        Candidate(
+        Alternative(
             f"{method} of scipy", f"{tolerance:.0e}",
             _each(partial(_by_scipy, rate, work.duration, method, tolerance, options), states), units=len(states),
         )
@@ -309,9 +309,9 @@ def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Panel, Panel]
             setting, how = f"{count} step{'s' * (count > 1)}", {"step": TICK / count, "command": COMMAND}
             found.append((label, setting, _each(one.fly, states, TICK, **how), flown))
             found.append((f"{label}, {LANES} at once", setting, _together(many.fly, states, TICK, **how), flown))
-    tried = [Candidate(*one, units=LANES) for one in found]
+    tried = [Alternative(*one, units=LANES) for one in found]
 
-    def judge(_: Candidate[Array], arrived: Array) -> Judged:
+    def judge(_: Alternative[Array], arrived: Array) -> Judged:
         return Judged(float(np.abs((arrived - truth) / scale).max()))
 
     ticks = compare(tried, judge, rounds=9 if quick else 25)

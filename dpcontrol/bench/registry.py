@@ -3,16 +3,16 @@
 import importlib
 from collections.abc import Callable
 
-from dpcontrol.bench.chart import Page
+from dpcontrol.bench.chart import ChartPage
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress
 
-Drawer = Callable[[bool, Progress], Page]
+Drawer = Callable[[bool, Progress], ChartPage]
 """(quick, progress) -> chart: `quick` takes less of the same work, so that the order on the front stays."""
 
 
 def _of(module: str, function: str = "chart") -> Drawer:
-    def chart(quick: bool, progress: Progress) -> Page:
+    def chart(quick: bool, progress: Progress) -> ChartPage:
         return getattr(importlib.import_module(f"dpcontrol.bench.{module}"), function)(quick, progress)
 
     return chart

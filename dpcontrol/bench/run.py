@@ -1,14 +1,17 @@
 """Draw charts: each to NAME.png, and to NAME.json with its points, machine, versions and commit."""
 
 import json
+import os
+import platform
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from dpcontrol.bench.chart import Page
-from dpcontrol.bench.machine import machine, versions
+from dpcontrol import __version__
+from dpcontrol.bench.chart import ChartPage
 from dpcontrol.bench.measure import one_core
 from dpcontrol.bench.registry import CHARTS, GROUPS, check_names
 from dpcontrol.foundation.checkout import commit
@@ -16,12 +19,14 @@ from dpcontrol.foundation.files import whole_file, write_whole
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 
+PACKAGES = ("numpy", "scipy", "casadi", "heyoka", "filterpy", "control", "mcap", "zstandard", "matplotlib")
+
 
 @dataclass(frozen=True)
-class Drawn:
+class DrawnChart:
     """A chart that was made, its files, and the seconds that it took."""
 
-    chart: Page
+    chart: ChartPage
     picture: Path
     data: Path
     seconds: float
@@ -39,7 +44,7 @@ class Order:
 
 def draw_charts(
     names: Sequence[str], folder: Path, *, quick: bool = False, progress: Progress = no_progress
-) -> tuple[Drawn, ...]:
+) -> tuple[DrawnChart, ...]:
     """Make charts (all where `names` is empty).
 
     Those with times are made first, one after the other in this process, on one core, the others idle. Maps of failure
@@ -55,7 +60,7 @@ def draw_charts(
     maps = [name for name in chosen if name in GROUPS["edges"]]
     together = len(maps) if len(maps) > 1 and processors() > 1 else 0
     alone = [name for name in chosen if not together or name not in maps]
-    drawn: dict[str, Drawn] = {}
+    drawn: dict[str, DrawnChart] = {}
     for k, name in enumerate(alone):
         progress(name, k / len(chosen))
         part = part_of(_named(name, progress), k / len(chosen), (k + 1) / len(chosen))
@@ -76,7 +81,7 @@ def _named(name: str, progress: Progress) -> Progress:
     return lambda what, done: progress(what if what.startswith(name) else f"{name}: {what}", done)
 
 
-def draw_chart(order: Order, progress: Progress = no_progress) -> Drawn:
+def draw_chart(order: Order, progress: Progress = no_progress) -> DrawnChart:
     """Make one chart and save it."""
     began = time.perf_counter()
     chart = CHARTS[order.name](order.quick, progress)
@@ -84,16 +89,16 @@ def draw_chart(order: Order, progress: Progress = no_progress) -> Drawn:
     # matplotlib takes half a second to import.
 
     picture, data = save(chart, order.folder, made_with=order.made_with, seconds=seconds)
-    return Drawn(chart, picture, data, seconds)
+    return DrawnChart(chart, picture, data, seconds)
 
 
-def _at_once(orders: Sequence[Order]) -> Iterator[Drawn]:
+def _at_once(orders: Sequence[Order]) -> Iterator[DrawnChart]:
     remedy = "Charts that were done are saved: name those that are missing"
     for _, done in in_processes(draw_chart, orders, min(processors(), len(orders)), remedy=remedy):
         yield done
 
 
-def save(chart: Page, folder: Path, *, made_with: Mapping[str, Any], seconds: float) -> tuple[Path, Path]:
+def save(chart: ChartPage, folder: Path, *, made_with: Mapping[str, Any], seconds: float) -> tuple[Path, Path]:
     """Write a chart's picture and data to `folder`; return their paths."""
     # matplotlib takes half a second to import.
     from dpcontrol.bench.drawing import figure
@@ -104,3 +109,35 @@ def save(chart: Page, folder: Path, *, made_with: Mapping[str, Any], seconds: fl
     document = {**chart.document(), "seconds": seconds, **made_with}
     write_whole(data, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
     return picture, data
+
+
+def machine() -> dict[str, Any]:
+    """Return processor, cores, load, operating system and Python."""
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "load": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
+        "system": f"{platform.system()} {platform.machine()}",
+        "python": platform.python_version(),
+    }
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of this package and of those it measures; "" for one that is not installed."""
+    return {"dpcontrol": __version__} | {name: _version(name) for name in PACKAGES}
+
+
+def _version(name: str) -> str:
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return ""
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor()
+    named = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return named[0] if named else platform.processor()

@@ -7,14 +7,15 @@ between nodes; the cost is shown as its distance from the finest transcription's
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
+from importlib.util import find_spec
 from typing import Any, TypeVar
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.candidates import Candidate, Judged, compare
-from dpcontrol.bench.chart import Chart, Panel, Point
-from dpcontrol.bench.outside import by_rockit, has_rockit
+from dpcontrol.bench.alternatives import Alternative, Judged, compare
+from dpcontrol.bench.chart import Panel, Point, PrecisionChart
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, part_of
@@ -44,17 +45,19 @@ WHOLE = (
     ("lobatto-5", 0.02), ("gauss-6", 0.05), ("radau-6", 0.03), ("gauss-7", 0.05), ("lobatto-7", 0.05),
     ("radau-8", 0.07), ("radau-9", 0.05), ("radau-10", 0.12),
 )  # fmt: skip
+GUESS_DEGREE = 10
+"""Of the polynomial that rockit is given for a guess."""
 STRETCH = 0.5
 """s: of the crossing's start, given to the other package too."""
 ROCKIT = {25: (16.4, 1.32e-3), 50: (31.9, 3.28e-4), 100: (63.5, 8.16e-5), 200: (131.0, 2.04e-5)}
 """rockit 0.6.7 by its intervals: times the default's seconds, and error, as this chart measured them."""
 
 
-def chart(quick: bool, progress: Progress) -> Chart:
+def chart(quick: bool, progress: Progress) -> PrecisionChart:
     """Return the chart of transcription."""
     progress("transcription: the orbit to follow", 0.0)
     problem = crossing_problem()
-    return Chart(
+    return PrecisionChart(
         name="transcription",
         title="Transcription: time against error between nodes, and against cost",
         panels=(
@@ -110,7 +113,7 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         for name, interval in (("radau-7", 0.05), ("radau-5", 0.02))[: 1 if quick else 2]
     ]
 
-    def judge(_: Candidate[Solved], solved: Solved) -> Judged | str:
+    def judge(_: Alternative[Solved], solved: Solved) -> Judged | str:
         if not solved.succeeded:
             return solved.outcome
         others = {"cost": solved.cost, "iterations": float(solved.iterations)}
@@ -126,11 +129,11 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     )
 
 
-def _candidate(s: ReferenceSettings, work: Callable[[], T], problem: ReferenceProblem) -> Candidate[T]:
+def _candidate(s: ReferenceSettings, work: Callable[[], T], problem: ReferenceProblem) -> Alternative[T]:
     """Return a candidate named by its method, interval, solver and tolerance."""
     label = f"{1e3 * s.interval:g} ms{'' if s.solver == 'ipopt' else ', ' + s.solver}"
     label += "" if s.tolerance == ReferenceSettings().tolerance else f", to {s.tolerance:.0e}"
-    return Candidate(s.method, label, work, units=problem.duration)
+    return Alternative(s.method, label, work, units=problem.duration)
 
 
 def _turns(*, quick: bool, quick_most: float = 1.2, most: float = 6.0) -> dict[str, Any]:
@@ -151,7 +154,7 @@ def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
     if not quick:
         cases.append(replace(chosen, solver="fatrop"))
 
-    def judge(_: Candidate[Reference], found: Reference) -> Judged | str:
+    def judge(_: Alternative[Reference], found: Reference) -> Judged | str:
         return Judged(found.max_error_between_nodes) if found.converged else found.status
 
     tried = [replace(_candidate(s, partial(find_reference, problem, s), problem), default=s == chosen) for s in cases]
@@ -170,7 +173,7 @@ def outside_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         raise GoalMissed(finest.status)
     scale = state_scale(problem.equations.dimension, problem.limits)
 
-    def judge(_: Candidate[tuple[Array, Array]], found: tuple[Array, Array]) -> Judged:
+    def judge(_: Alternative[tuple[Array, Array]], found: tuple[Array, Array]) -> Judged:
         times, states = found
         return Judged(float(np.abs((states - finest.state(times)) / scale).max()))
 
@@ -180,12 +183,12 @@ def outside_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         return dense, find_reference(short, replace(settings, tolerance=tolerance)).state(dense)
 
     tried = [
-        Candidate(settings.method, f"to {t:.0e}", partial(by_us, t), default=t == ReferenceSettings().tolerance)
+        Alternative(settings.method, f"to {t:.0e}", partial(by_us, t), default=t == ReferenceSettings().tolerance)
         for t in ((1e-4, 1e-6) if quick else (1e-3, 1e-4, 1e-6, 1e-8))
     ]
     if has_rockit():
         tried += [
-            Candidate("rockit", f"{n} intervals", partial(by_rockit, short, settings, n), outside=True)
+            Alternative("rockit", f"{n} intervals", partial(by_rockit, short, settings, n), outside=True)
             for n in ((25,) if quick else (25, 50, 100, 200))
         ]
     points = compare(tried, judge, **_turns(quick=quick, quick_most=0.6, most=3.0), progress=progress).points
@@ -200,3 +203,43 @@ def outside_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         f"the first {STRETCH:g} s, free of the guess", "time, s", "error of the states, scaled", points,
         why="interval and tolerance are chosen for whole itineraries, where the error matters",
     )  # fmt: skip
+
+
+def has_rockit() -> bool:
+    """Tell whether rockit can be imported."""
+    return find_spec("rockit") is not None
+
+
+def by_rockit(problem: ReferenceProblem, settings: ReferenceSettings, intervals: int) -> tuple[Array, Array]:
+    """Return times (K,) s and states (K, N) of rockit's optimum, by Radau collocation with 4 points an interval.
+
+    Same equations, cost, ends and first guess; rockit holds its input over an interval, so its optimum differs a
+    little. The cost leaves out the pendulum's distance from the guess: `settings` must not ask for it.
+    Source: Gillis et al., Effortless modeling of optimal control problems with rockit (2020).
+    """
+    import rockit  # pyright: ignore[reportMissingImports]
+
+    package: Any = rockit
+    ocp = package.Ocp(T=problem.duration)
+    dimension = problem.equations.dimension
+    states = [ocp.state() for _ in range(dimension)]
+    command = ocp.control()
+    rate = problem.equations.function()(ca.vertcat(*states), command, ca.DM(problem.parameters))
+    for k, state in enumerate(states):
+        ocp.set_der(state, rate[k])
+    ocp.add_objective(ocp.integral(command**2 + settings.cart_weight * states[problem.pendulum_dimension] ** 2))
+    start, end = problem.end_states()
+    sparse = np.linspace(0.0, problem.duration, 101)
+    powers = np.polynomial.polynomial.polyfit(sparse, problem.guess_at(sparse), GUESS_DEGREE).T
+    for k, state in enumerate(states):
+        ocp.subject_to(ocp.at_t0(state) == start[k])
+        ocp.subject_to(ocp.at_tf(state) == end[k])
+        if k < problem.pendulum_dimension:
+            # rockit takes expressions of its own time.
+            ocp.set_initial(state, sum(float(c) * ocp.t**i for i, c in enumerate(powers[k])))
+    quiet = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
+    ocp.solver("ipopt", quiet)
+    ocp.method(package.DirectCollocation(N=intervals, M=1, degree=4, scheme="radau"))
+    solution = ocp.solve()
+    sampled = [solution.sample(state, grid="control") for state in states]
+    return np.array(sampled[0][0]), np.array([values for _, values in sampled]).T

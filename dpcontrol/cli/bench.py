@@ -56,7 +56,7 @@ slower, and errs by.
 )
 def command(*, names: tuple[str, ...], quick: bool, against: Path | None, strict: bool, out: Path) -> Answer:
     """Draw the charts, print their fronts and borders."""
-    from dpcontrol.bench.chart import Chart
+    from dpcontrol.bench.chart import PrecisionChart
     from dpcontrol.bench.redrawn import changes, earlier_panels, losses
     from dpcontrol.bench.registry import check_names
     from dpcontrol.bench.run import draw_charts
@@ -69,7 +69,7 @@ def command(*, names: tuple[str, ...], quick: bool, against: Path | None, strict
     complaints = [text for d in drawn for text in d.chart.complaints]
     status = f"{len(drawn)} charts drawn; " + ("; ".join(complaints) or "every default stands where it may")
     if against is not None:
-        fronts = [(earlier[d.chart.name], d.chart.panels) for d in drawn if isinstance(d.chart, Chart)]
+        fronts = [(earlier[d.chart.name], d.chart.panels) for d in drawn if isinstance(d.chart, PrecisionChart)]
         changed = [text for before, after in fronts for text in changes(before, after)]
         lost = [text for before, after in fronts for text in losses(before, after)]
         status += "; " + ("; ".join(changed) or f"the order on each front is that in {against}")

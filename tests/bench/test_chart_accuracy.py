@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dpcontrol.bench import candidates, connections, propagation, transcription
-from dpcontrol.bench.candidates import Candidate
+from dpcontrol.bench import alternatives, connections, propagation, transcription
+from dpcontrol.bench.alternatives import Alternative
 from dpcontrol.bench.chart import Point
 from dpcontrol.bench.measure import Timed
 from dpcontrol.bench.redrawn import earlier_panels, less_accurate
@@ -127,7 +127,7 @@ def test_a_method_that_cannot_fly_is_listed_with_its_reason(work):
     def diverges():
         return np.full((1, 4), np.nan)
 
-    tried = [Candidate("a", "1 s", fails), Candidate("b", "2 s", diverges)]
+    tried = [Alternative("a", "1 s", fails), Alternative("b", "2 s", diverges)]
     found = propagation.compared(tried, work, quick=True)
     assert found.points == ()
     assert [(m.method, m.reason.split(":")[0]) for m in found.missing] == [
@@ -184,7 +184,7 @@ def test_no_default_of_a_quick_chart_errs_by_more_than_it_did(name, monkeypatch)
         return found
 
     module = importlib.import_module(f"dpcontrol.bench.{name}")
-    for holder in (module, candidates):
+    for holder in (module, alternatives):
         if hasattr(holder, "timed_in_turns"):
             monkeypatch.setattr(holder, "timed_in_turns", once)
     before, after = earlier_panels(STORED, name), CHARTS[name](True, no_progress).parts

@@ -10,7 +10,7 @@ import pytest
 from command_line import dpcontrol
 
 from dpcontrol.bench import registry
-from dpcontrol.bench.chart import ALLOWED, Chart, Panel, Point
+from dpcontrol.bench.chart import ALLOWED, Panel, Point, PrecisionChart
 from dpcontrol.bench.run import draw_charts
 
 READING = ("first", "second", "third")
@@ -77,7 +77,7 @@ def test_a_point_that_is_no_measurement_is_refused(seconds, error):
 
 def test_a_chart_without_a_default_is_refused():
     with pytest.raises(ValueError, match="default"):
-        Chart("c", "t", READING, "nothing", (panel(*points_of([(1, 1)])),))
+        PrecisionChart("c", "t", READING, "nothing", (panel(*points_of([(1, 1)])),))
 
 
 def test_errors_below_the_floor_count_as_equal():
@@ -93,7 +93,7 @@ def one_chart(monkeypatch):
 
     def chart(quick, progress):
         points = points_of([(1e-3, 0.0), (1e-4 if quick else 1e-5, 1e-6)], default={1})
-        return Chart("tiny", "Tiny", READING, "the quicker one", (panel(*points),))
+        return PrecisionChart("tiny", "Tiny", READING, "the quicker one", (panel(*points),))
 
     monkeypatch.setattr(registry, "CHARTS", {"tiny": chart})
     monkeypatch.setattr("dpcontrol.bench.run.CHARTS", {"tiny": chart})
@@ -135,7 +135,7 @@ def test_help_names_every_chart_and_is_shown_without_numerics():
 def test_a_complaint_is_in_the_status_and_under_strict_the_exit_code(one_chart, monkeypatch, tmp_path):
     def chart(quick, progress):
         points = points_of([(1.0, 1e-6), (2.0, 1e-6)], default={1})
-        return Chart("tiny", "Tiny", READING, "the slower one", (panel(*points),))
+        return PrecisionChart("tiny", "Tiny", READING, "the slower one", (panel(*points),))
 
     monkeypatch.setattr("dpcontrol.bench.run.CHARTS", {"tiny": chart})
     told = dpcontrol("bench", "--json", "--out", str(tmp_path))

@@ -6,7 +6,7 @@ import math
 import pytest
 
 from dpcontrol.bench.drawing import figure
-from dpcontrol.bench.edges import AGREES, Answer, Border, EdgeChart, EdgeMap, find_border, half_of
+from dpcontrol.bench.edges import AGREES, Attempt, Border, EdgeChart, EdgeMap, find_border, half_of
 from dpcontrol.bench.registry import GROUPS, check_names
 from dpcontrol.foundation.errors import InputError
 
@@ -14,7 +14,7 @@ BORDER = 0.37
 
 
 def below(border: float = BORDER, says: str = "too much"):
-    return lambda y: Answer(y < border, says)
+    return lambda y: Attempt(y < border, says)
 
 
 def one_map(*borders: Border, **more) -> EdgeMap:
@@ -23,7 +23,7 @@ def one_map(*borders: Border, **more) -> EdgeMap:
 
 @pytest.mark.parametrize(("near", "far"), [(0.01, 5.0), (5.0, 0.01)])
 def test_the_border_lies_between_its_sides_whichever_is_larger(near, far):
-    works = below() if near < far else (lambda y: Answer(y > BORDER, "too little"))
+    works = below() if near < far else (lambda y: Attempt(y > BORDER, "too little"))
     found = find_border(works, x=1.0, line="", near=near, far=far, ratio=1.05)
     assert min(found.near, found.far) <= BORDER <= max(found.near, found.far)
     assert max(found.near / found.far, found.far / found.near) <= 1.05
@@ -36,7 +36,7 @@ def test_whole_units_are_tried_down_to_neighbours():
 
     def probe(y):
         tried.append(y)
-        return Answer(y < 0.0405, "late")
+        return Attempt(y < 0.0405, "late")
 
     found = find_border(probe, x=1.0, line="", near=0.005, far=0.2, ratio=1.0001, unit=1e-3)
     assert (found.near, found.far) == (pytest.approx(0.040), pytest.approx(0.041))
@@ -69,11 +69,11 @@ def test_a_far_side_that_nobody_reports_is_a_complaint():
 
 
 def test_half_of_the_answers_decide_and_one_that_says_something_speaks_for_the_rest():
-    silent, works, says = Answer(False), Answer(True), Answer(False, "tracking lost")
+    silent, works, says = Attempt(False), Attempt(True), Attempt(False, "tracking lost")
     assert half_of([works, silent], "runs lost").works
-    assert half_of([works, silent, says], "runs lost") == Answer(False, "2 of 3 runs lost; tracking lost")
+    assert half_of([works, silent, says], "runs lost") == Attempt(False, "2 of 3 runs lost; tracking lost")
     # What nobody reports stays a complaint.
-    assert half_of([silent, silent, works], "runs lost") == Answer(False, "")
+    assert half_of([silent, silent, works], "runs lost") == Attempt(False, "")
 
 
 def test_a_chart_of_maps_is_json_and_a_picture(tmp_path):

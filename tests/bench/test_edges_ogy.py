@@ -5,13 +5,13 @@ from functools import cache
 
 import pytest
 
-from dpcontrol.bench.edges_ogy import COUNTS, QUICK_SECONDS, Stay, counts_border, holds, limit_border, stay
+from dpcontrol.bench.edges_ogy import COUNTS, QUICK_SECONDS, HeldOrbit, counts_border, holds, limit_border, stay
 
 RUNS = 8
 
 
 @cache
-def orbit() -> Stay:
+def orbit() -> HeldOrbit:
     return stay(seconds=QUICK_SECONDS)
 
 

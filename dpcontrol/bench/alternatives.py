@@ -1,4 +1,4 @@
-"""Panels from candidates: what each does is timed in turns with the others, its result judged."""
+"""Panels from alternatives: what each does is timed in turns with the others, its result judged."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Candidate(Generic[T]):
+class Alternative(Generic[T]):
     """A method at one setting: `work` is what is timed; it does `units` of what a point's time is of."""
 
     method: str
@@ -36,7 +36,7 @@ class Judged:
 
 @dataclass(frozen=True)
 class Compared:
-    """Points of candidates, seconds that each method needs once, and what has no point."""
+    """Points of alternatives, seconds that each method needs once, and what has no point."""
 
     points: tuple[Point, ...]
     start_up: Mapping[str, float]
@@ -54,8 +54,8 @@ class _Failed:
 
 
 def compare(
-    candidates: Sequence[Candidate[T]],
-    judge: Callable[[Candidate[T], T], Judged | str],
+    alternatives: Sequence[Alternative[T]],
+    judge: Callable[[Alternative[T], T], Judged | str],
     *,
     rounds: int = 31,
     most: float = float("inf"),
@@ -63,7 +63,7 @@ def compare(
     starts_up: bool = True,
     progress: Progress = no_progress,
 ) -> Compared:
-    """Time candidates in turns and judge each with what its first call returns: a text is why it has no point.
+    """Time alternatives in turns and judge each with what its first call returns: a text is why it has no point.
 
     Work that raises an ArithmeticError, RuntimeError or GoalMissed has none either.
 
@@ -78,16 +78,16 @@ def compare(
             return _Failed(str(failure).splitlines()[0][:200])
 
     def worth(k: int, result: T | _Failed) -> bool:
-        judged[k] = result.reason if isinstance(result, _Failed) else judge(candidates[k], result)
+        judged[k] = result.reason if isinstance(result, _Failed) else judge(alternatives[k], result)
         return not isinstance(judged[k], str)
 
-    works = {k: partial(tried, candidate.work) for k, candidate in enumerate(candidates)}
+    works = {k: partial(tried, one.work) for k, one in enumerate(alternatives)}
     spent = timed_in_turns(
         works, rounds, most=most, least=least, worth=worth, starts_up=starts_up, progress=progress
     )  # fmt: skip
     points, missing = [], []
     start_up: dict[str, float] = {}
-    for k, one in enumerate(candidates):
+    for k, one in enumerate(alternatives):
         found, run = judged[k], spent[k]
         if isinstance(found, str):
             missing.append(Missing(one.method, one.setting, found))
