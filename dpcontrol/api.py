@@ -344,7 +344,7 @@ def swings(model: Model, *, count: int = 9, seconds: float = 2.667, seed: int = 
     Raises:
         InputError: the model has no arms.
     """
-    from dpcontrol.recordings.simulated import random_swings
+    from dpcontrol.recordings.recording import random_swings
 
     return random_swings(model.arms, swings=count, seconds=seconds, seed=seed, name=f"{model.name}-swings-{seed}")
 

@@ -84,7 +84,7 @@ def in_the_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Work there, without a renderer, and with a viewer that only looks on."""
     monkeypatch.chdir(folder)
     monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
-    monkeypatch.setattr("dpcontrol.review.viewer.viewer_program", lambda: Path("/bin/true"))
+    monkeypatch.setattr("dpcontrol.review.picture.viewer_program", lambda: Path("/bin/true"))
 
 
 def said(line: str) -> re.Pattern[str]:

@@ -16,9 +16,15 @@ from numpy.typing import NDArray
 
 from dpcontrol.bench.alternatives import Alternative, Judged, compare
 from dpcontrol.bench.chart import Panel, PrecisionChart
-from dpcontrol.control.consistency import nees, share_inside
 from dpcontrol.control.estimation import make_estimator
-from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterpyEkfSettings, UkfSettings
+from dpcontrol.control.estimator_settings import (
+    EkfSettings,
+    EstimatorSettings,
+    FilterpyEkfSettings,
+    UkfSettings,
+    nees,
+    share_inside,
+)
 from dpcontrol.control.interface import Estimate, Estimator
 from dpcontrol.control.model import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of

@@ -31,10 +31,10 @@ from dpcontrol.bifurcations.links import Link
 from dpcontrol.bifurcations.sweep import Change, Found, Run, Sweep, SweepSettings
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.documents import picked
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.orbits.equilibria import equilibrium
+from dpcontrol.orbits.symmetric_shooting import equilibrium
 
 Array = NDArray[np.float64]
 

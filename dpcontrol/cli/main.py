@@ -3,7 +3,6 @@
 import difflib
 import errno
 import importlib
-import keyword
 import signal
 import sys
 import threading
@@ -55,9 +54,22 @@ GROUPS = {
 """Verbs by heading, in the order of work, each with what it does."""
 VERBS = {verb: text for verbs in GROUPS.values() for verb, text in verbs.items()}
 
+MODULES = {
+    "start": ("demo", "model"),
+    "orbit": ("orbit",),
+    "connections": ("connect", "bifurcations", "atlas"),
+    "walk": ("walk",),
+    "plan": ("plan", "reference"),
+    "run": ("run", "rig", "campaign"),
+    "review": ("score", "review", "report", "info", "recover"),
+    "recordings": ("import", "identify", "replay"),
+    "charts": ("figures", "bench"),
+}
+"""Modules of this package with the verbs whose commands they hold."""
+
 
 class _Verbs(click.Group):
-    """A group whose commands live in modules of their own, imported on demand."""
+    """A group whose commands live in modules that are imported on demand."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(VERBS)
@@ -65,9 +77,8 @@ class _Verbs(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in VERBS:
             return None
-        # A verb that is a word of Python cannot name a module.
-        module = f"{cmd_name}_" if keyword.iskeyword(cmd_name) else cmd_name
-        return importlib.import_module(f"dpcontrol.cli.{module}").command
+        module = next(module for module, verbs in MODULES.items() if cmd_name in verbs)
+        return getattr(importlib.import_module(f"dpcontrol.cli.{module}"), f"{cmd_name}_command")
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

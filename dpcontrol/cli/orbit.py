@@ -50,7 +50,7 @@ Range = tuple[float, float]
 @click.option("--energy", type=float, help="Energy in J, zero at the pivot's height.")
 @click.option("--energies", type=float, nargs=2, metavar="LO HI", help="Follow the family between two energies in J.")
 @file_option("--picture", suffix=".png", help="Draw the family, or the sustained orbit, to this PNG.")
-def command(
+def orbit_command(
     *,
     model: str,
     saddle: str | None,
@@ -121,8 +121,8 @@ def _family(model: "Model", saddle: str, energies: Range, family: int, picture: 
     with progress_bar(f"family of {saddle}") as progress:
         found = lyapunov_family(model.system, saddle, energies=energies, family=family, progress=progress)
     if picture is not None:
-        from dpcontrol.review.family_figure import draw_families
-        from dpcontrol.review.panel_frame import save_figure
+        from dpcontrol.review.orbits import draw_families
+        from dpcontrol.review.page import save_figure
 
         save_figure(draw_families([found], f"Lyapunov orbits about {found.saddle} of {found.system.name}"), picture)
     document = {
@@ -181,8 +181,8 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
     with progress_bar("families of rotating orbits") as progress:
         families = rotating_families(orbits, energies, progress=progress)
     if picture is not None:
-        from dpcontrol.review.panel_frame import save_figure
-        from dpcontrol.review.rotating_figure import draw_rotating_families
+        from dpcontrol.review.orbits import draw_rotating_families
+        from dpcontrol.review.page import save_figure
 
         save_figure(draw_rotating_families(families), picture)
     document = {
@@ -251,9 +251,8 @@ def _sustained(model: "Model", saddle: str, energy: float, family: int, sections
     if not orbit.converged:
         picture = None
     if picture is not None:
-        from dpcontrol.review.drawing import draw
-        from dpcontrol.review.of_reference import sustained_view
-        from dpcontrol.review.panel_frame import save_figure
+        from dpcontrol.review.of_log import sustained_view
+        from dpcontrol.review.page import draw, save_figure
 
         save_figure(draw(sustained_view(orbit, model.arms.length)), picture)
     document = {**orbit.document(sections), "picture": None if picture is None else str(picture)}

@@ -1,13 +1,17 @@
-"""dpcontrol plan"""
+"""dpcontrol plan
+
+dpcontrol reference
+"""
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.verbs import Answer, file_option, verb
+from dpcontrol.cli.verbs import Answer, TextTable, drawn_to, file_option, verb
+from dpcontrol.foundation.errors import InputError
 
 if TYPE_CHECKING:
     from dpcontrol.scenes.plan import Plan
@@ -17,7 +21,7 @@ if TYPE_CHECKING:
 @click.argument("itinerary")
 @click.option("--fresh", is_flag=True, help="Plan anew even if the plan is cached.")
 @file_option("--out", suffix=".npz", help="Also write the reference to this .npz.")
-def command(*, itinerary: str, fresh: bool, out: Path | None) -> Answer:
+def plan_command(*, itinerary: str, fresh: bool, out: Path | None) -> Answer:
     """Plan an itinerary: connections, shadowing orbit, and the reference with friction and cart.
 
     Plans are kept by content: the same itinerary is planned once.
@@ -36,10 +40,10 @@ def command(*, itinerary: str, fresh: bool, out: Path | None) -> Answer:
         click.echo(remark, err=True)
     missed = "" if plan.converged else f"{plan.itinerary.name}: {plan.status}"
     document = {**plan.document(), "file": None if missed else str(file)}
-    return Answer(document, () if missed else _text(plan, file), missed)
+    return Answer(document, () if missed else _plan_text(plan, file), missed)
 
 
-def _text(plan: "Plan", file: Path) -> Iterator[str]:
+def _plan_text(plan: "Plan", file: Path) -> Iterator[str]:
     reference, notes = plan.reference, plan.notes
     yield plan.itinerary.title
     for symbol in notes["symbols"]:
@@ -54,3 +58,68 @@ def _text(plan: "Plan", file: Path) -> Iterator[str]:
         f"{reference.rms_cart_acceleration:.3f} m/s² rms, {reference.max_cart_acceleration:.3f} m/s² at most"
     )
     yield f"  file             {file}{' (cached)' if plan.cached else ''}"
+
+
+_ORIGIN = ("program", "code", "scene_hash", "model_hash")
+
+
+@verb("reference", example="dpcontrol plan cross --out cross.npz; dpcontrol reference cross.npz")
+@click.argument("file", type=click.Path(path_type=Path))
+@file_option("--picture", suffix=".png", help="Draw it to this PNG.")
+def reference_command(*, file: Path, picture: Path | None) -> Answer:
+    """Show a reference: what it does, its use of the cart's limits, its effort, mesh and error, what it was made from.
+
+    FILE is a .npz as `dpcontrol plan --out` writes it; its layout is documented in dpcontrol.references.reference, and
+    numpy alone reads it. The error between nodes is measured anew.
+    """
+    from dpcontrol.references.reference import load_reference, summarised
+
+    reference = load_reference(file)
+    try:
+        summary = summarised(reference)
+        document = summary.document()
+        if picture is not None:
+            from dpcontrol.review.of_log import reference_view
+            from dpcontrol.review.page import draw, save_figure
+
+            save_figure(draw(reference_view(summary, file)), picture)
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from error
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        raise InputError(f"{file} is a reference, but its notes are not those of a plan: {error}") from error
+    document = {"file": str(file), **document, "picture": None if picture is None else str(picture)}
+    return Answer(document, [*_reference_text(document), *drawn_to(picture)])
+
+
+def _reference_text(document: Mapping[str, Any]) -> Iterator[str | TextTable]:
+    yield f"{document['file']}: {document['title'] or 'a reference'}"
+    if document["itinerary"]:
+        yield f"  itinerary    {document['itinerary']}, model {document['model']}, plan {document['plan']}"
+    yield f"  status       {document['status']}"
+    yield (
+        f"  mesh         {document['duration']:.6g} s in {document['intervals']} intervals of {document['method']}, "
+        f"{1e3 * document['shortest_interval']:.3g} to {1e3 * document['longest_interval']:.3g} ms"
+    )
+    measured = document["measured_error_between_nodes"]
+    anew = "not measured anew: the file names no arms" if measured is None else f"{measured:.1e} measured anew"
+    yield f"  error        {document['max_error_between_nodes']:.1e} between nodes as stored, {anew}"
+    yield f"  effort       {document['rms_cart_acceleration']:.4g} m/s² rms, ∫u² {document['effort']:.4g} m²/s³"
+    if origin := document["made_from"]:
+        yield "  made from    " + ", ".join(f"{key} {origin.get(key)}" for key in _ORIGIN)
+    rows = [
+        (
+            f"cart {name}",
+            f"±{use['bound']:g} {use['unit']}",
+            f"{use['largest']:.4g}",
+            f"{use['share']:.1%}",
+            f"{use['time']:.3f}",
+        )
+        for name, use in document["limits"].items()
+    ]
+    yield TextTable("", ("limit", "allowed", "largest", "used", "at (s)"), rows)
+    symbols = [
+        (str(k), f"{symbol['time']:.3f}", symbol["text"], symbol["arrives_at"], symbol["name"] or "a transfer")
+        for k, symbol in enumerate(document["symbols"], start=1)
+    ]
+    if symbols:
+        yield TextTable("", ("symbol", "time (s)", "text", "arrives at", "connection"), symbols)

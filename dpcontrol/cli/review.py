@@ -1,18 +1,68 @@
-"""dpcontrol review"""
+"""dpcontrol score
+
+dpcontrol review
+
+dpcontrol report
+
+dpcontrol info
+
+dpcontrol recover
+"""
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.verbs import Answer, file_option, verb
+from dpcontrol.cli.verbs import Answer, TextTable, file_option, verb
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
+    from dpcontrol.logs import LogSummary, Recovery
+    from dpcontrol.review.campaign import CampaignSummary
     from dpcontrol.review.picture import Picture
+    from dpcontrol.review.score import Score
+
+
+@verb("score", example="dpcontrol score logs/outer-turn-0.mcap")
+@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
+def score_command(*, logs: tuple[Path, ...]) -> Answer:
+    """Score logged runs: symbols done, wraps, limits, tracking, consistency of the estimator.
+
+    With --json, one log gives one object, several give {"runs": [...]}. Exits with 1 if a run is not completed.
+    """
+    from dpcontrol.logs import read_log
+    from dpcontrol.review.score import score
+
+    verdicts = [score(read_log(path)) for path in logs]
+    documents = [verdict.document() for verdict in verdicts]
+    failed = [verdict for verdict in verdicts if verdict.completed is False]
+    return Answer(
+        documents[0] if len(documents) == 1 else {"runs": documents},
+        (line for verdict in verdicts for line in score_text(verdict)),
+        f"{len(failed)} of {len(verdicts)} not completed; {failed[0].log}: {failed[0].reason}" if failed else "",
+    )
+
+
+def score_text(verdict: "Score") -> Iterator[str]:
+    """Yield a score for people."""
+    pace = "" if verdict.real_time_factor is None else f", {verdict.real_time_factor:.1f} × real time"
+    yield verdict.log
+    yield f"  {verdict.sentence}"
+    yield (
+        f"  tracking {verdict.rms_tracking_error * 1e3:.1f} mrad rms; cart {verdict.max_cart_position * 1e3:.1f} mm at "
+        f"most, {verdict.rms_cart_acceleration:.3f} m/s² rms; NIS inside its 95 % band "
+        f"{verdict.nis_inside_95:.1%}{pace}"
+    )
+
+
+def shortfall(verdict: "Score") -> str:
+    """Return why a run counts as a goal missed, "" where it does not."""
+    return f"not completed: {verdict.reason}" if verdict.completed is False else ""
 
 
 @verb("review", example="dpcontrol review logs/outer-turn-0.mcap --picture outer-turn.png")
@@ -20,7 +70,7 @@ if TYPE_CHECKING:
 @click.option("--align", default=1, show_default=True, metavar="N", help="Symbol at which several logs are aligned.")
 @file_option("--save", suffix=".rrd", help="Save a Rerun recording (.rrd).")
 @file_option("--picture", suffix=".png", help="Save a picture (.png).")
-def command(*, files: tuple[Path, ...], align: int, save: Path | None, picture: Path | None) -> Answer:
+def review_command(*, files: tuple[Path, ...], align: int, save: Path | None, picture: Path | None) -> Answer:
     """Open a log in the Rerun viewer: arms with the reference's ghost, the itinerary as asked and as done, angles,
     rates, command, errors, energy, phase planes with the tubes used. A recording from the bench opens as well.
 
@@ -48,7 +98,7 @@ def command(*, files: tuple[Path, ...], align: int, save: Path | None, picture: 
             drawn = write_picture(picture)
             document |= {"picture": str(drawn.path), "renderer": drawn.renderer, "status": drawn.status}
     if save is None and picture is None:
-        from dpcontrol.review.viewer import open_viewer
+        from dpcontrol.review.picture import open_viewer
 
         open_viewer(Path(document["recording"]))
     kinds = ("recording", "picture", "aligned")
@@ -61,11 +111,10 @@ Writers = tuple[Callable[[Path], None], Callable[[Path], "Picture"]]
 
 
 def _writers(file: Path) -> Writers:
-    from dpcontrol.foundation.archives import archive_format, is_archive
+    from dpcontrol.foundation.files import archive_format, is_archive
     from dpcontrol.logs import read_log
     from dpcontrol.references.reference import FORMAT as REFERENCE
-    from dpcontrol.review.of_log import run_view
-    from dpcontrol.review.of_reference import read_reference_view
+    from dpcontrol.review.of_log import read_reference_view, run_view
     from dpcontrol.review.picture import write_atlas_picture, write_picture
 
     reference = archive_format(file) == REFERENCE
@@ -75,7 +124,7 @@ def _writers(file: Path) -> Writers:
         atlas = load_atlas(file)
 
         def record_atlas(path: Path) -> None:
-            from dpcontrol.review.atlas_recording import write_atlas_recording
+            from dpcontrol.review.atlas import write_atlas_recording
 
             write_atlas_recording(atlas, path)
 
@@ -83,7 +132,7 @@ def _writers(file: Path) -> Writers:
     view = read_reference_view(file) if reference else run_view(read_log(file))
 
     def record(path: Path) -> None:
-        from dpcontrol.review.recording import write_recording
+        from dpcontrol.review.rerun_recording import write_recording
 
         write_recording(view, path)
 
@@ -102,8 +151,127 @@ def _comparison_writers(files: tuple[Path, ...], symbol: int) -> tuple[Callable,
     comparison = compare([run_view(read_log(file)) for file in files], symbol=symbol)
 
     def record(path: Path) -> None:
-        from dpcontrol.review.comparison_recording import write_comparison_recording
+        from dpcontrol.review.comparison import write_comparison_recording
 
         write_comparison_recording(comparison, path)
 
     return record, lambda path: write_comparison_picture(comparison, path), comparison.status
+
+
+@verb("report", example="dpcontrol report logs/outer-turn-0.mcap --picture outer-turn.pdf")
+@click.argument("file", metavar="LOG|CAMPAIGN.parquet", type=click.Path(path_type=Path))
+@file_option("--picture", suffix=(".png", ".pdf"), help="Page to write [beside FILE, as NAME-report.png].")
+def report_command(*, file: Path, picture: Path | None) -> Answer:
+    """Write one page on a log or on a campaign, for those who do not open a viewer; matplotlib draws it.
+
+    Of a log: the itinerary as asked and as done, a film, angles, rates, cart, command, errors, energy, phase planes.
+    Of a campaign: shares of success by group with Wilson's intervals, failures by symbol and reason.
+    """
+    picture = picture or file.with_name(f"{file.stem}-report.png")
+    answer = (_campaign if file.suffix.lower() == ".parquet" else _log)(file, picture)
+    return Answer({**answer.document, "picture": str(picture)}, [*answer.text, f"page       {picture}"])
+
+
+def _log(file: Path, picture: Path) -> Answer:
+    from dpcontrol.logs import read_log
+    from dpcontrol.review.of_log import run_view
+    from dpcontrol.review.page import draw, save_figure
+    from dpcontrol.review.score import REFERENCE_ATTACHMENT, score
+
+    log = read_log(file)
+    view = run_view(log)
+    save_figure(draw(view), picture)
+    if REFERENCE_ATTACHMENT in log.attachments and "reference" in log.states:
+        verdict = score(log)
+        return Answer(verdict.document(), score_text(verdict))
+    document = {"log": str(file), "completed": None, "reason": view.verdict}
+    return Answer(document, [str(file), f"  {view.verdict}"])
+
+
+def _campaign(file: Path, picture: Path) -> Answer:
+    from dpcontrol.review.campaign import campaign_summary, draw_campaign
+    from dpcontrol.review.page import save_figure
+
+    summary = campaign_summary(file)
+    save_figure(draw_campaign(summary), picture)
+    return Answer(summary.document(), _text(summary))
+
+
+def _text(summary: "CampaignSummary") -> Iterator[str | TextTable]:
+    yield f"{summary.path}\n  {summary.status}"
+    rows = [
+        [group.label, f"{g.successes} of {g.runs}", f"{g.rate:.1%}", f"{g.low:.1%} to {g.high:.1%}"]
+        for group in summary.groups
+        for g in (group.share,)
+    ]
+    yield TextTable("", ["runs", "completed", "share", "95 % interval"], rows)
+    if summary.reasons:
+        rows = [[text, str(count)] for text, count in summary.reasons[:8]]
+        yield TextTable("", ["reason of failure", "runs"], rows)
+
+
+_LONG = 200
+"""Characters of a metadata value that are shown to people."""
+
+
+@verb("info", example="dpcontrol info logs/outer-turn-0.mcap")
+@click.argument("log", type=click.Path(path_type=Path))
+def info_command(*, log: Path) -> Answer:
+    """Show what is in a log: topics, types, units, rates, counts, duration, metadata, attachments.
+
+    All checksums are compared; a log that is cut or damaged is rejected with advice on what to do about it.
+    """
+    from dpcontrol.logs import summarise
+
+    summary = summarise(log)
+    return Answer(asdict(summary), _info_text(summary))
+
+
+def _info_text(summary: "LogSummary") -> Iterator[str | TextTable]:
+    yield (
+        f"{summary.log}: {summary.duration:.3f} s at {summary.rate_hz:g} Hz, {summary.size / 1e6:.2f} MB, checksums "
+        f"agree; layout {summary.format}, by {summary.program}; joints {', '.join(summary.joints)}"
+    )
+    if summary.recovered:
+        yield f"  recovered; lost: {summary.recovered}"
+    rows = [
+        (t.topic, t.type, t.units, f"{t.count:,}", "" if t.rate_hz is None else f"{t.rate_hz:.6g}")
+        for t in summary.topics
+    ]
+    yield TextTable("", ("topic", "type", "units", "messages", "Hz"), rows)
+    for name, size in summary.attachments.items():
+        yield f"  attachment {name}: {size:,} bytes"
+    for key, value in summary.metadata.items():
+        yield f"  {key}: {value if len(value) <= _LONG else f'{value[:_LONG]}…'}"
+    for file in summary.partials:
+        click.echo(f"  beside it: {file}, of a run that was interrupted or is under way", err=True)
+
+
+@verb("recover", example="dpcontrol recover logs/outer-turn-0.mcap.partial")
+@click.argument("log", type=click.Path(path_type=Path))
+@file_option(
+    "--out",
+    suffix=".mcap",
+    help="Log to write [NAME.mcap for NAME.mcap.partial where that is free, else NAME-recovered.mcap].",
+)
+def recover_command(*, log: Path, out: Path | None) -> Answer:
+    """Rebuild a log that a killed run left, that was cut or that is damaged, and report what is lost.
+
+    What is sound is copied bit for bit, put in order and read back; nothing is made up, and the old file is kept.
+    """
+    from dpcontrol.logs import recover
+
+    with progress_bar("recover") as progress:
+        done = recover(log, out, progress=progress)
+    document = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(done).items()}
+    return Answer(document, _recover_text(done))
+
+
+def _recover_text(done: "Recovery") -> Iterator[str]:
+    if done.log == done.source:
+        yield f"{done.log} is whole: there is nothing to recover"
+        return
+    kept = f" and {', '.join(done.attachments)}" if done.attachments else ""
+    yield f"{done.log}: {done.ticks:,} ticks to {done.end_s:.3f} s{kept}, read back and sound"
+    yield f"  lost: {done.lost}" if done.lost else "  nothing is lost"
+    yield f"  {done.source} is kept; remove it once you have checked the new log"

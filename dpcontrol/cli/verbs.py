@@ -143,7 +143,7 @@ def show(answer: Answer) -> None:
 
 
 def _print_json(document: Mapping[str, Any]) -> None:
-    from dpcontrol.foundation.documents import plain
+    from dpcontrol.foundation.files import plain
 
     click.echo(json.dumps(plain(document), indent=1, ensure_ascii=False))
 

@@ -101,7 +101,7 @@ class _Wraps(click.ParamType):
     help="Write each orbit to this folder (.npz).",
 )
 @file_option("--picture", suffix=".png", help="Draw the walk's orbit to this PNG.")
-def command(
+def walk_command(
     *,
     model: str,
     energy: Decimal,
@@ -212,7 +212,7 @@ def _listed(
 
 def _graph(edges: "Edges") -> Answer:
     """Show the connections of an energy, and how many walks they allow."""
-    from dpcontrol.foundation.documents import picked
+    from dpcontrol.foundation.files import picked
     from dpcontrol.walks.walks import count_walks
 
     counts = {str(k): count_walks(edges, k) for k in range(1, 9)}
@@ -303,8 +303,8 @@ def _solve(
 def _drawn(answer: "WalkAnswer", picture: Path, model: "Model") -> bool:
     """Draw the orbit of a walk; return whether there was one to draw."""
     from dpcontrol.dynamics.chain import ArmChainParameters
-    from dpcontrol.review.panel_frame import save_figure
-    from dpcontrol.review.walk_figure import draw_walk
+    from dpcontrol.review.page import save_figure
+    from dpcontrol.review.walks import draw_walk
 
     if answer.orbit is None or not answer.converged:
         return False

@@ -38,8 +38,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.equations import Equations, state_equations
-from dpcontrol.dynamics.lagrangian import Energy, mechanics
+from dpcontrol.dynamics.equations import Energy, Equations, mechanics, state_equations
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, described_system
 from dpcontrol.foundation.errors import InputError

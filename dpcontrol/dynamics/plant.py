@@ -22,8 +22,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Friction, Level, arm_chain_equations, chain_energies
 from dpcontrol.dynamics.compiled import Compiled, compiled_step
-from dpcontrol.dynamics.equations import Equations
-from dpcontrol.dynamics.lagrangian import mechanics, solve_symmetric
+from dpcontrol.dynamics.equations import Equations, mechanics, solve_symmetric
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
 

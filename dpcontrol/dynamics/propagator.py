@@ -30,8 +30,8 @@ import heyoka as hy
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dpcontrol.dynamics.compiled import to_heyoka
 from dpcontrol.dynamics.equations import Equations
-from dpcontrol.dynamics.taylor import to_heyoka
 
 Array = NDArray[np.float64]
 Row = Sequence[float] | Array

@@ -24,8 +24,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpcontrol.dynamics.equations import Equations, NumericEquations, hamiltonian_equations, state_equations
-from dpcontrol.dynamics.lagrangian import mechanics
+from dpcontrol.dynamics.equations import Equations, NumericEquations, hamiltonian_equations, mechanics, state_equations
 from dpcontrol.dynamics.propagator import Propagator, Section, SegmentPropagator
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.tables import suggest

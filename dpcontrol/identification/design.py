@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.ratios import base_ratios, ratio_names
-from dpcontrol.foundation.documents import picked
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.identification.fit import Swings

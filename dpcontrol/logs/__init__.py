@@ -1,10 +1,9 @@
 """The MCAP log: message layout, writer, reader, recovery."""
 
 from dpcontrol.control.interface import Mode
-from dpcontrol.logs.compare import Comparison, compare_messages
+from dpcontrol.logs.container import partials_of
 from dpcontrol.logs.layout import LEVELS, control_fields, joint_names
-from dpcontrol.logs.partial import partials_of
-from dpcontrol.logs.reader import Event, LogSummary, RunLog, read_log, summarise
+from dpcontrol.logs.reader import Comparison, Event, LogSummary, RunLog, compare_messages, read_log, summarise
 from dpcontrol.logs.recovery import Recovery, recover
 from dpcontrol.logs.writer import LogWriter
 

@@ -4,10 +4,14 @@ The file's checksums are compared first (see `verified`). Messages are then foun
 and those at loop rate are decoded as arrays, for their layout is known from the log's own metadata.
 
 What is in a log, topic by topic, without reading its numbers.
+
+Are two logs the same, message for message?
 """
 
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -15,8 +19,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs import cdr, layout
-from dpcontrol.logs.partial import partials_of
+from dpcontrol.logs import cdr
+from dpcontrol.logs.container import partials_of
+from dpcontrol.logs.layout import (
+    CONTROL,
+    EVENTS,
+    LAYOUT_RECORD,
+    LEVELS,
+    LOST,
+    MEASURED,
+    PARTS,
+    RECORD_HEADER,
+    RECOVERY_RECORD,
+    RESULT_RECORD,
+    RUN_RECORD,
+    STATE_TOPICS,
+    TICKS,
+    UNITS,
+    TickLayout,
+    joint_order,
+    state_names,
+)
 from dpcontrol.logs.verified import (
     VerifiedFile,
     gathered,
@@ -29,7 +52,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 _AGAIN = "make the log again with `dpcontrol run`"
-_LEVEL_NAMES = {number: name for name, number in layout.LEVELS.items()}
+_LEVEL_NAMES = {number: name for name, number in LEVELS.items()}
 
 
 class Event(NamedTuple):
@@ -144,7 +167,7 @@ class RunLog:
         columns = {f"measured.{name}": self.measured[:, i] for i, name in enumerate(self.joint_names)}
         if self.rates is not None:
             columns |= {f"rates.{name}": self.rates[:, i] for i, name in enumerate(self.joint_names)}
-        names = layout.state_names(len(self.arm_lengths), has_cart=self.has_cart)
+        names = state_names(len(self.arm_lengths), has_cart=self.has_cart)
         for part, values in self.states.items():
             columns |= {f"{part}.{name}": values[:, i] for i, name in enumerate(names)}
         columns |= {f"control.{name}": values for name, values in self.controls.items()}
@@ -169,7 +192,7 @@ def _decode(file: VerifiedFile) -> RunLog:
     for batch in file.batches():
         for name, values in _numbers(batch.ticks_as(tick), tick):
             rows[name].append(values)
-        events += [_event(batch.data, offset) for offset in batch.others.get(tick.channels[layout.EVENTS], ())]
+        events += [_event(batch.data, offset) for offset in batch.others.get(tick.channels[EVENTS], ())]
     if not file.has_checksum:
         raise InputError(f"{file.path} carries no checksum of its data, so nothing vouches for it; {_AGAIN}")
     if not sum(map(len, rows["time"])):
@@ -179,43 +202,43 @@ def _decode(file: VerifiedFile) -> RunLog:
     return _run_log(file, rows=whole, events=events)
 
 
-def _numbers(ticks: NDArray, tick: layout.TickLayout) -> Iterator[tuple[str, Array]]:
+def _numbers(ticks: NDArray, tick: TickLayout) -> Iterator[tuple[str, Array]]:
     """Yield the rows of each part, by its name, from ticks as the file has them."""
-    measured = ticks[layout.MEASURED]
+    measured = ticks[MEASURED]
     yield "time", measured["log_time"] / 1e9
     yield "measured", measured["position"].copy()
     if "rates" in tick.parts:
         yield "rates", measured["velocity"].copy()
-    positions, velocities = layout.joint_order(tick.arms, has_cart=tick.has_cart)
-    for part, topic in layout.STATE_TOPICS.items():
+    positions, velocities = joint_order(tick.arms, has_cart=tick.has_cart)
+    for part, topic in STATE_TOPICS.items():
         if part in tick.parts:
             joined = np.empty((len(ticks), tick.widths[part]))
             joined[:, positions] = ticks[topic]["position"]
             joined[:, velocities] = ticks[topic]["velocity"]
             yield part, joined
     if "control" in tick.parts:
-        yield "control", ticks[layout.CONTROL]["row"].copy()
+        yield "control", ticks[CONTROL]["row"].copy()
 
 
 def _event(data: bytes, offset: int) -> Event:
-    head = np.frombuffer(data, layout.RECORD_HEADER, count=1, offset=offset)[0]
+    head = np.frombuffer(data, RECORD_HEADER, count=1, offset=offset)[0]
     end = offset + 9 + int(head["length"])
-    level, name, text = cdr.read_log_message(data[offset + layout.RECORD_HEADER.itemsize : end])
+    level, name, text = cdr.read_log_message(data[offset + RECORD_HEADER.itemsize : end])
     return Event(int(head["log_time"]) / 1e9, _LEVEL_NAMES.get(level, "info"), name, text)
 
 
 def _run_log(file: VerifiedFile, *, rows: dict[str, Array], events: list[Event]) -> RunLog:
-    tick, described = file.tick, file.metadata[layout.LAYOUT_RECORD]
+    tick, described = file.tick, file.metadata[LAYOUT_RECORD]
     limits = tuple(float(text) for text in described["limits"].split())
     columns = _frozen(np.ascontiguousarray(rows.pop("control").T)) if "control" in rows else ()
-    metadata = {**file.values(layout.RESULT_RECORD), **file.values(layout.RUN_RECORD)}
-    metadata.pop(layout.TICKS, None)
+    metadata = {**file.values(RESULT_RECORD), **file.values(RUN_RECORD)}
+    metadata.pop(TICKS, None)
     return RunLog(
         path=file.path,
         time=rows["time"],
         measured=rows["measured"],
         rates=rows.get("rates"),
-        states={part: rows[part] for part in layout.STATE_TOPICS if part in rows},
+        states={part: rows[part] for part in STATE_TOPICS if part in rows},
         controls=dict(zip(tick.fields, columns, strict=False)),
         events=tuple(events),
         metadata={**metadata, "program": described["program"]},
@@ -225,7 +248,7 @@ def _run_log(file: VerifiedFile, *, rows: dict[str, Array], events: list[Event])
         has_cart=tick.has_cart,
         rate_hz=float(described["rate_hz"]),
         limits=(limits[0], limits[1], limits[2]) if limits else None,
-        recovered=file.values(layout.RECOVERY_RECORD).get(layout.LOST) or None,
+        recovered=file.values(RECOVERY_RECORD).get(LOST) or None,
     )
 
 
@@ -285,12 +308,12 @@ def summarise(path: Path | str) -> LogSummary:
 
 
 def _summary(file: VerifiedFile) -> LogSummary:
-    tick, described = file.tick, file.metadata[layout.LAYOUT_RECORD]
+    tick, described = file.tick, file.metadata[LAYOUT_RECORD]
     spans: dict[int, tuple[int, int, int]] = {}
     for batch in file.batches():
-        ticks = gathered(batch.data, batch.ticks, layout.RECORD_HEADER)
+        ticks = gathered(batch.data, batch.ticks, RECORD_HEADER)
         found = {tick.channels[topic]: ticks for topic in tick.messages}
-        found |= {k: gathered(batch.data, places, layout.RECORD_HEADER) for k, places in batch.others.items()}
+        found |= {k: gathered(batch.data, places, RECORD_HEADER) for k, places in batch.others.items()}
         for channel, heads in found.items():
             if len(heads):
                 low, high = int(heads["log_time"].min()), int(heads["log_time"].max())
@@ -305,14 +328,14 @@ def _summary(file: VerifiedFile) -> LogSummary:
         duration=(max(last for _, last in ends) - min(first for first, _ in ends)) / 1e9 if ends else 0.0,
         rate_hz=float(described["rate_hz"]),
         joints=tick.names,
-        parts=tuple(part for part in layout.PARTS if part in tick.parts),
+        parts=tuple(part for part in PARTS if part in tick.parts),
         topics=tuple(
-            _topic(topic, kind, units=layout.UNITS[topic], span=spans.get(tick.channels[topic]))
+            _topic(topic, kind, units=UNITS[topic], span=spans.get(tick.channels[topic]))
             for topic, (kind, _) in tick.schemas.items()
         ),
         attachments={name: len(data) for name, data in file.attachments.items()},
-        metadata={**file.values(layout.RESULT_RECORD), **file.values(layout.RUN_RECORD)},
-        recovered=file.values(layout.RECOVERY_RECORD).get(layout.LOST) or None,
+        metadata={**file.values(RESULT_RECORD), **file.values(RUN_RECORD)},
+        recovered=file.values(RECOVERY_RECORD).get(LOST) or None,
         partials=tuple(str(other) for other in partials_of(file.path)),
     )
 
@@ -323,3 +346,76 @@ def _topic(topic: str, kind: str, *, units: str, span: tuple[int, int, int] | No
     count, first, last = span
     rate = (count - 1) * 1e9 / (last - first) if last > first else None
     return TopicSummary(topic, kind, units, count, first / 1e9, last / 1e9, rate)
+
+
+_HEAD = struct.Struct("<BQHIQ")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two logs side by side: how many messages are the same, and the first that is not, as a sentence, or None."""
+
+    messages: int
+    difference: str | None
+
+
+def compare_messages(one: Path | str, other: Path | str) -> Comparison:
+    """Compare two logs message by message: topics, order, times and every byte; metadata may differ.
+
+    What `one` has lost, if it was recovered, or if it ends early, is passed over in `other`.
+
+    Raises:
+        InputError: one of them is missing, damaged or not a log of this program.
+    """
+    sides = [open_verified(Path(path)) for path in (one, other)]
+    tick = sides[0].tick
+    if tick != sides[1].tick:
+        return Comparison(0, f"{one} and {other} do not have the same topics")
+    partial = bool(sides[0].metadata.get(RECOVERY_RECORD, {}).get(LOST))
+    first, second = (_pieces(side) for side in sides)
+    same = 0
+    for piece in first:
+        for against in second:
+            if piece == against:
+                same += _count(piece, tick)
+                break
+            if not partial or _head(piece)[2:4] == _head(against)[2:4]:
+                return Comparison(same, _differs(piece, against, tick))
+        else:
+            return Comparison(same, f"{other} ends after {same} messages, {one} goes on")
+    if not partial and next(second, None) is not None:
+        return Comparison(same, f"{one} ends after {same} messages, {other} goes on")
+    return Comparison(same, None)
+
+
+def _pieces(side: VerifiedFile) -> Iterator[bytes]:
+    """Yield the bytes of each tick and of each other message, in order."""
+    with side.decoding():
+        for batch in side.batches():
+            places = [(place, len(side.tick.block_template)) for place in batch.ticks]
+            others = (place for offsets in batch.others.values() for place in offsets)
+            places += [(place, 9 + int.from_bytes(batch.data[place + 1 : place + 9], "little")) for place in others]
+            for place, length in sorted(places):
+                yield batch.data[place : place + length]
+
+
+def _count(piece: bytes, tick: TickLayout) -> int:
+    return len(tick.messages) if piece[:11] == tick.block_template[:11] else 1
+
+
+def _head(piece: bytes, offset: int = 0) -> tuple[int, int, int, int, int]:
+    """Return opcode, length, channel, sequence number and time of a message."""
+    return _HEAD.unpack_from(piece, offset)
+
+
+def _differs(piece: bytes, against: bytes, tick: TickLayout) -> str:
+    if _head(piece)[2:4] == _head(against)[2:4] and _count(piece, tick) > 1:
+        ends = [*tick.block_offsets.values(), len(piece)]
+        at = next(a for a, b in pairwise(ends) if piece[a:b] != against[a:b])
+    else:
+        at = 0
+    _, _, channel, sequence, time = _head(piece, at)
+    topic = next((name for name, number in tick.channels.items() if number == channel), f"channel {channel}")
+    if _head(piece)[2:4] != _head(against)[2:4]:
+        return f"at {time / 1e9:.3f} s another message stands where message {sequence} of {topic} was"
+    return f"message {sequence} of {topic} at {time / 1e9:.3f} s differs"

@@ -28,9 +28,21 @@ import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_other_file, whole_file
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.logs import layout
-from dpcontrol.logs.container import ChunkMessages, McapFile
-from dpcontrol.logs.partial import SUFFIX, sealed, unsealed
+from dpcontrol.logs.container import SUFFIX, ChunkMessages, McapFile, sealed, unsealed
+from dpcontrol.logs.layout import (
+    EVENTS,
+    LATCHED,
+    LAYOUT_RECORD,
+    LOST,
+    MEASURED_CHANNEL,
+    RECORD_HEADER,
+    RECOVERY_RECORD,
+    RESULT_RECORD,
+    ROBOT,
+    RUN_RECORD,
+    TICKS,
+    TickLayout,
+)
 from dpcontrol.logs.reader import read_log
 from dpcontrol.logs.verified import (
     CHUNK_HEAD,
@@ -76,7 +88,7 @@ class SoundChunk:
         start, places = _places(content)
         found = []
         for channel, offsets in places.items():
-            times = gathered(content, offsets, layout.RECORD_HEADER)["log_time"].astype(np.int64)
+            times = gathered(content, offsets, RECORD_HEADER)["log_time"].astype(np.int64)
             found.append(ChunkMessages(channel=channel, times=times, offsets=np.array(offsets) - start))
         return content[start:], found
 
@@ -142,9 +154,9 @@ def _chunk(body: memoryview) -> SoundChunk:
     content = unpacked(body)
     sequences, times = {}, None
     for channel, offsets in _places(content)[1].items():
-        heads = gathered(content, [offsets[0], offsets[-1]], layout.RECORD_HEADER)
+        heads = gathered(content, [offsets[0], offsets[-1]], RECORD_HEADER)
         sequences[channel] = (int(heads["sequence"][0]), int(heads["sequence"][1]))
-        if channel == layout.MEASURED_CHANNEL:
+        if channel == MEASURED_CHANNEL:
             times = (int(heads["log_time"][0]), int(heads["log_time"][1]))
     return SoundChunk(body, size, checksum, sequences, times)
 
@@ -208,7 +220,7 @@ def recover(path: Path | str, out: Path | None = None, *, progress: Progress = n
     if out is not None:
         checked_other_file(Path(out), path, what="the log to recover")
     found = salvage(data, progress=part_of(progress, 0.0, 0.6))
-    described = _only(path, found, layout.LAYOUT_RECORD)
+    described = _only(path, found, LAYOUT_RECORD)
     if described is None or not any(chunk.times for chunk in found.chunks):
         raise InputError(f"{path} cannot be recovered: {_nothing(found)}; make the log again with `dpcontrol run`")
     try:
@@ -252,7 +264,7 @@ def _several(path: Path) -> InputError:
 
 
 def _nothing(found: Salvage) -> str:
-    if layout.LAYOUT_RECORD in found.metadata:
+    if LAYOUT_RECORD in found.metadata:
         return "not one whole tick is in it"
     return "the description of its layout is damaged" if found.chunks else "it ends before its first tick"
 
@@ -263,7 +275,7 @@ def _in_order(path: Path, chunks: Sequence[SoundChunk]) -> list[SoundChunk]:
     after_all_ticks = (1 << 32, 0)
 
     def key(chunk: SoundChunk) -> tuple:
-        return chunk.sequences.get(layout.MEASURED_CHANNEL, after_all_ticks), sorted(chunk.sequences.items())
+        return chunk.sequences.get(MEASURED_CHANNEL, after_all_ticks), sorted(chunk.sequences.items())
 
     ordered = sorted(once, key=key)
     last: dict[int, int] = {}
@@ -276,19 +288,19 @@ def _in_order(path: Path, chunks: Sequence[SoundChunk]) -> list[SoundChunk]:
 
 
 def _account(
-    path: Path, found: Salvage, chunks: Sequence[SoundChunk], *, described: dict[str, str], tick: layout.TickLayout
+    path: Path, found: Salvage, chunks: Sequence[SoundChunk], *, described: dict[str, str], tick: TickLayout
 ) -> Recovery:
     """Say what is there and what is not."""
-    ticked = [(*c.sequences[layout.MEASURED_CHANNEL], *c.times) for c in chunks if c.times is not None]
+    ticked = [(*c.sequences[MEASURED_CHANNEL], *c.times) for c in chunks if c.times is not None]
     period = 1 / float(described["rate_hz"])
-    result = _only(path, found, layout.RESULT_RECORD)
+    result = _only(path, found, RESULT_RECORD)
     end_s = ticked[-1][3] / 1e9
     missing, gaps = ticked[0][0], [(0.0, ticked[0][2] / 1e9)] if ticked[0][0] else []
     for (_, last, _, before), (first, _, after, _) in pairwise(ticked):
         if first > last + 1:
             missing += first - last - 1
             gaps.append((before / 1e9, after / 1e9))
-    if result is not None and (at_end := int(result[layout.TICKS]) - ticked[-1][1] - 1):
+    if result is not None and (at_end := int(result[TICKS]) - ticked[-1][1] - 1):
         missing += at_end
         gaps.append((end_s, end_s + at_end * period))
     names = json.loads(described["attachments"])
@@ -317,12 +329,12 @@ def _lost(
     chunks: Sequence[SoundChunk],
     *,
     done: Recovery,
-    tick: layout.TickLayout,
+    tick: TickLayout,
     period: float,
 ) -> str:
     """Return what is missing as a sentence, empty where nothing is."""
-    before = _only(path, found, layout.RECOVERY_RECORD) or {}
-    parts = [before[layout.LOST]] if before.get(layout.LOST) else []
+    before = _only(path, found, RECOVERY_RECORD) or {}
+    parts = [before[LOST]] if before.get(LOST) else []
     if done.ticks_lost:
         shown = ", ".join(f"{a:.3f} to {b:.3f} s" for a, b in done.gaps[:_SHOWN_GAPS])
         more = f" and {len(done.gaps) - _SHOWN_GAPS} more" if len(done.gaps) > _SHOWN_GAPS else ""
@@ -330,16 +342,16 @@ def _lost(
     if not done.end_known:
         most = 1e3 * max(CHUNK_SECONDS, period)
         parts.append(f"what came after {done.end_s:.3f} s (at most {most:.0f} ms if the run was killed)")
-    for topic, what in ((layout.EVENTS, "events"), (layout.ROBOT, "the arms' description for viewers")):
+    for topic, what in ((EVENTS, "events"), (ROBOT, "the arms' description for viewers")):
         spans = sorted(c.sequences[tick.channels[topic]] for c in chunks if tick.channels[topic] in c.sequences)
         gone = sum(b[0] - a[1] - 1 for a, b in pairwise([(-1, -1), *spans]))
-        if topic == layout.EVENTS and gone:
+        if topic == EVENTS and gone:
             parts.append(f"{gone} {what}")
-        elif topic == layout.ROBOT and not spans:
+        elif topic == ROBOT and not spans:
             parts.append(what)
     if done.attachments_lost:
         parts.append(f"the attachment{'s'[: len(done.attachments_lost) > 1]} {', '.join(done.attachments_lost)}")
-    if layout.RUN_RECORD not in found.metadata:
+    if RUN_RECORD not in found.metadata:
         parts.append("the metadata of the run")
     return f"{'; '.join(parts)}" if parts else ""
 
@@ -349,7 +361,7 @@ def _write(
     chunks: Sequence[SoundChunk],
     *,
     described: dict[str, str],
-    tick: layout.TickLayout,
+    tick: TickLayout,
     done: Recovery,
     progress: Progress,
 ) -> None:
@@ -358,19 +370,19 @@ def _write(
         with FileIO(temporary, "wb") as stream:
             file = McapFile(stream, library=f"dpcontrol {dpcontrol.__version__}")
             for name, values in found.metadata.items():
-                if name == layout.RUN_RECORD:
+                if name == RUN_RECORD:
                     file.add_metadata(name, sealed(name, values[0]))
             for name in done.attachments:
                 file.add_attachment(name, found.attachments[name])
-            file.add_metadata(layout.LAYOUT_RECORD, sealed(layout.LAYOUT_RECORD, described))
-            said = {layout.LOST: done.lost, "source": done.source.name}
-            file.add_metadata(layout.RECOVERY_RECORD, sealed(layout.RECOVERY_RECORD, said))
-            file.add_channels(tick.schemas, latched=layout.LATCHED)
+            file.add_metadata(LAYOUT_RECORD, sealed(LAYOUT_RECORD, described))
+            said = {LOST: done.lost, "source": done.source.name}
+            file.add_metadata(RECOVERY_RECORD, sealed(RECOVERY_RECORD, said))
+            file.add_channels(tick.schemas, latched=LATCHED)
             for k, chunk in enumerate(chunks):
                 file.add_chunk(*chunk.messages())
                 progress("writing what is sound", k / len(chunks))
-            for values in found.metadata.get(layout.RESULT_RECORD, []):
-                file.add_metadata(layout.RESULT_RECORD, sealed(layout.RESULT_RECORD, values))
+            for values in found.metadata.get(RESULT_RECORD, []):
+                file.add_metadata(RESULT_RECORD, sealed(RESULT_RECORD, values))
             file.finish()
             os.fsync(stream.fileno())
         written = read_log(temporary)

@@ -28,9 +28,8 @@ from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs import layout
-from dpcontrol.logs.container import MAGIC
-from dpcontrol.logs.partial import partials_of, unsealed
+from dpcontrol.logs.container import MAGIC, partials_of, unsealed
+from dpcontrol.logs.layout import FORMAT, LAYOUT_RECORD, MEASURED, MESSAGE_OPCODE, PARTS, TickLayout, message_type
 
 _HEAD = struct.Struct("<BQ")
 _RECORD = struct.Struct("<BQH")
@@ -108,17 +107,17 @@ class VerifiedFile:
         return unsealed(name, self.metadata.get(name, {})) or {}
 
     @cached_property
-    def tick(self) -> layout.TickLayout:
+    def tick(self) -> TickLayout:
         """What a tick of the log holds, by its own description."""
-        described = self.metadata.get(layout.LAYOUT_RECORD)
+        described = self.metadata.get(LAYOUT_RECORD)
         if described is None:
             writer = f" (written by {self.library})" if self.library else ""
             raise InputError(
-                f"{self.path}{writer} is not a log of dpcontrol: it lacks the metadata record {layout.LAYOUT_RECORD}; "
+                f"{self.path}{writer} is not a log of dpcontrol: it lacks the metadata record {LAYOUT_RECORD}; "
                 "give a log of `dpcontrol run`"
             )
-        if unsealed(layout.LAYOUT_RECORD, described) is None and described.get("format") == layout.FORMAT:
-            raise ValueError(f"the checksum of {layout.LAYOUT_RECORD} differs")
+        if unsealed(LAYOUT_RECORD, described) is None and described.get("format") == FORMAT:
+            raise ValueError(f"the checksum of {LAYOUT_RECORD} differs")
         return described_layout(self.path, described)
 
     def batches(self) -> "Iterator[Batch]":
@@ -153,7 +152,7 @@ class VerifiedFile:
                 place += size
                 continue
             opcode, length, channel = unpack(data, place)
-            if opcode == layout.MESSAGE_OPCODE:
+            if opcode == MESSAGE_OPCODE:
                 others.setdefault(channel, []).append(place)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self.note(opcode, data[place + 9 : place + 9 + length])
@@ -308,24 +307,24 @@ class Batch:
     ticks: list[int]
     others: dict[int, list[int]]
 
-    def ticks_as(self, tick: layout.TickLayout) -> NDArray:
+    def ticks_as(self, tick: TickLayout) -> NDArray:
         """Return the ticks (K,) as the layout's structured type.
 
         Raises:
             ValueError: their messages are not those of the layout.
         """
         rows = gathered(self.data, self.ticks, tick.block_type)
-        times = rows[layout.MEASURED]["log_time"]
+        times = rows[MEASURED]["log_time"]
         for topic, message in tick.messages.items():
             records = rows[topic]
-            length = layout.message_type(message).itemsize - 9
+            length = message_type(message).itemsize - 9
             for name, value in (
-                ("opcode", layout.MESSAGE_OPCODE), ("length", length), ("channel", tick.channels[topic])
+                ("opcode", MESSAGE_OPCODE), ("length", length), ("channel", tick.channels[topic])
             ):  # fmt: skip
                 if (records[name] != value).any():
                     raise ValueError(f"a tick lacks its message of {topic}")
             if (records["log_time"] != times).any():
-                raise ValueError(f"the messages of {topic} do not pair with those of {layout.MEASURED}")
+                raise ValueError(f"the messages of {topic} do not pair with those of {MEASURED}")
         return rows
 
 
@@ -344,14 +343,14 @@ def gathered(data: bytes, offsets: list[int], kind: np.dtype) -> NDArray:
     return everywhere[np.array(offsets)].view(kind)
 
 
-def described_layout(path: Path, described: Mapping[str, str]) -> layout.TickLayout:
+def described_layout(path: Path, described: Mapping[str, str]) -> TickLayout:
     """Return what a tick holds by a metadata record that describes it; errors as in `VerifiedFile.tick`."""
-    if described.get("format") != layout.FORMAT:
+    if described.get("format") != FORMAT:
         raise InputError(
             f"{path} has layout {described.get('format')!r}, and this version of dpcontrol reads layout "
-            f"{layout.FORMAT!r}; read it with the version that wrote it, or run the itinerary again"
+            f"{FORMAT!r}; read it with the version that wrote it, or run the itinerary again"
         )
     parts = frozenset(described["parts"].split())
-    if not parts <= set(layout.PARTS):
+    if not parts <= set(PARTS):
         raise ValueError(f"unknown parts {sorted(parts)}")
-    return layout.TickLayout(len(described["arm_lengths"].split()), described["has_cart"] == "1", parts)
+    return TickLayout(len(described["arm_lengths"].split()), described["has_cart"] == "1", parts)

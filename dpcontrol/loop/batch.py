@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpcontrol.control.consistency import chi_square_band
 from dpcontrol.control.ekf import EkfProgram
-from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.estimator_settings import EkfSettings, chi_square_band
 from dpcontrol.control.interface import Controller, ManySession
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.compiled import VECTOR
@@ -23,9 +22,8 @@ from dpcontrol.dynamics.plant import after_blow, longest_step, plant_step
 from dpcontrol.dynamics.ratios import Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.batch_watch import BatchWatch
-from dpcontrol.loop.bench import BenchSettings, clip_lanes
+from dpcontrol.loop.bench import BenchDraw, BenchSettings, clip_lanes
 from dpcontrol.loop.control_loop import BRAKING, CommandPath
-from dpcontrol.loop.draw import BenchDraw
 from dpcontrol.loop.loop import LoopSettings, sampled_model
 from dpcontrol.loop.result import Ending, LoopResult
 from dpcontrol.loop.simulated import SimulatedPlant

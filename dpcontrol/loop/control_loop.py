@@ -30,8 +30,7 @@ from dpcontrol.control.interface import Action, Controller, Estimate, Estimator,
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.loop.bench import clip_lanes, clip_number
-from dpcontrol.loop.result import Ending, LoopResult, LoopSink, Ticks
-from dpcontrol.loop.rig import Reading, Rig
+from dpcontrol.loop.result import Ending, LoopResult, LoopSink, Reading, Rig, Ticks
 from dpcontrol.loop.supervisor import Outcome, StuckWatch, Supervisor
 from dpcontrol.references.problem import Limits
 

@@ -26,7 +26,7 @@ from dpcontrol.control.periodic import OrbitController, orbit_controller
 from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings, tracking_controller
 from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.orbits.equilibria import equilibria
+from dpcontrol.orbits.symmetric_shooting import equilibria
 from dpcontrol.references.reference import Reference
 
 if TYPE_CHECKING:

@@ -20,10 +20,16 @@ from dpcontrol.dynamics.ratios import Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
-from dpcontrol.loop.bench import BenchSettings, DisturbanceSettings, DriveSettings, SensorSettings
+from dpcontrol.loop.bench import (
+    BenchDraw,
+    BenchSettings,
+    DisturbanceSettings,
+    DriveSettings,
+    SensorSettings,
+    draw_bench,
+)
 from dpcontrol.loop.control_loop import CommandPath, ControlLoop, Fallback
 from dpcontrol.loop.controllers import KEEPERS, ControllerSettings, make_controller, nearest_keeper
-from dpcontrol.loop.draw import BenchDraw, draw_bench
 from dpcontrol.loop.result import LoopResult, LoopSink, NoSink
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.loop.supervisor import Supervisor, SupervisorSettings

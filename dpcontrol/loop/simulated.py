@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.plant import PlantParameters, after_blow, longest_step, plant_step
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.loop.bench import BenchSettings, Encoders
-from dpcontrol.loop.draw import BenchDraw
-from dpcontrol.loop.rig import Reading
+from dpcontrol.loop.bench import BenchDraw, BenchSettings, Encoders
+from dpcontrol.loop.result import Reading
 from dpcontrol.references.problem import Limits
 
 Array = NDArray[np.float64]

@@ -9,6 +9,8 @@ x(0) = x* + B c, B a basis of Fix A_a, the unknowns (c, τ) solve
 C_b the rows that vanish on Fix A_b: n equations for n + 1 unknowns, with exact derivatives from the variational
 equations. They define the family as a curve; one equation more (an energy, a length along the curve) picks a member.
 Source: Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998), theorem 4.2.
+
+Equilibria of a system: energy, eigenvalues and what kind of point each is.
 """
 
 from collections.abc import Callable
@@ -17,11 +19,47 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.system import System
+from dpcontrol.dynamics.system import System, saddle_index
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.orbits.equilibria import equilibrium
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """state (N,), energy in J, eigenvalues (N,) in 1/s, kind: "centre" or "index-k saddle"."""
+
+    name: str
+    state: Array
+    energy: float
+    eigenvalues: NDArray[np.complex128]
+    kind: str
+
+
+def equilibrium(system: System, name: str) -> Equilibrium:
+    """Describe the named equilibrium.
+
+    Raises:
+        InputError: there is no equilibrium of that name.
+    """
+    state = system.equilibrium(name)
+    eigenvalues = np.asarray(np.linalg.eigvals(system.numeric.jacobian(state)), dtype=complex)
+    index = saddle_index(system.numeric, state)
+    order = np.lexsort((np.imag(eigenvalues), -np.real(eigenvalues)))
+    return Equilibrium(
+        name=name,
+        state=state,
+        energy=float(system.numeric.hamiltonian(state)),
+        eigenvalues=eigenvalues[order],
+        kind="centre" if index == 0 else f"index-{index} saddle",
+    )
+
+
+def equilibria(system: System) -> dict[str, Equilibrium]:
+    """Describe every equilibrium of the system, by name."""
+    return {name: equilibrium(system, name) for name in system.equilibria}
+
+
 Row = Callable[[Array], tuple[float, Array]]
 
 _LONGEST = 3.0

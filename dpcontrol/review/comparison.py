@@ -3,18 +3,51 @@
 The moment is the run's own crossing, decoded from its true angles, or from the estimated ones where the truth is not
 known; for a symbol without a section, or one that was not done, it is the plan's; a log without a plan is taken from
 its start. Which it was is said for each run.
+
+Several runs on one page, drawn by matplotlib: their stories and films one below the other, their curves together.
+
+Several runs as one Rerun recording: a scene for each, their curves in the same plots, their stories as strips.
 """
 
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
+from textwrap import shorten
 
 import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.review import style
+from dpcontrol.review import series, style
 from dpcontrol.review.motion import RunView
-from dpcontrol.review.series import Chart, Line, Range, charts
+from dpcontrol.review.page import (
+    draw_chart,
+    draw_film,
+    draw_plane,
+    film_times,
+    mark_times,
+    new_figure,
+    story,
+    story_rows,
+)
+from dpcontrol.review.rerun_recording import (
+    Box,
+    bounds,
+    draw_pendulum,
+    page,
+    plane_view,
+    plots,
+    record_chart,
+    record_planes,
+    record_strips,
+    recording_to,
+    scene_view,
+)
+from dpcontrol.review.series import Chart, Line, Range, charts, plane, strips
 
 MOST = len(style.RUNS)
 
@@ -148,3 +181,138 @@ def _chart(
     named = title.replace("(mm)", "(m)").split(", track")[0] + (", reference grey" if legend else "")
     half_turns, scale = known[0].half_turns, known[0].scale
     return Chart(key, title, named, tuple(lines), levels=levels, scale=scale, half_turns=half_turns, legend=legend)
+
+
+Array = NDArray[np.float64]
+
+_WIDE = 16.0
+_FRAMES = 8
+_STORY, _FILM, _PANEL, _HEAD = 0.95, 1.75, 1.75, 0.95
+"""Heights in inches: of a run's story and film, of a row of panels, and of the title."""
+_FILMED = 3
+"""Up to so many runs have a film each."""
+
+
+def draw_comparison(comparison: RunComparison) -> Figure:
+    """Return the page as a figure."""
+    runs = comparison.runs
+    filmed = _FILM if len(runs) <= _FILMED else 0.0
+    tall = _HEAD + len(runs) * (_STORY + filmed + 0.35) + 4 * (_PANEL + 0.5) + 0.35
+    figure = new_figure(_WIDE, tall)
+    title = shorten(comparison.title, 100, placeholder=" …")
+    figure.text(0.022, 1 - 0.35 / tall, title, fontsize=16, weight="bold", color=style.INK, va="center")
+    status = shorten(comparison.status, 190, placeholder=" …")
+    figure.text(0.022, 1 - 0.68 / tall, status, fontsize=9, color=style.NOTE, va="center")
+    top = tall - _HEAD
+    frames = _frames(comparison)
+    for run in runs:
+        figure.text(0.022, (top - 0.12) / tall, run.name, fontsize=11, weight="bold", color=run.colour, va="center")
+        verdict, colour = shorten(run.view.verdict, 150, placeholder=" …"), style.verdict_colour(run.view.good)
+        figure.text(0.165, (top - 0.12) / tall, verdict, fontsize=9.5, color=colour, va="center")
+        if story_rows(run.view, span=comparison.span):
+            height = _STORY - 0.5
+            axes = figure.add_axes((0.062, (top - 0.42 - height) / tall, 0.925, height / tall))
+            story(axes, run.view, span=comparison.span, legend=False)
+        top -= _STORY + 0.2
+        if filmed:
+            axes = figure.add_axes((0.01, (top - filmed) / tall, 0.98, (filmed - 0.05) / tall))
+            draw_film(axes, run.view, frames=_FRAMES, times=frames)
+            axes.set_aspect("equal")
+            top -= filmed
+        top -= 0.15
+    _panels(figure, comparison, top=top - 0.1, tall=tall)
+    return figure
+
+
+def _frames(comparison: RunComparison) -> Array:
+    """Return the instants of all films: about the symbols, and half before the first run's end if that is early.
+
+    The run that lasts longest says where the symbols are.
+    """
+    longest = max((run.view for run in comparison.runs), key=lambda view: view.time_range[1])
+    begin, end = min((run.view.time_range for run in comparison.runs), key=lambda span: span[1])
+    chosen = film_times(longest, frames=_FRAMES)
+    if (chosen <= end).mean() >= 0.5:
+        return chosen
+    half = _FRAMES // 2
+    later = film_times(longest, frames=_FRAMES - half)
+    return np.sort(np.concatenate([np.linspace(begin, end, half + 1)[1:], later]))
+
+
+def _panels(figure: Figure, comparison: RunComparison, *, top: float, tall: float) -> None:
+    arms = min(comparison.runs[0].view.arms, 2)
+    shown = [chart for chart in compared_charts(comparison) if chart.key not in ("angle_3", "angle_4", "angle_5")]
+    rows = (len(shown) + 1) // 2
+    room = (top - 0.35) / rows
+    for k, chart in enumerate(shown):
+        row, column = k % rows, k // rows
+        height = room - 0.5
+        axes = figure.add_axes(((0.045, 0.372)[column], (top - row * room - room + 0.5) / tall, 0.285, height / tall))
+        draw_chart(axes, chart, comparison.runs[0].view)
+        mark_times(axes, [comparison.moment])
+        axes.set_xlim(*comparison.span)
+        if row == rows - 1 or k == len(shown) - 1:
+            axes.set_xlabel("time on the common clock (s)", fontsize=8.5, color=style.NOTE, labelpad=1)
+    half = (top - 0.35) / arms
+    for arm in range(arms):
+        bottom = top - (arm + 1) * half + 0.5
+        axes = figure.add_axes((0.70, bottom / tall, 0.28, (half - 0.5) / tall))
+        planes = [(series.plane(run.view, arm), run.colour) for run in comparison.runs]
+        draw_plane(axes, planes, tubes=False)
+
+
+def write_comparison_recording(comparison: RunComparison, path: Path) -> None:
+    """Write the recording of a comparison to `path` (`*.rrd`).
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    boxes = _boxes(comparison)
+    with recording_to(path, comparison.title, _blueprint(comparison, boxes)) as recording:
+        document = rr.TextDocument(_summary(comparison), media_type="text/markdown")
+        recording.log("summary", document, static=True)
+        for k, run in enumerate(comparison.runs):
+            draw_pendulum(recording, f"runs/{k + 1}/scene", run.view)
+            record_planes(recording, f"runs/{k + 1}/planes", run.view, boxes=boxes)
+            told = [s for s in strips(run.view, until=comparison.span[1]) if s.key in ("1_asked", "2_done")]
+            record_strips(recording, f"states/{k + 1}_{re.sub(r'[^A-Za-z0-9]+', '_', run.name)}", told, run.view)
+        for chart in compared_charts(comparison):
+            record_chart(recording, "plots", chart, comparison.runs[0].view)
+
+
+def _boxes(comparison: RunComparison) -> list[Box]:
+    """Return for each arm the box that holds all runs."""
+    runs = comparison.runs
+    return [bounds(*(plane(run.view, arm) for run in runs)) for arm in range(runs[0].view.arms)]
+
+
+def _summary(comparison: RunComparison) -> str:
+    rows = [f"**{comparison.title}**", "", comparison.status, ""]
+    rows += [f"{k + 1}. **{run.name}**: {run.view.verdict}" for k, run in enumerate(comparison.runs)]
+    return "\n".join(rows)
+
+
+def _blueprint(comparison: RunComparison, boxes: list[Box]) -> rrb.Blueprint:
+    runs = comparison.runs
+    scenes = [
+        scene_view(run.view, from_log=False, home=f"/runs/{k + 1}/scene", name=run.name) for k, run in enumerate(runs)
+    ]
+    planes = [
+        plane_view(arm, f"/runs/{k + 1}/planes", boxes[arm], name=f"{run.name}: arm {arm + 1}, rate over angle")
+        for arm in range(min(runs[0].view.arms, 2))
+        for k, run in enumerate(runs)
+    ]
+    charts = compared_charts(comparison)
+    middle = plots([c for c in charts if c.key in ("angle_1", "angle_2", "cart")])
+    checks = plots([c for c in charts if c.key in ("tracking_error", "acceleration", "energy", "nis")])
+    if any(run.view.plan.planned for run in runs):
+        name = f"Itineraries, aligned at symbol {comparison.symbol}"
+        middle.insert(0, rrb.StateTimelineView(name=name, origin="/states"))
+    summary = rrb.TextDocumentView(name="Summary", origin="/summary")
+    left = rrb.Vertical(
+        rrb.Horizontal(*scenes), rrb.Grid(*planes, grid_columns=len(runs)), summary, row_shares=[3, 4, 1.6]
+    )
+    columns: list[rrb.Container] = [left, rrb.Vertical(*middle)]
+    if checks:
+        columns.append(rrb.Vertical(*checks))
+    return page(rrb.Horizontal(*columns, column_shares=[5, 4, 4][: len(columns)]))

@@ -1,27 +1,156 @@
-"""What there is to see of a log, from the log alone: its series, and its plan, model and score where it has them."""
+"""What there is to see of a log, from the log alone: its series, and its plan, model and score where it has them.
+
+What there is to see of a reference, from its file alone, and of a sustained orbit.
+
+The tubes that a plan uses: from a stop's orbit to the section of the symbol that leaves it, and on to the next stop.
+
+A plan notes each connection's name, which holds the hits and the section, and the section's lifted height. The unstable
+tube of the stop's orbit is flown to that section (`tubes.manifold`); the stable one of the next stop is such a tube
+turned around in time. Of both only the branch that meets the section at the plan's height is kept.
+Source: Kaheman et al. (2023), section 3.
+"""
 
 import json
-from collections.abc import Iterator
+import re
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
+from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.recordings.recording import SUMMARY
-from dpcontrol.references.reference import Reference
-from dpcontrol.review.context import PlacedOrbit, PlanView, Stay
-from dpcontrol.review.motion import RunView, series_of
-from dpcontrol.review.run_tubes import tubes_of
-from dpcontrol.review.score import MODEL_METADATA, REFERENCE_ATTACHMENT, plan_of, recovered_note, score
-from dpcontrol.review.stops import Decoded, decode_run, orbit_index
+from dpcontrol.references.reference import Reference, ReferenceSummary, load_reference, summarised
+from dpcontrol.references.sustained import SustainedOrbit
+from dpcontrol.review.motion import PlacedOrbit, PlanView, RunView, Stay, TubeCurve, series_of
+from dpcontrol.review.score import (
+    MODEL_METADATA,
+    REFERENCE_ATTACHMENT,
+    Decoded,
+    decode_run,
+    orbit_index,
+    plan_of,
+    recovered_note,
+    score,
+)
 
 Array = NDArray[np.float64]
+
+PHASES = 96
+STRANDS = 24
+INSTANTS = 160
+_HEIGHT = 1e-6
+_CHORD = 0.2
+"""rad, a rad/s counting a fifth: between neighbours of a cut; where halving the phases brings none, the cut is open."""
+_HALVINGS = 5
+_NAME = re.compile(r"h(?P<unstable>\d+)\.(?P<stable>\d+)(?::(?P<section>[\w-]+))?@")
+
+
+def tubes_of(notes: dict[str, Any], system: System) -> tuple[TubeCurve, ...]:
+    """Return the tubes of a plan's notes, each once; none for a symbol whose tubes cannot be made."""
+    made: dict[tuple[Any, ...], TubeCurve] = {}
+    flown: dict[tuple[Any, ...], list[TubeCurve]] = {}
+    for k, symbol in enumerate(notes["symbols"]):
+        name = _NAME.search(str(symbol["name"] or ""))
+        if name is None or symbol["section"] is None:
+            continue
+        section = system.section_between(symbol["source"], symbol["target"], name["section"])
+        height = float(symbol["section"]["value"])
+        for stable, stop, hit in (
+            (False, notes["stops"][k], int(name["unstable"])),
+            (True, notes["stops"][k + 1], int(name["stable"])),
+        ):
+            index = stop.get("arrived_on", stop["orbit"]) if stable else stop["orbit"]
+            entry = notes["orbits"][index]
+            tube = (entry["saddle"], entry["energy"], section.name, hit, stable)
+            if tube not in flown:
+                flown[tube] = list(_flown(system, entry, section=section, hit=hit, stable=stable))
+            lift = np.asarray(stop["angles"]) - np.asarray(notes["saddles"][stop["saddle"]]["angles"])
+            key = (*tube, *np.rint(lift).tolist(), round(height, 6))
+            if key not in made:
+                made |= {(*key, b): c for b, c in enumerate(_at(flown[tube], section, lift=lift, height=height))}
+    return tuple(made.values())
+
+
+def _flown(
+    system: System, orbit_note: dict[str, Any], *, section: Section, hit: int, stable: bool
+) -> Iterator[TubeCurve]:
+    """Yield both branches of an orbit's tube at the orbit's own place."""
+    try:
+        orbit = lyapunov_orbit(system, orbit_note["saddle"], energy=float(orbit_note["energy"]))
+    except InputError:
+        return
+    manifold = UnstableManifold(orbit)
+    longest = system.flight_periods * orbit.period
+    for branch in (1, -1):
+        seeds, _ = manifold.seeds(np.arange(PHASES) / PHASES, branch)
+        crossings = system.propagator.crossings(seeds, section, longest=longest, hit=hit)
+        strands = [
+            system.propagator.sample(seeds[k], np.linspace(0.0, crossing.time, INSTANTS))
+            for k in range(0, PHASES, PHASES // STRANDS)
+            if (crossing := crossings[k]) is not None
+        ]
+        if strands:
+            ends_of = partial(_ends, manifold, section, branch=branch, longest=longest, hit=hit)
+            states, ends = np.array(strands), _resolved(ends_of)
+            if stable:
+                turn, centre = system.reversers[0].T, orbit.centre
+                states, ends = (states - centre) @ turn + centre, (ends - centre) @ turn + centre
+            yield TubeCurve(stable, states, ends)
+
+
+def _ends(
+    manifold: UnstableManifold, section: Section, phases: Array, *, branch: int, longest: float, hit: int
+) -> Array:
+    """Return where the trajectories of these phases (K,) meet the section (K, 2n), nan where they do not."""
+    seeds, _ = manifold.seeds(phases, branch)
+    system = manifold.orbit.system
+    found = system.propagator.crossings(seeds, section, longest=longest, hit=hit)
+    return np.array([c.state if c else np.full(system.dimension, np.nan) for c in found])
+
+
+def _resolved(ends_of: Callable[[Array], Array]) -> Array:
+    """Return a cut (C, 2n) in order of phase, its first point again at the end, nan between points that lie apart."""
+    phases: Array = np.arange(PHASES + 1) / PHASES
+    ends = ends_of(phases[:-1])
+    ends = np.vstack([ends, ends[:1]])
+    for _ in range(_HALVINGS):
+        far = np.flatnonzero(_chords(ends) > _CHORD)
+        if not len(far):
+            break
+        between = (phases[far] + phases[far + 1]) / 2
+        ends = np.insert(ends, far + 1, ends_of(between), axis=0)
+        phases = np.insert(phases, far + 1, between)
+    apart = np.flatnonzero(_chords(ends) > _CHORD)
+    return np.insert(ends, apart + 1, np.nan, axis=0)
+
+
+def _chords(ends: Array) -> Array:
+    half = ends.shape[1] // 2
+    steps = np.diff(ends, axis=0) * np.repeat([1.0, 0.2], half)
+    return np.asarray(np.linalg.norm(steps, axis=1), dtype=np.float64)
+
+
+def _at(curves: list[TubeCurve], section: Section, *, lift: Array, height: float) -> Iterator[TubeCurve]:
+    """Yield those parts of the tubes, moved by whole turns (n,), that meet the section at a lifted height."""
+    move = np.concatenate([lift, np.zeros_like(lift)])
+    normal = np.asarray(section.normal)
+    for curve in curves:
+        strands, cut = curve.strands + move, curve.cut + move
+        kept = np.abs(strands[:, -1] @ normal - height) < _HEIGHT
+        if kept.any():
+            there = np.abs(cut @ normal - height) < _HEIGHT
+            yield TubeCurve(curve.stable, strands[kept], np.where(there[:, None], cut, np.nan))
 
 
 def run_view(log: RunLog) -> RunView:
@@ -152,3 +281,80 @@ def _saddle(angles: tuple[float, ...], notes: dict[str, Any]) -> str:
         if np.allclose(turns, np.rint(turns), atol=1e-6):
             return str(name)
     return "elsewhere"
+
+
+_RATE = 500.0  # Hz
+_POINTS = 600  # of an orbit
+_ARM = 0.2  # m: drawn where a reference does not say for which arms it was made
+
+
+def read_reference_view(file: Path) -> RunView:
+    """Return what there is to see of a reference's file; its error between nodes is measured anew.
+
+    Raises:
+        InputError: the file is no reference, or its notes are not those of a plan.
+    """
+    reference = load_reference(file)
+    try:
+        return reference_view(summarised(reference), Path(file))
+    except InputError as error:
+        raise InputError(f"{file}: {error}") from error
+
+
+def reference_view(summary: ReferenceSummary, path: Path) -> RunView:
+    """Return what there is to see of a reference, its input as the command.
+
+    Raises:
+        InputError: its notes are not those of a plan.
+    """
+    reference = summary.reference
+    notes: Mapping[str, Any] = reference.notes
+    system = None if summary.arms is None else pendulum_system("model", summary.arms)
+    plan = plan_view(reference, system=system)
+    time = np.arange(reference.mesh[0], reference.mesh[-1], 1 / _RATE)
+    states = reference.state(time)
+    state = "" if reference.converged else "NOT CONVERGED: "
+    effort = f"{reference.duration:.4g} s, {reference.rms_cart_acceleration:.3g} m/s² rms"
+    made_from = notes.get("made_from") or {}
+    return RunView(
+        path=path,
+        title=str(notes.get("title") or notes.get("itinerary") or "A reference"),
+        time=time,
+        state=states,
+        what="reference",
+        arm_lengths=(_ARM,) * (states.shape[1] // 2 - 1) if summary.arms is None else summary.arms.length,
+        has_cart=True,
+        rate_hz=_RATE,
+        control={"feedforward": reference.input(time)[:, 0]},
+        energy=summary.energies(states),
+        limits=limits_of(reference),
+        metadata={"program": str(made_from.get("program", ""))},
+        verdict=f"{state}{reference.status}; {effort}",
+        good=None if reference.converged else False,
+        plan=plan,
+        summary=summary,
+    )
+
+
+def sustained_view(orbit: SustainedOrbit, arm_lengths: tuple[float, ...]) -> RunView:
+    """Return what there is to see of one period of a sustained orbit, beside its Lyapunov orbit; arm_lengths in m."""
+    lyapunov = orbit.lyapunov
+    time = np.arange(0.0, orbit.period, 1 / _RATE)
+    states = orbit.state(time)
+    free = lyapunov.system.propagator.sample(lyapunov.state, np.linspace(0.0, lyapunov.period, _POINTS))
+    effort = f"{orbit.reference.rms_cart_acceleration:.3g} m/s² rms"
+    return RunView(
+        path=Path(),
+        title=f"Sustained orbit about {lyapunov.saddle} at {orbit.energy:g} J",
+        time=time,
+        state=states,
+        what="orbit",
+        arm_lengths=arm_lengths,
+        has_cart=True,
+        rate_hz=_RATE,
+        control={"feedforward": orbit.input(time)},
+        energy=lyapunov.system.numeric.hamiltonian(states[:, :-2]),
+        limits=limits_of(orbit.reference),
+        verdict=f"period {orbit.period:.5g} s, {effort}, within {orbit.departure:.2g} of the Lyapunov orbit (scaled)",
+        plan=PlanView(orbits=(PlacedOrbit("Lyapunov orbit", free, lyapunov.saddle),)),
+    )

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.logs import Mode
 from dpcontrol.review import style
-from dpcontrol.review.context import Stay
-from dpcontrol.review.motion import ACTUAL, RunView, clean
+from dpcontrol.review.motion import ACTUAL, RunView, Stay, clean
 
 Array = NDArray[np.float64]
 Range = tuple[float, float]

@@ -31,7 +31,7 @@ from dpcontrol.dynamics.ratios import Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.rig import Rig
+from dpcontrol.loop.result import Rig
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.problem import Limits
 from dpcontrol.rig import packets as packets

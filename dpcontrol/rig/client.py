@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
-from dpcontrol.loop.rig import Reading
+from dpcontrol.loop.result import Reading
 from dpcontrol.rig import packets as packets
 from dpcontrol.rig.packets import Condition, Kind, ReadingPacket, Welcome
 

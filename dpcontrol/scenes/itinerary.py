@@ -36,7 +36,7 @@ from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, Senso
 from dpcontrol.loop.controllers import KEEPERS, ControllerSettings
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.supervisor import SupervisorSettings
-from dpcontrol.orbits.equilibria import equilibria
+from dpcontrol.orbits.symmetric_shooting import equilibria
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.scenes.model import Model, find, load_model, quoted

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 import dpcontrol
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.orbits.curve import OrbitCurve
-from dpcontrol.orbits.equilibria import equilibria
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.orbits.symmetric_shooting import equilibria
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.scenes.pieces import Goal, Piece
 from dpcontrol.tubes.connection import Connection

@@ -16,11 +16,10 @@ from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
-from dpcontrol.references.find import find_reference, shadowed
+from dpcontrol.references.find import find_reference, find_transfer, shadowed
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import EndConditions, Guess, ReferenceProblem
 from dpcontrol.references.reference import Reference, still
-from dpcontrol.references.transfer import find_transfer
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.walks.shadowing import ShadowingOrbit
 

@@ -10,10 +10,9 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.references.reference import Reference, joined
 from dpcontrol.scenes.itinerary import HoldPart, Itinerary, WalkPart
-from dpcontrol.scenes.kept_walks import plan_kept
+from dpcontrol.scenes.kept_walks import plan_kept, plan_stay
 from dpcontrol.scenes.notes import plan_notes
 from dpcontrol.scenes.pieces import REST, REST_AFTER, REST_BEFORE, Goal, solve_pieces, stay_goal, walk_goal
-from dpcontrol.scenes.stays import plan_stay
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver

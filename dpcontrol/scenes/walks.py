@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from dpcontrol.dynamics.extended import Exact, digits
-from dpcontrol.foundation.archives import write_archive
-from dpcontrol.foundation.documents import picked, plain
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.files import picked, plain, write_archive
 from dpcontrol.shooting.extended import ExtendedOrbit, refine
 from dpcontrol.walks.edges import Edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver

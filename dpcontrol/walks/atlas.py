@@ -2,9 +2,13 @@
 
 The records hold numbers only, so that an atlas read from its file and one just made are the same thing. Lengths N (the
 state) and units are those of the model: rad and rad/s for arms, the primaries' units for three bodies.
+
+The connection graph: orbits as nodes, connections as edges; a walk on it is an itinerary.
+
+Source: Kaheman et al. (2023), section 4, where the graph's walks are the itineraries.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,13 +17,53 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Section
-from dpcontrol.foundation.documents import picked
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import picked
 from dpcontrol.orbits.lyapunov import OrbitRecord
 from dpcontrol.orbits.rotating import RotatingRecord
 from dpcontrol.tubes.connection import ConnectionRecord
 from dpcontrol.tubes.cut import Piece
-from dpcontrol.walks.graph import connection_graph
+
+
+def connection_graph(orbits: Iterable[Any], connections: Iterable[tuple[str, str, Any]]) -> "nx.MultiDiGraph[str]":
+    """Return the multigraph of orbits and connections: nodes by name, edges keyed by the connection's name.
+
+    connections: (source, target, connection), ends by name. Nodes carry their `orbit`, edges their `connection`. Every
+    orbit is a node, connected or not.
+    """
+    graph: nx.MultiDiGraph[str] = nx.MultiDiGraph()
+    for orbit in orbits:
+        graph.add_node(orbit.name, orbit=orbit)
+    for source, target, connection in connections:
+        graph.add_edge(source, target, key=connection.name, connection=connection)
+    return graph
+
+
+def walks(
+    graph: "nx.MultiDiGraph[str]", source: str, *, target: str | None = None, length: int
+) -> Iterator[tuple[str, ...]]:
+    """Yield every walk of `length` connections from `source` (to `target`), each the names of its connections.
+
+    Raises:
+        InputError: a node that the graph does not have, or a length below one.
+    """
+    for node in (source, *([] if target is None else [target])):
+        if node not in graph:
+            raise InputError(f"the graph has no orbit {node!r}; choose one of {', '.join(graph.nodes)}")
+    if length < 1:
+        raise InputError(f"length = {length}: a walk has at least one connection")
+    return _walks(graph, source, target, length)
+
+
+def _walks(graph: "nx.MultiDiGraph[str]", at: str, target: str | None, left: int) -> Iterator[tuple[str, ...]]:
+    if left == 0:
+        if target is None or at == target:
+            yield ()
+        return
+    for _, following, name in graph.out_edges(at, keys=True):
+        for rest in _walks(graph, following, target, left - 1):
+            yield (name, *rest)
+
 
 Array = NDArray[np.float64]
 

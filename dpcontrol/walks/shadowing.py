@@ -29,8 +29,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.shooting.equations import Guess
-from dpcontrol.shooting.estimate import ErrorEstimate, estimate_error
-from dpcontrol.shooting.newton import NewtonSettings, Shot, solve_shooting
+from dpcontrol.shooting.newton import ErrorEstimate, NewtonSettings, Shot, estimate_error, solve_shooting
 from dpcontrol.shooting.orbit import ManifoldEnd, ShootingOrbit
 from dpcontrol.tubes.connection import Connection
 

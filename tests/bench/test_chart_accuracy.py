@@ -10,13 +10,21 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dpcontrol.bench import alternatives, connections, propagation, transcription
+from dpcontrol.bench import alternatives, connections, transcription
 from dpcontrol.bench.alternatives import Alternative
 from dpcontrol.bench.chart import Point
 from dpcontrol.bench.measure import Timed
-from dpcontrol.bench.redrawn import earlier_panels, less_accurate
-from dpcontrol.bench.registry import CHARTS, GROUPS
-from dpcontrol.bench.schemes import Stepper, buffered_rate, runge_kutta_4, symplectic_gauss
+from dpcontrol.bench.propagation import (
+    Stepper,
+    buffered_rate,
+    candidates,
+    compared,
+    runge_kutta_4,
+    symplectic_gauss,
+    tick_panels,
+    work_of,
+)
+from dpcontrol.bench.run import CHARTS, GROUPS, earlier_panels, less_accurate
 from dpcontrol.dynamics.compiled import fixed_step
 from dpcontrol.dynamics.extended import ExtendedPropagator
 from dpcontrol.foundation.errors import GoalMissed
@@ -40,7 +48,7 @@ def system():
 
 @pytest.fixture(scope="module")
 def work(system):
-    return propagation.work_of(system, START, SECONDS)
+    return work_of(system, START, SECONDS)
 
 
 def test_the_truth_agrees_with_scipy(system, work):
@@ -102,7 +110,7 @@ def test_the_midpoint_rule_is_symplectic_and_rk4_is_not(system):
 
 
 def test_a_tighter_tolerance_is_nearer_and_the_default_is_at_rounding(work):
-    tried = propagation.candidates(work, batches=True, quick=True)
+    tried = candidates(work, batches=True, quick=True)
     errors = {(c.method, c.setting): work.error(c.work()) for c in tried if c.method.startswith("Taylor")}
     for method in ("Taylor", "Taylor, 8 at once"):
         found = [errors[method, setting] for setting in ("rounding", "1e-12", "1e-09", "1e-06")]
@@ -113,8 +121,8 @@ def test_a_tighter_tolerance_is_nearer_and_the_default_is_at_rounding(work):
 
 
 def test_errors_are_the_same_when_a_chart_is_drawn_again(work):
-    tried = [c for c in propagation.candidates(work, batches=False, quick=True) if "scipy" not in c.method]
-    first, again = (propagation.compared(tried, work, quick=True).points for _ in range(2))
+    tried = [c for c in candidates(work, batches=False, quick=True) if "scipy" not in c.method]
+    first, again = (compared(tried, work, quick=True).points for _ in range(2))
     assert [p.name for p in first] == [p.name for p in again]
     assert [p.error for p in first] == pytest.approx([p.error for p in again], rel=0, abs=ALIKE)
     assert len(first) > 15
@@ -128,7 +136,7 @@ def test_a_method_that_cannot_fly_is_listed_with_its_reason(work):
         return np.full((1, 4), np.nan)
 
     tried = [Alternative("a", "1 s", fails), Alternative("b", "2 s", diverges)]
-    found = propagation.compared(tried, work, quick=True)
+    found = compared(tried, work, quick=True)
     assert found.points == ()
     assert [(m.method, m.reason.split(":")[0]) for m in found.missing] == [
         ("a", "the state became infinite"),
@@ -137,7 +145,7 @@ def test_a_method_that_cannot_fly_is_listed_with_its_reason(work):
 
 
 def test_ticks_of_the_plant_are_at_rounding_and_of_the_model_below_an_encoder_count():
-    alone, together = propagation.tick_panels(load_model("lab").arms, quick=True)
+    alone, together = tick_panels(load_model("lab").arms, quick=True)
     plant, model = (next(p for p in alone.defaults if p.method.startswith(m)) for m in ("DOP853", "RK4"))
     (many,) = together.defaults
     assert plant.error < 1e-15
@@ -172,7 +180,7 @@ def test_a_build_without_extended_reals_is_told(system, monkeypatch):
 
     monkeypatch.setattr(ExtendedPropagator, "flow", refused)
     with pytest.raises(GoalMissed, match="113-bit"):
-        propagation.work_of(system, START, SECONDS)
+        work_of(system, START, SECONDS)
 
 
 @pytest.mark.parametrize("name", [name for name in CHARTS if name not in GROUPS["edges"]])

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpcontrol.bench.edges_control import (
+from dpcontrol.bench.edges_loop import (
     ROOM,
     STRONG,
     WEAK,
     WITHOUT_FILTER,
     delay_border,
-    held,
+    held_at_rest,
     held_delay_border,
     held_mismatch_border,
     longest_delay,
@@ -34,13 +34,13 @@ ENDS = ("tracking lost", "cart at its stop")
 
 
 def predicted_delay(acceleration: float) -> float:
-    stand = held(RATE)
+    stand = held_at_rest(RATE)
     error = stand.drawn_error(0.05)
     return longest_delay(stand.model, stand.controller.first_state, error, acceleration=acceleration)
 
 
 def test_authority_over_a_known_delay_ends_where_it_is_predicted_and_the_loop_says_so():
-    stand, predicted = held(RATE), predicted_delay(WEAK)
+    stand, predicted = held_at_rest(RATE), predicted_delay(WEAK)
     assert stand.run(limits=WEAKLY, error=0.05, delay=0.75 * predicted).works
     far = stand.run(limits=WEAKLY, error=0.05, delay=1.25 * predicted)
     assert not far.works
@@ -49,14 +49,14 @@ def test_authority_over_a_known_delay_ends_where_it_is_predicted_and_the_loop_sa
 
 def test_more_acceleration_tolerates_a_longer_delay_by_the_logarithm():
     # λ of the linearised arms at Down-Up, from their Jacobian in continuous time.
-    stand = held(1000.0)
+    stand = held_at_rest(1000.0)
     a = stand.model.linearised(stand.controller.first_state[None, :], np.zeros(1))[0][0]
     growth = np.log(np.abs(np.linalg.eigvals(a)).max()) * 1000
     assert predicted_delay(30.0) - predicted_delay(5.0) == pytest.approx(np.log(6) / growth, rel=1e-3)
 
 
 def test_the_linear_loop_without_mismatch_has_the_regulators_multipliers_at_any_delay():
-    stand = held(RATE)
+    stand = held_at_rest(RATE)
     a, b = (v[0] for v in stand.model.linearised(stand.controller.first_state[None, :], np.zeros(1)))
     regulator = np.linalg.eigvals(a - np.outer(b, stand.controller.gain))
     for delay in (0, 1, 5):
@@ -112,7 +112,7 @@ def test_a_moving_reference_tolerates_a_wrong_model_up_to_a_border_that_the_loop
 
 
 def test_far_beyond_the_border_of_mismatch_the_run_ends_with_its_reason():
-    for stand, limits in ((moving(RATE), WEAKLY), (held(RATE, seconds=20.0), STRONGLY)):
+    for stand, limits in ((moving(RATE), WEAKLY), (held_at_rest(RATE, seconds=20.0), STRONGLY)):
         lost = stand.run(limits=limits, mismatch=0.6, delay=0.14)
         assert not lost.works
         assert any(end in lost.says for end in ENDS)

@@ -5,7 +5,7 @@ from functools import cache
 
 import pytest
 
-from dpcontrol.bench.edges_ogy import COUNTS, QUICK_SECONDS, HeldOrbit, counts_border, holds, limit_border, stay
+from dpcontrol.bench.edges_loop import COUNTS, QUICK_SECONDS, HeldOrbit, counts_border, holds, limit_border, stay
 
 RUNS = 8
 

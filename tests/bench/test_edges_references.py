@@ -1,6 +1,6 @@
 """The longest interval of a mesh: predicted by the method's order from one finer mesh, named beyond it."""
 
-from dpcontrol.bench.edges_references import TOLERANCE, mesh_border, on_equal_intervals, problem_of
+from dpcontrol.bench.edges_design import TOLERANCE, mesh_border, on_equal_intervals, problem_of
 
 APART = 0.25  # the bar
 

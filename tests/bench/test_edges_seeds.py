@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from dpcontrol.bench.edges_seeds import DEFAULT, SADDLE, default_states, found_all, near_border
+from dpcontrol.bench.edges_design import DEFAULT, SADDLE, default_states, found_all, near_border
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.scenes.model import load_model
 

@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from dpcontrol.bench.edges_walks import APART, ENERGY, round_trip, rounding_floor, tolerance_border
+from dpcontrol.bench.edges_design import APART, ENERGY, round_trip, rounding_floor, tolerance_border
 
 
 @cache

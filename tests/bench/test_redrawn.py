@@ -4,7 +4,7 @@ import pytest
 from command_line import dpcontrol
 
 from dpcontrol.bench.chart import Panel, Point
-from dpcontrol.bench.redrawn import TIED, changes, losses
+from dpcontrol.bench.run import TIED, changes, losses
 
 
 def panel(*pairs, stored=()):

@@ -11,9 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from dpcontrol.bench.redrawn import changes, earlier_panels, losses
-from dpcontrol.bench.registry import CHARTS, GROUPS
-from dpcontrol.bench.run import draw_charts
+from dpcontrol.bench.run import CHARTS, GROUPS, changes, draw_charts, earlier_panels, losses
 
 STORED = Path(__file__).parent / "charts"
 KEPT = ("title", "x_label", "y_label", "floor", "judged", "timed")

@@ -70,7 +70,7 @@ def test_review_without_files_opens_the_viewer_on_a_recording(
     viewer = tmp_path / "viewer"
     viewer.write_text(f'#!/bin/sh\ncp "$1" "{opened}.part" && mv "{opened}.part" "{opened}"\n')
     viewer.chmod(0o755)
-    monkeypatch.setattr("dpcontrol.review.viewer.viewer_program", lambda: viewer)
+    monkeypatch.setattr("dpcontrol.review.picture.viewer_program", lambda: viewer)
     ended = dpcontrol("review", demo[0] / "logs/outer-turn-0.mcap")
     assert ended.code == 0
     waited = time.monotonic() + VIEWER_STARTS

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from command_line import dpcontrol
 
-from dpcontrol.recordings.recording import write_recording
-from dpcontrol.recordings.simulated import simulated_recording
+from dpcontrol.recordings.recording import simulated_recording, write_recording
 from dpcontrol.scenes.model import load_model
 
 KEYS = {"parameters", "undetermined", "friction_terms", "candidates", "segments", "file"}

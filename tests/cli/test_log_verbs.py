@@ -12,7 +12,7 @@ from dpcontrol.dynamics.ratios import base_ratios
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.identification.identify import IdentificationSettings, identify
 from dpcontrol.logs import read_log
-from dpcontrol.loop.draw import draw_bench
+from dpcontrol.loop.bench import draw_bench
 from dpcontrol.recordings.recording import load_recording
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.model import load_model

@@ -11,10 +11,9 @@ import pytest
 from command_line import dpcontrol
 
 from dpcontrol.references.problem import Limits
-from dpcontrol.references.reference import load_reference
-from dpcontrol.references.summary import summarised
-from dpcontrol.review.drawing import draw
-from dpcontrol.review.of_reference import reference_view
+from dpcontrol.references.reference import load_reference, summarised
+from dpcontrol.review.of_log import reference_view
+from dpcontrol.review.page import draw
 
 AGREES = 1e-9
 """Relative; sums and interpolation in double precision."""

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.consistency import nees, share_inside
 from dpcontrol.control.ekf import EkfProgram, unpacked
+from dpcontrol.control.estimator_settings import nees, share_inside
 from dpcontrol.dynamics.compiled import Compiled
 
 Array = NDArray[np.float64]

@@ -4,9 +4,8 @@ from estimator_runs import COUNT, MODEL, NOISE, SWING, run
 from scipy.stats import chi2
 from simulated_consistency import simulated_consistency
 
-from dpcontrol.control.consistency import chi_square_band, nees, share_inside
 from dpcontrol.control.ekf import CompiledEkf, EkfProgram
-from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.estimator_settings import EkfSettings, chi_square_band, nees, share_inside
 from dpcontrol.loop.bench import SensorSettings
 
 SHARE = 0.02  # About 95 %; the bar for a nominal plant with the noise that is modelled.

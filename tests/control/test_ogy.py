@@ -9,10 +9,17 @@ from scipy.linalg import solve_discrete_are
 from shadowing_stand_in import LAB
 
 from dpcontrol.control.interface import Mode
-from dpcontrol.control.ogy import ClassicOgySettings, OgyController, OgySettings, ogy_controller
+from dpcontrol.control.ogy import (
+    ClassicOgySettings,
+    OgyController,
+    OgySettings,
+    disturbance_shifts,
+    ogy_controller,
+    parameter_directions,
+    sensitivities,
+)
 from dpcontrol.control.periodic import OrbitController, closed_multipliers, orbit_controller, periodic_gains
 from dpcontrol.control.phase import phase_table
-from dpcontrol.control.section_law import disturbance_shifts, parameter_directions, sensitivities
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit

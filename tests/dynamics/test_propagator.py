@@ -7,8 +7,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
+from dpcontrol.dynamics.compiled import to_heyoka
 from dpcontrol.dynamics.propagator import Propagator, Section
-from dpcontrol.dynamics.taylor import to_heyoka
 from dpcontrol.scenes.model import load_model
 
 DOP853 = 1e-9  # what scipy's DOP853 at 1e-12 is good for over a second of this motion

@@ -10,8 +10,8 @@ from dpcontrol.dynamics.ratios import base_ratios, with_laws
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.design import Design, DesignSettings, design_experiments, digits
 from dpcontrol.identification.fit import FitSettings, Swings, fit_swings
-from dpcontrol.identification.segments import cut_into_swings
-from dpcontrol.recordings.simulated import simulated_recording
+from dpcontrol.identification.identify import cut_into_swings
+from dpcontrol.recordings.recording import simulated_recording
 from dpcontrol.scenes.model import load_model
 
 LAB = load_model("lab").arms

@@ -12,8 +12,7 @@ from dpcontrol.dynamics.ratios import base_ratios
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.identify import Identification, IdentificationSettings, choose, correlation_time, identify
 from dpcontrol.recordings.importing import import_recording
-from dpcontrol.recordings.recording import Recording
-from dpcontrol.recordings.simulated import simulated_recording
+from dpcontrol.recordings.recording import Recording, simulated_recording
 from dpcontrol.scenes.model import load_model
 
 # The rig's bars, rad: what a prediction over 2.667 s may miss by on segments that the fit has not seen.

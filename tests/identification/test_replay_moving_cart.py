@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.identification.identify import cut_into_swings
 from dpcontrol.identification.replay import (
     CartDrive,
     FreeMotion,
@@ -19,7 +20,6 @@ from dpcontrol.identification.replay import (
     replay_recording,
     write_replay,
 )
-from dpcontrol.identification.segments import cut_into_swings
 from dpcontrol.logs import read_log
 from dpcontrol.recordings.recording import Recording, cart_motion, load_recording
 

@@ -10,8 +10,14 @@ from shadowing_stand_in import StandIn
 from dpcontrol.dynamics.ratios import Uncertainty, base_ratios, ratio_names
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.loop.batch import run_batch
-from dpcontrol.loop.bench import BenchSettings, DisturbanceSettings, DriveSettings, SensorSettings
-from dpcontrol.loop.draw import BenchDraw, draw_bench
+from dpcontrol.loop.bench import (
+    BenchDraw,
+    BenchSettings,
+    DisturbanceSettings,
+    DriveSettings,
+    SensorSettings,
+    draw_bench,
+)
 from dpcontrol.loop.loop import LoopSettings, loop_controller, run_loop
 from dpcontrol.references.reference import Reference
 from dpcontrol.scenes.campaign import Case, Job

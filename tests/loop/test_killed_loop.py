@@ -10,10 +10,9 @@ from told_run import killed
 
 from dpcontrol.control.interface import Action, Mode
 from dpcontrol.logs import LogWriter, read_log, recover
-from dpcontrol.loop.draw import draw_bench
+from dpcontrol.loop.bench import draw_bench
 from dpcontrol.loop.loop import LoopSettings, control_loop
-from dpcontrol.loop.result import LogSink
-from dpcontrol.loop.rig import Reading
+from dpcontrol.loop.result import LogSink, Reading
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.problem import Limits
 

@@ -11,8 +11,7 @@ from dpcontrol.control.interface import Action, Mode
 from dpcontrol.control.tracking import FeedforwardSettings, TrackingController, tracking_controller
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs.layout import control_fields
-from dpcontrol.loop.bench import DriveSettings, SensorSettings
-from dpcontrol.loop.draw import draw_bench
+from dpcontrol.loop.bench import DriveSettings, SensorSettings, draw_bench
 from dpcontrol.loop.loop import LoopSettings, control_loop, run_loop, sampled_model
 from dpcontrol.loop.result import Ending, LoopResult, Ticks
 from dpcontrol.loop.simulated import SimulatedRig

@@ -10,8 +10,15 @@ from shadowing_stand_in import LAB
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.loop.bench import BenchSettings, DisturbanceSettings, DriveSettings, Push, SensorSettings
-from dpcontrol.loop.draw import BenchDraw, draw_bench
+from dpcontrol.loop.bench import (
+    BenchDraw,
+    BenchSettings,
+    DisturbanceSettings,
+    DriveSettings,
+    Push,
+    SensorSettings,
+    draw_bench,
+)
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.problem import Limits
 

@@ -13,8 +13,7 @@ from shadowing_stand_in import LAB, StandIn
 
 from dpcontrol.control.interface import Action, Mode
 from dpcontrol.control.tracking import TrackingController, tracking_controller
-from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings
-from dpcontrol.loop.draw import draw_bench
+from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings, draw_bench
 from dpcontrol.loop.loop import LoopSettings, control_loop, sampled_model
 from dpcontrol.loop.result import Ending, LoopResult, Ticks
 from dpcontrol.loop.simulated import SimulatedRig

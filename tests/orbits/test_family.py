@@ -12,11 +12,11 @@ from dpcontrol.cli.main import main
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.orbits.equilibria import equilibrium
 from dpcontrol.orbits.family import FamilySettings, lyapunov_family
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.review.family_figure import draw_families
-from dpcontrol.review.panel_frame import save_figure
+from dpcontrol.orbits.symmetric_shooting import equilibrium
+from dpcontrol.review.orbits import draw_families
+from dpcontrol.review.page import save_figure
 from dpcontrol.scenes.model import load_model
 from tests.reference_values import LYAPUNOV_ORBITS
 

@@ -14,8 +14,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.identify import identify
 from dpcontrol.identification.replay import filter_settings, replay_recording
 from dpcontrol.recordings.importing import import_recording
-from dpcontrol.recordings.recording import load_recording, write_recording
-from dpcontrol.recordings.simulated import simulated_recording
+from dpcontrol.recordings.recording import load_recording, simulated_recording, write_recording
 from dpcontrol.scenes.model import load_model
 
 Array = NDArray[np.float64]

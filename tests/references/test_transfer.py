@@ -7,11 +7,11 @@ from shadowing_stand_in import LAB
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
 from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.references.find import TransferSettings, find_transfer, smooth_guess
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings, state_scale
 from dpcontrol.references.reference import joined, still
 from dpcontrol.references.trajectory import power_coefficients
-from dpcontrol.references.transfer import TransferSettings, find_transfer, smooth_guess
 
 EQUATIONS = arm_chain_equations(2, Level.CART)
 SETTINGS = ReferenceSettings(method="radau-7", interval=0.05)

@@ -9,7 +9,7 @@ from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference
-from dpcontrol.review.stops import decode_stops
+from dpcontrol.review.score import decode_stops
 from dpcontrol.scenes.model import Model
 from dpcontrol.walks.edges import Edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver

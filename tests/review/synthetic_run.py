@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from dpcontrol.logs import LogWriter, Mode, read_log
-from dpcontrol.review.context import PlacedOrbit, PlanView
-from dpcontrol.review.motion import RunView, series_of
+from dpcontrol.review.motion import PlacedOrbit, PlanView, RunView, series_of
 
 ARM_LENGTHS = (0.1738, 0.2490)
 LIMITS = (0.9, 3.0, 30.0)

@@ -9,8 +9,7 @@ import pyarrow.parquet
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.review.campaign import campaign_summary
-from dpcontrol.review.campaign_figure import draw_campaign
+from dpcontrol.review.campaign import campaign_summary, draw_campaign
 
 WILSON = 1e-6
 """The normal quantile below is given to seven digits."""

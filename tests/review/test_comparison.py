@@ -10,12 +10,9 @@ from synthetic_run import synthetic_run, view_of
 from test_recording import bare_log
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.review.comparison import MOST, compare
-from dpcontrol.review.comparison_drawing import draw_comparison
-from dpcontrol.review.comparison_recording import write_comparison_recording
-from dpcontrol.review.context import Stay
-from dpcontrol.review.motion import RunView, series_of
-from dpcontrol.review.viewer import viewer_program
+from dpcontrol.review.comparison import MOST, compare, draw_comparison, write_comparison_recording
+from dpcontrol.review.motion import RunView, Stay, series_of
+from dpcontrol.review.picture import viewer_program
 
 SAME_MOMENT = 0.02
 """s: the synthetic turns pass 2π in their middle, where the wobble is zero, but for errors of 0.04 rad at 11 rad/s."""

@@ -10,18 +10,14 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.review.atlas_picture import draw_atlas
-from dpcontrol.review.atlas_recording import write_atlas_recording
-from dpcontrol.review.figures.cuts import colours, connections_of, kind_of, one_of_each, stable_direction
+from dpcontrol.review.atlas import draw_atlas, write_atlas_recording
+from dpcontrol.review.figures.connections import FLIGHT, colours, connections_of, kind_of, one_of_each, stable_direction
 from dpcontrol.review.figures.page import Gallery
 from dpcontrol.review.figures.registry import FIGURES, draw_figures
-from dpcontrol.review.figures.space import FLIGHT
-from dpcontrol.review.panel_frame import wrapped_runs
-from dpcontrol.review.picture import write_atlas_picture
+from dpcontrol.review.page import wrapped_runs
+from dpcontrol.review.picture import viewer_program, write_atlas_picture
 from dpcontrol.review.style import in_pi
-from dpcontrol.review.viewer import viewer_program
-from dpcontrol.scenes.atlas import AtlasSettings, compute_atlas, make_atlas
-from dpcontrol.scenes.branches import make_branches
+from dpcontrol.scenes.atlas import AtlasSettings, compute_atlas, make_atlas, make_branches
 from dpcontrol.scenes.model import load_model
 from tests.command_line import dpcontrol
 

@@ -12,11 +12,11 @@ from synthetic_run import synthetic_run, view_of
 from test_recording import bare_log
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.review import drawing, viewer
+from dpcontrol.review import picture as viewer
 from dpcontrol.review.motion import RunView, series_of
-from dpcontrol.review.panel_frame import curve, save_figure
+from dpcontrol.review.page import curve, draw, save_figure
 from dpcontrol.review.picture import write_picture
-from dpcontrol.review.recording import write_recording
+from dpcontrol.review.rerun_recording import write_recording
 
 PIXELS_SET = 0.02
 """Least share of pixels that differ from the background in a picture that shows something."""
@@ -50,7 +50,7 @@ def test_texts_in_the_drawn_picture_do_not_overlap(run: RunView) -> None:
         replace(run, plan=replace(run.plan, symbols=steps)),
         replace(run, plan=replace(run.plan, symbols=()), verdict="stopped: " + "why " * 70),
     ):
-        figure = drawing.draw(shown)
+        figure = draw(shown)
         figure.canvas.draw()
         boxes = []
         for axes in figure.axes:
@@ -113,14 +113,14 @@ def _mark(process: psutil.Process) -> str | None:
 @pytest.mark.parametrize(("arms", "has_cart", "ticks"), [(1, True, 50), (2, False, 50), (3, True, 50), (2, True, 1)])
 def test_other_shapes_are_drawn_too(tmp_path: Path, arms: int, has_cart: bool, ticks: int) -> None:
     log = bare_log(tmp_path / "run.mcap", arms=arms, has_cart=has_cart, ticks=ticks)
-    save_figure(drawing.draw(series_of(log)), tmp_path / "run.png")
+    save_figure(draw(series_of(log)), tmp_path / "run.png")
     assert _share_set(tmp_path / "run.png") > PIXELS_SET / 4
 
 
 def test_a_picture_that_cannot_be_written_is_an_input_error(run: RunView, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="cannot write"):
-        save_figure(drawing.draw(run), tmp_path / "file" / "run.png")
+        save_figure(draw(run), tmp_path / "file" / "run.png")
 
 
 def test_thinned_curves_keep_every_peak(run: RunView) -> None:
@@ -142,5 +142,5 @@ def test_a_run_that_went_wrong_beyond_numbers_is_still_shown(tmp_path: Path) -> 
         bad = replace(made, estimate=estimate, truth=truth, control=control)
         view = replace(view_of(tmp_path / "run.mcap", bad), energy=truth[:, 0])
         write_recording(view, tmp_path / "run.rrd")
-        save_figure(drawing.draw(view), tmp_path / "run.png")
+        save_figure(draw(view), tmp_path / "run.png")
         assert _share_set(tmp_path / "run.png") > PIXELS_SET

@@ -12,8 +12,8 @@ from synthetic_run import RATE, synthetic_run, view_of, write_log
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
 from dpcontrol.review.motion import ACTUAL, RunView, series_of
-from dpcontrol.review.recording import write_recording
-from dpcontrol.review.viewer import open_viewer, viewer_program
+from dpcontrol.review.picture import open_viewer, viewer_program
+from dpcontrol.review.rerun_recording import write_recording
 
 ACCELERATION = 1e-9  # m/s²: velocities of 1 m/s differ by rounding, over 1 ms
 
@@ -121,7 +121,7 @@ def test_a_viewer_for_no_recording_is_an_input_error(tmp_path: Path) -> None:
 
 def test_logs_and_contexts_are_imported_without_the_viewer_or_matplotlib() -> None:
     program = (
-        "import sys, dpcontrol.logs, dpcontrol.review.context, dpcontrol.review.picture\n"
+        "import sys, dpcontrol.logs, dpcontrol.review.motion, dpcontrol.review.picture\n"
         "assert not {'rerun', 'matplotlib'} & sys.modules.keys()\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=60)

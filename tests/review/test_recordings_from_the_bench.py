@@ -8,11 +8,10 @@ import pytest
 from synthetic_run import ARM_LENGTHS, synthetic_run, write_log
 
 from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
-from dpcontrol.review import drawing
 from dpcontrol.review.motion import series_of
 from dpcontrol.review.of_log import run_view
-from dpcontrol.review.panel_frame import curve
-from dpcontrol.review.recording import write_recording
+from dpcontrol.review.page import curve, draw
+from dpcontrol.review.rerun_recording import write_recording
 from dpcontrol.review.series import mode_spans
 
 RATE_ERROR = 0.02
@@ -41,7 +40,7 @@ def test_what_was_not_logged_is_not_shown(bench: RunLog) -> None:
     view = series_of(bench)
     for part in (view.reference, view.estimate, view.error, view.sigma, view.control, view.nis):
         assert part is None
-    titles = [axes.get_title(loc="left") for axes in drawing.draw(run_view(bench)).axes]
+    titles = [axes.get_title(loc="left") for axes in draw(run_view(bench)).axes]
     assert [title for title in titles if title] == [
         "Angles from hanging (rad)",
         "Rates (rad/s), by differences",

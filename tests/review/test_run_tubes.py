@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from dpcontrol.dynamics.chain import pendulum_system
-from dpcontrol.review.run_tubes import tubes_of
+from dpcontrol.review.of_log import tubes_of
 from dpcontrol.scenes.model import load_model
 
 CHORD = 0.2  # rad, a rad/s counting a fifth: a hundredth of the picture's width

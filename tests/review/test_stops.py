@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dpcontrol.review.stops import Visit, decode_stops, section_crossings, settled_ticks, without_detours
+from dpcontrol.review.score import Visit, decode_stops, section_crossings, settled_ticks, without_detours
 
 A, B, C, D = (0.0, np.pi), (2 * np.pi, np.pi), (0.0, 3 * np.pi), (np.pi, 0.0)
 

@@ -9,11 +9,9 @@ from synthetic_run import ARM_LENGTHS, synthetic_run, view_of, write_log
 
 from dpcontrol.logs import LogWriter, read_log, recover
 from dpcontrol.recordings.recording import REPLAYED
-from dpcontrol.review import drawing
-from dpcontrol.review.context import PlanView
-from dpcontrol.review.film import film_times
-from dpcontrol.review.motion import series_of
+from dpcontrol.review.motion import PlanView, series_of
 from dpcontrol.review.of_log import run_view
+from dpcontrol.review.page import draw, film_times
 from dpcontrol.review.score import Score
 
 
@@ -48,10 +46,10 @@ def test_a_replay_is_judged_as_a_prediction_not_as_tracking(tmp_path: Path) -> N
         with LogWriter(path, arm_lengths=ARM_LENGTHS, rate_hz=1000.0, metadata={"kind": kind}) as log:
             log.ticks(run.time, measured=run.measured, estimate=run.estimate, reference=run.reference)
         read = read_log(path)
-        errors = [t for t in left_titles(drawing.draw(run_view(read))) if "error" in t]
+        errors = [t for t in left_titles(draw(run_view(read))) if "error" in t]
         assert [title.split(":")[0] for title in errors] == [name]
         assert series_of(read).error_name == name
-        figure = drawing.draw(run_view(read))
+        figure = draw(run_view(read))
         figure.canvas.draw()
         for axes in figure.axes:
             legend = axes.get_legend()
@@ -80,7 +78,7 @@ def test_what_came_before_an_estimate_was_lost_stays_visible(tmp_path: Path) -> 
     nis[-400:] = 1e5
     lost = replace(view, nis=nis)
     for case, least in ((view, 0.3), (lost, 0.05)):
-        figure = drawing.draw(case)
+        figure = draw(case)
         figure.canvas.draw()
         (axes,) = [axes for axes in figure.axes if axes.get_title(loc="left").startswith("NIS")]
         box = axes.get_window_extent()
@@ -97,7 +95,7 @@ def test_labels_of_an_angle_tell_its_ticks_apart(tmp_path: Path, span: float) ->
     held = np.pi + span * (run.truth[:, :2] - run.truth[:, :2].min()) / np.ptp(run.truth[:, :2])
     still = replace(run, truth=np.column_stack([held, run.truth[:, 2:]]))
     view = view_of(tmp_path / "run.mcap", still)
-    figure = drawing.draw(replace(view, plan=replace(view.plan, orbits=())))
+    figure = draw(replace(view, plan=replace(view.plan, orbits=())))
     figure.canvas.draw()
     for axes in figure.axes:
         title = axes.get_title(loc="left")

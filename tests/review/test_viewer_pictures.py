@@ -13,17 +13,13 @@ from matplotlib.image import imread
 from synthetic_run import ARM_LENGTHS, synthetic_run, view_of
 
 from dpcontrol.logs import LogWriter, read_log
-from dpcontrol.references.reference import Reference
-from dpcontrol.references.summary import summarised
-from dpcontrol.review import viewer
-from dpcontrol.review.atlas_recording import write_atlas_recording
-from dpcontrol.review.comparison import compare
-from dpcontrol.review.comparison_recording import write_comparison_recording
-from dpcontrol.review.context import Stay
-from dpcontrol.review.motion import RunView
-from dpcontrol.review.of_log import run_view
-from dpcontrol.review.of_reference import reference_view
-from dpcontrol.review.recording import write_recording
+from dpcontrol.references.reference import Reference, summarised
+from dpcontrol.review.atlas import write_atlas_recording
+from dpcontrol.review.comparison import compare, write_comparison_recording
+from dpcontrol.review.motion import RunView, Stay
+from dpcontrol.review.of_log import reference_view, run_view
+from dpcontrol.review.picture import missing_renderer, picture_of
+from dpcontrol.review.rerun_recording import write_recording
 from dpcontrol.scenes.atlas import AtlasSettings, make_atlas
 from dpcontrol.scenes.model import load_model
 from dpcontrol.walks.atlas import Atlas
@@ -31,7 +27,7 @@ from dpcontrol.walks.atlas import Atlas
 SEEN = 0.02
 """Least share of pixels that differ from the corner's: the viewer without data shows less."""
 
-pytestmark = pytest.mark.skipif(viewer.missing_renderer() is not None, reason=str(viewer.missing_renderer()))
+pytestmark = pytest.mark.skipif(missing_renderer() is not None, reason=str(missing_renderer()))
 
 
 def logged(folder: Path, name: str, *, good: bool) -> RunView:
@@ -45,7 +41,7 @@ def logged(folder: Path, name: str, *, good: bool) -> RunView:
 
 def shown(write: Callable[[Path], None], folder: Path) -> None:
     """Take a picture and see that there is something in it, and that the viewer had nothing to say against it."""
-    assert viewer.picture_of(write, folder / "picture.png", moment=1.0) is None
+    assert picture_of(write, folder / "picture.png", moment=1.0) is None
     pixels = imread(folder / "picture.png")[..., :3]
     assert float((np.abs(pixels - pixels[0, 0]).max(axis=-1) > 0.1).mean()) > SEEN
 

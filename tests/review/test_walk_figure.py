@@ -10,10 +10,18 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.review.panel_frame import save_figure
-from dpcontrol.review.walk_figure import FILM_SYMBOLS, draw_walk, film_shape
-from dpcontrol.review.walk_space import LIFTED_TURNS, is_lifted
-from dpcontrol.review.walk_story import NEAR, WalkStory, symbol_text, symbol_words
+from dpcontrol.review.page import save_figure
+from dpcontrol.review.walks import (
+    FILM_SYMBOLS,
+    LIFTED_TURNS,
+    NEAR,
+    WalkStory,
+    draw_walk,
+    film_shape,
+    is_lifted,
+    symbol_text,
+    symbol_words,
+)
 from dpcontrol.scenes.model import load_model
 from dpcontrol.walks.edges import Edges, find_edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver

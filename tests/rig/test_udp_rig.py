@@ -18,8 +18,7 @@ from shadowing_stand_in import LAB, StandIn
 from dpcontrol.control.tracking import tracking_controller
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.loop import LoopSettings, control_loop, sampled_model
-from dpcontrol.loop.result import Ending
-from dpcontrol.loop.rig import Reading
+from dpcontrol.loop.result import Ending, Reading
 from dpcontrol.references.reference import Reference
 from dpcontrol.rig import packets as packets
 from dpcontrol.rig.bench import BenchProcess, BenchRecipe, BenchServerSettings, UdpBench

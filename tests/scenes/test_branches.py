@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from dpcontrol.scenes import branches
-from dpcontrol.scenes.branches import make_branches
+from dpcontrol.scenes import atlas as branches
+from dpcontrol.scenes.atlas import make_branches
 from dpcontrol.scenes.model import load_model
 
 FOLD = (-0.1425, -0.1400)  # J: about the first saddle-node of Down-Up's homoclinics

@@ -9,7 +9,7 @@ import pytest
 from dpcontrol.dynamics.ratios import base_ratios
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.identify import Identification, IdentificationSettings, identify
-from dpcontrol.recordings.simulated import simulated_recording
+from dpcontrol.recordings.recording import simulated_recording
 from dpcontrol.scenes.model import load_model, write_model
 
 LAB = load_model("lab")

@@ -19,8 +19,7 @@ from dpcontrol.loop.batch import can_batch
 from dpcontrol.loop.loop import loop_controller
 from dpcontrol.references.problem import state_scale
 from dpcontrol.references.trajectory import power_coefficients
-from dpcontrol.review.score import score
-from dpcontrol.review.stops import decode_run
+from dpcontrol.review.score import decode_run, score
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import Plan, make_plan, plan_key
 from dpcontrol.scenes.run import run_plan

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from dpcontrol.cli.main import main
+from dpcontrol.dynamics.compiled import to_heyoka
 from dpcontrol.dynamics.extended import ExtendedPropagator, digits, extended, pi_times
-from dpcontrol.dynamics.taylor import to_heyoka
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.scenes.model import load_model

@@ -11,8 +11,7 @@ from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.rotating import rotating_orbits
 from dpcontrol.scenes.model import load_model
 from dpcontrol.shooting.extended import RefinementSettings, refine
-from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.tubes.lap_connections import find_lap_connections
+from dpcontrol.tubes.connections import find_connections, find_lap_connections, orbits_between
 from dpcontrol.walks.shadowing import ShadowingSettings, shadow
 from dpcontrol.walks.symbols import choose, parse_symbol
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.walks.graph import connection_graph, walks
+from dpcontrol.walks.atlas import connection_graph, walks
 
 
 @pytest.fixture

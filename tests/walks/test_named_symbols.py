@@ -7,8 +7,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.walks.edges import find_edges
-from dpcontrol.walks.rotating import rotating_connections, rotating_named, rotating_names
+from dpcontrol.walks.edges import find_edges, rotating_connections, rotating_named, rotating_names
 from dpcontrol.walks.shadowing import shadow
 from dpcontrol.walks.symbols import choose, expanded, parse_symbol, parse_walk
 from dpcontrol.walks.walks import resolve, through, vertex_names, ways

@@ -8,9 +8,9 @@ from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.scenes.model import load_model
 from dpcontrol.shooting.newton import NewtonSettings
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.walks.grow import as_connection
 from dpcontrol.walks.shadowing import ShadowingSettings, shadow
 from dpcontrol.walks.symbols import choose, components, composed, parse_symbol
+from dpcontrol.walks.walks import as_connection
 
 SAME_ORBIT = 1e-10  # rad, rad/s; two solutions of one orbit with gaps of 1e-12 and a condition number of 1e3
 SAME_FLIGHT = 1e-8  # s and phase: where a slow approach passes 1e-3 is known no better than this

@@ -8,9 +8,9 @@ from dpcontrol.orbits.curve import OrbitCurve, local_manifold, rotating_vertex
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.rotating import rotating_orbits
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.lap_connections import find_lap_connections
-from dpcontrol.walks.grow import as_connection
+from dpcontrol.tubes.connections import find_lap_connections
 from dpcontrol.walks.shadowing import shadow
+from dpcontrol.walks.walks import as_connection
 
 ENERGY = -0.06985  # J: the outer arm's rotating orbit has λ = -2.74, and Down-Up its Lyapunov orbit
 MULTIPLIER = -2.7436245634812297  # computed apart from this project in 113-bit arithmetic

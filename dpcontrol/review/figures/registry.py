@@ -9,33 +9,31 @@ from pathlib import Path
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file, write_whole
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.review.figures import (
-    branches,
-    families,
-    graph,
-    heteroclinics,
-    homoclinics,
-    landscape,
-    repeated,
-    three_body,
-    tubes,
-    wheels,
+from dpcontrol.review.figures.connections import (
+    draw_double,
+    draw_high,
+    draw_low,
+    draw_triple,
+    heteroclinics_page,
+    three_body_page,
+    tubes_page,
 )
+from dpcontrol.review.figures.orbits import branches_page, families_page, graph_page, landscape_page, wheels_page
 from dpcontrol.review.figures.page import Gallery, Page
 
 FIGURES: dict[str, Callable[[Gallery], Page]] = {
-    "energy-landscape": landscape.draw,
-    "families": families.draw,
-    "tubes": tubes.draw,
-    "homoclinics-low": homoclinics.draw_low,
-    "homoclinics-high": homoclinics.draw_high,
-    "heteroclinics": heteroclinics.draw,
-    "branches": branches.draw,
-    "graph": graph.draw,
-    "double-homoclinics": repeated.draw_double,
-    "triple-homoclinics": repeated.draw_triple,
-    "colour-wheels": wheels.draw,
-    "three-body": three_body.draw,
+    "energy-landscape": landscape_page,
+    "families": families_page,
+    "tubes": tubes_page,
+    "homoclinics-low": draw_low,
+    "homoclinics-high": draw_high,
+    "heteroclinics": heteroclinics_page,
+    "branches": branches_page,
+    "graph": graph_page,
+    "double-homoclinics": draw_double,
+    "triple-homoclinics": draw_triple,
+    "colour-wheels": wheels_page,
+    "three-body": three_body_page,
 }
 """In the order of the paper."""
 CAPTIONS = "captions.json"

@@ -1,0 +1,144 @@
+"""dpcontrol figures
+
+dpcontrol bench
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
+from pathlib import Path
+from textwrap import fill
+from typing import TYPE_CHECKING
+
+import click
+
+from dpcontrol.bench.run import CHARTS, GROUPS
+from dpcontrol.cli.verbs import OUTPUT, Answer, TextTable, option, verb
+from dpcontrol.foundation.progress import progress_bar
+
+if TYPE_CHECKING:
+    from dpcontrol.bench.run import Drawn
+
+
+@verb("figures", example="dpcontrol figures tubes heteroclinics --out pictures")
+@click.argument("names", nargs=-1, metavar="[NAME]...")
+@option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("figures"),
+    show_default=True,
+    group=OUTPUT,
+    help="Folder for the pictures and captions.json.",
+)
+def figures_command(*, names: tuple[str, ...], out: Path) -> Answer:
+    """Draw the paper's computational figures from atlases: each a PNG with a caption and what differs from the paper.
+
+    Names: energy-landscape, families, tubes, homoclinics-low, homoclinics-high, heteroclinics, branches, graph,
+    double-homoclinics, triple-homoclinics, colour-wheels, three-body. All are drawn where none is named. Atlases are
+    kept by content.
+    """
+    from dpcontrol.foundation.files import picked
+    from dpcontrol.review.figures.page import Gallery
+    from dpcontrol.review.figures.registry import CAPTIONS, draw_figures
+    from dpcontrol.scenes.atlas import AtlasSettings, make_atlas, make_branches
+    from dpcontrol.scenes.model import load_model
+
+    model = cache(load_model)
+    gallery = Gallery(
+        system=lambda name: model(name).system,
+        atlas=lambda name, energy, hits: make_atlas(model(name), energy, settings=AtlasSettings(hits=hits)).atlas,
+        branches=lambda name, source, target, told: make_branches(model(name), source, target, progress=told),
+    )
+    with progress_bar("figures") as progress:
+        drawn = draw_figures(names, gallery, out, progress=progress)
+    document = {
+        "figures": [{"file": str(d.file), **picked(d, "name", "caption", "differs", "seconds")} for d in drawn],
+        "captions": str(out / CAPTIONS),
+        "status": f"{len(drawn)} figures drawn",
+    }
+    lines = [
+        "\n".join([str(d.file), _paragraph(d.caption), _paragraph(f"Differs from the paper: {d.differs}")])
+        for d in drawn
+    ]
+    return Answer(document, [*lines, f"captions  {out / CAPTIONS}"])
+
+
+def _paragraph(text: str) -> str:
+    return fill(text, 110, initial_indent="  ", subsequent_indent="  ")
+
+
+def _listed(names: Iterable[str]) -> str:
+    """Return names as a paragraph that is not broken within them."""
+    return "\b\n" + fill(", ".join(names), 76, break_on_hyphens=False)
+
+
+_HELP = f"""Chart speed against accuracy, each numerical choice as a point beside its alternatives, and map failures.
+
+Charts, times being medians on one core, start-up apart, the product's default ringed:
+
+{_listed(name for name in CHARTS if name not in GROUPS["edges"])}
+
+Maps of where a method stops working, found by bisection, beside where theory has it; `edges` stands for all of them:
+
+{_listed(GROUPS["edges"])}
+
+All are drawn where none is named. What is not as it should be, a default off its front or a border that is not where it
+is predicted, is in the status; with --strict it makes the exit code 1. --against compares with an earlier drawing: the
+order on each front, times within a fifth of each other being a tie, and what each default takes, twice as much being
+slower, and errs by.
+"""
+
+
+@verb("bench", help=_HELP, example="dpcontrol bench propagation --quick --out charts")
+@click.argument("names", nargs=-1, metavar="[CHART]...")
+@click.option("--quick", is_flag=True, help="Less of the same work: all charts in three minutes.")
+@click.option(
+    "--against",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Folder of an earlier drawing, to compare fronts and defaults with.",
+)
+@click.option("--strict", is_flag=True, help="Exit with 1 where a chart has a complaint.")
+@option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("charts"),
+    show_default=True,
+    group=OUTPUT,
+    help="Folder for each chart's NAME.png and NAME.json.",
+)
+def bench_command(*, names: tuple[str, ...], quick: bool, against: Path | None, strict: bool, out: Path) -> Answer:
+    """Draw the charts, print their fronts and borders."""
+    from dpcontrol.bench.chart import PrecisionChart
+    from dpcontrol.bench.run import changes, check_names, draw_charts, earlier_panels, losses
+
+    # Read before the work: the folder may be the one that is drawn to.
+    charts = [name for name in check_names(names) if name not in GROUPS["edges"]]
+    earlier = {} if against is None else {name: earlier_panels(against, name) for name in charts}
+    with progress_bar("bench") as progress:
+        drawn = draw_charts(names, out, quick=quick, progress=progress)
+    complaints = [text for d in drawn for text in d.chart.complaints]
+    status = f"{len(drawn)} charts drawn; " + ("; ".join(complaints) or "every default stands where it may")
+    if against is not None:
+        fronts = [(earlier[d.chart.name], d.chart.panels) for d in drawn if isinstance(d.chart, PrecisionChart)]
+        changed = [text for before, after in fronts for text in changes(before, after)]
+        lost = [text for before, after in fronts for text in losses(before, after)]
+        status += "; " + ("; ".join(changed) or f"the order on each front is that in {against}")
+        status += "; " + ("; ".join(lost) or "no default became slower or less accurate")
+        complaints += changed + lost
+    files = [{"file": str(d.picture), "data": str(d.data), "seconds": d.seconds} for d in drawn]
+    document = {
+        "charts": [{**d.chart.document(), **file} for d, file in zip(drawn, files, strict=True)],
+        "status": status,
+    }
+    missed = status if strict and complaints else ""
+    return Answer(document, _text(drawn) if missed else [*_text(drawn), status], missed)
+
+
+def _text(drawn: "Sequence[Drawn]") -> Iterator[str | TextTable]:
+    for d in drawn:
+        yield str(d.picture)
+        for table in d.chart.tables():
+            yield TextTable(table.title, table.columns, table.rows)
+            yield from (f"  {note}" for note in table.notes)
+        yield from (f"  {line}" for line in d.chart.reading)
+        yield fill(f"Chosen: {d.chart.chosen}", 110, initial_indent="  ", subsequent_indent="  ")
+        yield f"  {d.data}, {d.seconds:.0f} s"

@@ -1,0 +1,338 @@
+"""dpcontrol connect
+
+dpcontrol bifurcations
+
+dpcontrol atlas
+"""
+
+import difflib
+import shutil
+from collections.abc import Iterator
+from decimal import Decimal
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from dpcontrol.cli.verbs import (
+    Answer,
+    DecimalNumber,
+    Hits,
+    TextTable,
+    extended_text,
+    file_option,
+    multiplier_text,
+    option,
+    verb,
+)
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.progress import progress_bar
+
+if TYPE_CHECKING:
+    from dpcontrol.bifurcations.bifurcations import BifurcationSearch
+    from dpcontrol.scenes.model import Model
+    from dpcontrol.tubes.connection import Connection
+    from dpcontrol.tubes.connections import ConnectionSearch
+    from dpcontrol.walks.atlas import Atlas
+
+SEARCH, RESULT = "Search", "Result"
+SHOWN = 8
+"""Open ends of cuts that are printed for people: tubes that scatter have hundreds."""
+
+
+@verb("connect", example="dpcontrol connect lab --from down-up --to up-down --energy 0.2")
+@click.argument("model")
+@click.option("--from", "source", required=True, help="Saddle whose orbit the connection leaves.")
+@click.option("--to", "target", required=True, help="Saddle whose orbit it joins.")
+@click.option("--energy", required=True, type=DecimalNumber(), help="Energy in J, zero at the pivot's height.")
+@option(
+    "--hits",
+    type=Hits(),
+    group=SEARCH,
+    help="Which crossings of the section count: the k-th of both tubes, or N,M for the unstable and the stable one. "
+    "[default: 1, or what --name says]",
+)
+@option(
+    "--section",
+    "section_name",
+    metavar="NAME",
+    group=SEARCH,
+    help="Search on this section: outer-down (θ₂ = 2πk), inner-down (θ₁ = 2πk), aligned (θ₁ = θ₂ + 2πk); three-body: "
+    "opposite, between. [default: the saddles' own]",
+)
+@option(
+    "--longest",
+    type=click.FloatRange(min=0, min_open=True),
+    metavar="PERIODS",
+    group=SEARCH,
+    help="Time that trajectories are given to the section, in periods of their orbit. Tubes that scatter are "
+    "resolved when it is short. [default: the model's, 12 for pendulums]",
+)
+@option("--name", group=RESULT, help="Show this connection only; names are those that the verb lists.")
+@option(
+    "--precision",
+    type=click.Choice(["double", "extended"]),
+    default="double",
+    show_default=True,
+    group=RESULT,
+    help="extended: refine the connection named by --name in 113-bit arithmetic.",
+)
+def connect_command(
+    *,
+    model: str,
+    source: str,
+    target: str,
+    energy: Decimal,
+    hits: tuple[int, int] | None,
+    section_name: str | None,
+    longest: float | None,
+    name: str | None,
+    precision: str,
+) -> Answer:
+    """Find every connection between the Lyapunov orbits of two saddles (or one) that meets their section at given hits.
+
+    All connections on the torus of angles are listed: both senses, mirror pairs and reflections. A connection's name
+    may stand in an itinerary's walk. Exits with 1 if the list may be incomplete.
+
+    On another --section other connections come first: homoclinics that pass by the other saddle's side cross "aligned"
+    and cross back, and so are found there at --hits 1,2.
+    """
+    from dpcontrol.scenes.model import load_model
+    from dpcontrol.tubes.connection import searched_at
+    from dpcontrol.tubes.connections import find_connections, orbits_between
+    from dpcontrol.tubes.cut import CutSettings
+    from dpcontrol.tubes.intersections import ConnectionSettings
+
+    if precision == "extended" and name is None:
+        raise InputError("--precision extended refines one connection: give its --name as `dpcontrol connect` lists it")
+    named_hits, named_section = searched_at(name or "") or ((1, 1), None)
+    hits = hits or named_hits
+    loaded = load_model(model)
+    settings = ConnectionSettings(cut=CutSettings(longest=longest))
+    with progress_bar("connections") as progress:
+        orbits = orbits_between(loaded.system, source, target, float(energy))
+        for orbit in orbits:
+            if not orbit.converged:
+                raise GoalMissed(f"the Lyapunov orbit about {orbit.saddle} at {energy} J: {orbit.status}")
+        section = loaded.system.section_between(source, target, section_name or named_section)
+        search = find_connections(*orbits, hits=hits, section=section, settings=settings, progress=progress)
+    found = search.connections if name is None else (_named(search, name),)
+    if precision == "extended":
+        return _extended(loaded, found[0], energy)
+    document = {
+        "count": len(found),
+        "connections": [c.document() for c in found],
+        "open_cuts": [
+            {"branch": f"{tube} {end.branch:+d}", "phase_interval": end.phase_interval, "reason": end.reason}
+            for tube, end in search.open_ends
+        ],
+        "complete": search.complete,
+        "status": search.status,
+        "energy": float(energy),
+        "from": source,
+        "to": target,
+        "hits": hits,
+        "section": section.name,
+    }
+    missed = ""
+    if name is None and not search.complete:
+        missed = f"the search between {source} and {target} is not complete: {search.status}"
+    return Answer(
+        document, _connect_text(f"{source} → {target} at {energy} J on {section.name}", found, search), missed
+    )
+
+
+def _connect_text(title: str, found: "tuple[Connection, ...]", search: "ConnectionSearch") -> Iterator[str | TextTable]:
+    rows = [
+        (
+            c.name,
+            f"{c.sense:+d}",
+            "yes" if c.symmetric else "pair",
+            f"{c.transversality_angle:.3f}",
+            f"{c.residual:.0e}",
+            f"{c.time_out:.4f}",
+            f"{c.time_in:.4f}",
+        )
+        for c in found
+    ]
+    yield TextTable(title, ("name", "sense", "symmetric", "angle (°)", "residual", "time out (s)", "time in (s)"), rows)
+    yield search.status
+    for tube, end in search.open_ends[:SHOWN]:
+        low, high = end.phase_interval
+        yield f"open: {tube} tube, branch {end.branch:+d}, phase {low:.6f} … {high:.6f}: {end.reason}"
+    if len(search.open_ends) > SHOWN:
+        yield f"… and {len(search.open_ends) - SHOWN} more open ends, which --json lists"
+
+
+def _named(search: "ConnectionSearch", name: str) -> "Connection":
+    names = [c.name for c in search.connections]
+    if name in names:
+        return search.connections[names.index(name)]
+    if not names:
+        raise InputError(f"there is no connection {name!r}: the search found none ({search.status})")
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.3)
+    hint = f"did you mean {close[0]!r}?" if close else f"names look like {names[0]!r}"
+    raise InputError(f"there is no connection {name!r} among the {len(names)} found; {hint} (quote it in a shell)")
+
+
+def _extended(model: "Model", connection: "Connection", energy: Decimal) -> Answer:
+    """Refine one connection in extended precision."""
+    from dpcontrol.shooting.extended import refine
+
+    with progress_bar("refining in 113-bit arithmetic"):
+        refined = refine(connection.solution, energy=energy, parameters=model.exact_parameters)
+    if not refined.converged:
+        raise GoalMissed(f"{connection.name} in extended precision: {refined.status}")
+    residual = f"{float(refined.residual):.3e}"
+    ends = dict(zip((connection.source.saddle, connection.target.saddle), refined.ends, strict=True))
+    own = {"state": refined.digits, "residual": residual, "precision": "extended"}
+    one = {**connection.document(), **own}
+    document = {
+        **one,
+        "count": 1,
+        "connections": [one],
+        "state_double": connection.state,
+        "residual_double": connection.residual,
+        "correction": refined.correction,
+        "orbits": [
+            {
+                "saddle": saddle,
+                "state": end.digits,
+                "period": str(end.duration),
+                "residual": f"{float(end.residual):.3e}",
+            }
+            for saddle, end in ends.items()
+        ],
+        "energy": str(energy),
+        "from": connection.source.saddle,
+        "to": connection.target.saddle,
+        "status": refined.status,
+    }
+    lines = [
+        f"{connection.name} at {energy} J in 113-bit arithmetic: {refined.status}",
+        *extended_text(refined.digits, "  "),
+        f"  residual {residual} (largest gap between segments, in their units)",
+    ]
+    return Answer(document, lines)
+
+
+@verb("bifurcations", example="dpcontrol bifurcations lab --from down-up --to down-up --energies -0.11 -0.09")
+@click.argument("model")
+@click.option("--from", "source", required=True, help="Saddle whose orbit the connections leave.")
+@click.option("--to", "target", required=True, help="Saddle whose orbit they join.")
+@click.option("--energies", required=True, type=float, nargs=2, metavar="LO HI", help="Range of energies in J.")
+@click.option(
+    "--hits", default=1, show_default=True, type=click.IntRange(1), help="How often the connections cross the section."
+)
+@click.option("--samples", default=24, show_default=True, type=click.IntRange(2), help="Energies searched at first.")
+def bifurcations_command(
+    *, model: str, source: str, target: str, energies: tuple[float, float], hits: int, samples: int
+) -> Answer:
+    """Find the energies at which connections appear, vanish or split, and those at which they only seem to.
+
+    saddle-node: two connections meet and vanish. pitchfork: a symmetric connection sheds a mirror pair.
+    section-artefact: the connection goes on, but an earlier crossing of the section is born or lost, so that its number
+    of hits changes. Every change of the count is explained by such events, or reported.
+    Where trajectories scatter before they arrive, connections accumulate without end: counts are lower bounds there.
+    """
+    from dpcontrol.bifurcations.bifurcations import find_bifurcations
+    from dpcontrol.bifurcations.sweep import SweepSettings
+    from dpcontrol.scenes.model import load_model
+
+    system, settings = load_model(model).system, SweepSettings(energies=samples)
+    with progress_bar("bifurcations") as progress:
+        found = find_bifurcations(
+            system, source, target, energies=energies, crossings=hits, settings=settings, progress=progress
+        )
+    missed = f"not every change of the count was located: {found.status}" if found.unexplained else ""
+    return Answer({**found.document(), "energies": energies}, _bifurcations_text(found), missed)
+
+
+def _bifurcations_text(found: "BifurcationSearch") -> Iterator[str | TextTable]:
+    rows = [
+        (
+            f"{e.energy:.10f}",
+            e.kind,
+            f"{'at least ' if e.at_least else ''}{e.count_below} → {e.count_above}",
+            "yes" if e.symmetric else "pair",
+            ", ".join(str(k) for k in e.winding),
+            f"{e.residual:.0e}",
+            "  ".join(f"{v:.6f}" for v in e.state),
+        )
+        for e in found.events
+    ]
+    columns = ("energy (J)", "kind", "count", "symmetric", "winding", "residual", "state (rad, rad/s)")
+    title = f"{found.source} → {found.target}, {found.crossings} crossing(s) of {found.section.name}"
+    yield TextTable(title, columns, rows)
+    yield found.status
+
+
+@verb("atlas", example="dpcontrol atlas lab --energy 0.2", note="then: dpcontrol review FILE")
+@click.argument("model")
+@click.option("--energy", required=True, type=float, help="Energy in J, zero at the pivot's height.")
+@click.option(
+    "--hits",
+    type=Hits(),
+    help="Which crossings of the section count: the k-th of both tubes, or N,M for the unstable and the stable one. "
+    "[default: for each kind the first at which they meet, up to 2]",
+)
+@click.option("--fresh", is_flag=True, help="Compute anew even if the atlas is cached.")
+@file_option("--out", suffix=".npz", help="Also write the atlas to this .npz.")
+def atlas_command(*, model: str, energy: float, hits: tuple[int, int] | None, fresh: bool, out: Path | None) -> Answer:
+    """Compute all of one energy: every Lyapunov orbit, their tubes, every connection between them, rotating orbits.
+
+    The atlas is one file (orbits, cuts, connections with their flights), kept by content: it is computed once. Look at
+    it with `dpcontrol review FILE`. Exits with 1 if the list of connections may be incomplete.
+    """
+    from dpcontrol.foundation.files import whole_file
+    from dpcontrol.scenes.atlas import AtlasSettings, make_atlas
+    from dpcontrol.scenes.model import load_model
+
+    with progress_bar("atlas") as progress:
+        found = make_atlas(load_model(model), energy, settings=AtlasSettings(hits=hits), fresh=fresh, progress=progress)
+    atlas, file = found.atlas, found.file
+    if out is not None:
+        with whole_file(out, suffix=".npz") as temporary:
+            shutil.copyfile(file, temporary)
+        file = out
+    missed = "" if atlas.complete else f"the atlas of {model} at {energy:g} J is not complete: {atlas.status}"
+    document = {**atlas.document(), "file": str(file), "cached": found.cached}
+    return Answer(document, [*_atlas_text(atlas), f"file  {file}{' (cached)' if found.cached else ''}"], missed)
+
+
+def _atlas_text(atlas: "Atlas") -> Iterator[str | TextTable]:
+    yield TextTable(
+        f"{atlas.model} at {atlas.energy:g} J: Lyapunov orbits",
+        ("about", "period (s)", "multiplier", "closure"),
+        [
+            (o.name, f"{o.period:.12g}", f"{o.floquet_multipliers[0].real:.10g}", f"{o.residual:.0e}")
+            for o in atlas.orbits
+        ],
+    )
+    if atlas.rotating_orbits:
+        yield TextTable(
+            "orbits that turn one arm forward",
+            ("arm", "period (s)", "stability", "multipliers", "closure"),
+            [
+                (
+                    ("inner", "outer")[o.arm - 1],
+                    f"{o.period:.12g}",
+                    o.kind,
+                    "  ".join(multiplier_text(m, 8) for m in o.floquet_multipliers),
+                    f"{o.residual:.0e}",
+                )
+                for o in atlas.rotating_orbits
+            ],
+        )
+    rows = [
+        (f"{k.source} → {k.target}", k.section, f"{k.hits[0]}, {k.hits[1]}", str(k.count),
+         "closed" if k.complete else "open")
+        for k in atlas.kinds
+    ]  # fmt: skip
+    yield TextTable("connections", ("from → to", "section", "hits", "count", "cuts"), rows)
+    for c in atlas.connections:
+        symmetric = ", symmetric" if c.symmetric else ""
+        yield f"  {c.name}   {c.transversality_angle:.2f}°, residual {c.residual:.0e}{symmetric}"
+    yield atlas.status
+    seconds = ", ".join(f"{name} {value:.2f} s" for name, value in atlas.seconds.items())
+    yield f"{seconds} (when it was made)"

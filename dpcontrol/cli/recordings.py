@@ -1,0 +1,285 @@
+"""dpcontrol import
+
+dpcontrol identify
+
+dpcontrol replay
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from dpcontrol.cli.verbs import Answer, TextTable, drawn_to, file_option, option, verb
+from dpcontrol.foundation.progress import progress_bar
+
+if TYPE_CHECKING:
+    from dpcontrol.identification.design import Design
+    from dpcontrol.identification.identify import Identification
+    from dpcontrol.identification.replay import Replay
+    from dpcontrol.recordings.recording import Recording
+
+SIMULATED = "With --simulated"
+
+
+@verb("import", example="dpcontrol import swing.csv --mapping my-rig.toml --repair nan,gaps")
+@click.argument("file", required=False, type=click.Path(path_type=Path))
+@click.option("--mapping", help="Meaning of the columns: a name or a TOML file [.mat: by its contents; else table].")
+@click.option("--repair", default="", help="What may be mended, with commas: nan,time,gaps,wrap,spikes,sampling.")
+@option(
+    "--simulated",
+    metavar="MODEL",
+    group=SIMULATED,
+    help="In place of a file: free swings of this model, as encoders show them.",
+)
+@option("--swings", default=9, show_default=True, group=SIMULATED, help="Number of swings.")
+@option("--seconds", default=2.667, show_default=True, group=SIMULATED, help="Length of each swing, s.")
+@option("--seed", default=0, show_default=True, group=SIMULATED, help="Seed of the starts and the encoders' zeros.")
+@file_option("--out", help="Log to write [logs/NAME.mcap].")
+def import_command(
+    *,
+    file: Path | None,
+    mapping: str | None,
+    repair: str,
+    simulated: str | None,
+    swings: int,
+    seconds: float,
+    seed: int,
+    out: Path | None,
+) -> Answer:
+    """Import a recording of the bench, MATLAB, CSV or Parquet, as a log.
+
+    Gaps, repeated times, missing numbers, wrapped angles and columns that contradict each other are rejected with
+    their row, and mended only where --repair says so; the log notes what was. Segments count from 0, rows from 1.
+    With --simulated the truth is known: to try `identify` and `replay` on.
+    """
+    from dpcontrol.foundation.files import checked_other_file
+    from dpcontrol.recordings.importing import import_recording
+    from dpcontrol.recordings.recording import write_recording
+
+    if (file is None) == (simulated is None):
+        raise click.UsageError("give a FILE, or a model to swing with --simulated")
+    if file is not None and out is not None:
+        checked_other_file(out, file, what="the recording to import")
+    repairs = [name.strip() for name in repair.split(",") if name.strip()]
+    with progress_bar("import") as progress:
+        if file is None:
+            recording = _swings(str(simulated), swings=swings, seconds=seconds, seed=seed)
+        else:
+            recording = import_recording(file, mapping, repairs=repairs, progress=progress)
+        progress("writing", 0.7)
+        log = write_recording(recording, out or Path("logs") / f"{recording.name}.mcap")
+    document = {"log": str(log), "source": str(file or recording.source), **_document(recording)}
+    return Answer(document, _import_text(recording, document))
+
+
+def _swings(model: str, *, swings: int, seconds: float, seed: int) -> "Recording":
+    from dpcontrol.recordings.recording import random_swings
+    from dpcontrol.scenes.model import load_model
+
+    loaded = load_model(model)
+    return random_swings(loaded.arms, swings=swings, seconds=seconds, seed=seed, name=f"{loaded.name}-swings-{seed}")
+
+
+def _document(recording: "Recording") -> dict[str, Any]:
+    segments = [
+        {
+            "index": index,
+            "start": float(recording.time[first]),
+            "samples": end - first,
+            "duration": float(recording.time[end - 1] - recording.time[first]),
+        }
+        for index, (first, end) in enumerate(recording.segments)
+    ]
+    return {
+        "arms": recording.arms,
+        "samples": len(recording.time),
+        "sampling_period": recording.dt,
+        "duration": sum(segment["duration"] for segment in segments),
+        "rates": recording.rates is not None,
+        "cart": recording.cart is not None,
+        "segments": segments,
+        "notes": recording.notes,
+    }
+
+
+def _import_text(recording: "Recording", document: dict[str, Any]) -> Iterator[str]:
+    yield document["log"]
+    arms = "1 arm" if recording.arms == 1 else f"{recording.arms} arms"
+    segments = len(recording.segments)
+    count = "1 segment" if segments == 1 else f"{segments} segments"
+    rate = f"{1 / recording.dt:g} Hz; {len(recording.time)} samples"
+    yield f"  {arms}, {count}, {document['duration']:.3f} s at {rate}"
+    for part, there in (("rates", recording.rates), ("cart", recording.cart), ("command", recording.command)):
+        yield f"  {part:<8} {'recorded' if there is not None else 'none'}"
+    for note in recording.notes:
+        yield f"  mended   {note}"
+
+
+@verb("identify", example="dpcontrol identify logs/lab_free_swing.mcap --model lab --out models/rig.toml")
+@click.argument("logs", nargs=-1, type=click.Path(path_type=Path))
+@click.option("--model", default="lab", show_default=True, help="Model to start from: a name or a TOML file.")
+@click.option("--zeros/--no-zeros", default=None, help="Fit the encoders' zeros or not [by the segments left out].")
+@click.option("--design", is_flag=True, help="Instead, report which swings would tell most about the model.")
+@file_option("--out", suffix=".toml", help="Model to write [models/NAME.toml].")
+@file_option("--picture", suffix=".png", help="Draw the result to this PNG.")
+def identify_command(
+    *, logs: tuple[Path, ...], model: str, zeros: bool | None, design: bool, out: Path | None, picture: Path | None
+) -> Answer:
+    """Identify a model from LOGS that `dpcontrol import` wrote: inertia ratios, friction laws, encoder zeros.
+
+    Every third segment is left out, and the friction laws are chosen by how well these are predicted. With --design no
+    log is needed.
+    """
+    if design:
+        if logs:
+            raise click.UsageError("--design needs no logs: it compares swings that could be recorded")
+        return _design(model, picture)
+    if not logs:
+        raise click.UsageError("give at least one log that `dpcontrol import` wrote")
+    from dpcontrol.identification.identify import IdentificationSettings, identify
+    from dpcontrol.recordings.recording import load_recording
+    from dpcontrol.scenes.model import load_model, write_model
+
+    start = load_model(model)
+    recordings = [load_recording(path) for path in logs]
+    target = out or Path("models") / f"{logs[0].stem}.toml"
+    settings = IdentificationSettings(zeros={None: "chosen", True: "free", False: "none"}[zeros])
+    with progress_bar("identify") as progress:
+        found = identify(recordings, start.arms, settings=settings, progress=progress)
+        title = f"{start.title}, identified from {', '.join(r.name for r in recordings)}"
+        write_model(found, target, title=title, logs=[path.name for path in logs], starting_model=start.name)
+        if picture is not None:
+            from dpcontrol.identification.identify import profiles
+            from dpcontrol.review.identification import draw_identification
+            from dpcontrol.review.page import save_figure
+
+            save_figure(draw_identification(found, profiles(found, progress=progress), title=title), picture)
+    document = {**found.document(), "file": str(target), "picture": None if picture is None else str(picture)}
+    return Answer(document, _identify_text(found, target, picture))
+
+
+def _identify_text(found: "Identification", target: Path, picture: Path | None) -> Iterator[str | TextTable]:
+    import numpy as np
+
+    def errors(name: str, rms: "np.ndarray", note: str = "") -> tuple[str, ...]:
+        return (name, *(f"{1e3 * value:.3f}" for value in (np.sqrt((rms**2).mean()), np.median(rms), rms.max())), note)
+
+    candidates = [
+        errors(" + ".join(c.terms), c.left_out, "chosen" if k == found.chosen else "")
+        for k, c in enumerate(found.candidates)
+    ]
+    left = sum(not s.used for s in found.segments)
+    yield TextTable(
+        f"Error on {left} of {len(found.segments)} segments, left out",
+        ("terms", "rms (mrad)", "median", "worst", ""),
+        [errors("the starting model", found.started_at), *candidates],
+    )
+    numbers = [
+        (name, f"{value:.9g}", f"{error:.2g}")
+        for name, value, error in zip(found.names, found.values, found.errors, strict=True)
+    ]
+    yield TextTable("Ratios in SI units, zeros in rad", ("name", "value", "standard error"), numbers)
+    yield "Not determined:"
+    yield from (f"  {sentence}" for sentence in found.undetermined)
+    yield from (found.status, str(target), *drawn_to(picture))
+
+
+def _design(model: str, picture: Path | None) -> Answer:
+    """Compare experiments by what they tell."""
+    from dpcontrol.identification.design import design_experiments
+    from dpcontrol.scenes.model import load_model
+
+    start = load_model(model)
+    with progress_bar("design") as progress:
+        design = design_experiments(start.arms, progress=progress)
+        if picture is not None:
+            from dpcontrol.review.identification import draw_design
+            from dpcontrol.review.page import save_figure
+
+            save_figure(draw_design(design, title=start.title), picture)
+    document = {**design.document(), "picture": None if picture is None else str(picture)}
+    return Answer(document, _design_text(design, picture))
+
+
+def _design_text(design: "Design", picture: Path | None) -> Iterator[str | TextTable]:
+    rows = [(e.text, f"{e.information:.2f}", f"{e.amplification:.3g}") for e in design.ranked()[:8]]
+    yield TextTable("Most informative experiments", ("experiment", "information", "error growth"), rows)
+    first, second = design.best_pair()
+    yield f"best pair: {first.text}; {second.text}"
+    yield from (design.status, *drawn_to(picture))
+
+
+ESTIMATOR = "Estimator"
+
+
+@verb("replay", example="dpcontrol replay logs/lab_free_swing.mcap --model lab --estimator ukf")
+@click.argument("log", type=click.Path(path_type=Path))
+@click.option("--model", default="lab", show_default=True, help="Model that predicts: a name or a path.")
+@click.option("--ahead", default=100, show_default=True, help="Samples ahead of the estimate for the n-step error.")
+@click.option("--span", type=float, help="Longest stretch predicted in one piece, s [5; 0.5 if the cart moved].")
+@option("--estimator", default="ekf", show_default=True, group=ESTIMATOR, help="Kind of estimator: ekf, ukf.")
+@option("--counts", default=40_000, show_default=True, group=ESTIMATOR, help="Encoder counts per turn: assumed noise.")
+@option("--mean-over", type=float, group=ESTIMATOR, help="Length of its means, s [0.015; 0 if the cart moved].")
+@option("--model-error", default=0.003, show_default=True, group=ESTIMATOR, help="Relative error of the accelerations.")
+@file_option("--out", help="Log to write [logs/NAME-replay.mcap].")
+def replay_command(
+    *,
+    log: Path,
+    model: str,
+    ahead: int,
+    span: float | None,
+    estimator: str,
+    counts: int,
+    mean_over: float | None,
+    model_error: float,
+    out: Path | None,
+) -> Answer:
+    """Predict a recording by a model, run an estimator over its angles, and write both beside what was measured.
+
+    Each segment is predicted in one piece from the initial state that fits it best. The log has the prediction as its
+    reference: `dpcontrol review` shows both together. Where the cart moved, as in a log of `dpcontrol run`, its command
+    or its recorded motion is the model's input. Encoder zeros given in the model's file are subtracted.
+    """
+    from dpcontrol.foundation.files import checked_other_file
+    from dpcontrol.identification.replay import ReplaySettings, filter_settings, replay_recording, write_replay
+    from dpcontrol.recordings.recording import load_recording
+    from dpcontrol.scenes.model import load_model
+
+    target = out or Path("logs") / f"{log.stem}-replay.mcap"
+    checked_other_file(target, log, what="the log to replay")
+    settings = ReplaySettings(counts=counts, mean_over=mean_over, ahead=ahead, span=span)
+    filters = filter_settings(estimator, model_error=model_error)
+    loaded, recording = load_model(model), load_recording(log)
+    with progress_bar("replay") as progress:
+        result = replay_recording(
+            recording, loaded.arms, filters, settings, zeros=loaded.encoder_zeros, progress=progress
+        )
+        written = write_replay(result, target, model=loaded.name, model_text=loaded.text)
+    document = {"log": str(written), "model": loaded.name, "estimator": estimator, **result.document()}
+    missed = "" if all(fit.converged for fit in result.fits) else result.status
+    return Answer(document, _replay_text(result, loaded.name, written), missed)
+
+
+def _replay_text(result: "Replay", model: str, written: Path) -> Iterator[str | TextTable]:
+    arms = range(1, result.recording.arms + 1)
+    columns = ("segment", "start (s)", *(f"angle {i} (mrad)" for i in arms), "all (mrad)")
+    rows = [
+        (
+            str(one["index"]),
+            f"{one['start']:.3f}",
+            *(f"{1e3 * one[f'rms_angle_{i}']:.2f}" for i in arms),
+            f"{1e3 * one['rms']:.2f}",
+        )
+        for one in result.stretch_errors
+    ]
+    yield TextTable(f"{model} over {result.recording.name}: rms of whole segments", columns, rows)
+    if result.cart:
+        yield f"  cart      moved by {result.cart}"
+    for samples, rms in result.ahead.items():
+        yield f"  {samples} ahead   {', '.join(f'{1e3 * value:.3f}' for value in rms)} mrad rms from the estimate"
+    if result.rates_rms is not None:
+        yield f"  rates     {', '.join(f'{value:.3f}' for value in result.rates_rms)} rad/s rms from those recorded"
+    yield f"  NIS       {result.nis_inside_95:.1%} inside its 95 % band, {result.nis_below_95:.1%} below its top"
+    yield str(written)

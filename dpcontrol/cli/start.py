@@ -1,0 +1,121 @@
+"""dpcontrol demo
+
+dpcontrol model
+"""
+
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from dpcontrol.cli.review import score_text, shortfall
+from dpcontrol.cli.verbs import OUTPUT, Answer, TextTable, option, verb
+from dpcontrol.foundation.progress import part_of, progress_bar
+
+if TYPE_CHECKING:
+    from dpcontrol.orbits.symmetric_shooting import Equilibrium
+    from dpcontrol.scenes.model import Model
+
+
+@verb("demo", example="dpcontrol demo --itinerary cross")
+@click.option("--itinerary", default="outer-turn", show_default=True, help="Itinerary to show.")
+@click.option("--seed", default=0, show_default=True, help="Seed of the plant's parameters and the initial error.")
+@option(
+    "--folder",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("logs"),
+    show_default=True,
+    group=OUTPUT,
+    help="Where log, recording and picture go.",
+)
+def demo_command(*, itinerary: str, seed: int, folder: Path) -> Answer:
+    """Plan, run, score and picture one itinerary: a full turn of the outer arm at no cost of energy.
+
+    Everything is computed here and now: the Lyapunov orbit, its tube, the connections, the reference with friction
+    and cart, and a closed loop with encoders, an estimator and a plant that differs from the model.
+    """
+
+    began = time.perf_counter()
+    with progress_bar("demo") as progress:
+        progress("loading", 0.0)
+        from dpcontrol.review.of_log import run_view
+        from dpcontrol.review.picture import write_picture
+        from dpcontrol.review.rerun_recording import write_recording
+        from dpcontrol.scenes.itinerary import load_itinerary
+        from dpcontrol.scenes.plan import make_plan
+        from dpcontrol.scenes.run import run_plan
+        from dpcontrol.scenes.run_options import RunOptions
+
+        scene = load_itinerary(itinerary).with_run(RunOptions(), seed=seed)
+        plan = make_plan(scene, progress=part_of(progress, 0.05, 0.5))
+        log = folder / f"{scene.name}-{seed}.mcap"
+        run = run_plan(plan, log, progress=part_of(progress, 0.5, 0.75))
+        verdict, view = run.score(), run_view(run.log)
+        progress("recording", 0.8)
+        recording = log.with_suffix(".rrd")
+        write_recording(view, recording)
+        progress("picture", 0.85)
+        picture = write_picture(view, log.with_suffix(".png"))
+    seconds = time.perf_counter() - began
+    document = {
+        **verdict.document(),
+        "recording": str(recording),
+        "picture": str(picture.path),
+        "renderer": picture.renderer,
+        "seconds": seconds,
+        "status": picture.status,
+    }
+    lines = [
+        f"{scene.title}: {' '.join(repr(symbol['text']) for symbol in plan.notes['symbols'])}",
+        f"  planned: {plan.status}",
+        *score_text(verdict),
+        f"log        {log}",
+        f"recording  {recording}     (open it with `rerun {recording}`)",
+        f"picture    {picture.path}     ({picture.status})",
+        f"{seconds:.1f} s in all; next: `dpcontrol review {log}`, `dpcontrol connect --help`",
+    ]
+    return Answer(document, lines, shortfall(verdict))
+
+
+@verb(
+    "model",
+    example="dpcontrol model lab",
+    note="MODEL is a name (./models, then those shipped) or a path.",
+)
+@click.argument("model")
+def model_command(*, model: str) -> Answer:
+    """Show a model's parameters with units, and its equilibria (frictionless, pivot at rest)."""
+    from dpcontrol.foundation.files import picked
+    from dpcontrol.orbits.symmetric_shooting import equilibria
+    from dpcontrol.scenes.model import load_model
+
+    loaded = load_model(model)
+    points = equilibria(loaded.system)
+    document = {
+        "model": loaded.name,
+        "title": loaded.title,
+        "parameters": {
+            name: {"value": value, "unit": unit} for name, (value, unit) in loaded.parameters.named().items()
+        },
+        "sources": loaded.sources,
+        "equilibria": {name: picked(e, "state", "energy", "eigenvalues", "kind") for name, e in points.items()},
+    }
+    return Answer(document, _text(loaded, points))
+
+
+def _text(loaded: "Model", points: "dict[str, Equilibrium]") -> Iterator[str | TextTable]:
+    parameters = [(name, f"{value:.12g}", unit) for name, (value, unit) in loaded.parameters.named().items()]
+    yield TextTable(f"{loaded.name}: {loaded.title}", ("parameter", "value", "unit"), parameters)
+    rows = [
+        (name, f"{e.energy:+.10f}", e.kind, ", ".join(_eigenvalue(v) for v in e.eigenvalues))
+        for name, e in points.items()
+    ]
+    yield TextTable("equilibria", ("name", "energy (J)", "kind", "eigenvalues (1/s)"), rows)
+    for table, source in loaded.sources.items():
+        yield f"[{table}] {source}"
+
+
+def _eigenvalue(value: complex) -> str:
+    return f"{value.imag:+.6f}i" if abs(value.imag) > abs(value.real) else f"{value.real:+.6f}"

@@ -1,0 +1,589 @@
+"""A run, a recording or a reference on one page, drawn by matplotlib: what happened, how well, and where it went.
+
+What every page is made of: an empty figure, quiet panels with a legend above, limits, angles in units of π.
+
+Panels of a page: a chart over time, and a phase plane with orbits and tubes.
+
+Panels of a page that tell what happened: the itinerary as asked and as done, the controller, the events.
+
+The filmstrip of the drawn picture: the arms at several instants, side by side, as seen from the cart.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from textwrap import shorten, wrap
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch, Rectangle
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.files import whole_file
+from dpcontrol.review import series, style
+from dpcontrol.review.motion import RunView
+from dpcontrol.review.series import Chart, Level, Line, Plane, Range, Span, Strip, arm_points, strips, telling_rows
+
+Array = NDArray[np.float64]
+
+SMALL = 8.5
+_DPI = 110
+_BINS = 1500
+DOTTED, DASHED = (0, (2, 2)), (0, (5, 3))
+
+
+def new_figure(width: float, height: float, title: str = "") -> Figure:
+    """Return an empty white figure of a size in inches with a title."""
+    figure = Figure(figsize=(width, height), dpi=_DPI, facecolor="white")
+    FigureCanvasAgg(figure)
+    if title:
+        figure.suptitle(title, x=0.015, y=0.985, ha="left", va="top", fontsize=13, weight="bold", color=style.INK)
+    return figure
+
+
+def save_figure(figure: Figure, path: Path | str) -> None:
+    """Write a figure as PNG or PDF, by the name's suffix.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    path = Path(path)
+    kind = "pdf" if path.suffix.lower() == ".pdf" else "png"
+    with whole_file(path, suffix=f".{kind}") as temporary:
+        figure.savefig(temporary, format=kind)
+
+
+def quiet(axes: Axes, label: str = "", *, size: float = 9.5) -> None:
+    """Set a panel's title and its quiet frame and grid."""
+    if label:
+        axes.set_title(label, loc="left", fontsize=size, color=style.INK, pad=4)
+    axes.tick_params(labelsize=SMALL, colors=style.NOTE, length=2.5)
+    axes.grid(color=style.GRID, linewidth=0.7)
+    axes.set_axisbelow(True)
+    for side, spine in axes.spines.items():
+        spine.set_visible(side in ("left", "bottom"))
+        spine.set_color(style.FAINT)
+
+
+def legend(axes: Axes, entries: list[tuple[str, dict]]) -> None:
+    """Put a legend on one line above the panel, right, where it cannot cover a curve."""
+    handles = [Line2D([], [], label=label, **look) for label, look in entries]
+    axes.legend(
+        handles=handles, loc="lower right", bbox_to_anchor=(1.005, 1.0), ncols=len(handles), fontsize=SMALL,
+        frameon=False, handlelength=1.5, columnspacing=1.1, handletextpad=0.5, borderpad=0, borderaxespad=0.1,
+    )  # fmt: skip
+
+
+def angle_axis(axes: Axes, which: str, *, step: float | None = None) -> None:
+    """Tick the "x" or "y" axis in multiples of π, by `step` of them or as fits what has been drawn."""
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    if step is None:
+        low, high = axis.get_view_interval()
+        span = (high - low) / np.pi
+        step = next((s for s in (0.05, 0.1, 0.25, 0.5, 1.0, 2.0) if span / s <= 5), 4.0)
+    axis.set_major_locator(MultipleLocator(step * np.pi))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: style.in_pi(value / np.pi)))
+
+
+def label_in_pi(axis: Axis) -> None:
+    """Label an axis of half turns, with as many digits as tell its ends apart."""
+
+    def text(value: float, _: object) -> str:
+        low, high = axis.get_view_interval()
+        largest = max(abs(low), abs(high))
+        finest = np.log10(largest / (high - low)) if high > low else 0.0
+        return style.in_pi(value, digits=3 + max(0, int(np.ceil(finest))))
+
+    axis.set_major_formatter(FuncFormatter(text))
+
+
+def curve(view: RunView, time: Array, values: Array) -> tuple[Array, Array]:
+    """Return a series (K,) of a view, thinned to its peaks, with nan in its gaps so that no line crosses them."""
+    rows = telling_rows(values, bins=_BINS)
+    time, values = time[rows], values[rows]
+    if not len(view.breaks):
+        return time, values
+    gaps = (view.time[view.breaks] + view.time[view.breaks - 1]) / 2
+    places = np.searchsorted(time, gaps)
+    return np.insert(time, places, gaps), np.insert(values, places, np.nan)
+
+
+def mark_times(axes: Axes, moments: list[float]) -> None:
+    """Mark moments (s) with a dotted line."""
+    for moment in moments:
+        axes.axvline(moment, color=style.MARK, linewidth=0.9, linestyle=DOTTED, zorder=1.5)
+
+
+def limit_line(axes: Axes, value: float) -> None:
+    """Draw a limit, and shade what lies beyond, where the curves come near it."""
+    low, high = axes.get_ylim()
+    if low - 0.35 * (high - low) < value < high + 0.35 * (high - low):
+        axes.axhline(value, color=style.LIMIT, linewidth=1.1, linestyle=DASHED)
+        low, high = min(low, 1.06 * value), max(high, 1.06 * value)
+        axes.axhspan(value, 1e3 * value, color=style.LIMIT, alpha=0.08, linewidth=0)
+    axes.set_ylim(low, high)
+
+
+def say(axes: Axes, text: str) -> None:
+    """Say in a panel why it is empty."""
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", fontsize=9, color=style.NOTE)
+
+
+def badge(axes: Axes, number: int, x: float, y: float, *, size: float = 7.5) -> None:
+    """Put a symbol's number, white on a dark disc."""
+    axes.text(
+        x, y, str(number), ha="center", va="center_baseline", fontsize=size, color="white", zorder=6, clip_on=False,
+        bbox={"boxstyle": "circle,pad=0.25", "facecolor": style.INK, "edgecolor": "none"},
+    )  # fmt: skip
+
+
+def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]:
+    """Return a curve (K, D) as runs with each coordinate inside one period about zero, cut where it leaves."""
+    finite = np.array([period if period else np.inf for period in periods])
+    turns = np.where(np.isfinite(finite), np.rint(curve / finite), 0.0)
+    lengths = np.where(np.isfinite(finite), finite, 0.0)
+    breaks = np.flatnonzero((np.diff(turns, axis=0) != 0).any(axis=1)) + 1
+    runs = []
+    for start, end in zip(np.r_[0, breaks], np.r_[breaks, len(curve)], strict=True):
+        # One point beyond each end lets runs meet the frame.
+        low, high = max(start - 1, 0), min(end + 1, len(curve))
+        runs.append(curve[low:high] - turns[start] * lengths)
+    return [run for run in runs if len(run) > 1]
+
+
+_BROAD: dict[str, Any] = {"alpha": 0.3, "linewidth": 4.5}
+"""A reference, behind what follows it."""
+_UNIT = np.array([1 / np.pi, 1.0])
+
+
+def draw_chart(axes: Axes, chart: Chart, view: RunView) -> None:
+    """Draw a chart's lines, bands, levels and limits; a line of another view than `view` has no gaps."""
+    quiet(axes, chart.title)
+    axes.margins(x=0)
+    scale = 1 / np.pi if chart.half_turns else chart.scale
+    entries: dict[str, dict] = {}
+    for line in chart.lines:
+        if line.role != "detail":
+            _line(axes, line, view, scale=scale)
+        if line.label and line.role != "detail":
+            broad = line.role == "reference"
+            look = {"color": style.REFERENCE, **_BROAD, "alpha": 0.6} if broad else {"color": line.colour}
+            entries[line.label] = {"linewidth": max(line.width, 1.5), **look}
+    for first, last in chart.cut:
+        axes.axvspan(first, last, color=style.LIMIT, alpha=0.3, linewidth=0.8, zorder=0.5)
+        entries["cut"] = {"color": style.LIMIT, "linewidth": 6, "alpha": 0.3}
+    _axis(axes, chart, scale=scale)
+    ends = [scale * level.value for level in chart.levels if level.kind == "band"]
+    if ends:
+        axes.axhspan(min(ends), max(ends), color=style.MODES["holding"], alpha=0.35, linewidth=0)
+    for level in chart.levels:
+        if level.kind == "limit":
+            limit_line(axes, scale * level.value)
+        elif level.kind == "named":
+            _named_level(axes, level)
+    # The reference after what follows it.
+    legend(axes, sorted(entries.items(), key=lambda entry: "alpha" in entry[1]))
+
+
+def _line(axes: Axes, line: Line, view: RunView, *, scale: float) -> None:
+    time, values = curve(view, line.time, scale * line.values)
+    if line.role == "reference":
+        axes.plot(time, values, color=line.colour, **_BROAD)
+        return
+    faint = line.reach is not None
+    dashes = (0, (5, 1.2)) if line.dashed else "-"
+    axes.plot(
+        time, values, color=line.colour, linewidth=0.6 if faint else line.width, alpha=0.45 if faint else 1.0,
+        linestyle=dashes,
+    )  # fmt: skip
+    if line.reach is not None:
+        time, band = curve(view, line.time, scale * line.reach)
+        axes.fill_between(time, -band, band, color=line.colour, alpha=0.10, linewidth=0)
+        axes.plot(time, band, time, -band, color=line.colour, linewidth=1.1, zorder=3)
+
+
+def _axis(axes: Axes, chart: Chart, *, scale: float) -> None:
+    if chart.half_turns:
+        axes.yaxis.set_major_locator(MaxNLocator(5, integer=True))
+        label_in_pi(axes.yaxis)
+    if chart.log:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_locator(LogLocator(base=10, numticks=6))
+    elif chart.shown is not None:
+        axes.set_ylim(scale * chart.shown[0], scale * chart.shown[1])
+
+
+def _named_level(axes: Axes, level: Level) -> None:
+    low, high = axes.get_ylim()
+    if not low <= level.value <= high:
+        return
+    axes.axhline(level.value, color=level.colour, linewidth=1.0, linestyle=DASHED)
+    # Above the lower levels and below the upper, so that a name does not leave the panel.
+    upper = axes.transData.transform((0, level.value))[1] > axes.transAxes.transform((0, 0.5))[1]
+    axes.annotate(
+        level.name, (1.0, level.value), xycoords=("axes fraction", "data"), xytext=(-2, -2 if upper else 2),
+        textcoords="offset points", ha="right", va="top" if upper else "bottom", fontsize=7.5, color=level.colour,
+        bbox={"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 0.8},
+    )  # fmt: skip
+
+
+def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True) -> None:
+    """Draw runs in one arm's phase plane, each in its colour, over the orbits and tubes of the first."""
+    first, _ = runs[0]
+    quiet(axes, f"Arm {first.arm + 1}: ω{style.number(first.arm)} (rad/s) over θ{style.number(first.arm)}")
+    entries: list[tuple[str, dict]] = []
+    if first.orbits:
+        entries.append(("orbits", {"color": first.orbits[0][0], "linewidth": 3.2}))
+    for stable, colour, text in ((False, style.UNSTABLE, "tubes from"), (True, style.STABLE, "to them")):
+        if tubes and first.strands[stable]:
+            axes.plot(*_joined(first.strands[stable]), color=colour, linewidth=0.45, alpha=0.35, zorder=1.2)
+            axes.plot(*_joined(first.cuts[stable]), color=colour, linewidth=1.8, zorder=2.5)
+            entries.append((text, {"color": colour, "linewidth": 1.5}))
+    for colour, points in first.orbits:
+        look = {"color": colour, "zorder": 1.5, "alpha": 0.75 if tubes else 0.4}
+        if len(points) > 3:
+            axes.plot(*(points * _UNIT).T, linewidth=3.2, **look)
+        else:
+            axes.plot(*(points[0] * _UNIT), "D", markersize=8, **look)
+    for plane, colour in runs:
+        start, end = plane.ends * _UNIT
+        if plane.run:
+            axes.plot(*_joined(plane.run), color=colour, linewidth=1.1, zorder=3)
+        axes.plot(*end, "s", color=colour, markersize=5, zorder=4)
+        if len(runs) == 1:
+            axes.plot(*start, "o", color=colour, markersize=5, zorder=4)
+            _name_ends(axes, start, end)
+    axes.margins(x=0.04)
+    axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
+    label_in_pi(axes.xaxis)
+    if entries:
+        legend(axes, entries)
+
+
+def _joined(curves: list[Array]) -> Array:
+    """Return curves (K, 2) as one (2, M), nan between them, as a page scales them."""
+    apart = np.full((1, 2), np.nan)
+    parts = [part for points in curves for part in (points * _UNIT, apart)]
+    return np.concatenate(parts).T if parts else np.zeros((2, 0))
+
+
+def _name_ends(axes: Axes, first: Array, last: Array) -> None:
+    """Write start and end beside their marks, as one word where they are near each other."""
+    spans = [max(high - low, 1e-9) for low, high in (axes.get_xlim(), axes.get_ylim())]
+    near = bool((np.abs(last - first) < np.array([0.16, 0.12]) * spans).all())
+    for text, place in [("start, end", first)] if near else [("start", first), ("end", last)]:
+        if np.isfinite(place).all():
+            axes.annotate(
+                text, tuple(place), xytext=(4, -4), textcoords="offset points", ha="left", va="top", fontsize=7.5,
+                color=style.INK, bbox={"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.6}, zorder=5,
+            )  # fmt: skip
+
+
+_LETTER = 0.0052
+"""Width of a letter as a share of the strip's."""
+_TALL = 0.84
+_WRONG = {"facecolor": "#f7d9d6", "edgecolor": style.LIMIT, "hatch": "xxxx"}
+_BETWEEN = {"facecolor": "#eceef0", "edgecolor": style.FAINT, "hatch": "////"}
+
+
+def story_rows(view: RunView, *, span: Range | None = None) -> list[Strip]:
+    """Return the rows that the story has, from above."""
+    return [strip for strip in strips(view, until=None if span is None else span[1]) if strip.name]
+
+
+def story(axes: Axes, view: RunView, *, span: Range | None = None, legend: bool = True) -> None:
+    """Draw over time, one below the other: stays as planned, as decoded from the angles, and the controller's modes.
+
+    span: of time in s to show, if not the motion's and its plan's.
+    """
+    rows = story_rows(view, span=span)
+    begin, end = span or view.span
+    letter = _LETTER * (end - begin)
+    for place, strip in enumerate(reversed(rows)):
+        for part in strip.spans:
+            _part(axes, part, place, view, letter=letter, named=strip.name != "controller")
+    _numbers(axes, view, [strip.name for strip in rows], letter=letter, begin=begin, end=end)
+    axes.set_xlim(begin, end)
+    axes.set_ylim(-0.08, len(rows) + 0.02)
+    axes.set_yticks([place + _TALL / 2 for place in range(len(rows))], [strip.name for strip in reversed(rows)])
+    axes.tick_params(labelsize=SMALL, colors=style.NOTE, length=2.5)
+    axes.tick_params(axis="y", length=0)
+    axes.set_xlabel(
+        "time (s)" if view.arm_lengths else "time", fontsize=SMALL, color=style.NOTE, loc="left", labelpad=0
+    )
+    for side, spine in axes.spines.items():
+        spine.set_visible(side == "bottom")
+        spine.set_color(style.FAINT)
+    if legend:
+        _legend(axes, rows)
+
+
+def _part(axes: Axes, part: Span, place: int, view: RunView, *, letter: float, named: bool) -> None:
+    """Draw a span of a strip, with its text where there is room."""
+    # A mode of one tick, as at an end, is drawn wide enough to be seen.
+    width = max(part.last - part.first, letter * (0.8 if part.kind == "mode" else 0.5))
+    first = part.last - width if part.kind == "mode" else part.first
+    look = {"astray": _WRONG, "transfer": _BETWEEN, "ended": _BETWEEN}.get(part.kind, {"facecolor": part.colour})
+    axes.broken_barh([(first, width)], (place, _TALL), linewidth=0, **look)  # type: ignore[arg-type]
+    text = {"mode": "", "ended": f"the run ended at {part.first:.2f} s" if named else ""}.get(part.kind, part.text)
+    crossed = part.kind == "transfer" and any(part.first <= at <= part.last for at, _ in view.plan.symbols)
+    if text and not crossed and width > letter * (len(text) + 1):
+        colour = {"stay": "white", "astray": style.LIMIT}.get(part.kind, style.NOTE)
+        box = None if part.kind == "stay" else {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
+        axes.text(
+            first + width / 2, place + _TALL / 2, text, ha="center", va="center_baseline", fontsize=SMALL,
+            color=colour, bbox=box, clip_on=True, zorder=4,
+        )  # fmt: skip
+
+
+def _numbers(axes: Axes, view: RunView, rows: list[str], *, letter: float, begin: float, end: float) -> None:
+    """Number the symbols where they are planned and where they were done; name those that have room above."""
+    free = begin
+    for i, (name, planned, done) in enumerate(view.symbols):
+        for row, moment in ((rows[0], planned), ("done", done)):
+            if row in rows and moment is not None:
+                place = len(rows) - 1 - rows.index(row)
+                axes.plot([moment, moment], [place, place + _TALL], color=style.INK, linewidth=1.4, zorder=4.5)
+                if row == rows[0]:
+                    badge(axes, i + 1, moment, place + _TALL / 2)
+        half = letter * len(name) / 2
+        left = min(max(planned - half, begin), end - 2 * half)
+        if left > free:
+            axes.text(left + half, len(rows) - 0.02, name, ha="center", va="bottom", fontsize=SMALL, color=style.INK)
+            free = left + 2 * half + letter
+
+
+def _legend(axes: Axes, rows: list[Strip]) -> None:
+    every = [part for strip in rows for part in strip.spans]
+    shown = {part.text: part.colour for part in every if part.kind == "mode"}
+    handles = [Patch(color=colour, label=name) for name, colour in shown.items()]
+    if any(part.kind == "astray" for part in every):
+        handles.append(Patch(**_WRONG, linewidth=0, label="not asked for"))  # type: ignore[arg-type]
+    if handles:
+        axes.legend(
+            handles=handles, loc="upper right", bbox_to_anchor=(1.0, -0.28 / max(len(rows), 1)), ncols=len(handles),
+            fontsize=SMALL, frameon=False, handlelength=1.2, handleheight=0.9, columnspacing=1.2, borderpad=0,
+            borderaxespad=0.9,
+        )  # fmt: skip
+
+
+def notes(axes: Axes, view: RunView, *, lines: int) -> None:
+    """Write the symbols with their times, then the events, as many as there is room for."""
+    axes.axis("off")
+    if not view.symbols and not view.events:
+        return
+    text = [("Itinerary: planned → done (s)", True)] if view.symbols else []
+    for i, (name, at, done) in enumerate(view.symbols):
+        seen = "" if done is None else f" → {done:.2f}"
+        text.append((f"{i + 1}  {shorten(name, 40, placeholder=' …')}   {at:.2f}{seen}", False))
+    most = lines // 2 - 1
+    if len(text) > most + 1:
+        hidden = len(text) - most
+        text = [*text[:most], (f"… and {hidden} more", False)]
+    text += [("", False), ("Events", True)] if text else [("Events", True)]
+    events = [(f"{event.time:7.2f} s  {event.text}", False) for event in view.events]
+    room = max(1, lines - len(text))
+    if len(events) > room:
+        # The end tells how the run went; the start, what it was.
+        events = [events[0], (f"… {len(events) - room + 1} more …", False), *events[len(events) - room + 2 :]]
+    text += events or [("none", False)]
+    for row, (line, heading) in enumerate(text):
+        axes.text(
+            0.0, 1.0 - row / lines, line if len(line) < 68 else line[:66] + "…", transform=axes.transAxes, va="top",
+            fontsize=9.5 if heading else SMALL, color=style.INK if heading else style.NOTE,
+        )  # fmt: skip
+
+
+_FRAME_STEP = 2.12
+"""Between the film's frames, in lengths of all arms: just enough for two stretched towards one another."""
+
+
+def draw_film(axes: Axes, view: RunView, *, frames: int, times: Array | None = None) -> None:
+    """Draw the arms at several instants, the reference grey behind them, the tip's path since the last frame.
+
+    Without `times` (frames,) in s the film chooses its own; an instant outside the motion is left out.
+    """
+    state, arms = view.state, view.arms
+    reach = sum(view.arm_lengths)
+    rows = film_rows(view, frames=frames, times=times)
+    horizontal, vertical = film_extent(view, frames=frames, times=times)
+    axes.set_xlim(*horizontal)
+    axes.set_ylim(*vertical)
+    pivot = view.pivot
+    width = 0.05 * reach
+    for i, row in enumerate(rows):
+        at = frame_place(view, i)
+        if times is not None and not view.time[0] <= times[i] <= view.time[-1]:
+            axes.text(at, 0, f"no data at\n{times[i]:.2f} s", ha="center", va="center", fontsize=8.5, color=style.MARK)
+            continue
+        if view.has_cart:
+            axes.plot([at - 0.98 * reach, at + 0.98 * reach], [0, 0], color=style.FAINT, linewidth=2.5, zorder=1)
+            axes.add_patch(Rectangle((at - 0.13 * reach, -width), 0.26 * reach, 2 * width, color=style.CART, zorder=2))
+        since = max(rows[i - 1], row - _rows_in(view, 0.25)) if i else max(row - _rows_in(view, 0.1), 0)
+        points = arm_points(state[since : row + 1, :arms], view.arm_lengths)
+        points[..., 0] += at + (pivot[since : row + 1] - pivot[row])[:, None]
+        draw_arms(axes, points)
+        if view.reference is not None:
+            ghost = arm_points(view.reference[row : row + 1, :arms], view.arm_lengths)[0]
+            shift = at + (view.reference[row, 2 * arms] - pivot[row] if view.has_cart else 0.0)
+            look = {"color": "#b4bbc3", "linewidth": 6.5, "solid_capstyle": "round", "zorder": 2.5}
+            axes.plot(shift + ghost[:, 0], ghost[:, 1], **look)
+        text = f"{view.time[row]:.2f} s" + (_cart_text(float(pivot[row])) if view.has_cart else "")
+        look = {"ha": "center", "va": "top", "fontsize": 8.5, "color": style.NOTE, "linespacing": 1.25}
+        axes.text(at, vertical[0] + 0.46 * reach, text, **look)
+    axes.axis("off")
+
+
+def frame_place(view: RunView, frame: int) -> float:
+    """Return where the pivot of a frame is drawn, m."""
+    return frame * _FRAME_STEP * sum(view.arm_lengths)
+
+
+def draw_arms(axes: Axes, points: Array, *, size: float = 1.0) -> None:
+    """Draw the last of the poses (K, n + 1, 2), pivot to tip, and the tip's path through all of them."""
+    last, arms = points[-1], points.shape[1] - 1
+    tip = style.arm_colour(arms - 1)
+    axes.plot(*points[:, -1].T, color=tip, alpha=0.3, linewidth=1.3 * size)
+    for arm in range(arms):
+        look = {"color": style.arm_colour(arm), "linewidth": 2.6 * size, "solid_capstyle": "round", "zorder": 3}
+        axes.plot(*last[arm : arm + 2].T, **look)
+    axes.plot(*last[:-1].T, "o", color=style.INK, markersize=3.2 * size, zorder=4)
+    axes.plot(*last[-1], "o", color=tip, markersize=5.5 * size, zorder=4)
+
+
+def _cart_text(position: float) -> str:
+    return f"\ncart {round(1000 * position):+d} mm" if np.isfinite(position) else "\nlost"
+
+
+def film_extent(view: RunView, *, frames: int, times: Array | None = None) -> tuple[Range, Range]:
+    """Return the x and y limits in m that `draw_film` needs: as low and as high as the arms reach in its frames."""
+    reach = sum(view.arm_lengths)
+    rows = film_rows(view, frames=frames, times=times)
+    shown = [view.state] if view.reference is None else [view.state, view.reference]
+    both = np.concatenate([states[rows, : view.arms] for states in shown])
+    heights = arm_points(both[np.isfinite(both).all(axis=1)], view.arm_lengths)[..., 1].ravel()
+    heights = np.append(heights, 0.0)
+    low, high = min(float(heights.min()), -0.2 * reach), max(float(heights.max()), 0.1 * reach)
+    step = _FRAME_STEP * reach
+    return (-0.53 * step, (frames - 0.47) * step), (low - 0.62 * reach, high + 0.1 * reach)
+
+
+def film_rows(view: RunView, *, frames: int, times: Array | None = None) -> NDArray[np.int64]:
+    """Return the ticks that the film shows."""
+    if times is None:
+        times = film_times(view, frames=frames)
+    return np.searchsorted(view.time, times).clip(0, len(view.time) - 1)
+
+
+def _rows_in(view: RunView, seconds: float) -> int:
+    return max(1, round(seconds * view.rate_hz))
+
+
+def film_times(view: RunView, *, frames: int, until: float = np.inf) -> Array:
+    """Return (frames,) instants for a filmstrip, shared out among the symbols' crossings; without any, evenly spread.
+
+    Around a crossing they span a third of the period of a simple pendulum as long as all arms, on either side. Of a run
+    that went wrong the last quarter of the frames shows how it ended. until: s, where they end at the latest.
+    """
+    time = view.time[view.time <= until]
+    if view.good is False and frames > 3 and time[-1] > time[0]:
+        last = frames // 4
+        # Of a run that ended at once no more than its share.
+        length = min(0.2 * last, (time[-1] - time[0]) * last / frames)
+        ending = np.linspace(time[-1] - length, time[-1], last + 1)
+        before = film_times(replace(view, good=None), frames=frames - last, until=ending[0])
+        return np.concatenate([before, ending[1:]])
+    moments = np.array([done or planned for _, planned, done in view.symbols])
+    moments = moments[(moments >= time[0]) & (moments <= time[-1])] if len(moments) else moments
+    if not len(moments):
+        return np.linspace(time[0], time[-1], frames)
+    moments = moments[np.linspace(0, len(moments) - 1, min(len(moments), frames)).astype(int)]
+    half = 0.33 * 2 * np.pi * np.sqrt(sum(view.arm_lengths) / 9.81)
+    parts = []
+    for i, moment in enumerate(moments):
+        share = frames // len(moments) + (i < frames % len(moments))
+        parts.append(
+            moment + half * np.linspace(-1, 1, share)
+            if share > 2
+            else np.linspace(moment - half / 2, moment, share + 1)[1:]
+        )
+    return np.sort(np.clip(np.concatenate(parts), time[0], time[-1]))
+
+
+_SIZE = (16.0, 11.6)
+_FRAMES = 8
+_NOTES = 0.185
+_NOTE_LINES = 13
+_COLUMNS, _WIDTH = (0.045, 0.372, 0.70), 0.285
+_ROW = 0.019
+"""Height of a row of the story."""
+_ABOVE = 0.04
+"""Between two panels, for the title of the lower."""
+
+
+def draw(view: RunView) -> Figure:
+    """Return the page as a figure."""
+    figure = new_figure(*_SIZE)
+    _heading(figure, view)
+    top = 0.925
+    rows = story_rows(view)
+    if rows:
+        tall = _ROW * len(rows)
+        top -= 0.022
+        story(figure.add_axes((0.062, top - tall, 0.925, tall)), view)
+        top -= tall + 0.032
+    horizontal, vertical = film_extent(view, frames=_FRAMES)
+    # As tall as its width makes it with equal scales; the panels below take what is left.
+    tall = 0.98 * _SIZE[0] / _SIZE[1] * (vertical[1] - vertical[0]) / (horizontal[1] - horizontal[0])
+    draw_film(figure.add_axes((0.01, top - tall, 0.98, tall)), view, frames=_FRAMES)
+    top -= tall + 0.03
+    bottom = 0.005
+    left, middle = list(series.motion_charts(view)), list(series.check_charts(view))
+    while len(left) > len(middle) + 1:
+        middle.insert(0, left.pop())
+    for column, chosen in zip(_COLUMNS, (left, middle), strict=False):
+        _stack(figure, chosen, view, left=column, top=top, bottom=bottom + 0.035)
+    share = (top - bottom - _NOTES) / 2
+    for arm in range(min(view.arms, 2)):
+        axes = figure.add_axes((_COLUMNS[2], top - arm * share - (share - 0.05), 0.28, share - 0.05))
+        draw_plane(axes, [(series.plane(view, arm), style.INK)])
+    notes(figure.add_axes((_COLUMNS[2], bottom, 0.28, _NOTES)), view, lines=_NOTE_LINES)
+    return figure
+
+
+def _stack(
+    figure: Figure, chosen: list[series.Chart], view: RunView, *, left: float, top: float, bottom: float
+) -> None:
+    """Draw charts one below the other, on one axis of time."""
+    tall = (top - bottom + _ABOVE) / max(len(chosen), 1)
+    begin, end = view.time_range
+    for row, chart in enumerate(chosen):
+        axes = figure.add_axes((left, top - row * tall - (tall - _ABOVE), _WIDTH, tall - _ABOVE))
+        draw_chart(axes, chart, view)
+        axes.set_xlim(begin, end)
+        last = row == len(chosen) - 1
+        axes.tick_params(labelbottom=last)
+        if last:
+            axes.set_xlabel("time (s)", fontsize=8.5, color=style.NOTE, labelpad=1)
+        mark_times(axes, [at for at, _ in view.plan.symbols if begin <= at <= end])
+
+
+def _heading(figure: Figure, view: RunView) -> None:
+    """Write title, origin and verdict at the top of a page."""
+    title = shorten(view.title, 112, placeholder=" …")
+    size = 17 if len(title) < 72 else 14
+    figure.text(0.022, 0.975, title, fontsize=size, weight="bold", color=style.INK, va="center")
+    about = "   ".join([view.path.name, view.metadata.get("program", "")])
+    figure.text(0.985, 0.975, about, fontsize=8.5, color=style.MARK, va="center", ha="right")
+    lines = wrap(view.verdict, 120) or [""]
+    if len(lines) > 1:
+        lines = wrap(view.verdict, 150, max_lines=2, placeholder=" …")
+    size = 12 if len(lines) == 1 else 9.5
+    figure.text(
+        0.022, 0.947, "\n".join(lines), fontsize=size, color=style.verdict_colour(view.good), va="center"
+    )  # fmt: skip

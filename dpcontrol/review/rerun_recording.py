@@ -1,0 +1,467 @@
+"""A run as a Rerun recording: the log's own messages, series derived from them, and a blueprint that arranges them.
+
+The log alone can be opened in the viewer as well, but then without arrangement. Times are durations from the start.
+
+How the viewer arranges a recording: the views, what each shows, and where.
+
+The story of a run in a recording: charts with their levels and bands, strips of states, their common timeline.
+
+Phase planes in a recording: orbits, tubes with their cuts, the run, where it is now, and lines to read them by.
+
+The viewer's y points down and its scales are equal: a rate of 10 rad/s is drawn as long as an angle of 2 rad.
+
+Scenes in a recording: the tip's trace behind a log's own bodies; and pendulums drawn from a view alone.
+
+x to the right, z up, as the log's own transforms have it.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+from rerun.chunk import McapReader
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import whole_file
+from dpcontrol.review import style
+from dpcontrol.review.motion import RunView
+from dpcontrol.review.series import (
+    Chart,
+    Line,
+    Plane,
+    Span,
+    Strip,
+    arm_points,
+    check_charts,
+    motion_charts,
+    plane,
+    strips,
+    telling_rows,
+)
+
+Array = NDArray[np.float64]
+
+TIMELINE = "message_log_time"
+"""The timeline of the log's own messages, a duration from the start; derived series go on the same."""
+TRACE_RATE = 50.0
+"""Hz at which poses and places are recorded: enough for the eye."""
+_BINS = 30_000
+"""A curve of more than three times as many points is recorded by its least and greatest in each of so many."""
+_ON_THE_WAY = "on the way"
+_BAND_POINTS = 4000
+_EDGE = np.array([-1e-6, 0.0, 1e-6])
+"""s: about an end of a band."""
+
+
+def times(time: Array) -> list[rr.TimeColumn]:
+    """Return instants (K,) s as the recording's index."""
+    return [rr.TimeColumn(TIMELINE, duration=time)]
+
+
+def trace_rows(view: RunView) -> NDArray[np.int64]:
+    """Return the ticks at which poses are recorded."""
+    return np.arange(0, len(view.time), max(1, round(view.rate_hz / TRACE_RATE)))
+
+
+def record_chart(recording: rr.RecordingStream, home: str, chart: Chart, view: RunView) -> None:
+    """Record a chart's lines and levels under `home` and its key."""
+    if not chart.key:
+        return
+    home = f"{home}/{chart.key}"
+    for line in chart.lines:
+        _line(recording, f"{home}/{line.key}", line)
+    for level in chart.levels:
+        ends = np.array([view.time[0], view.time[-1]])
+        _line(
+            recording, f"{home}/{level.key}", Line("", level.name, "", ends, np.full(2, level.value), level.colour, 1.0)
+        )
+    if chart.cut:
+        # The viewer joins what falls into one pixel: a band between few points would be drawn as wedges.
+        edges = np.array(chart.cut)
+        time = np.union1d(np.linspace(*view.time_range, _BAND_POINTS), np.add.outer(edges, _EDGE).ravel())
+        inside = np.searchsorted(edges[:, 0], time, side="right") > np.searchsorted(edges[:, 1], time, side="left")
+        height = max(float(np.nanmax(np.abs(line.values))) for line in chart.lines if line.key == "applied")
+        reach = np.where(inside, height, 0.0)
+        name = "cut at a limit"
+        _line(recording, f"{home}/cut", Line("", name, "", time, np.zeros(len(time)), style.LIMIT, 1.0, reach=reach))
+
+
+def _line(recording: rr.RecordingStream, path: str, line: Line) -> None:
+    """Record a line under a path, of a long one the telling points, for the log keeps all; with its band if it has one.
+
+    Ink becomes pale on the viewer's dark plots, and a reference grey.
+    """
+    colour = {style.INK: style.PALE_INK, style.CART: style.PALE_INK}.get(line.colour, line.colour)
+    tint = style.rgb(style.REFERENCE if line.role == "reference" else colour)
+    rows = telling_rows(line.values, bins=_BINS)
+    look: rr.SeriesLines | rr.Measurements
+    if line.reach is None:
+        look = rr.SeriesLines(colors=[tint], names=[line.name], widths=[line.width])
+        columns = rr.Scalars.columns(scalars=line.values[rows])
+    else:
+        look = rr.Measurements.from_fields(names=[line.name], colors=[tint], widths=[line.width])
+        # The viewer's band is one standard deviation of what it is given.
+        columns = rr.Measurements.columns(values=line.values[rows], variances=line.reach[rows] ** 2)
+    recording.log(path, look, static=True)
+    recording.send_columns(path, indexes=times(line.time[rows]), columns=columns)
+
+
+def record_strips(recording: rr.RecordingStream, home: str, strips: Sequence[Strip], view: RunView) -> None:
+    """Record strips of named states: from when (s), and which."""
+    for strip in strips:
+        changes, colours = _changes(strip.spans, view)
+        if not changes:
+            continue
+        path = f"{home}/{strip.key}"
+        values = list(dict.fromkeys(name for _, name in changes))
+        tints = [(*style.rgb(colours[value]), 255) for value in values]
+        recording.log(path, rr.StateConfiguration(values=values, colors=tints), static=True)
+        columns = rr.StateChange.columns(state=[name for _, name in changes])
+        recording.send_columns(path, indexes=times(np.array([at for at, _ in changes])), columns=columns)
+
+
+def _changes(spans: Sequence[Span], view: RunView) -> tuple[list[tuple[float, str]], dict[str, str]]:
+    """Return spans as changes of a state, with what lies between stays as "on the way", and colours by name."""
+    begin, end = view.time_range
+    changes: list[tuple[float, str]] = []
+    colours = {_ON_THE_WAY: style.FAINT}
+    for span in spans:
+        if span.kind == "transfer":
+            continue
+        text = f"not asked for: {span.text}" if span.kind == "astray" else span.text
+        colours[text] = span.colour
+        at = max(span.first, begin)
+        if changes and changes[-1][0] >= at:
+            changes.pop()
+        changes.append((at, text))
+        if span.kind in ("stay", "astray"):
+            changes.append((span.last, _ON_THE_WAY))
+    # The last stay lasts to the end, be it the plan's.
+    if changes and changes[-1][1] == _ON_THE_WAY and changes[-1][0] > end - 2 / view.rate_hz:
+        changes.pop()
+    return changes, colours
+
+
+Box = tuple[float, float, float, float]
+"""Least and greatest x, least and greatest y, as drawn."""
+
+_RATE = 0.2
+_SCALE = np.array([1.0, -_RATE])
+_GRID, _DARK_GRID = (226, 229, 233), (52, 56, 62)
+_EACH = 2
+"""Of a tube's strands every second is enough here, and quicker to draw without a graphics card."""
+_TUBES = (
+    (False, style.UNSTABLE, style.PALE_UNSTABLE, "tubes_from"),
+    (True, style.STABLE, style.PALE_STABLE, "tubes_to"),
+)
+"""Stable, colours of the cut and of the strands (the viewer's thin lines do not let through), and name."""
+_FAR = 60.0
+"""rad and rad/s: what lies farther out is not what the view is chosen for."""
+
+
+def record_planes(recording: rr.RecordingStream, home: str, view: RunView, *, boxes: list[Box] | None = None) -> None:
+    """Record the phase plane of each arm under `home/arm_K`; lines to read by fill the arm's box."""
+    rows = trace_rows(view)
+    for arm in range(view.arms):
+        at, shown = f"{home}/arm_{arm + 1}", plane(view, arm)
+        reading_lines(recording, at, boxes[arm] if boxes else bounds(shown), scale=_RATE)
+        for stable, colour, pale, name in _TUBES:
+            strands = shown.strands[stable][::_EACH]
+            _strips(recording, f"{at}/{name}", strands, [pale] * len(strands), width=0.5)
+            _strips(recording, f"{at}/{name}/cut", shown.cuts[stable], [colour] * len(shown.cuts[stable]), width=1.2)
+        _strips(recording, f"{at}/orbits", [p for _, p in shown.orbits], [c for c, _ in shown.orbits], width=1.8)
+        _strips(recording, f"{at}/run", shown.run, [style.INK] * len(shown.run), width=0.7)
+        look = rr.Points2D.from_fields(colors=[style.rgb(style.LIMIT)], radii=rr.Radius.ui_points(5))
+        recording.log(f"{at}/now", look, static=True)
+        columns = rr.Points2D.columns(positions=view.state[rows][:, [arm, view.arms + arm]] * _SCALE)
+        recording.send_columns(f"{at}/now", indexes=times(view.time[rows]), columns=columns)
+
+
+def bounds(*planes: Plane) -> Box:
+    """Return least and greatest x, least and greatest y of an arm's phase planes, as drawn: of all that lies near."""
+    parts = [points for plane in planes for _, points in plane.orbits]
+    parts += [points for plane in planes for some in (plane.run, *plane.strands.values()) for points in some]
+    every = np.concatenate([part * _SCALE for part in parts]) if parts else np.zeros((1, 2))
+    near = np.isfinite(every).all(axis=1) & (np.abs(every[:, 1]) < _FAR)
+    every = every[near] if near.any() else np.zeros((1, 2))
+    low, high = every.min(axis=0), every.max(axis=0)
+    margin = 0.08 * float(max(high - low)) + 1e-3
+    low, high = low - margin, high + margin
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+
+def _strips(recording: rr.RecordingStream, at: str, strips: list[Array], colours: list[str], *, width: float) -> None:
+    if strips:
+        tints = [(*style.rgb(colour), 255) for colour in colours]
+        drawn = rr.LineStrips2D([s * _SCALE for s in strips], colors=tints, radii=rr.Radius.ui_points(width))
+        recording.log(at, drawn, static=True)
+
+
+def reading_lines(
+    recording: rr.RecordingStream, at: str, box: Box, *, scale: float, turning: bool = True, dark: bool = False
+) -> None:
+    """Draw lines to read by, named at their ends: at round values across, and at multiples of π or round ones along.
+
+    scale: what one unit across is drawn as; turning: whether x is an angle; dark: the background.
+    """
+    left, right, top, bottom = box
+    unit = np.pi if turning else 1.0
+    turns = max(_round_step((right - left) / unit, 6), 1.0 if turning else 0.0)
+    spin = _round_step((bottom - top) / scale, 6)
+    strips, places, labels = [], [], []
+    if (right - left) > 100 * np.pi:
+        return
+    for k in np.arange(np.ceil(left / unit / turns), np.floor(right / unit / turns) + 1) * turns:
+        strips.append([(k * unit, top), (k * unit, bottom)])
+        places.append((k * unit, bottom - 0.04 * (bottom - top)))
+        labels.append(style.in_pi(k) if turning else f"{k + 0.0:.6g}")
+    for k in np.arange(np.ceil(-bottom / scale / spin), np.floor(-top / scale / spin) + 1) * spin:
+        strips.append([(left, -scale * k), (right, -scale * k)])
+        places.append((left + 0.06 * (right - left), -scale * k))
+        labels.append(f"{k + 0.0:.6g}")
+    if strips:
+        look = {"colors": [_DARK_GRID if dark else _GRID], "radii": rr.Radius.ui_points(0.5), "draw_order": -10.0}
+        recording.log(f"{at}/grid", rr.LineStrips2D(strips, **look), static=True)  # type: ignore[arg-type]
+        ink = (154, 163, 173) if dark else (70, 76, 84)
+        names = rr.Points2D(places, labels=labels, colors=[ink], radii=rr.Radius.ui_points(1.0), show_labels=True)
+        recording.log(f"{at}/grid/names", names, static=True)
+
+
+def _round_step(span: float, most: int) -> float:
+    """Return the least of 1, 2, 5 times a power of ten of which at most so many go into a span."""
+    size = 10.0 ** np.floor(np.log10(max(span, 1e-9) / most))
+    return float(next(step * size for step in (1.0, 2.0, 5.0, 10.0) if span / (step * size) <= most))
+
+
+WORLD = "world"
+"""The frame that the log's transforms start from."""
+_TRACE_SECONDS = 0.4
+_DEPTH = -0.05
+
+
+def trace_tip(recording: rr.RecordingStream, path: str, view: RunView, *, frame: str | None = None) -> None:
+    """Trace the tip over the last moments, in the plane in which the outermost arm is drawn.
+
+    frame: of the log's transforms, where there are any.
+    """
+    rows = trace_rows(view)
+    points = _points(view.state[rows], view)
+    length = round(_TRACE_SECONDS * TRACE_RATE)
+    tips = points[:, -1] + np.array([0.0, _DEPTH, 0.0])
+    strips = [tips[max(0, k - length) : k + 1] for k in range(len(rows))]
+    colour = style.rgb(style.arm_colour(view.arms - 1))
+    recording.log(path, rr.LineStrips3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(1.5)), static=True)
+    if frame is not None:
+        recording.log(path, rr.CoordinateFrame(frame), static=True)
+    recording.send_columns(path, indexes=times(view.time[rows]), columns=rr.LineStrips3D.columns(strips=strips))
+
+
+def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> None:
+    """Draw the arms as they move, the reference grey behind them, the cart, and the track as long as its limits."""
+    rows = trace_rows(view)
+    reach = sum(view.arm_lengths)
+    if view.has_cart:
+        _track(recording, home, view, reach=reach)
+    shown = [("arms", view.state, 0.0, 0.028)]
+    shown += [("reference", view.reference, 0.03, 0.05)] if view.reference is not None else []
+    for name, states, depth, radius in shown:
+        points = _points(states[rows], view) + np.array([0.0, depth, 0.0])
+        for arm in range(view.arms):
+            colour = style.arm_colour(arm) if name == "arms" else style.FAINT
+            look = rr.LineStrips3D.from_fields(colors=[style.rgb(colour)], radii=radius * reach / 2)
+            at = f"{home}/{name}/arm_{arm + 1}"
+            recording.log(at, look, static=True)
+            columns = rr.LineStrips3D.columns(strips=list(points[:, arm : arm + 2]))
+            recording.send_columns(at, indexes=times(view.time[rows]), columns=columns)
+    trace_tip(recording, f"{home}/tip", view)
+    if view.has_cart:
+        centres = np.column_stack([view.pivot[rows], np.full(len(rows), 0.02), np.zeros(len(rows))])
+        at = f"{home}/cart"
+        size = [[0.13 * reach, 0.02, 0.05 * reach]]
+        look = rr.Boxes3D.from_fields(half_sizes=size, colors=[style.rgb(style.CART)], fill_mode="solid")
+        recording.log(at, look, static=True)
+        recording.send_columns(at, indexes=times(view.time[rows]), columns=rr.Boxes3D.columns(centers=centres))
+
+
+def _track(recording: rr.RecordingStream, home: str, view: RunView, *, reach: float) -> None:
+    finite = np.abs(view.pivot[np.isfinite(view.pivot)])
+    end = view.limits[0] if view.limits else max(float(finite.max()) if finite.size else 0.0, reach)
+    rail = [[(-end, 0.05, 0.0), (end, 0.05, 0.0)]]
+    stops = [[(x, 0.05, -0.06 * reach), (x, 0.05, 0.06 * reach)] for x in (-end, end)]
+    tints = [style.rgb(style.FAINT), style.rgb(style.LIMIT), style.rgb(style.LIMIT)]
+    recording.log(f"{home}/track", rr.LineStrips3D(rail + stops, colors=tints, radii=0.012 * reach), static=True)
+
+
+def _points(states: Array, view: RunView) -> Array:
+    """Return (K, n+1, 3) the pivot, elbows and tip in m of states (K, …)."""
+    points = arm_points(states[:, : view.arms], view.arm_lengths)
+    pivot = states[:, 2 * view.arms] if view.has_cart else np.zeros(len(states))
+    return np.stack([points[..., 0] + pivot[:, None], np.zeros(points.shape[:2]), points[..., 1]], axis=-1)
+
+
+PAPER = [250, 251, 252]
+
+
+def blueprint(view: RunView, *, from_log: bool) -> rrb.Blueprint:
+    """Return the blueprint of a recording; one made `from_log` has the log's own bodies in its scene, and events."""
+    grey = f": {view.against} grey" if view.reference is not None else ""
+    middle, checks = plots(motion_charts(view)), plots(check_charts(view))
+    if len(checks) == 1 and len(middle) > 2:
+        middle, checks = [*middle, *checks], []
+    shares = [2.0] * len(middle)
+    told = {strip.key: strip.name or "symbols" for strip in strips(view)}
+    if told:
+        words = ["itinerary as asked and done" if view.done else "itinerary as asked"] if "1_asked" in told else []
+        words += [name for name in told.values() if name not in ("asked", "done")]
+        middle.insert(0, rrb.StateTimelineView(name=", ".join(words).capitalize(), origin="/states"))
+        shares.insert(0, 2.2)
+    planes = [
+        plane_view(arm, "/phase_planes", bounds(plane(view, arm)), name=f"Arm {arm + 1}: rate over angle")
+        for arm in range(min(view.arms, 2))
+    ]
+    texts: list[rrb.View] = [rrb.TextDocumentView(name="Summary", origin="/summary")]
+    if view.events:
+        columns = rrb.TextLogColumns(text_log_columns=["loglevel", "body"])
+        texts.append(rrb.TextLogView(name="Events", origin="/rosout", columns=columns))
+    scene = scene_view(view, from_log=from_log, name=f"Scene{grey}")
+    left = rrb.Vertical(scene, rrb.Horizontal(*planes), rrb.Horizontal(*texts), row_shares=[4, 4, 2.4])
+    columns_of_views = [left, rrb.Vertical(*middle, row_shares=shares)]
+    if checks:
+        columns_of_views.append(rrb.Vertical(*checks))
+    return page(rrb.Horizontal(*columns_of_views, column_shares=[5, 4.3, 3.7][: len(columns_of_views)]))
+
+
+def page(root: rrb.Container, *, timeline: str = TIMELINE) -> rrb.Blueprint:
+    """Return a blueprint without side panels."""
+    return rrb.Blueprint(
+        root,
+        rrb.TimePanel(state="collapsed", timeline=timeline),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def scene_view(view: RunView, *, from_log: bool, home: str = "/scene", name: str = "Scene") -> rrb.View:
+    """Return the view of the pendulum in space, seen from the front."""
+    reach = sum(view.arm_lengths)
+    distance = max(2.4 * reach, 1.9 * view.limits[0] if view.limits else 0.0)
+    contents = (
+        ["+ /pendulum/**", "+ /reference_pendulum/**", "+ /tf/**", "+ /tip/**"]
+        if from_log
+        else [f"+ {home}/**", "+ /tip/**"]
+    )
+    return rrb.Spatial3DView(
+        name=name,
+        origin="/",
+        contents=contents,
+        eye_controls=rrb.EyeControls3D(
+            position=(0.0, -distance, 0.0), look_target=(0.0, 0.0, 0.0), eye_up=(0.0, 0.0, 1.0)
+        ),
+        line_grid=False,
+        spatial_information=rrb.SpatialInformation(target_frame=WORLD) if from_log else None,
+        background=PAPER,
+    )
+
+
+def plane_view(arm: int, home: str, box: Box, *, name: str) -> rrb.View:
+    """Return the view of an arm's phase plane."""
+    return rrb.Spatial2DView(
+        name=name,
+        origin=f"{home}/arm_{arm + 1}",
+        visual_bounds=rrb.VisualBounds2D(x_range=box[:2], y_range=box[2:]),
+        background=PAPER,
+    )
+
+
+def plots(charts: Sequence[Chart]) -> list[rrb.View]:
+    """Return the views of charts; one with named levels, or of several runs, has a legend."""
+    corner = rrb.Corner2D.RightTop
+    return [
+        rrb.TimeSeriesView(
+            name=chart.named,
+            origin=f"/plots/{chart.key}",
+            plot_legend=rrb.PlotLegend(visible=chart.legend, corner=corner if chart.legend else None),
+            axis_y=rrb.ScalarAxis(range=chart.shown) if chart.shown else None,
+        )
+        for chart in charts
+        if chart.key
+    ]
+
+
+_APPLICATION = "dpcontrol"
+_TOPICS = ["^/tf$", "^/robot_description$", "^/reference/robot_description$", "^/rosout$"]
+"""Taken as they are; the numbers of the other topics go into curves with names and colours."""
+_LONG = 120.0
+"""Seconds beyond which a log's scene is drawn from its series: to read its messages in the viewer's way takes 10 s of
+computing and a gigabyte for ten minutes."""
+SCENE = "scene"
+
+
+def write_recording(view: RunView, path: Path) -> None:
+    """Write the recording of a view to `path` (`*.rrd`); a log's file must still be where it was read from.
+
+    Raises:
+        InputError: the recording cannot be written, or the log has gone.
+    """
+    from_log = view.what != "reference"
+    if from_log and not view.path.is_file():
+        raise InputError(f"there is no log {view.path} any more; put it back and try again")
+    from_log = from_log and view.time[-1] - view.time[0] <= _LONG
+    with recording_to(path, view.title, blueprint(view, from_log=from_log)) as recording:
+        summary = rr.TextDocument(_summary(view), media_type="text/markdown")
+        recording.log("summary", summary, static=True)
+        record_strips(recording, "states", strips(view), view)
+        for chart in (*motion_charts(view), *check_charts(view)):
+            record_chart(recording, "plots", chart, view)
+        record_planes(recording, "phase_planes", view)
+        if from_log:
+            recording.send_chunks(McapReader(view.path, timeline_type="duration", include_topic_regex=_TOPICS).stream())
+            trace_tip(recording, "tip", view, frame=WORLD)
+        else:
+            draw_pendulum(recording, SCENE, view)
+            _events(recording, view)
+
+
+@contextmanager
+def recording_to(path: Path, name: str, view: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
+    """Yield a recording with a blueprint that becomes the file `path` when the block ends without an error.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    with whole_file(Path(path), suffix=".rrd") as temporary:
+        recording = rr.RecordingStream(_APPLICATION, send_properties=True)
+        recording.save(temporary, default_blueprint=view)
+        recording.send_recording_name(name)
+        yield recording
+        recording.flush()
+        recording.disconnect()
+
+
+def _events(recording: rr.RecordingStream, view: RunView) -> None:
+    if view.events:
+        columns = rr.TextLog.columns(
+            text=[f"[{event.name}] {event.text}" for event in view.events],
+            level=[event.level.upper() for event in view.events],
+        )
+        recording.send_columns("rosout", indexes=times(np.array([e.time for e in view.events])), columns=columns)
+
+
+def _summary(view: RunView) -> str:
+    rows = [f"**{view.verdict}**" if view.verdict else "", ""]
+    for i, (name, at, done) in enumerate(view.symbols):
+        seen = "" if done is None else f", done at {done:.3f} s"
+        rows.append(f"{i + 1}. {name}: planned at {at:.3f} s{seen}")
+    if view.plan.orbits:
+        flown = "the reference" if view.what == "reference" else "the run"
+        rows += ["", f"Phase planes, rad/s over rad: orbits thick; tubes from them red, to them green; {flown} black."]
+    rows += ["", f"{view.title} ({view.path.name})", "", "| | |", "|---|---|"]
+    # Long values, such as settings as JSON, would push everything else out of sight.
+    rows += [f"| {key} | {value} |" for key, value in view.metadata.items() if value and len(value) < 60]
+    return "\n".join(rows)
