@@ -4,26 +4,20 @@
     ρ(e) = ½e² for |e| ≤ d, else d(|e| - ½d)        (Huber)
 
 by Gauss-Newton steps on all windows' starts x_j at once: linearised, the later starts follow from each swing's first
-one and from (p, z), so that a swing adds a small dense block; the first starts are eliminated from it in turn. With
+one and from (p, z), x_j = N_j (x_0, p, z) + d_j with the gaps between windows in d_j, so that a swing adds a small
+dense block; the first starts are eliminated from it in turn. With
 windows of half a second a poor first guess, or a chaotic swing, does no harm.
 
-Sources: Bock, Kostina, Schlöder, Numerical methods for parameter estimation in nonlinear differential algebraic
-equations (2007); Albersmeyer, Diehl, The lifted Newton method (2010); Huber, Robust statistics (1981), section 7.8.
-
-Swings of the arms from many starts at once, with their sensitivities to start and parameters.
+Swings fly from many starts at once, with their sensitivities to start and parameters:
 
     x_{k+1} = F(x_k, p; u),    S_{k+1} = ∂F/∂x S_k + [0  ∂F/∂p],    S = [∂x/∂x_0  ∂x/∂p]
 
 F is one classical Runge-Kutta step (order 4), p the ratios of `dpcontrol.dynamics.ratios`; the cart is clamped or
-follows an acceleration. Written once in casadi, compiled once in a process, for as
-many swings at once as the processor's vectors hold.
+follows an acceleration. It is compiled once in a process, for as many swings as the processor's vectors hold.
 
-Source: Hairer, Nørsett, Wanner, Solving ordinary differential equations I (1993), section I.14.
-
-Swings cut into shooting windows, flown together, and linearised along each swing.
-
-Linearised, each window's start follows from its swing's first one and from the unknowns (p, z): x_j = N_j (x_0, p, z) +
-d_j, with the gaps between windows in d_j. See `dpcontrol.identification.fit`.
+Sources: Bock, Kostina, Schlöder, Numerical methods for parameter estimation in nonlinear differential algebraic
+equations (2007); Albersmeyer, Diehl, The lifted Newton method (2010); Huber, Robust statistics (1981), section 7.8;
+Hairer, Nørsett, Wanner, Solving ordinary differential equations I (1993), section I.14.
 """
 
 from dataclasses import dataclass, field, replace

@@ -4,10 +4,7 @@ Every third segment is left out. Each candidate (friction viscous; with Coulomb;
 encoders' zeros free or not) is fitted to the others and predicts those left out from a fitted start over their whole
 length. The one of fewest unknowns whose mean squared error is within one standard error of the least is taken.
 
-Sources: Hastie, Tibshirani, Friedman, The elements of statistical learning (2009), section 7.10, for the choice;
-`dpcontrol.identification.fit` for the fit; `dpcontrol.identification.identify` for what is said of its errors.
-
-How well identified numbers are known: covariance, what cannot be distinguished.
+How well the numbers are known, and which cannot be distinguished:
 
     Cov = H⁻¹ (b/(b-f) Σ_blocks g gᵀ) H⁻¹,     H = Σ w J̃ᵀJ̃,   g = Σ_block J̃ᵀ ψ(e)
 
@@ -16,15 +13,14 @@ loss counts them. Neighbouring residuals are alike (rounding of slow motion, wha
 summed over blocks several times as long as they stay alike; b blocks, f unknowns. Taking each sample as independent
 would give errors too small by that factor's root.
 
-Sources: White, Maximum likelihood estimation of misspecified models (1982); Cameron, Miller, A practitioner's guide to
-cluster-robust inference (2015), section II.
+Profiles show the least misfit with one number held off its best value and the others fitted again. Where a profile is
+the parabola that the linearised fit promises, the standard error describes the number; where it is flat, or stops at a
+bound, the recordings do not determine it.
 
-Profiles of an identification: the least misfit with one number held off its best value, the others fitted again.
-
-Where a profile is the parabola that the linearised fit promises, the standard error describes the number; where it is
-flat, or stops at a bound, the recordings do not determine it.
-
-Source: Raue et al., Structural and practical identifiability analysis of partially observed dynamical models (2009).
+Sources: Hastie, Tibshirani, Friedman, The elements of statistical learning (2009), section 7.10, for the choice; White,
+Maximum likelihood estimation of misspecified models (1982); Cameron, Miller, A practitioner's guide to cluster-robust
+inference (2015), section II; Raue et al., Structural and practical identifiability analysis of partially observed
+dynamical models (2009).
 
 Recordings as swings to fit: each segment's angles, and the cart's motion where it moved; long segments cut.
 """

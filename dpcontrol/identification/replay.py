@@ -1,23 +1,18 @@
 """What a model would have done where a recording says what the bench did, and what an estimator makes of the angles.
 
 Three predictions, each compared with the measured angles: over whole segments from the initial state that fits best;
-one sample and `ahead` samples from the estimate. Where the cart moved, its motion is the input
-(`recordings.recording`). Angles are taken less the encoders' zeros, where the model gives them, and predictions
-are given as the encoders would show them. The estimator (`dpcontrol.identification.replay`) sees angles
-alone; its NIS has a chi-square distribution with as many degrees of freedom as angles if model and noise are as stated.
+one sample and `ahead` samples from the estimate. Where the cart moved, its motion is the input. Angles are taken less
+the encoders' zeros, where the model gives them, and predictions are given as the encoders would show them; as a log,
+the prediction is the reference.
 
-Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, section 5.4.2.
-
-A replay as a log: measured and estimated motion, and as the reference the predicted one.
-
-Which initial states make a model follow recorded angles best: all stretches at once.
+The initial states of all stretches are fitted at once:
 
     minimise over x_0:  Σ_k |θ(t_k; x_0) - θ_k|²    for each stretch    (Levenberg–Marquardt; ∂θ/∂x_0 by differences)
 
 Every stretch and every perturbed copy of it is one lane of the same compiled step, so fifteen fits cost what one does.
-Source: Nocedal & Wright, Numerical Optimization (2006), section 10.3.
 
-An estimator run over a recording's angles: over means of a few samples, corrected for the motion within them.
+The estimator sees angles alone, as means of a few samples, corrected for the motion within them; its NIS has a
+chi-square distribution with as many degrees of freedom as angles if model and noise are as stated:
 
     z = mean θ - ½ mean(τ²) θ̈(x̂),      R = R_encoder / M        (samples at times τ about their middle, over M ms)
 
@@ -25,7 +20,8 @@ One sample of a real encoder is not Gaussian: it sticks when the arm turns back 
 95 % band of a single sample's NIS holds four fifths of them. Means of ten come close to Gaussian, and what a mean
 misses of a curved motion is known from the model.
 
-Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 5.4.2, 10.3.
+Sources: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 5.4.2, 10.3;
+Nocedal & Wright, Numerical Optimization (2006), section 10.3.
 """
 
 from collections.abc import Sequence

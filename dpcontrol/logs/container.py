@@ -9,8 +9,6 @@ Where a log is while it grows: `NAME.mcap.partial`, beside the log that it will 
 A run that was killed leaves its partial file. It is never overwritten nor removed: a later run of the same log grows
 under another name beside it, and `dpcontrol recover` makes a log of what the killed one left.
 
-Metadata records carry a checksum of their own.
-
 MCAP gives a checksum to chunks and attachments, but metadata is covered by that of the whole data section only: in a
 file that is cut or damaged nothing would vouch for it. So each record carries the CRC-32 of its own name and values.
 """

@@ -1,9 +1,7 @@
-"""Read a run's log into arrays.
+"""Read a run's log into arrays, or say topic by topic what is in it.
 
 The file's checksums are compared first (see `verified`). Messages are then found by walking the chunks' records,
 and those at loop rate are decoded as arrays, for their layout is known from the log's own metadata.
-
-What is in a log, topic by topic, without reading its numbers.
 
 Are two logs the same, message for message?
 """

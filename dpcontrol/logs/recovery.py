@@ -21,6 +21,7 @@ from itertools import count, pairwise
 from pathlib import Path
 
 import numpy as np
+import zstandard
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Metadata
 
@@ -84,7 +85,7 @@ class SoundChunk:
 
     def messages(self) -> tuple[bytes, list[ChunkMessages]]:
         """Return the records of its messages, without those of schemas and channels, and where each stands."""
-        content = unpacked(self.body)
+        content = unpacked(self.body, zstandard.ZstdDecompressor())
         start, places = _places(content)
         found = []
         for channel, offsets in places.items():
@@ -151,7 +152,7 @@ def _chunk(body: memoryview) -> SoundChunk:
     _, _, size, checksum, _, _ = CHUNK_HEAD.unpack_from(body)
     if size > LARGEST_CHUNK or not checksum:
         raise ValueError("a chunk is too large, or carries no checksum")
-    content = unpacked(body)
+    content = unpacked(body, zstandard.ZstdDecompressor())
     sequences, times = {}, None
     for channel, offsets in _places(content)[1].items():
         heads = gathered(content, [offsets[0], offsets[-1]], RECORD_HEADER)

@@ -127,10 +127,11 @@ class VerifiedFile:
             InputError: a chunk does not unpack, or the channels are not those of the layout; names what differs.
             ValueError: a chunk's records do not follow one another.
         """
+        decompressor = zstandard.ZstdDecompressor()
         pending, size = [], 0
         for k, chunk in enumerate(self.chunks, start=1):
             try:
-                pending.append(unpacked(chunk))
+                pending.append(unpacked(chunk, decompressor))
             except MALFORMED as error:
                 damaged(self.path, f"a chunk does not unpack: {error}", cause=error)
             size += len(pending[-1])
@@ -175,8 +176,8 @@ class VerifiedFile:
                 )
 
 
-def unpacked(chunk: memoryview) -> bytes:
-    """Return the records in a chunk, compared with its checksum.
+def unpacked(chunk: memoryview, decompressor: zstandard.ZstdDecompressor) -> bytes:
+    """Return the records in a chunk, compared with its checksum; the decompressor serves any number of chunks.
 
     Raises:
         Exception: one of `MALFORMED`: it does not unpack, or not to what its checksum says.
@@ -185,7 +186,7 @@ def unpacked(chunk: memoryview) -> bytes:
     if kind != ZSTD or size > LARGEST_CHUNK:
         stream, length = get_chunk_data_stream(Chunk.read(stream_of(chunk)), validate_crc=True)
         return stream.read(length)
-    content = zstandard.ZstdDecompressor().decompress(chunk[CHUNK_HEAD.size :], max_output_size=size)
+    content = decompressor.decompress(chunk[CHUNK_HEAD.size :], max_output_size=size)
     if len(content) != size or packed != len(chunk) - CHUNK_HEAD.size or zlib.crc32(content) != checksum:
         raise ValueError("its checksum or its size differs")
     return content

@@ -5,10 +5,7 @@ is computed for the estimate predicted to that tick through the commands on thei
 tick; the cart is braked to rest before a run ends early. Rows of ticks go to the sink in step with its chunks, every
 twenty milliseconds: a run that is killed loses no more.
 
-What the loop believes about its own commands: which are on their way, and which one acted.
-
-A command computed at tick k acts from tick k + d to the next, d the delay in periods. With d = i + f, 0 ≤ f < 1, the
-mean over the period from tick k is
+A command acts d periods after its tick, d the delay. With d = i + f, 0 ≤ f < 1, the mean over the period from tick k is
 
     f c_{k-i-1} + (1 - f) c_{k-i}
 

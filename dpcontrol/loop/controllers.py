@@ -3,8 +3,6 @@
 A reference that stays on one orbit or at one equilibrium says so in its notes (`stay`): kinds that hold orbits or
 equilibria need one, and kinds that track take it as any other.
 
-Controllers that need the orbits of a reference: programs of stays and flights, and what to fall back to.
-
 The notes of a reference whose stops are kept say which of its intervals are a stay's and which a flight's (`program`).
 Orbits that are not in a reference are searched for again, which is the same search with the same result each time.
 """

@@ -3,8 +3,6 @@
 Period k runs from tick k to the next. In it the command given at tick k - i acts, i the whole periods of the delay; for
 a fraction f of a period more, the one before it acts until k + f. Blows strike at the tick, after its reading. A cart
 that reaches the end of its track stops dead there; the arms keep their momenta, and `fault` says so.
-
-What makes a simulated bench anew for each run that is made on it over UDP.
 """
 
 import math

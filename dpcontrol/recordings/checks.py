@@ -1,14 +1,13 @@
 """What can be wrong with samples of time and angles, found and named; repaired only where asked.
 
-In order: time that stands or runs backward (time), values that are not finite (nan), samples left out (gaps), angles
-wrapped into one turn (wrap), rates that stand out (spikes), uneven sampling (sampling). What no repair can mend is
-rejected: jumps, too few samples.
+Samples, in order: time that stands or runs backward (time), values that are not finite (nan), samples left out (gaps),
+angles wrapped into one turn (wrap), rates that stand out (spikes), uneven sampling (sampling). What no repair can mend
+is rejected: jumps, too few samples.
 
-Whether a recording can be of a pendulum as its mapping says: units, columns, signs and zero.
-
-The rates must be the angles' derivative. Where they are not, what would make them so reveals the mistake: a factor of
-180/π a unit, a factor of -1 a sign, another arm's derivative a swapped column. And gravity pulls arms down: over a free
-swing the mean of θ̈ sin θ is negative, so a positive one means that the zero is upright.
+Then whether they can be of a pendulum as their mapping says: units, columns, signs and zero. The rates must be the
+angles' derivative. Where they are not, what would make them so reveals the mistake: a factor of 180/π a unit, a factor
+of -1 a sign, another arm's derivative a swapped column. And gravity pulls arms down: over a free swing the mean of θ̈
+sin θ is negative, so a positive one means that the zero is upright.
 """
 
 from collections.abc import Callable, Sequence

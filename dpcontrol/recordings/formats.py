@@ -1,7 +1,6 @@
-"""CSV and Parquet files as columns of numbers; cells that are not numbers are reported by row.
+"""Recordings' files as columns of numbers: CSV and Parquet, and MATLAB files of any version.
 
-MATLAB files of any version as nested values, and columns found in them by MATLAB's own notation.
-
+Cells of a table that are not numbers are reported by row; columns of a MATLAB file are found by MATLAB's own notation.
 Versions 4 to 7 are read by scipy; version 7.3 (HDF5) and objects (time series, data sets logged by Simulink) by mat-io.
 Source: MathWorks, MAT-File Format (the version 5 format that scipy reads).
 """

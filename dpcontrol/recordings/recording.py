@@ -4,7 +4,7 @@ A recording is written in the layout of simulated logs: angles and the rig's own
 /joint_states, a command as /control, and no more. One log holds all segments of a file, one after the other; its
 metadata says in which rows each begins and ends, and between two segments the time may jump.
 
-How the cart of a recording moved: the acceleration that its arms felt, from the command or from its position.
+The acceleration of the cart that the arms felt comes from its command or from its position:
 
     u_k = (a_k + a_{k+1}) / 2,      a = d²/dt² of cubics through 20 ms of the position (Savitzky–Golay)
 

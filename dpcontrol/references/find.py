@@ -3,17 +3,12 @@
 Each round solves the program of `dpcontrol.references.transcription` on the present mesh, from the round before.
 Then intervals whose error between nodes exceeds the tolerance are split, and a limit that a polynomial passes
 between nodes is tightened by as much, until neither is needed. Where the search fails, or ends at another motion than
-the guess's, friction is raised step by step; where that fails too, the status says what stands in the way.
-Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7.
-
-Friction raised step by step: each solution starts the next, from no friction, where the guess is a solution itself.
-
-Steps are halved where one fails. How far it comes is an answer too: what share of the friction can be made up for.
-Source: Nocedal & Wright, Numerical Optimization, 2nd ed., section 11.3, for continuation.
-
-Why a reference was not found, in words, and what would help: limits, friction, authority, or the guess itself.
-
-The reference of a scene without friction and cart: the shadowing orbit itself, as polynomials on a mesh.
+the guess's, friction is raised step by step: each solution starts the next, from no friction, where the guess is a
+solution itself; steps are halved where one fails. How far that comes is an answer too. Where it fails, the status says
+why, and what would help: limits, friction, authority, or the guess itself. Without friction and cart the shadowing
+orbit itself is the reference.
+Sources: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7; Nocedal &
+Wright, Numerical Optimization, 2nd ed., section 11.3, for continuation.
 
 Getting from one state to another: swing up from rest, come down to rest, change from orbit to orbit.
 

@@ -3,11 +3,8 @@
 State: the polynomial of degree K through the interval's start and its K points. Input: of degree K - 1 through the
 points. Both are evaluated in barycentric form (Berrut & Trefethen, SIAM Review 46 (2004), eq. 4.2).
 
-References one after the other, as one: pieces that end where the next begins.
-
-References on disk: one .npz file, readable with numpy alone (`numpy.load(path)`).
-
-Keys, all float64 unless said otherwise:
+References that end where the next begins can be joined to one. On disk a reference is one .npz file, readable with
+numpy alone (`numpy.load(path)`). Keys, all float64 unless said otherwise:
 
     header   JSON text (a 0-d string array): {"format": "dpcontrol-reference", "version": 2, "method": "radau-5",
              "status": text, "converged": bool, "limits": {"position", "velocity", "acceleration"},
@@ -18,8 +15,6 @@ Keys, all float64 unless said otherwise:
     states   (N, K+1, nx)  at the support: angles, rates, cart position, cart velocity
     inputs   (N, K, nu)    at the points: cart acceleration, m/s²
     extra_*  any shape     arrays the caller stored, by name
-
-The state on an interval is the polynomial through its K+1 values, the input the one through its K values.
 
 A reference in figures: its use of each limit, its effort, and its error measured again on every interval.
 

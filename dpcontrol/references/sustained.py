@@ -12,15 +12,15 @@ Multipliers. *Period map*: x(0) → x(T) with the input replayed by the clock. *
 through the orbit at right angles to it (pendulum only, scaled), the clock being reset to the section's phase at each
 crossing: λ_u, λ_s and one near 1 by which the energy settles. They depend on how often the clock is reset. The cart
 adds 1, 1 to either: driven by its acceleration it is a double integrator, whose drift feedback alone can stop.
-Source: Ott, Grebogi & Yorke, Controlling chaos, Physical Review Letters 64 (1990), for the sections' use.
 
-The equations linearised along a reference: what becomes of small differences, and of a pulse of the input.
+Linearised along the orbit, small differences and a pulse of the input become
 
     δẋ = A(t) δx + B(t) v(t),    A = ∂f/∂x,  B = ∂f/∂u  at (x*(t), u*(t));    δx(b) = Φ(b, a) δx(a) + Γ(b, a)
 
 solved by Gauss collocation on the reference's own intervals, whose polynomials are smooth there.
-Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7, for what the
-intervals resolve; Hairer, Lubich & Wanner, Geometric Numerical Integration, section II.1, for the method.
+Sources: Ott, Grebogi & Yorke, Controlling chaos, Physical Review Letters 64 (1990), for the sections' use; Betts,
+Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7, for what the intervals resolve;
+Hairer, Lubich & Wanner, Geometric Numerical Integration, section II.1, for the method.
 """
 
 from collections.abc import Callable

@@ -1,15 +1,11 @@
 """A motion as values on a mesh, each interval with a collocation method's own places, and what a solver made of it.
 
 An interval of length h from t_i has its states at t_i + h σ_k, its input at t_i + h τ_k; σ and τ: the method's support
-and points. Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.5.
-
-How wrong a transcribed trajectory is between its nodes, and how far it passes a limit there.
-
-Error: a propagator at machine precision restarts at each interval's start under the interval's own input
-polynomial; the largest scaled difference from the state's polynomial on a dense grid counts. Limits: the extrema
-of the polynomials of cart position, velocity and acceleration, from the roots of their derivatives. And how far from
-its guess a solution lies, which tells an itinerary from another motion.
-Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7.
+and points. How wrong it is between its nodes: a propagator at machine precision restarts at each interval's start under
+the interval's own input polynomial; the largest scaled difference from the state's polynomial on a dense grid counts.
+Limits: the extrema of the polynomials of cart position, velocity and acceleration, from the roots of their derivatives.
+And how far from its guess a solution lies, which tells an itinerary from another motion.
+Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., sections 4.5 and 4.7.
 """
 
 from dataclasses import dataclass

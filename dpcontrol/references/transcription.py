@@ -4,18 +4,13 @@
 
 The interval is one casadi function, mapped over the mesh; variables are scaled by `state_scale` and ordered by stage,
 an interval's start, its inner values, its inputs: what a structure-exploiting solver needs, and a sparse one does not
-mind. Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., ch. 4.
-
-Derivatives of a transcribed program, assembled from those of one interval.
-
-casadi would find the Jacobian of the whole program by colouring: some forty sweeps over all intervals for each. One
-interval's Jacobian and Hessian are small symbolic matrices; mapped over the mesh and scattered into the program's
+mind. casadi would find the Jacobian of the whole program by colouring: some forty sweeps over all intervals for each.
+One interval's Jacobian and Hessian are small symbolic matrices; mapped over the mesh and scattered into the program's
 sparse ones they are built, and evaluated, several times faster.
 
-Solvers of the nonlinear programs, by name, with the options that serve references.
-
-Sources: Wächter & Biegler, Mathematical Programming 106 (2006), for IPOPT; Vanroye, Sathya, De Schutter & Decré,
-FATROP: a fast constrained optimal control problem solver (2023).
+Sources: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., ch. 4; Wächter & Biegler,
+Mathematical Programming 106 (2006), for IPOPT; Vanroye, Sathya, De Schutter & Decré, FATROP: a fast constrained optimal
+control problem solver (2023).
 """
 
 import time

@@ -6,8 +6,7 @@ in which the bench itself kept its ticks counts. A bench that overslept works of
 nobody. Between ticks it sleeps, in `select`, so that a command's arrival is noted; the last `spin` seconds it polls.
 
 One run at a time, made ready at HELLO and begun at START; packets in `dpcontrol.rig.packets`.
-
-The example bench in a process of its own, so that the loop and it share neither interpreter nor core.
+The example bench of a run lives in a process of its own, so that the loop and it share neither interpreter nor core.
 """
 
 import math

@@ -4,8 +4,7 @@ The bench has the clock: it sends a reading each period, and uses the newest com
 counts as a tick at which no sensor was read, so that the loop's ticks stay the bench's; a command that is lost is made
 good by the next. After a stall the readings that wait are worked off one by one, which takes a fraction of a period
 each. A tick is due a period after the one before it, counted from the earliest that a reading ever came.
-
-How well a loop kept time on a rig: what it missed, what was lost on the way, and how long answers took.
+How well the loop kept time, what was lost on the way and how long answers took is counted (`Deadlines`).
 """
 
 import gc
