@@ -149,7 +149,7 @@ def find_bifurcations(
 
 
 def atlas(
-    model: Model,
+    model: Model | System,
     *,
     energy: float,
     hits: tuple[int, int] | None = None,

@@ -165,6 +165,14 @@ class System:
         """Names of the equilibria of index one, which have Lyapunov orbits and tubes."""
         return tuple(name for name, state in self.equilibria.items() if saddle_index(self.numeric, state) == 1)
 
+    @property
+    def description(self) -> str:
+        """All that tells the system from others, but for the values of its parameters, as text."""
+        functions = [self.equations.numeric_functions[key].serialize() for key in ("rate", "hamiltonian")]
+        rest = (self.equilibria, self.periods, self.reversers, self.orientation, self.scale, self.energy_scale,
+                self.sections, self.section_scale, self.flight_periods)  # fmt: skip
+        return "\n".join([*functions, repr(rest)])
+
     def equilibrium(self, name: str) -> Array:
         """Return the state (N,) of the named equilibrium.
 
@@ -263,8 +271,9 @@ def _energy(
         try:
             value = ca.SX(function((q[0], q[1]), (v[0], v[1]), named))
         except Exception as error:
+            reason = str(error).partition("\n")[0][:80]
             raise InputError(
-                f"{where} fails on casadi's SX symbols ({type(error).__name__}: {error}); write it with their "
+                f"{where} fails on casadi's SX symbols ({type(error).__name__}: {reason}); write it with their "
                 "arithmetic and casadi's functions, such as ca.sqrt"
             ) from error
         if value.shape != (1, 1):
@@ -476,14 +485,12 @@ def _reversers(
             reverser = np.diag(np.concatenate([row, -row])) if row.shape == (n,) else row
             if reverser.shape != (2 * n, 2 * n) or not np.allclose(reverser @ reverser, np.eye(2 * n)):
                 raise InputError(
-                    f"reverser {np.array2string(row)} of {name}: give {n} signs of the coordinates, or a matrix "
+                    f"reverser {row.tolist()} of {name}: give {n} signs of the coordinates, or a matrix "
                     f"({2 * n}, {2 * n}) that is its own inverse"
                 )
             for key, saddle in saddles.items():
                 if not _reverses(numeric, reverser, saddle, scale):
-                    raise InputError(
-                        f"reverser {np.array2string(row)} of {name} does not reverse its motion about {key}"
-                    )
+                    raise InputError(f"reverser {row.tolist()} of {name} does not reverse its motion about {key}")
             found.append(reverser)
     for other in found[1:]:
         if all(_is_half_turn(numeric, saddle, other @ found[0]) for saddle in saddles.values()):

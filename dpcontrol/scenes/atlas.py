@@ -7,7 +7,7 @@ Keys; arrays are float64 unless said otherwise. K-th orbit, cut, piece and conne
     header   JSON text (a 0-d string array), numbers with all their digits, null for what is not finite:
              {"format": "dpcontrol-atlas", "version": 2, "model", "title", "energy" (J), "status", "seconds",
               "points": [{name, state, energy, kind}], "absent": [[saddle, reason]],
-              "sections": [{name, normal, position, momentum, offset, period, side}],
+              "sections": [{name, normal, position, momentum, offset, period, side, middle, reach}],
               "orbits": [{saddle, family, energy, period, state, floquet_multipliers: [[re, im]], residual, status}],
               "rotating_orbits": [{arm, winding, energy, period, state, floquet_multipliers, trace, kind, residual,
                                    status}],
@@ -109,22 +109,26 @@ class FoundAtlas:
     cached: bool
 
 
-def atlas_key(model: Model, energy: float, settings: AtlasSettings) -> str:
+def atlas_key(model: Model | System, energy: float, settings: AtlasSettings) -> str:
     """Return the content that an atlas depends on, as 16 hexadecimal digits."""
     content = {
         "format": FORMAT_ATLAS,
         "code": code_hash(__name__),
         "model": model.name,
-        "parameters": model.system.parameters.tolist(),
-        "system": type(model.parameters).__name__,
+        "parameters": _system(model).parameters.tolist(),
+        "system": model.description if isinstance(model, System) else type(model.parameters).__name__,
         "energy": energy,
         "settings": asdict(settings),
     }
     return content_hash(json.dumps(content, sort_keys=True))
 
 
+def _system(model: Model | System) -> System:
+    return model if isinstance(model, System) else model.system
+
+
 def make_atlas(
-    model: Model,
+    model: Model | System,
     energy: float,
     *,
     settings: AtlasSettings | None = None,
@@ -152,7 +156,7 @@ def make_atlas(
 
 
 def compute_atlas(
-    model: Model, energy: float, *, settings: AtlasSettings | None = None, progress: Progress = no_progress
+    model: Model | System, energy: float, *, settings: AtlasSettings | None = None, progress: Progress = no_progress
 ) -> Atlas:
     """Compute the atlas of `model` at `energy` (J).
 
@@ -160,7 +164,7 @@ def compute_atlas(
         InputError: no saddle has a Lyapunov orbit at this energy.
     """
     settings = settings or AtlasSettings()
-    system, seconds = model.system, {"orbits": 0.0, "tubes": 0.0, "connections": 0.0, "jit": 0.0}
+    system, seconds = _system(model), {"orbits": 0.0, "tubes": 0.0, "connections": 0.0, "jit": 0.0}
     points = equilibria(system)
     saddles = [point for point in points.values() if point.kind.startswith("index-1")]
     progress("compiling", 0.0)
@@ -170,6 +174,8 @@ def compute_atlas(
     with _timed(seconds, "orbits"):
         families = {point.name: sum(v.imag > 1e-6 * abs(v) for v in point.eigenvalues) for point in saddles}
         orbits, absent = orbits_at(system, families, energy)
+    if not orbits and not system.reversers:
+        raise InputError("; ".join(dict.fromkeys(reason for _, reason in absent)))
     if not orbits:
         births = ", ".join(f"{saddle.name} {saddle.energy:.6g} J" for saddle in saddles)
         raise InputError(
@@ -203,7 +209,7 @@ def compute_atlas(
     progress("atlas", 1.0)
     return Atlas(
         model=model.name,
-        title=model.title,
+        title=model.name if isinstance(model, System) else model.title,
         energy=energy,
         periods=system.periods,
         reverser=system.reversers[0],

@@ -16,6 +16,7 @@ PARTED = 0.3
 """Neighbouring seeds that arrive farther apart are no neighbours any more."""
 NEWTON = 5
 KNOTS = 400
+ESCAPED = 2.0
 
 
 @dataclass(frozen=True)
@@ -158,9 +159,8 @@ class Cut:
                 out[:, flying[done]] = there[:, np.isin(passed, done)]
             x[:, flying] = following
             time[flying] += h
-            flying = flying[
-                (seen[flying] < self.hit) & (time[flying] < self.longest) & np.isfinite(x[:, flying]).all(axis=0)
-            ]
+            near = np.abs(x[:2, flying]).max(axis=0) < ESCAPED
+            flying = flying[near & (seen[flying] < self.hit) & (time[flying] < self.longest)]
         return out
 
 
@@ -181,9 +181,12 @@ def crossings(unstable, stable, chart, count):
         gap, cross = b[:, :-1] - p, r[0] * along[1] - r[1] * along[0]
         with np.errstate(all="ignore"):
             t, u = (gap[0] * along[1] - gap[1] * along[0]) / cross, (gap[0] * r[1] - gap[1] * r[0]) / cross
-        # Neighbours that part lie on no curve.
+        # Neighbours that part lie on no curve, and what is far apart meets in the chart alone.
         near = (np.linalg.norm(along, axis=0) < PARTED) & (np.linalg.norm(r) < PARTED)
+        near &= np.abs(second[:, :-1] - first[:, i, None]).max(axis=0) < PARTED * (1 + np.abs(first[:, i]).max())
         guesses += [(i + t[j], j + u[j]) for j in np.flatnonzero(near & (t >= 0) & (t < 1) & (u >= 0) & (u < 1))]
+    if not guesses:
+        return np.empty((0, len(signs)))
     found = []
     for state in _refined(unstable, stable, signs, chart, np.array(guesses).reshape(-1, 2).T / count):
         if not any(np.abs(state - other).max() < 1e-7 for other in found):
