@@ -5,7 +5,6 @@ dpcontrol bifurcations
 dpcontrol atlas
 """
 
-import difflib
 import shutil
 from collections.abc import Iterator
 from decimal import Decimal
@@ -16,13 +15,15 @@ import click
 
 from dpcontrol.cli.verbs import (
     Answer,
-    DecimalNumber,
-    Hits,
     TextTable,
+    exact_energy_option,
     extended_text,
     file_option,
+    hits_option,
     multiplier_text,
     option,
+    precision_option,
+    saddle_options,
     verb,
 )
 from dpcontrol.foundation.errors import GoalMissed, InputError
@@ -42,16 +43,9 @@ SHOWN = 8
 
 @verb("connect", example="dpcontrol connect lab --from down-up --to up-down --energy 0.2")
 @click.argument("model")
-@click.option("--from", "source", required=True, help="Saddle whose orbit the connection leaves.")
-@click.option("--to", "target", required=True, help="Saddle whose orbit it joins.")
-@click.option("--energy", required=True, type=DecimalNumber(), help="Energy in J, zero at the pivot's height.")
-@option(
-    "--hits",
-    type=Hits(),
-    group=SEARCH,
-    help="Which crossings of the section count: the k-th of both tubes, or N,M for the unstable and the stable one. "
-    "[default: 1, or what --name says]",
-)
+@saddle_options
+@exact_energy_option
+@hits_option("1, or what --name says", group=SEARCH)
 @option(
     "--section",
     "section_name",
@@ -69,14 +63,7 @@ SHOWN = 8
     "resolved when it is short. [default: the model's, 12 for pendulums]",
 )
 @option("--name", group=RESULT, help="Show this connection only; names are those that the verb lists.")
-@option(
-    "--precision",
-    type=click.Choice(["double", "extended"]),
-    default="double",
-    show_default=True,
-    group=RESULT,
-    help="extended: refine the connection named by --name in 113-bit arithmetic.",
-)
+@precision_option("refine the connection named by --name in 113-bit arithmetic.", group=RESULT)
 def connect_command(
     *,
     model: str,
@@ -97,48 +84,30 @@ def connect_command(
     On another --section other connections come first: homoclinics that pass by the other saddle's side cross "aligned"
     and cross back, and so are found there at --hits 1,2.
     """
+    from dpcontrol import api
     from dpcontrol.scenes.model import load_model
     from dpcontrol.tubes.connection import searched_at
-    from dpcontrol.tubes.connections import find_connections, orbits_between
-    from dpcontrol.tubes.cut import CutSettings
-    from dpcontrol.tubes.intersections import ConnectionSettings
+    from dpcontrol.tubes.connections import orbits_between
 
     if precision == "extended" and name is None:
         raise InputError("--precision extended refines one connection: give its --name as `dpcontrol connect` lists it")
     named_hits, named_section = searched_at(name or "") or ((1, 1), None)
-    hits = hits or named_hits
     loaded = load_model(model)
-    settings = ConnectionSettings(cut=CutSettings(longest=longest))
-    with progress_bar("connections") as progress:
-        orbits = orbits_between(loaded.system, source, target, float(energy))
-        for orbit in orbits:
-            if not orbit.converged:
-                raise GoalMissed(f"the Lyapunov orbit about {orbit.saddle} at {energy} J: {orbit.status}")
-        section = loaded.system.section_between(source, target, section_name or named_section)
-        search = find_connections(*orbits, hits=hits, section=section, settings=settings, progress=progress)
-    found = search.connections if name is None else (_named(search, name),)
+    orbits = orbits_between(loaded.system, source, target, float(energy))
+    search = api.connections(
+        *orbits, hits=hits or named_hits, section=section_name or named_section, longest=longest, progress=True
+    )
+    document, found = search.document(), search.connections
+    if name is not None:
+        found = (search.named(name),)
+        document |= {"count": 1, "connections": [found[0].document()]}
     if precision == "extended":
         return _extended(loaded, found[0], energy)
-    document = {
-        "count": len(found),
-        "connections": [c.document() for c in found],
-        "open_cuts": [
-            {"branch": f"{tube} {end.branch:+d}", "phase_interval": end.phase_interval, "reason": end.reason}
-            for tube, end in search.open_ends
-        ],
-        "complete": search.complete,
-        "status": search.status,
-        "energy": float(energy),
-        "from": source,
-        "to": target,
-        "hits": hits,
-        "section": section.name,
-    }
     missed = ""
     if name is None and not search.complete:
         missed = f"the search between {source} and {target} is not complete: {search.status}"
     return Answer(
-        document, _connect_text(f"{source} → {target} at {energy} J on {section.name}", found, search), missed
+        document, _connect_text(f"{source} → {target} at {energy} J on {document['section']}", found, search), missed
     )
 
 
@@ -162,17 +131,6 @@ def _connect_text(title: str, found: "tuple[Connection, ...]", search: "Connecti
         yield f"open: {tube} tube, branch {end.branch:+d}, phase {low:.6f} … {high:.6f}: {end.reason}"
     if len(search.open_ends) > SHOWN:
         yield f"… and {len(search.open_ends) - SHOWN} more open ends, which --json lists"
-
-
-def _named(search: "ConnectionSearch", name: str) -> "Connection":
-    names = [c.name for c in search.connections]
-    if name in names:
-        return search.connections[names.index(name)]
-    if not names:
-        raise InputError(f"there is no connection {name!r}: the search found none ({search.status})")
-    close = difflib.get_close_matches(name, names, n=1, cutoff=0.3)
-    hint = f"did you mean {close[0]!r}?" if close else f"names look like {names[0]!r}"
-    raise InputError(f"there is no connection {name!r} among the {len(names)} found; {hint} (quote it in a shell)")
 
 
 def _extended(model: "Model", connection: "Connection", energy: Decimal) -> Answer:
@@ -218,8 +176,7 @@ def _extended(model: "Model", connection: "Connection", energy: Decimal) -> Answ
 
 @verb("bifurcations", example="dpcontrol bifurcations lab --from down-up --to down-up --energies -0.11 -0.09")
 @click.argument("model")
-@click.option("--from", "source", required=True, help="Saddle whose orbit the connections leave.")
-@click.option("--to", "target", required=True, help="Saddle whose orbit they join.")
+@saddle_options
 @click.option("--energies", required=True, type=float, nargs=2, metavar="LO HI", help="Range of energies in J.")
 @click.option(
     "--hits", default=1, show_default=True, type=click.IntRange(1), help="How often the connections cross the section."
@@ -235,15 +192,12 @@ def bifurcations_command(
     of hits changes. Every change of the count is explained by such events, or reported.
     Where trajectories scatter before they arrive, connections accumulate without end: counts are lower bounds there.
     """
-    from dpcontrol.bifurcations.bifurcations import find_bifurcations
-    from dpcontrol.bifurcations.sweep import SweepSettings
+    from dpcontrol import api
     from dpcontrol.scenes.model import load_model
 
-    system, settings = load_model(model).system, SweepSettings(energies=samples)
-    with progress_bar("bifurcations") as progress:
-        found = find_bifurcations(
-            system, source, target, energies=energies, crossings=hits, settings=settings, progress=progress
-        )
+    found = api.find_bifurcations(
+        load_model(model), source, target, energies=energies, hits=hits, samples=samples, progress=True
+    )
     missed = f"not every change of the count was located: {found.status}" if found.unexplained else ""
     return Answer({**found.document(), "energies": energies}, _bifurcations_text(found), missed)
 
@@ -270,12 +224,7 @@ def _bifurcations_text(found: "BifurcationSearch") -> Iterator[str | TextTable]:
 @verb("atlas", example="dpcontrol atlas lab --energy 0.2", note="then: dpcontrol review FILE")
 @click.argument("model")
 @click.option("--energy", required=True, type=float, help="Energy in J, zero at the pivot's height.")
-@click.option(
-    "--hits",
-    type=Hits(),
-    help="Which crossings of the section count: the k-th of both tubes, or N,M for the unstable and the stable one. "
-    "[default: for each kind the first at which they meet, up to 2]",
-)
+@hits_option("for each kind the first at which they meet, up to 2")
 @click.option("--fresh", is_flag=True, help="Compute anew even if the atlas is cached.")
 @file_option("--out", suffix=".npz", help="Also write the atlas to this .npz.")
 def atlas_command(*, model: str, energy: float, hits: tuple[int, int] | None, fresh: bool, out: Path | None) -> Answer:

@@ -125,15 +125,7 @@ def _family(model: "Model", saddle: str, energies: Range, family: int, picture: 
         from dpcontrol.review.page import save_figure
 
         save_figure(draw_families([found], f"Lyapunov orbits about {found.saddle} of {found.system.name}"), picture)
-    document = {
-        "family": [m.document() for m in found.members],
-        "ends": [{"energy": e.energy, "kind": e.kind, "reason": e.reason} for e in found.ends],
-        "events": [{"kind": e.kind, **e.orbit.document()} for e in found.events],
-        "saddle": saddle,
-        "energies": energies,
-        "status": found.status,
-        "picture": None if picture is None else str(picture),
-    }
+    document = {**found.document(), "energies": energies, "picture": None if picture is None else str(picture)}
     missed = "" if found.converged else f"the family about {saddle}: {found.status}"
     return Answer(document, [*_family_text(found, saddle), *drawn_to(picture)], missed)
 
@@ -186,24 +178,7 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
 
         save_figure(draw_rotating_families(families), picture)
     document = {
-        "families": [
-            {
-                "members": [member.document() for member in family.members],
-                "changes": [
-                    {
-                        "critical_trace": c.critical_trace,
-                        "before": c.before,
-                        "after": c.after,
-                        **c.orbit.document(),
-                    }
-                    for c in family.changes
-                ],
-                "folds": [fold.document() for fold in family.folds],
-                "ends": family.ends,
-                "status": family.status,
-            }
-            for family in families
-        ],
+        "families": [family.document() for family in families],
         "count": len(families),
         **asked,
         "energies": energies,

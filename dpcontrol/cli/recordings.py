@@ -70,7 +70,7 @@ def import_command(
             recording = import_recording(file, mapping, repairs=repairs, progress=progress)
         progress("writing", 0.7)
         log = write_recording(recording, out or Path("logs") / f"{recording.name}.mcap")
-    document = {"log": str(log), "source": str(file or recording.source), **_document(recording)}
+    document = {"log": str(log), "source": str(file or recording.source), **recording.document()}
     return Answer(document, _import_text(recording, document))
 
 
@@ -80,28 +80,6 @@ def _swings(model: str, *, swings: int, seconds: float, seed: int) -> "Recording
 
     loaded = load_model(model)
     return random_swings(loaded.arms, swings=swings, seconds=seconds, seed=seed, name=f"{loaded.name}-swings-{seed}")
-
-
-def _document(recording: "Recording") -> dict[str, Any]:
-    segments = [
-        {
-            "index": index,
-            "start": float(recording.time[first]),
-            "samples": end - first,
-            "duration": float(recording.time[end - 1] - recording.time[first]),
-        }
-        for index, (first, end) in enumerate(recording.segments)
-    ]
-    return {
-        "arms": recording.arms,
-        "samples": len(recording.time),
-        "sampling_period": recording.dt,
-        "duration": sum(segment["duration"] for segment in segments),
-        "rates": recording.rates is not None,
-        "cart": recording.cart is not None,
-        "segments": segments,
-        "notes": recording.notes,
-    }
 
 
 def _import_text(recording: "Recording", document: dict[str, Any]) -> Iterator[str]:

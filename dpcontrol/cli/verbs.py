@@ -20,6 +20,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 if TYPE_CHECKING:
     from decimal import Decimal
 
+ENERGY = "Energy in J, zero at the pivot's height."
 OUTPUT = "Output"
 """Group of the options that say where results go."""
 _SHOWN = "dpcontrol.shown"
@@ -207,3 +208,28 @@ class DecimalNumber(click.ParamType):
             return Decimal(value)
         except InvalidOperation:
             self.fail(f"{value!r} is not a number.", param, ctx)
+
+
+def exact_energy_option(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the energy, kept as the decimal that was typed."""
+    return click.option("--energy", required=True, type=DecimalNumber(), help=ENERGY)(function)
+
+
+def saddle_options(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the saddles between which connections are sought, as source and target."""
+    function = click.option("--to", "target", required=True, help="Saddle whose orbit they join.")(function)
+    return click.option("--from", "source", required=True, help="Saddle whose orbit connections leave.")(function)
+
+
+def hits_option(default: str, *, group: str = "") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return the decorator of the option for crossings of the section; default: what holds without it, in words."""
+    text = "Which crossings of the section count: the k-th of both tubes, or N,M for the unstable and the stable one."
+    return option("--hits", type=Hits(), group=group, help=f"{text} [default: {default}]")
+
+
+def precision_option(extended: str, *, group: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Return the decorator of the option for the precision; extended: what extended precision does."""
+    kinds = click.Choice(["double", "extended"])
+    return option(
+        "--precision", type=kinds, default="double", show_default=True, group=group, help=f"extended: {extended}"
+    )

@@ -11,13 +11,14 @@ import click
 from dpcontrol.cli.verbs import (
     OUTPUT,
     Answer,
-    DecimalNumber,
     Hits,
     TextTable,
     drawn_to,
+    exact_energy_option,
     extended_text,
     file_option,
     option,
+    precision_option,
     verb,
 )
 from dpcontrol.foundation.errors import InputError
@@ -51,7 +52,7 @@ class _Wraps(click.ParamType):
 
 @verb("walk", example='dpcontrol walk lab --energy 0.2 -s "down-up +" -s "down-up > up-down" --solve')
 @click.argument("model")
-@click.option("--energy", required=True, type=DecimalNumber(), help="Energy in J, zero at the pivot's height.")
+@exact_energy_option
 @click.option("--hits", type=Hits(), default="1", show_default=True, help="Last crossings of the sections that count.")
 @option(
     "-s",
@@ -86,13 +87,8 @@ class _Wraps(click.ParamType):
 @option("--lead-in", type=click.IntRange(0), default=2, show_default=True, group=WRAPS, help="Wobbles before the walk.")
 @option("--lead-out", type=click.IntRange(0), default=2, show_default=True, group=WRAPS, help="Wobbles after it.")
 @option("--solve", is_flag=True, group=ORBITS, help="Find the orbit of each walk.")
-@option(
-    "--precision",
-    type=click.Choice(["double", "extended"]),
-    default="double",
-    show_default=True,
-    group=ORBITS,
-    help=f"extended: refine the orbits of up to {REFINED} walks in 113-bit arithmetic; seconds for each symbol.",
+@precision_option(
+    f"refine the orbits of up to {REFINED} walks in 113-bit arithmetic; seconds for each symbol.", group=ORBITS
 )
 @option(
     "--out",
@@ -212,24 +208,9 @@ def _listed(
 
 def _graph(edges: "Edges") -> Answer:
     """Show the connections of an energy, and how many walks they allow."""
-    from dpcontrol.foundation.files import picked
     from dpcontrol.walks.walks import count_walks
 
     counts = {str(k): count_walks(edges, k) for k in range(1, 9)}
-    document = {
-        **picked(edges, "energy", "saddles", "notes"),
-        "absent": [{"saddle": saddle, "reason": reason} for saddle, reason in edges.absent],
-        "edges": [
-            {
-                **picked(c, "name", "winding", "sense"),
-                "from": c.source.saddle,
-                "to": c.target.saddle,
-                "transversality_angle_deg": c.transversality_angle,
-            }
-            for c in edges.connections
-        ],
-        "walks_by_length": counts,
-    }
     rows = [(f"{a} → {b}", str(len(edges.between(a, b)))) for a, b in edges.searched]
     text = [
         TextTable(f"connections at {edges.energy:g} J", ("from → to", "count"), rows),
@@ -238,7 +219,7 @@ def _graph(edges: "Edges") -> Answer:
         *(f"not there: {reason}" for _, reason in edges.absent),
         *(f"perhaps more: {note}" for note in edges.notes),
     ]
-    return Answer(document, text)
+    return Answer({**edges.document(), "walks_by_length": counts}, text)
 
 
 def _walks(edges: "Edges", requests: "Sequence[WalkRequest]") -> Answer:

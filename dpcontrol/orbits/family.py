@@ -19,6 +19,7 @@ Sources: Doedel et al., Computation of periodic solutions of conservative system
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,7 @@ from scipy.optimize import brentq
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, described_orbit
 from dpcontrol.orbits.symmetric_shooting import LinearCentre, SymmetricShooting, symmetric_shooting
@@ -374,6 +376,15 @@ class LyapunovFamily:
     def floquet_multipliers(self) -> NDArray[np.complex128]:
         """Multipliers (K, N), largest first in each row."""
         return np.array([m.floquet_multipliers for m in self.members])
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol orbit --energies --json` prints, the energies that were asked for apart."""
+        return {
+            "family": [m.document() for m in self.members],
+            "ends": [picked(e, "energy", "kind", "reason") for e in self.ends],
+            "events": [{"kind": e.kind, **e.orbit.document()} for e in self.events],
+            **picked(self, "saddle", "status"),
+        }
 
 
 def lyapunov_family(

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.family import (
     LINGERS,
@@ -351,6 +352,15 @@ class RotatingFamily:
     def traces(self) -> Array:
         """Traces (K,) of the section's map."""
         return np.array([m.trace for m in self.members])
+
+    def document(self) -> dict[str, Any]:
+        """Return its part of what `dpcontrol orbit --rotating --energies --json` prints."""
+        return {
+            "members": [member.document() for member in self.members],
+            "changes": [{**picked(c, "critical_trace", "before", "after"), **c.orbit.document()} for c in self.changes],
+            "folds": [fold.document() for fold in self.folds],
+            **picked(self, "ends", "status"),
+        }
 
 
 def rotating_family(

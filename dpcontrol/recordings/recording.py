@@ -24,6 +24,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.propagator import Propagator
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import picked
 from dpcontrol.logs import LogWriter, Mode, RunLog, control_fields, read_log
 from dpcontrol.logs.container import MAGIC
 
@@ -89,6 +91,27 @@ class Recording:
     def split(self) -> "list[Recording]":
         """Return all segments, in order."""
         return [self.segment(index) for index in range(len(self.segments))]
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol import --json` prints, the log's and the source's names apart."""
+        segments = [
+            {
+                "index": index,
+                "start": float(self.time[first]),
+                "samples": end - first,
+                "duration": float(self.time[end - 1] - self.time[first]),
+            }
+            for index, (first, end) in enumerate(self.segments)
+        ]
+        return {
+            **picked(self, "arms", "notes"),
+            "samples": len(self.time),
+            "sampling_period": self.dt,
+            "duration": sum(segment["duration"] for segment in segments),
+            "rates": self.rates is not None,
+            "cart": self.cart is not None,
+            "segments": segments,
+        }
 
 
 def segments_text(segments: tuple[tuple[int, int], ...]) -> str:

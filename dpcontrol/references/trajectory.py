@@ -9,13 +9,16 @@ Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming
 """
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
 from dpcontrol.references.method import Method, differentiation_matrix, interpolation_matrix
 from dpcontrol.references.problem import Limits, ReferenceProblem, state_scale
+
+if TYPE_CHECKING:
+    from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
 
 Array = NDArray[np.float64]
 
@@ -83,7 +86,7 @@ def error_between_nodes(
     problem: ReferenceProblem,
     trajectory: Trajectory,
     *,
-    propagator: PolynomialInputPropagator | None = None,
+    propagator: "PolynomialInputPropagator | None" = None,
 ) -> Array:
     """Return the largest scaled error in each interval, (N,); infinite where the propagation fails.
 
@@ -108,8 +111,10 @@ def error_between_nodes(
     return np.where(np.isfinite(errors), errors, np.inf)
 
 
-def interval_propagator(problem: ReferenceProblem, method: Method) -> PolynomialInputPropagator:
+def interval_propagator(problem: ReferenceProblem, method: Method) -> "PolynomialInputPropagator":
     """Return the propagator for intervals of `method`, compiled when first used."""
+    from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
+
     return PolynomialInputPropagator(problem.equations, problem.parameters, degree=len(method.points) - 1)
 
 

@@ -23,8 +23,10 @@ Source: Koon, Lo, Marsden, Ross, Heteroclinic connections between periodic orbit
 mechanics (2000), section 4.
 """
 
+import difflib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +34,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.curve import HyperbolicOrbit, OrbitCurve, local_manifold
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
@@ -73,6 +76,38 @@ class ConnectionSearch:
 
     def __repr__(self) -> str:
         return f"<connections {self.source.saddle} → {self.target.saddle}: {self.status}>"
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol connect --json` prints."""
+        return {
+            "count": len(self.connections),
+            "connections": [c.document() for c in self.connections],
+            "open_cuts": [
+                {"branch": f"{tube} {end.branch:+d}", **picked(end, "phase_interval", "reason")}
+                for tube, end in self.open_ends
+            ],
+            **picked(self, "complete", "status"),
+            "energy": self.source.energy,
+            "from": self.source.saddle,
+            "to": self.target.saddle,
+            "hits": [cut.hit for cut in self.cuts],
+            "section": self.cuts[0].section.name,
+        }
+
+    def named(self, name: str) -> Connection:
+        """Return the connection of this name.
+
+        Raises:
+            InputError: none of those found has it; names the one most like it.
+        """
+        names = [c.name for c in self.connections]
+        if name in names:
+            return self.connections[names.index(name)]
+        if not names:
+            raise InputError(f"there is no connection {name!r}: the search found none ({self.status})")
+        close = difflib.get_close_matches(name, names, n=1, cutoff=0.3)
+        hint = f"did you mean {close[0]!r}?" if close else f"names look like {names[0]!r}"
+        raise InputError(f"there is no connection {name!r} among the {len(names)} found; {hint} (quote it in a shell)")
 
     @property
     def open_ends(self) -> tuple[tuple[str, OpenEnd], ...]:

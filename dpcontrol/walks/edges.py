@@ -15,12 +15,14 @@ import re
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import networkx as nx
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.curve import HyperbolicOrbit, local_manifold, rotating_vertex
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
@@ -162,6 +164,22 @@ class Edges:
     def leaving(self, saddle: str) -> tuple[Connection, ...]:
         """Return the connections that leave a saddle's orbit."""
         return tuple(c for c in self.connections if c.source.saddle == saddle)
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol walk --json` prints of the graph, the numbers of walks apart."""
+        return {
+            **picked(self, "energy", "saddles", "notes"),
+            "absent": [{"saddle": saddle, "reason": reason} for saddle, reason in self.absent],
+            "edges": [
+                {
+                    **picked(c, "name", "winding", "sense"),
+                    "from": c.source.saddle,
+                    "to": c.target.saddle,
+                    "transversality_angle_deg": c.transversality_angle,
+                }
+                for c in self.connections
+            ],
+        }
 
     def graph(self) -> "nx.MultiDiGraph[str]":
         """Return the multigraph: orbits as nodes, connections as edges."""
