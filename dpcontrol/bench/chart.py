@@ -176,7 +176,7 @@ class Panel:
         error = self._error(point)
         fastest = min(p.seconds for p in running if self._error(p) <= error)
         truest = min(self._error(p) for p in running if p.seconds <= point.seconds)
-        # Where none as fast is truer, only time is left to tell how far it is.
+        # Where none as fast is more precise, only time measures how far it is.
         wrong = error / truest if 0 < truest < error else math.inf
         return min(point.seconds / fastest, wrong) - 1
 

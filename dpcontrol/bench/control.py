@@ -132,7 +132,7 @@ def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, s
 
 
 def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *, seeds: int) -> Judged | str:
-    """Return what `seeds` runs at each mismatch come to, or that none came through at the small one.
+    """Return the results of `seeds` runs at each mismatch, or that none succeeded at the small one.
 
     The error is over those that came through; others: shares that came through at both, rms of the feedback in m/s² at
     the small one.

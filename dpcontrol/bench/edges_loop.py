@@ -27,7 +27,7 @@ Source: Feller, An Introduction to Probability Theory and Its Applications I, 3r
 Where OGY ends: the largest pulse, and encoder counts, by sections in a period.
 
 An error grows by about λ^(1/k) from one of k sections to the next, so that few sections need large pulses and fine
-encoders. Readings round as the orbit has it, which no short formula tells: the borders are measured only.
+encoders. How readings round depends on the orbit, for which there is no short formula: the borders are measured only.
 """
 
 import math
@@ -328,7 +328,7 @@ def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
         reading=(
             "Left: the filter flies through gaps on its model; the supervisor ends the run after 0.1 s without any.",
             "Right: a stuck encoder is recognised by what the arm should have done meanwhile.",
-            "Circles come to the end, crosses end with the sentence in the data; diamonds are predicted.",
+            "Circles run to the end, crosses end with the sentence in the data; diamonds are predicted.",
         ),
         chosen="0.1 s without a sample: an error at Down-Up grows 2.2-fold in it, far within authority.",
     )  # fmt: skip

@@ -224,7 +224,7 @@ def gather(itinerary: Itinerary, *, seeds: int) -> tuple[Evidence, dict[str, Pla
 
 
 def _runs(itinerary: Itinerary, archive: Path, loop: LoopSettings, seeds: int) -> LevelRuns:
-    """Return what `seeds` runs come to with the reference in `archive`."""
+    """Return the results of `seeds` runs with the reference in `archive`."""
     job = Job(
         itinerary.name, archive.read_bytes(), itinerary.model.arms, Case("level", (), loop), tuple(range(seeds)),
         "compiled",

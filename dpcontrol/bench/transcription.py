@@ -67,7 +67,7 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
         ),
         reading=(
             "A mark is a method with its points on intervals of one length, built and solved once from one guess.",
-            "Error between nodes: a propagator restarts at each interval and tells how far the polynomial is from it.",
+            "Error between nodes: a propagator restarts at each interval and measures how far off the polynomial is.",
             "Last diagram: the first half second, given to rockit too, which holds its input over an interval.",
         ),
         chosen=(

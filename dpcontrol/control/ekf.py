@@ -226,7 +226,7 @@ class FilterEquations:
             covariance = _unpack(_pack(covariance), size)
         after, covariance, y, nis = self._updated(before, covariance, measured, present, noise)
         sigmas = ca.vertcat(*(ca.sqrt(covariance[i, i]) for i in range(size)))
-        # The last is no number as soon as anything in the estimate is none: one look tells.
+        # The last is not finite as soon as anything in the estimate is not: one comparison finds it.
         sound = ca.sum1(after) + ca.sum1(sigmas)
         # Within the same call this costs a sixth of a call of its own.
         coming = ca.SX.sym("coming")
@@ -291,9 +291,9 @@ def _compiled(
 class EkfProgram:
     """The filter of one model, its inputs and outputs laid out for one run or for many.
 
-    `step` and `update` take `inputs` (M,) or (M, S); `slices` tells where memory, command, measured, present, noise,
-    parameters and process stand. Their outputs begin with the memory for the next tick; `out` tells where the rest
-    stands. Values of positions that are not present must be finite all the same.
+    `step` and `update` take `inputs` (M,) or (M, S); `slices` locates memory, command, measured, present, noise,
+    parameters and process. Their outputs begin with the memory for the next tick; `out` locates the rest. Values of
+    positions that are not present must be finite all the same.
     """
 
     def __init__(self, model: SampledModel, settings: FilterSettings) -> None:
@@ -495,7 +495,7 @@ class CompiledEkf(KalmanFilter):
             )
         self._memory[:] = memory
         if present is not None:
-            # What is not a number must not reach the products: zero times it is not zero.
+            # NaN must not reach the products: zero times NaN is not zero.
             np.copyto(self._measured, 0.0)
             np.copyto(self._measured, measured, where=present)
             self._present[:] = present
@@ -505,9 +505,9 @@ class CompiledEkf(KalmanFilter):
             if not self._all:
                 self._present[:] = 1.0
                 self._all = True
-        out, told, state, extra, sigmas, innovation, kept, later = next(self._rooms)
+        out, figures, state, extra, sigmas, innovation, kept, later = next(self._rooms)
         program.machine(self._inputs, out)
-        nis, used, sound = told.tolist()
+        nis, used, sound = figures.tolist()
         if not (0 <= nis < inf and -inf < sound < inf):
             raise ArithmeticError(
                 "the filter's covariance is no longer positive, or its state no longer finite; begin again from the "

@@ -8,7 +8,7 @@
 
 With the cart's acceleration as input only ratios of the inertial parameters matter, so one of them stays fixed; G_i and
 S_i share a factor, for gravity is known. What is common to all zeros is seen through gravity alone: while the arms
-barely move about a vertical, zeros and disturbance cannot be told apart, so give both only with a reason.
+barely move about a vertical, zeros and disturbance cannot be distinguished, so give both only with a reason.
 
 Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, sections 8.2 and 11.9.
 
@@ -43,7 +43,7 @@ class Augment(StrEnum):
 
 
 _DRIFT = 1e-3
-"""Of a constant per √s, as a share of its first standard deviation: keeps the filter from becoming deaf to it."""
+"""Of a constant per √s, as a share of its first standard deviation: keeps the filter's gain from vanishing."""
 
 
 def extra_names(arms: int, augment: tuple[Augment, ...]) -> tuple[str, ...]:

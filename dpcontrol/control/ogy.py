@@ -135,7 +135,7 @@ def parameter_directions(equations: Equations, parameters: Array) -> Array:
 
 
 def sensitivities(orbit: "SustainedOrbit", maps: "tuple[SectionMap, ...]", directions: Array) -> Array:
-    """Return D (k, N, m): where flights between sections come to for plants changed along `directions` (m, p).
+    """Return D (k, N, m): how the ends of flights between sections change with plants along `directions` (m, p).
 
     By central differences of Runge-Kutta flights under the orbit's input.
     """
@@ -237,7 +237,7 @@ class OgySettings(QuadraticWeights):
     """OGY with linear-quadratic pulses: sections in a period, and the largest pulse in m/s².
 
     parameter_error: share by which the plant's inertial parameters may differ from the model's, friction five times
-    as much; what a run tells about them corrects the pulses. Zero: it tells nothing.
+    as much; what a run shows of them corrects the pulses. Zero: nothing is learnt.
     """
 
     position: float = 30.0

@@ -215,7 +215,7 @@ def orbit_controller(
 
 
 def check_orbit(orbit: "SustainedOrbit", model: SampledModel) -> None:
-    """Refuse an orbit that cannot be held with this model.
+    """Reject an orbit that cannot be held with this model.
 
     Raises:
         InputError: the orbit did not converge, or is of another number of arms.

@@ -2,7 +2,7 @@
 
     τ = argmin |D⁻¹ (x - x*(τ))|,      D: the scale of the pendulum's state, the cart left out
 
-The cart is left out because where it stands does not tell the phase. A table of one period is searched, and the best
+The cart is left out because its position does not depend on the phase. A table of one period is searched, and the best
 entry moved along the orbit by lateness = (x - x*) · D⁻² ẋ* / |D⁻¹ ẋ*|².
 Source: Hauser & Hindman, Manoeuvre regulation from trajectory tracking, NOLCOS (1995), section 3, for the projection.
 """
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 ENTRIES = 2048
 """Entries of a period: between two of them a straight line errs by 1e-5 rad at the lab's largest accelerations."""
 COARSE = 8
-"""Every how-manieth entry is searched before the best one is moved along the orbit."""
+"""Every k-th entry is searched before the best one is moved along the orbit."""
 
 
 def whole_turns(angles: Array) -> Array:

@@ -10,7 +10,7 @@ Following a reference by phase: the clock goes on with time and is corrected to 
 
     c := c + 1 + lateness,    lateness = (x̂ - x*(c))·n(c),    n = D⁻² ẋ* / (|D⁻¹ ẋ*|² + ε²)      in ticks
 
-D: the pendulum's scale; the cart is left out, for where it stands does not tell the phase. ε: where the reference
+D: the pendulum's scale; the cart is left out, as its position does not depend on the phase. ε: where the reference
 stands still the clock goes on with time alone.
 Source: Hauser & Hindman, Manoeuvre regulation from trajectory tracking, NOLCOS (1995), section 3.
 """
