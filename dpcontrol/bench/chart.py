@@ -10,10 +10,14 @@ so `off` ≤ 0.2 reads: nothing as precise is over 20 % faster, or nothing as fa
 Source: Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I (1993), section II.10.
 """
 
+import importlib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, ClassVar, Protocol
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.progress import Progress
 
 ALLOWED = 0.2
 """How far off the front a default may stand, with a reason."""
@@ -234,3 +238,49 @@ class PrecisionChart(ChartPage):
         super().__post_init__()
         if not any(panel.defaults for panel in self.panels):
             raise ValueError(f"{self.name}: no point is the product's default")
+
+
+Drawer = Callable[[bool, Progress], ChartPage]
+"""(quick, progress) -> chart, whose module is imported then: `quick` takes less work and keeps the order on fronts."""
+
+
+def _of(module: str, function: str = "chart") -> Drawer:
+    def chart(quick: bool, progress: Progress) -> ChartPage:
+        return getattr(importlib.import_module(f"dpcontrol.bench.{module}"), function)(quick, progress)
+
+    return chart
+
+
+CHARTS: dict[str, Drawer] = {
+    "propagation": _of("propagation"),
+    "connections": _of("connections"),
+    "transcription": _of("transcription"),
+    "estimation": _of("estimation"),
+    "control": _of("control"),
+    "logging": _of("logging"),
+    "levels": _of("levels"),
+    "edges-propagation": _of("edges_design", "propagation_chart"),
+    "edges-seeds": _of("edges_design", "seeds_chart"),
+    "edges-walks": _of("edges_design", "walks_chart"),
+    "edges-references": _of("edges_design", "references_chart"),
+    "edges-control": _of("edges_loop", "control_chart"),
+    "edges-moving": _of("edges_loop", "moving_chart"),
+    "edges-ogy": _of("edges_loop", "ogy_chart"),
+    "edges-estimation": _of("edges_loop", "estimation_chart"),
+}
+GROUPS = {"edges": tuple(name for name in CHARTS if name.startswith("edges-"))}
+"""Names that stand for several charts."""
+
+
+def check_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the charts to draw, each once: those named, or all.
+
+    Raises:
+        InputError: an unknown name.
+    """
+    chosen: list[str] = []
+    for name in names:
+        if name not in CHARTS and name not in GROUPS:
+            raise InputError(f"there is no chart {name!r}; choose from {', '.join((*CHARTS, *GROUPS))}")
+        chosen += GROUPS.get(name, (name,))
+    return tuple(dict.fromkeys(chosen)) or tuple(CHARTS)

@@ -11,9 +11,8 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.alternatives import Alternative, Judged, compare
 from dpcontrol.bench.chart import Panel, Point, PrecisionChart
-from dpcontrol.bench.measure import timed_in_turns
+from dpcontrol.bench.measure import Alternative, Judged, compare, timed_in_turns
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.orbits.curve import local_manifold

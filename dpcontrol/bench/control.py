@@ -14,10 +14,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.alternatives import Compared, Judged
 from dpcontrol.bench.chart import Missing, Panel, Point, PrecisionChart
 from dpcontrol.bench.estimation import noise_of
-from dpcontrol.bench.measure import timed_in_turns
+from dpcontrol.bench.measure import Compared, Judged, timed_in_turns
 from dpcontrol.control.adaptive import AdaptiveSettings, adaptive_controller
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings

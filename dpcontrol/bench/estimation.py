@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.alternatives import Alternative, Judged, compare
 from dpcontrol.bench.chart import Panel, PrecisionChart
+from dpcontrol.bench.measure import Alternative, Judged, compare
 from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import (
     EkfSettings,

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.alternatives import Alternative, Compared, Judged, compare
 from dpcontrol.bench.chart import Missing, Panel, Point, PrecisionChart
+from dpcontrol.bench.measure import Alternative, Compared, Judged, compare
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import compiled_step
 from dpcontrol.dynamics.plant import PlantLevel, PlantParameters, plant_step

@@ -24,8 +24,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from dpcontrol.bench.alternatives import Alternative, Compared, Judged, compare
 from dpcontrol.bench.chart import Missing, Point, PrecisionChart
+from dpcontrol.bench.measure import Alternative, Compared, Judged, compare
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.logs import LogWriter, recover

@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
-from dpcontrol.bench.alternatives import Alternative, Compared, Judged, compare
 from dpcontrol.bench.chart import Panel, PrecisionChart
+from dpcontrol.bench.measure import Alternative, Compared, Judged, compare
 from dpcontrol.control.model import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import Compiled, fixed_step

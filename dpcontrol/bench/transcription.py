@@ -14,8 +14,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.alternatives import Alternative, Judged, compare
 from dpcontrol.bench.chart import Panel, Point, PrecisionChart
+from dpcontrol.bench.measure import Alternative, Judged, compare
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, part_of

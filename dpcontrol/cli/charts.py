@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dpcontrol.bench.run import CHARTS, GROUPS
+from dpcontrol.bench.chart import CHARTS, GROUPS
 from dpcontrol.cli.verbs import OUTPUT, Answer, TextTable, option, verb
 from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
-    from dpcontrol.bench.run import Drawn
+    from dpcontrol.bench.run import DrawnChart
 
 
 @verb("figures", example="dpcontrol figures tubes heteroclinics --out pictures")
@@ -107,8 +107,8 @@ slower, and errs by.
 )
 def bench_command(*, names: tuple[str, ...], quick: bool, against: Path | None, strict: bool, out: Path) -> Answer:
     """Draw the charts, print their fronts and borders."""
-    from dpcontrol.bench.chart import PrecisionChart
-    from dpcontrol.bench.run import changes, check_names, draw_charts, earlier_panels, losses
+    from dpcontrol.bench.chart import PrecisionChart, check_names
+    from dpcontrol.bench.run import changes, draw_charts, earlier_panels, losses
 
     # Read before the work: the folder may be the one that is drawn to.
     charts = [name for name in check_names(names) if name not in GROUPS["edges"]]
@@ -133,7 +133,7 @@ def bench_command(*, names: tuple[str, ...], quick: bool, against: Path | None, 
     return Answer(document, _text(drawn) if missed else [*_text(drawn), status], missed)
 
 
-def _text(drawn: "Sequence[Drawn]") -> Iterator[str | TextTable]:
+def _text(drawn: "Sequence[DrawnChart]") -> Iterator[str | TextTable]:
     for d in drawn:
         yield str(d.picture)
         for table in d.chart.tables():

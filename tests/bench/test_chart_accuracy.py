@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dpcontrol.bench import alternatives, connections, transcription
-from dpcontrol.bench.alternatives import Alternative
-from dpcontrol.bench.chart import Point
-from dpcontrol.bench.measure import Timed
+from dpcontrol.bench import connections, measure, transcription
+from dpcontrol.bench.chart import CHARTS, GROUPS, Point
+from dpcontrol.bench.measure import Alternative, Timed
 from dpcontrol.bench.propagation import (
     Stepper,
     buffered_rate,
@@ -24,7 +23,7 @@ from dpcontrol.bench.propagation import (
     tick_panels,
     work_of,
 )
-from dpcontrol.bench.run import CHARTS, GROUPS, earlier_panels, less_accurate
+from dpcontrol.bench.run import earlier_panels, less_accurate
 from dpcontrol.dynamics.compiled import fixed_step
 from dpcontrol.dynamics.extended import ExtendedPropagator
 from dpcontrol.foundation.errors import GoalMissed
@@ -192,7 +191,7 @@ def test_no_default_of_a_quick_chart_errs_by_more_than_it_did(name, monkeypatch)
         return found
 
     module = importlib.import_module(f"dpcontrol.bench.{name}")
-    for holder in (module, alternatives):
+    for holder in (module, measure):
         if hasattr(holder, "timed_in_turns"):
             monkeypatch.setattr(holder, "timed_in_turns", once)
     before, after = earlier_panels(STORED, name), CHARTS[name](True, no_progress).parts

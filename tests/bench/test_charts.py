@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from command_line import dpcontrol
 
-from dpcontrol.bench import run as registry
+from dpcontrol.bench import chart as registry
 from dpcontrol.bench.chart import ALLOWED, Panel, Point, PrecisionChart
 from dpcontrol.bench.run import draw_charts
 
@@ -123,7 +123,7 @@ def test_the_verb_prints_fronts_for_people_and_one_document_for_programs(one_cha
 def test_help_names_every_chart_and_is_shown_without_numerics():
     script = (
         "import sys\n"
-        "from dpcontrol.cli.charts import command\n"
+        "from dpcontrol.cli.charts import bench_command as command\n"
         "command(['--help'], standalone_mode=False)\n"
         "assert not {'casadi', 'heyoka', 'matplotlib'} & set(sys.modules)\n"
     )

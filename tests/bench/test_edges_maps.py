@@ -5,8 +5,9 @@ import math
 
 import pytest
 
+from dpcontrol.bench.chart import GROUPS, check_names
+from dpcontrol.bench.drawing import figure
 from dpcontrol.bench.edges import AGREES, Attempt, Border, EdgeChart, EdgeMap, find_border, half_of
-from dpcontrol.bench.run import GROUPS, check_names, figure
 from dpcontrol.foundation.errors import InputError
 
 BORDER = 0.37

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from dpcontrol.bench.run import CHARTS, GROUPS, changes, draw_charts, earlier_panels, losses
+from dpcontrol.bench.chart import CHARTS, GROUPS
+from dpcontrol.bench.run import changes, draw_charts, earlier_panels, losses
 
 STORED = Path(__file__).parent / "charts"
 KEPT = ("title", "x_label", "y_label", "floor", "judged", "timed")
