@@ -25,6 +25,7 @@ from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings, track
 from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.orbits.symmetric_shooting import equilibria
+from dpcontrol.references.notes import plan_notes
 from dpcontrol.references.reference import Reference
 
 if TYPE_CHECKING:
@@ -133,8 +134,8 @@ def nearest_keeper(
         InputError: the reference is of other arms.
         GoalMissed: an orbit was not found, or cannot be held.
     """
-    notes: dict[str, Any] = dict(reference.notes)
-    entries: list[dict[str, Any]] = [e for e in notes.get("program", []) if "keep" in e]
+    notes = plan_notes(reference)
+    entries: list[Any] = [e for e in notes.get("program", []) if "keep" in e]
     if notes.get("stay", {}).get("kind") == "orbit":
         entries = [_stay_entry(reference)]
     found = {_orbit_name(e["keep"], e["energy"]): e for e in entries}

@@ -30,6 +30,7 @@ from dpcontrol.logs import RunLog
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.recordings.recording import SUMMARY
+from dpcontrol.references.notes import OrbitNote, PlanNotes, plan_notes
 from dpcontrol.references.reference import Reference, ReferenceSummary, load_reference, summarised
 from dpcontrol.references.sustained import SustainedOrbit
 from dpcontrol.review.motion import PlacedOrbit, PlanView, RunView, Stay, TubeCurve, series_of
@@ -56,7 +57,7 @@ _HALVINGS = 5
 _NAME = re.compile(r"h(?P<unstable>\d+)\.(?P<stable>\d+)(?::(?P<section>[\w-]+))?@")
 
 
-def tubes_of(notes: dict[str, Any], system: System) -> tuple[TubeCurve, ...]:
+def tubes_of(notes: PlanNotes, system: System) -> tuple[TubeCurve, ...]:
     """Return the tubes of a plan's notes, each once; none for a symbol whose tubes cannot be made."""
     made: dict[tuple[Any, ...], TubeCurve] = {}
     flown: dict[tuple[Any, ...], list[TubeCurve]] = {}
@@ -82,9 +83,7 @@ def tubes_of(notes: dict[str, Any], system: System) -> tuple[TubeCurve, ...]:
     return tuple(made.values())
 
 
-def _flown(
-    system: System, orbit_note: dict[str, Any], *, section: Section, hit: int, stable: bool
-) -> Iterator[TubeCurve]:
+def _flown(system: System, orbit_note: OrbitNote, *, section: Section, hit: int, stable: bool) -> Iterator[TubeCurve]:
     """Yield both branches of an orbit's tube at the orbit's own place."""
     try:
         orbit = lyapunov_orbit(system, orbit_note["saddle"], energy=float(orbit_note["energy"]))
@@ -167,7 +166,7 @@ def run_view(log: RunLog) -> RunView:
     if states is None or REFERENCE_ATTACHMENT not in log.attachments or "reference" not in log.states:
         return replace(view, verdict=_without_plan(log))
     plan = plan_of(log)
-    notes: dict[str, Any] = dict(plan.notes)
+    notes = plan_notes(plan)
     verdict = score(log)
     decoded = decode_run(log.time, states[:, :n], log.reference[:, :n], notes=notes, rate_hz=log.rate_hz)
     seed = "" if verdict.seed is None else f", seed {verdict.seed}"
@@ -194,7 +193,7 @@ def plan_view(plan: Reference, *, system: System | None) -> PlanView:
     Raises:
         InputError: the notes are not those of a plan.
     """
-    notes: dict[str, Any] = dict(plan.notes)
+    notes = plan_notes(plan)
     try:
         symbols = tuple((float(s["time"]), str(s["text"])) for s in notes.get("symbols") or [])
         stops = [str(stop["saddle"]) for stop in notes.get("stops") or []]
@@ -228,7 +227,7 @@ def _outside(transfers: tuple[tuple[float, float], ...], first: float, last: flo
         yield first, last
 
 
-def _placed_orbits(plan: Reference, notes: dict[str, Any]) -> tuple[PlacedOrbit, ...]:
+def _placed_orbits(plan: Reference, notes: PlanNotes) -> tuple[PlacedOrbit, ...]:
     """Return the orbits of a plan at each place where it stops."""
     placed: dict[tuple[Any, ...], PlacedOrbit] = {}
     for stop in notes.get("stops") or []:
@@ -262,7 +261,7 @@ def _system(log: RunLog) -> System | None:
         return None
 
 
-def _done(decoded: Decoded, notes: dict[str, Any], time: Array) -> tuple[Stay, ...]:
+def _done(decoded: Decoded, notes: PlanNotes, time: Array) -> tuple[Stay, ...]:
     """Return the visits as stays: those of the plan by their saddle's name, others with where they were."""
     stays = []
     for k, visit in enumerate(decoded.visits):
@@ -274,7 +273,7 @@ def _done(decoded: Decoded, notes: dict[str, Any], time: Array) -> tuple[Stay, .
     return tuple(stays)
 
 
-def _saddle(angles: tuple[float, ...], notes: dict[str, Any]) -> str:
+def _saddle(angles: tuple[float, ...], notes: PlanNotes) -> str:
     """Return the name of the saddle at lifted angles."""
     for name, saddle in notes["saddles"].items():
         turns = (np.asarray(angles) - np.asarray(saddle["angles"])) / (2 * np.pi)

@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from dpcontrol.control.estimator_settings import chi_square_band
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog
+from dpcontrol.references.notes import PlanNotes, StopNote, plan_notes
 from dpcontrol.references.reference import Reference, load_reference
 
 Array = NDArray[np.float64]
@@ -51,7 +52,7 @@ def _same(a: Sequence[float], b: Sequence[float]) -> bool:
     return all(abs(x - y) <= _SAME for x, y in zip(a, b, strict=True))
 
 
-def settled_ticks(time: Array, notes: dict[str, Any]) -> NDArray[np.bool_]:
+def settled_ticks(time: Array, notes: PlanNotes) -> NDArray[np.bool_]:
     """Return at which ticks (K,) a plan has the pendulum on an orbit, a connection or at rest: not on a transfer."""
     settled = np.ones(len(time), dtype=bool)
     for begin, end in notes.get("transfers", []):
@@ -118,16 +119,14 @@ def without_detours(visits: list[Visit], planned: list[Visit], wanted: list[tupl
     return kept
 
 
-def orbit_index(notes: dict[str, Any], stop: dict[str, Any]) -> int:
+def orbit_index(notes: PlanNotes, stop: StopNote) -> int:
     """Return the index of a stop's orbit among the plan's."""
     if "orbit" in stop:
         return int(stop["orbit"])
     return [o["saddle"] for o in notes["orbits"]].index(stop["saddle"])
 
 
-def section_crossings(
-    time: Array, angles: Array, notes: dict[str, Any], visits: list[Visit]
-) -> tuple[float | None, ...]:
+def section_crossings(time: Array, angles: Array, notes: PlanNotes, visits: list[Visit]) -> tuple[float | None, ...]:
     """Return when each symbol between `visits`, the stops that were reached, crossed its section, in s.
 
     None for a transfer, which has no section. It ends before the first symbol whose crossing is not found.
@@ -154,7 +153,7 @@ def section_crossings(
     return tuple(crossings)
 
 
-def count_wraps(crossings: tuple[float | None, ...], notes: dict[str, Any]) -> tuple[int | None, ...]:
+def count_wraps(crossings: tuple[float | None, ...], notes: PlanNotes) -> tuple[int | None, ...]:
     """Count the wraps at each interior stop that was reached, from the times of the sections' crossings.
 
     None beside a transfer, and where the orbit is changed at a stop.
@@ -185,7 +184,7 @@ class Decoded:
     wraps: tuple[int | None, ...]
 
 
-def decode_run(time: Array, angles: Array, reference: Array, *, notes: dict[str, Any], rate_hz: float) -> Decoded:
+def decode_run(time: Array, angles: Array, reference: Array, *, notes: PlanNotes, rate_hz: float) -> Decoded:
     """Decode angles (K, n) at times (K,) s that were to follow reference angles (K, n) by a plan's notes."""
     used = {stop["saddle"] for stop in notes["stops"]}
     lattice = np.array([s["angles"] for name, s in notes["saddles"].items() if name in used])
@@ -388,7 +387,7 @@ class Verdict:
 
 def verdict_on(flown: Flown, plan: Reference) -> Verdict:
     """Judge a run by its plan."""
-    notes: dict[str, Any] = dict(plan.notes)
+    notes = plan_notes(plan)
     decoded = decode_run(flown.time, flown.angles, flown.reference_angles, notes=notes, rate_hz=flown.rate_hz)
     visits, matched, wraps = list(decoded.visits), decoded.matched, decoded.wraps
     problem = _problem(flown, plan, visits=visits, matched=matched, wraps=wraps)
@@ -418,7 +417,7 @@ def score(log: RunLog) -> Score:
     plan = plan_of(log)
     flown = flown_of(log)
     verdict = verdict_on(flown, plan)
-    notes: dict[str, Any] = dict(plan.notes)
+    notes = plan_notes(plan)
     problem, wraps = verdict.problem, verdict.wraps
     known = log.truth is not None
     low, high = chi_square_band(log.measured.shape[1])
@@ -453,9 +452,9 @@ def recovered_note(log: RunLog) -> str:
     return f"the log was recovered and lacks {log.recovered}"
 
 
-def _done(total: int, wraps: tuple[int | None, ...], notes: dict[str, Any]) -> str:
+def _done(total: int, wraps: tuple[int | None, ...], notes: PlanNotes) -> str:
     name = notes["stops"][-1]["saddle"]
-    if not total:
+    if not total and "stay" in notes:
         kind = "at" if notes["stay"]["kind"] == "hold" else "on the orbit about"
         return f"stayed {kind} {name} to the end"
     end = "at rest" if name == REST else "on the last orbit"
@@ -467,7 +466,7 @@ def _done(total: int, wraps: tuple[int | None, ...], notes: dict[str, Any]) -> s
 
 def _problem(flown: Flown, plan: Reference, *, visits: list[Visit], matched: int, wraps: tuple[int | None, ...]) -> str:
     """Return why the run is not completed, naming the symbol, or an empty string."""
-    notes: dict[str, Any] = dict(plan.notes)
+    notes = plan_notes(plan)
     stops, symbols = notes["stops"], notes["symbols"]
     early = _ended(flown, plan)
     # A run that fell back to something else goes on to its end.
@@ -523,7 +522,7 @@ def _limits(flown: Flown) -> str:
 
 def _last_orbit(flown: Flown, plan: Reference, *, last: str, ended: str) -> str:
     """Return how far the last full period was from the last orbit where that is too far, or an empty string."""
-    notes: dict[str, Any] = dict(plan.notes)
+    notes = plan_notes(plan)
     stop = notes["stops"][-1]
     k = orbit_index(notes, stop)
     if ended:

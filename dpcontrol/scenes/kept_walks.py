@@ -15,7 +15,6 @@ The orbit is the one that friction and cart sustain (`references.sustained`), re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +25,12 @@ from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
+from dpcontrol.references.notes import OrbitNote, PlanNotes, SegmentNote, StayNote, StopNote
 from dpcontrol.references.problem import EndConditions
 from dpcontrol.references.reference import Reference, joined, still
 from dpcontrol.references.sustained import SustainedOrbit, SustainedSettings, sustained_orbit
 from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart
-from dpcontrol.scenes.notes import STILL, notes_of, plan_notes
+from dpcontrol.scenes.notes import STILL, notes_of, notes_of_pieces
 from dpcontrol.scenes.pieces import Goal, Piece, cart_problem, walk_goal
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver, phase_gap
@@ -74,7 +74,7 @@ def plan_kept(
     solver: WalkSolver,
     *,
     progress: Progress = no_progress,
-) -> tuple[Reference, dict[str, Any], dict[str, Array]]:
+) -> tuple[Reference, PlanNotes, dict[str, Array]]:
     """Return the reference of a walk of these connections with its stops kept, its notes and the arrays with them.
 
     Raises:
@@ -163,7 +163,7 @@ def _assembled(
     flights: list[_Flight],
     pieces: list[Piece],
     orbits: dict[str, SustainedOrbit],
-) -> tuple[Reference, dict[str, Any], dict[str, Array]]:
+) -> tuple[Reference, PlanNotes, dict[str, Array]]:
     """Return stays and flights end to end, with the notes and arrays of the whole."""
     # The first orbit is where a run is caught, the last one what it is judged by: one period of each at least.
     leads = (max(round(part.lead_in - flights[0].early), 1), max(round(part.lead_out - flights[-1].late), 1))
@@ -171,25 +171,24 @@ def _assembled(
     places = [flights[0].ends[0], *(flight.ends[1] for flight in flights)]
     states = [pieces[0].reference.state(0.0), *(p.reference.state(p.reference.duration) for p in pieces)]
     parts: list[Reference] = []
-    segments: list[dict[str, Any]] = []
+    segments: list[SegmentNote] = []
     begins: list[float] = []
     for k, (count, place, state) in enumerate(zip(counts, places, states, strict=True)):
         orbit = orbits[place.saddle]
         turns = np.rint((state - orbit.state(0.0)) / (2 * np.pi)) * 2 * np.pi
         one = replace(orbit.reference, states=orbit.reference.states + turns)
-        stay = {
+        segments.append({
             "keep": place.saddle, "energy": place.energy, "family": place.family, "lyapunov_period": place.period,
-            "turns": turns.tolist(), "periods": count,
-        }  # fmt: skip
-        segments.append({**stay, "rows": _rows(parts, one)})
+            "turns": turns.tolist(), "periods": count, "rows": _rows(parts, one),
+        })  # fmt: skip
         parts += [one] * count
         if k < len(pieces):
             segments.append({"fly": pieces[k].text, "rows": _rows(parts, pieces[k].reference)})
             begins.append(sum(one.duration for one in parts))
             parts.append(pieces[k].reference)
     reference = _counted_once(joined(parts)[0], [piece.reference for piece in pieces], orbits)
-    notes, arrays = plan_notes(itinerary, pieces, np.array([*begins, reference.duration]))
-    notes |= {"program": segments, "lead_in": part.lead_in, "lead_out": part.lead_out}
+    notes, arrays = notes_of_pieces(itinerary, pieces, np.array([*begins, reference.duration]))
+    notes["program"], notes["lead_in"], notes["lead_out"] = segments, part.lead_in, part.lead_out
     n = itinerary.model.arms.count
     for k, entry in enumerate(notes["orbits"]):
         orbit = orbits[entry["saddle"]]
@@ -217,7 +216,7 @@ def _rows(before: list[Reference], part: Reference) -> list[int]:
 
 def plan_stay(
     itinerary: Itinerary, part: HoldPart | OrbitPart, *, progress: Progress = no_progress
-) -> tuple[Reference, dict[str, Any], dict[str, Array]]:
+) -> tuple[Reference, PlanNotes, dict[str, Array]]:
     """Return the reference that stays, its notes and the arrays that go with them.
 
     Raises:
@@ -233,9 +232,9 @@ def plan_stay(
         method = method_named(settings.method)
         reference = still(whole, part.seconds, method=method, limits=itinerary.limits, interval=interval)
         name, energy = part.hold, float(system.numeric.hamiltonian(state))
-        orbit = {"saddle": name, "energy": energy, "period": STILL, "multiplier": 1.0}
+        orbit: OrbitNote = {"saddle": name, "energy": energy, "period": STILL, "multiplier": 1.0}
         samples = np.vstack([state, state])
-        stay: dict[str, Any] = {"kind": "hold", "hold": name}
+        stay: StayNote = {"kind": "hold", "hold": name}
     else:
         lyapunov = lyapunov_orbit(system, part.orbit, energy=part.energy, family=part.family)
         if not lyapunov.converged:
@@ -259,6 +258,7 @@ def plan_stay(
             "intervals": len(one.mesh) - 1,
             "lyapunov_period": lyapunov.period,
         }
-    stop = {"saddle": name, "angles": state[:n].tolist(), "orbit": 0}
+    stop: StopNote = {"saddle": name, "angles": state[:n].tolist(), "orbit": 0}
     notes = notes_of(itinerary, stops=[stop], symbols=[], wraps=[], orbits=[orbit], energy=energy)
-    return reference, {**notes, "stay": stay}, {"orbit_0": samples}
+    notes["stay"] = stay
+    return reference, notes, {"orbit_0": samples}

@@ -15,6 +15,7 @@ from dpcontrol.foundation.cache import cache_folder, code_hash
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.references.notes import PlanNotes, plan_notes
 from dpcontrol.references.reference import Reference, load_reference, save_reference
 from dpcontrol.scenes.itinerary import Itinerary, itinerary_from
 from dpcontrol.scenes.model import model_from
@@ -42,9 +43,9 @@ class Plan:
         return f"<plan {self.itinerary.name!r}: {self.status}>"
 
     @property
-    def notes(self) -> dict[str, Any]:
-        """What the plan says beyond the trajectory; see `dpcontrol.scenes.notes`."""
-        return dict(self.reference.notes)
+    def notes(self) -> PlanNotes:
+        """What the plan says beyond the trajectory."""
+        return plan_notes(self.reference)
 
     @property
     def status(self) -> str:
@@ -127,7 +128,7 @@ def make_plan(
     from dpcontrol.scenes.planning import planned
 
     reference, notes, arrays = planned(itinerary, orbits, progress=progress)
-    notes |= {"plan": plan_key(itinerary), "made_from": {**notes["made_from"], "code": code_hash(__name__)}}
+    notes["plan"], notes["made_from"]["code"] = plan_key(itinerary), code_hash(__name__)
     reference = replace(reference, notes={**reference.notes, **notes}, extra={**reference.extra, **arrays})
     if reference.converged:
         save_reference(file, reference)

@@ -1,17 +1,17 @@
 """What makes a plan: the reference of an itinerary, with the notes and arrays that go with it."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.references.notes import PlanNotes
 from dpcontrol.references.reference import Reference, joined
 from dpcontrol.scenes.itinerary import HoldPart, Itinerary, WalkPart
 from dpcontrol.scenes.kept_walks import plan_kept, plan_stay
-from dpcontrol.scenes.notes import plan_notes
+from dpcontrol.scenes.notes import notes_of_pieces
 from dpcontrol.scenes.pieces import REST, REST_AFTER, REST_BEFORE, Goal, solve_pieces, stay_goal, walk_goal
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.walks.edges import find_edges
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 def planned(
     itinerary: Itinerary, orbits: Sequence[ShadowingOrbit] = (), *, progress: Progress = no_progress
-) -> tuple[Reference, dict[str, Any], dict[str, Array]]:
+) -> tuple[Reference, PlanNotes, dict[str, Array]]:
     """Return the reference of an itinerary, its notes and arrays; orbits: that shadow its walks, where they are known.
 
     Raises:
@@ -40,7 +40,7 @@ def planned(
     goals = _goals(itinerary, list(orbits), part_of(progress, 0.0, 0.4))
     pieces = solve_pieces(itinerary, goals, progress=part_of(progress, 0.4, 1.0))
     reference, begins = joined([piece.reference for piece in pieces])
-    return reference, *plan_notes(itinerary, pieces, begins)
+    return reference, *notes_of_pieces(itinerary, pieces, begins)
 
 
 def _goals(itinerary: Itinerary, orbits: list[ShadowingOrbit], progress: Progress) -> list[Goal]:
