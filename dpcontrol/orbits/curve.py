@@ -1,16 +1,12 @@
-"""A periodic orbit as a smooth closed curve: states by phase, and the nearest phase to a state.
+"""Periodic orbits given by nodes, with their local manifolds, and periodic orbits as smooth closed curves.
 
-Any symmetric hyperbolic periodic orbit as a vertex of the connection graph, with its own tubes.
+A hyperbolic orbit that belongs to no saddle's family is kept as nodes, and the unstable Floquet vector at each of them,
+so that a local manifold is never integrated over more than one segment, whatever the multiplier is. The orbit may turn:
+then γ(φ + 1) = γ(φ) + whole turns. A negative multiplier makes the manifold one-sided: v(φ + 1) = -v(φ), phases have
+period two, and what are called its branches at φ are the same one at φ and φ + 1. A reverser R about a resting point
+carries the orbit into itself, γ(-φ) = R γ(φ), so that the stable manifold is the unstable one turned around by R.
 
-The orbit is kept as nodes of multiple shooting, and the unstable Floquet vector at each of them, so that a local
-manifold is never integrated over more than one segment, whatever the multiplier is. The orbit may turn: then γ(φ + 1) =
-γ(φ) + whole turns. A negative multiplier makes the manifold one-sided: v(φ + 1) = -v(φ), phases have period two, and
-what are called its branches at φ are the same one at φ and φ + 1.
-
-A reverser R about a resting point carries the orbit into itself, γ(-φ) = R γ(φ), so that the stable manifold is the
-unstable one turned around by R.
-
-Source: Kaheman et al. (2023), section 4; Meyer & Offin, Introduction to Hamiltonian Dynamical Systems and the N-Body
+Sources: Kaheman et al. (2023), section 4; Meyer & Offin, Introduction to Hamiltonian Dynamical Systems and the N-Body
 Problem, 3rd ed., chapter 8.
 """
 
@@ -82,7 +78,7 @@ class SegmentedManifold(UnstableManifold):
         orbit = self.orbit
         scale = orbit.system.scale
         _, stms = orbit.system.segments.flows_with_stm(orbit.node_states[:-1], np.diff(orbit.node_times))
-        # A vector that is no eigenvector of anything simple.
+        # A start with a share of every direction.
         vector = np.cos(np.arange(len(scale)) + 1.0)
         lengths, vectors, sign = np.ones(len(stms)), np.empty((len(stms), len(scale))), 1
         for _ in range(_ROUNDS):

@@ -169,7 +169,7 @@ class SymmetricShooting:
                 # Newton has reached rounding: more steps only wander.
                 return best
             unknowns = unknowns - step
-            # What is far from the guess is no neighbour of it, and a long arc takes as long to fly.
+            # Far from the guess it is another orbit, and long arcs are slow to fly.
             if not 0 < unknowns[-1] <= _LONGEST * guess[-1]:
                 return replace(best, residual=np.inf)
         return best

@@ -34,6 +34,8 @@ Connections against energy, kept by content: a sweep takes ten seconds or more, 
 
 import json
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
@@ -74,8 +76,6 @@ Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
 Record = TypeVar("Record")
 
-FORMAT_ATLAS = 2
-"""Raised whenever an atlas made by older code must not be taken for one made by this."""
 FORMAT = "dpcontrol-atlas"
 VERSION = 2
 _ORBIT_SAMPLES = 256
@@ -112,7 +112,7 @@ class FoundAtlas:
 def atlas_key(model: Model | System, energy: float, settings: AtlasSettings) -> str:
     """Return the content that an atlas depends on, as 16 hexadecimal digits."""
     content = {
-        "format": FORMAT_ATLAS,
+        "format": VERSION,
         "code": code_hash(__name__),
         "model": model.name,
         "parameters": _system(model).parameters.tolist(),
@@ -225,17 +225,12 @@ def compute_atlas(
     )
 
 
-class _timed:
+@contextmanager
+def _timed(seconds: dict[str, float], key: str) -> Iterator[None]:
     """Add the seconds that a block takes to one entry."""
-
-    def __init__(self, seconds: dict[str, float], key: str) -> None:
-        self.seconds, self.key, self.began = seconds, key, 0.0
-
-    def __enter__(self) -> None:
-        self.began = time.perf_counter()
-
-    def __exit__(self, *_: object) -> None:
-        self.seconds[self.key] += time.perf_counter() - self.began
+    began = time.perf_counter()
+    yield
+    seconds[key] += time.perf_counter() - began
 
 
 def _compile(system: System, sections: list[Section]) -> None:
@@ -463,21 +458,15 @@ def _tuples(value: Any) -> Any:
     return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
 
 
-_LAST = {"points": 2, "stable_points": 2, "reverser": None, "samples": None, "strands": None, "states": None}
-"""Length of the last axis by the end of an array's name; None: that of the state."""
-
-
 def _checked(array: NDArray[Any], name: str, size: int) -> NDArray[Any]:
     """Return a finite array whose last axis has the length that its name asks for, or raise ValueError."""
     # Coordinates that are no angles have an infinite period.
     if name != "periods" and not np.isfinite(array).all():
         raise ValueError(f"its array {name} is not finite")
-    for ending, last in {**_LAST, "nodes": None}.items():
-        if name == ending or name.endswith("_" + ending):
-            wanted = size if last is None else last
-            if array.ndim < 2 or array.shape[-1] != wanted:
-                raise ValueError(f"its array {name} has shape {array.shape}, the last length must be {wanted}")
-            break
+    states = name.endswith(("reverser", "samples", "strands", "states", "nodes"))
+    wanted = size if states else 2 if name.endswith("points") else None
+    if wanted is not None and (array.ndim < 2 or array.shape[-1] != wanted):
+        raise ValueError(f"its array {name} has shape {array.shape}, the last length must be {wanted}")
     return array
 
 

@@ -13,9 +13,9 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import picked, plain, write_archive
 from dpcontrol.shooting.extended import ExtendedOrbit, refine
 from dpcontrol.walks.edges import Edges
-from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
+from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver, check_stops
 from dpcontrol.walks.symbols import composed
-from dpcontrol.walks.walks import Walk, is_closed, random_walk
+from dpcontrol.walks.walks import Walk, random_walk
 
 FORMAT = 1
 """Raised whenever the file of a walk's orbit changes its meaning."""
@@ -93,17 +93,7 @@ def request(
     Raises:
         InputError: not one wrap count for each stop, or a periodic walk whose end is not its start.
     """
-    stops = len(chain) if periodic else len(chain) - 1
-    if periodic and not is_closed(chain):
-        raise InputError(
-            f"the walk starts at {chain[0].source.saddle} and ends at {chain[-1].target.saddle}: a periodic walk "
-            "ends where it starts"
-        )
-    if wraps is not None and len(wraps) != stops:
-        kind = "stops, as it closes" if periodic else f"interior stop{'s' if stops != 1 else ''}"
-        raise InputError(
-            f"wraps = {list(wraps)}: a walk of {len(chain)} symbols has {stops} {kind}; give one integer for each"
-        )
+    stops = check_stops(chain, wraps, periodic=periodic)
     return WalkRequest(chain, periodic, None if wraps is None else tuple(wraps), (extra,) * stops, *leads)
 
 

@@ -155,7 +155,7 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
     else:
         if not failure and residual < 1e-6:
             failure = "rounding grows too far over a segment: put nodes nearer together"
-        failure = failure or "that many were not enough: ask for more wraps, or put nodes nearer together"
+        failure = failure or "the iterations were used up: ask for more wraps, or put nodes nearer together"
         status = f"not converged: gap {residual:.1e} after {iteration} iterations ({failure})"
     ends = None
     if guess.ends is not None:
@@ -245,7 +245,7 @@ def _on_the_other_side(guess: Guess, found: Unknowns) -> bool:
 
 
 def _length(equations: ShootingEquations, step: Array) -> float:
-    """Return the length of a step: that of nodes and durations, for ε is no part of the orbit."""
+    """Return the length of a step: that of nodes and durations, since ε does not belong to the orbit."""
     return float(equations.sizes(step).max())
 
 
@@ -299,7 +299,7 @@ def closed_multipliers(stms: Array, scale: Array) -> ClosedMultipliers:
 
 def _growth(matrices: Array) -> tuple[float, int]:
     """Return the logarithm of the growth of a vector in one round, and whether it comes back turned around."""
-    # A vector that is no eigenvector of anything simple; the dominant direction wins by λ² a round.
+    # A start with a share of every direction; the dominant one gains λ² a round.
     vector = np.cos(np.arange(matrices.shape[1]) + 1.0)
     before, total = vector, 0.0
     for _ in range(4):

@@ -13,9 +13,9 @@ Connections of an orbit that crosses the section itself, as every rotating orbit
 
 Its tubes have no first crossing: they cross with every lap, on a curve through the orbit's own crossing that each lap
 stretches by λ. A search takes the laps on which the curve has grown large; the same connection may be met on several,
-and is told once, by its state where the other tube first (or last) crosses.
+and is listed once, by its state where the other tube first (or last) crosses.
 
-Phases of a turning orbit come with its lift: γ(φ + 1) = γ(φ) + whole turns. A connection is told with the phase at
+Phases of a turning orbit come with its lift: γ(φ + 1) = γ(φ) + whole turns. A connection is described by the phase at
 which the turning orbit would run, had it never been left (or always been joined), in [0, 1) where the connection
 crosses the section; its winding counts from there.
 
@@ -428,7 +428,7 @@ def _sign(orbit: LyapunovOrbit) -> int:
 
 
 def _hits_since(orbit: ShootingOrbit, connection: Connection, near: float) -> tuple[int, int]:
-    """Return the how-manieth crossings these are since the first orbit was left, and till the last is joined.
+    """Return which crossings these are, counted since the first orbit was left and until the last is joined.
 
     Left and joined mean a scaled distance of `near`; the seeds still lap with the periodic orbit.
     """

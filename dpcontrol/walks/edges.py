@@ -66,7 +66,7 @@ def rotating_named(system: System, name: str, energy: float) -> HyperbolicOrbit:
     """
     match = _ROTATING.match(name)
     if match is None:
-        raise InputError(f"{name!r} is no rotating orbit: they are {', '.join(rotating_names(system))}")
+        raise InputError(f"{name!r} is not a rotating orbit; choose from {', '.join(rotating_names(system))}")
     arm, number = match["arm"], int(match["number"] or 1)
     orbits = rotating_orbits(system, _ARMS[arm], energy, sense=-1 if match["back"] else 1)
     hyperbolic = [orbit for orbit in reversed(orbits) if "hyperbolic" in orbit.kind]
@@ -339,7 +339,7 @@ def _with_rotating(edges: Edges, symbols: Sequence[Symbol], progress: Progress) 
         for name in pair:
             if is_rotating(name) and name not in orbits:
                 orbits[name] = rotating_named(edges.system, name, edges.energy)
-        # A saddle without an orbit is told of where the symbol is resolved.
+        # A saddle without an orbit is reported where the symbol is resolved.
         if all(name in orbits for name in pair) and (pair, symbol.section) not in done:
             progress(f"connections {pair[0]} > {pair[1]}", 0.0)
             search = rotating_connections(*(orbits[name] for name in pair), section=symbol.section)

@@ -1,23 +1,16 @@
 """The orbit that shadows a walk: it follows the connections in order and wobbles at each stop as often as asked.
 
-A guess that is tiled from the connections is refined by multiple shooting: between the local manifolds of the first and
-last periodic orbits, or closed.
-
-Source: Kaheman et al. (2023), theorem 4.1, made constructive; the wraps between connections A and B are N = round((Δt -
-time_in of A - time_out of B)/T - f), f the phase gap from A's arrival to B's departure (mod 1).
-
-Where the search for a shadowing orbit starts: its connections, joined in the middle of each stop.
-
 At a stop between connections A and B the orbit stays near the periodic orbit for (N + f) periods T, f the phase gap
-from A's arrival to B's departure (mod 1) and N the wraps. The guess follows A to the middle of the stop and B from
-there, where both are within 1e-3 λ^(-N/2) of the periodic orbit. Never integrated on: a wobble is tiled.
+from A's arrival to B's departure (mod 1) and N = round((Δt - time_in of A - time_out of B)/T - f) the wraps. The guess
+follows A to the middle of the stop and B from there, where both are within 1e-3 λ^(-N/2) of the periodic orbit; it is
+tiled, never integrated. Multiple shooting refines it: between the local manifolds of the first and last periodic
+orbits, or closed.
 
-Source: Kaheman et al. (2023), theorem 4.1.
+How few wraps suffice (the theorem's M_k) is found for the walk at hand: it is tried with none; where no orbit is found,
+the stops beside the symbol at fault are given one more, until there is one; then each stop that was raised is lowered
+again as far as the orbit allows.
 
-How few wraps suffice: the theorem's M_k, found for the walk at hand.
-
-A walk is tried with no wraps at all; where its orbit cannot be had, the stops beside the symbol at fault are given one
-more, until it can; then each stop that was raised is lowered again as far as the orbit allows.
+Source: Kaheman et al. (2023), theorem 4.1, made constructive.
 """
 
 from collections.abc import Sequence
@@ -370,7 +363,7 @@ def _strays(
                 connection.winding,
                 connection.section,
             )
-            # Equality of both is no crime: the walk's own connection is among the rivals.
+            # The walk's own connection is among the rivals, so equal distances are fine.
             if same_kind and _apart(system, state, rival.state) < own:
                 return k, (
                     f"symbol {k + 1} of {len(chain)}: converged, but the orbit follows {rival.name} there instead of "
@@ -389,15 +382,30 @@ def _apart(system: System, first: Array, second: Array) -> float:
     return float(np.max(np.abs(first - second) / system.scale))
 
 
-def _check(chain: tuple[Connection, ...], wraps: Sequence[int], lead_in: int, lead_out: int, periodic: bool) -> None:
-    if not chain:
-        raise InputError("walk = []: a walk has at least one symbol")
+def check_stops(chain: Sequence[Connection], wraps: Sequence[int] | None, *, periodic: bool) -> int:
+    """Return how many stops a walk has, one more if it closes.
+
+    Raises:
+        InputError: not one wrap count for each stop, or a periodic walk whose end is not its start.
+    """
     stops = len(chain) if periodic else len(chain) - 1
-    if len(wraps) != stops:
-        kind = "stops, as it closes" if periodic else "interior stops"
+    if periodic and chain[0].source.saddle != chain[-1].target.saddle:
+        raise InputError(
+            f"the walk starts at {chain[0].source.saddle} and ends at {chain[-1].target.saddle}: a periodic walk "
+            "ends where it starts"
+        )
+    if wraps is not None and len(wraps) != stops:
+        kind = "stops, as it closes" if periodic else f"interior stop{'s' if stops != 1 else ''}"
         raise InputError(
             f"wraps = {list(wraps)}: a walk of {len(chain)} symbols has {stops} {kind}; give one integer for each"
         )
+    return stops
+
+
+def _check(chain: tuple[Connection, ...], wraps: Sequence[int], lead_in: int, lead_out: int, periodic: bool) -> None:
+    if not chain:
+        raise InputError("walk = []: a walk has at least one symbol")
+    check_stops(chain, wraps, periodic=periodic)
     for name, values in (("wraps", wraps), ("lead_in", (lead_in,)), ("lead_out", (lead_out,))):
         for value in values:
             if isinstance(value, bool) or int(value) != value or value < 0:
@@ -407,11 +415,6 @@ def _check(chain: tuple[Connection, ...], wraps: Sequence[int], lead_in: int, le
         raise InputError(
             f"the walk mixes energies {sorted(energies)} J: one orbit keeps one energy; join references of different "
             "energies instead"
-        )
-    if periodic and chain[0].source.saddle != chain[-1].target.saddle:
-        raise InputError(
-            f"the walk starts at {chain[0].source.saddle} and ends at {chain[-1].target.saddle}: a periodic walk "
-            "ends where it starts"
         )
 
 

@@ -8,12 +8,8 @@ A symbol is written in one of four ways:
     "(A)·2·(B)"              an edge grown from a walk: symbols in brackets, and the wraps between them
 
 The first two stand for one connection each: among those of the sense asked for, the symmetric ones if there are any,
-and of these the most transversal.
-
-Names of edges that were grown: what they are made of, "(A)·2·(B)", connections in brackets and the wraps between.
-
-A connection in it may be a grown edge again. The full name begins like any connection's, with source, target, winding
-and hits: "down-up>down-up[0,0]h1.2@(A)·2·(B)".
+and of these the most transversal. A connection in a grown edge may be a grown edge again; its full name begins like any
+connection's, with source, target, winding and hits: "down-up>down-up[0,0]h1.2@(A)·2·(B)".
 """
 
 import re
@@ -45,7 +41,7 @@ def composed(walk: Sequence[str], wraps: Sequence[int]) -> str:
 def components(name: str) -> tuple[tuple[str, ...], tuple[int, ...]] | None:
     """Return (connections' names, wraps between them) of a grown edge's name, full or only what it is made of.
 
-    None where it is no such name.
+    None for any other name.
     """
     prefix = _PREFIX.match(name)
     if prefix is None:
@@ -115,7 +111,7 @@ def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
     saddles: names of the orbits that may be left and joined; of rotating ones the others, "outer-rotating-2", go along.
 
     Raises:
-        InputError: the text is no symbol, or names a saddle that is not among `saddles`.
+        InputError: the text is not a symbol, or names a saddle that is not among `saddles`.
     """
     text = text.strip()
     if components(text) is not None:
@@ -125,7 +121,7 @@ def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
     if match is None:
         other = saddles[min(1, len(saddles) - 1)]
         raise InputError(
-            f'{text!r} is no symbol; write "{saddles[0]} +", "{saddles[0]} > {other}" or a connection\'s name '
+            f'{text!r} is not a symbol; write "{saddles[0]} +", "{saddles[0]} > {other}" or a connection\'s name '
             "from `dpcontrol connect`"
         )
     parts = match.groupdict()
@@ -158,7 +154,7 @@ def parse_walk(texts: Sequence[str], saddles: Sequence[str]) -> tuple[Symbol, ..
     """Read a walk and check that each symbol starts where the one before it ends.
 
     Raises:
-        InputError: no symbols, a text that is no symbol, or a walk that is not connected.
+        InputError: no symbols, a text that is not a symbol, or a walk that is not connected.
     """
     if not texts:
         raise InputError("walk = []: a walk has at least one symbol")

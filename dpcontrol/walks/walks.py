@@ -100,7 +100,7 @@ def as_connection(orbit: ShadowingOrbit, *, settings: ConnectionSettings | None 
 def _last_far(orbit: ShootingOrbit, curve: OrbitCurve) -> float:
     """Return the last time in s, zero or later, at which a connecting orbit is far from its last periodic orbit.
 
-    The last symbol's own section is no such time: the symbol may be a grown edge, with stops that come after it.
+    Not the time of the last symbol's own section: the symbol may be a grown edge, with stops after it.
     """
     last = float(orbit.times[-1])
     grid = np.linspace(0.0, last, max(2, int(np.ceil(last / curve.orbit.period * 50))))
@@ -111,7 +111,7 @@ def _last_far(orbit: ShootingOrbit, curve: OrbitCurve) -> float:
 def section_hits(
     orbit: ShootingOrbit, section: Section, span: tuple[float, float], *, per_segment: int = 40
 ) -> tuple[int, int]:
-    """Return (n_u, n_s): the how-manieth crossing of the lifted section lies at time zero, forward and backward.
+    """Return (n_u, n_s): which crossing of the lifted section lies at time zero, counted forward and backward.
 
     span: times in s between which crossings count.
     """
@@ -165,8 +165,8 @@ def resolve(texts: Sequence[str], edges: Edges) -> Walk:
     """Return the connections that the symbols of a walk stand for.
 
     Raises:
-        InputError: a text that is no symbol, a walk that is not connected, or a connection that does not exist at this
-            energy; with the reason and the nearest walk that exists.
+        InputError: a text that is not a symbol, a walk that is not connected, or a connection that does not exist
+            at this energy; with the reason and the nearest walk that exists.
         GoalMissed: the walk of a grown edge has no orbit with those wraps.
     """
     symbols = parse_walk(texts, vertex_names(edges.system))
@@ -209,8 +209,8 @@ def _connection(symbol: Symbol, edges: Edges) -> Connection:
     if symbol.name is not None:
         candidates += tuple(c for c in edges.named if (c.source.saddle, c.target.saddle) == pair)
     elif not candidates and any(is_rotating(name) for name in pair):
-        told = [note for note in edges.notes if note.startswith(f"{pair[0]} → {pair[1]}: ")]
-        why = f" ({told[0]})" if told else ""
+        notes = [note for note in edges.notes if note.startswith(f"{pair[0]} → {pair[1]}: ")]
+        why = f" ({notes[0]})" if notes else ""
         raise InputError(
             f"{symbol.text!r}: no such connection was found at {edges.energy:g} J{why}; try another energy"
         )
@@ -218,10 +218,10 @@ def _connection(symbol: Symbol, edges: Edges) -> Connection:
 
 
 def _nearest(symbols: Sequence[Symbol], edges: Edges) -> str:
-    """Return a sentence that names the nearest walk that exists: through the same stops, or as many as can be had."""
+    """Return a sentence that names the nearest walk that exists: through the same stops, or as many as possible."""
     stops = [symbols[0].source, *(s.target for s in symbols)]
     left = [stop for stop in stops if stop in edges.orbits]
-    # A walk that must lose stops loses its end; where none of it can be had, any connection is nearer than none.
+    # A walk that must lose stops loses its end; where none of it exists, any connection is nearer than none.
     tries = [left[:count] for count in range(len(left), 1, -1)]
     tries += sorted(edges.searched, key=lambda pair: -len(set(pair) & set(stops)))
     for wanted in tries:

@@ -131,8 +131,8 @@ def test_a_name_of_another_energy_is_refused_with_those_that_exist(turns):
     ("walk", "fragment"),
     [
         ([], "at least one symbol"),
-        (["down-up"], "is no symbol"),
-        (["down-up *"], "is no symbol"),
+        (["down-up"], "is not a symbol"),
+        (["down-up *"], "is not a symbol"),
         (["up-up +"], "has no tubes; choose from down-up, up-down"),
         (["down-up > down-up"], "does not say which way to turn"),
         (["down-up +", "up-down +"], 'ends at down-up, symbol 2 .* put "down-up > up-down" between'),
@@ -144,7 +144,7 @@ def test_walks_that_cannot_be_walked_are_refused(walk, fragment):
 
 
 @pytest.mark.parametrize(
-    ("wraps", "fragment"), [([], "1 interior stops"), ([1, 2], "1 interior stops"), ([-1], "zero or more")]
+    ("wraps", "fragment"), [([], "1 interior stop;"), ([1, 2], "1 interior stop;"), ([-1], "zero or more")]
 )
 def test_wraps_that_do_not_fit_are_refused(turns, wraps, fragment):
     with pytest.raises(InputError, match=fragment):
