@@ -1,7 +1,4 @@
-"""dpcontrol figures
-
-dpcontrol bench
-"""
+"""The verbs that draw: figures, bench."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
@@ -46,7 +43,7 @@ def figures_command(*, names: tuple[str, ...], out: Path) -> Answer:
     gallery = Gallery(
         system=lambda name: model(name).system,
         atlas=lambda name, energy, hits: make_atlas(model(name), energy, settings=AtlasSettings(hits=hits)).atlas,
-        branches=lambda name, source, target, told: make_branches(model(name), source, target, progress=told),
+        branches=lambda name, source, target, report: make_branches(model(name), source, target, progress=report),
     )
     with progress_bar("figures") as progress:
         drawn = draw_figures(names, gallery, out, progress=progress)

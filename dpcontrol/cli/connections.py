@@ -1,9 +1,4 @@
-"""dpcontrol connect
-
-dpcontrol bifurcations
-
-dpcontrol atlas
-"""
+"""The verbs of connections: connect, bifurcations, atlas."""
 
 import shutil
 from collections.abc import Iterator

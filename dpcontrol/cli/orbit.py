@@ -1,4 +1,4 @@
-"""dpcontrol orbit"""
+"""The verb orbit."""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path

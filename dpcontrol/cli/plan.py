@@ -1,7 +1,4 @@
-"""dpcontrol plan
-
-dpcontrol reference
-"""
+"""The verbs of references: plan, reference."""
 
 import shutil
 from collections.abc import Iterator, Mapping

@@ -1,9 +1,4 @@
-"""dpcontrol import
-
-dpcontrol identify
-
-dpcontrol replay
-"""
+"""The verbs of recordings: import, identify, replay."""
 
 from collections.abc import Iterator
 from pathlib import Path

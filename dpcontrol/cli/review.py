@@ -1,13 +1,4 @@
-"""dpcontrol score
-
-dpcontrol review
-
-dpcontrol report
-
-dpcontrol info
-
-dpcontrol recover
-"""
+"""The verbs that read logs: score, review, report, info, recover."""
 
 import tempfile
 from collections.abc import Callable, Iterator
@@ -147,7 +138,9 @@ def _comparison_writers(files: tuple[Path, ...], symbol: int) -> tuple[Callable,
 
     other = [file for file in files if file.suffix.lower() == ".npz"]
     if other:
-        raise InputError(f"{other[0]} is no log: several files are compared only if all are logs; review it alone")
+        raise InputError(
+            f"{other[0]} is not a log: several files can be compared only if all are logs; review it alone"
+        )
     comparison = compare([run_view(read_log(file)) for file in files], symbol=symbol)
 
     def record(path: Path) -> None:

@@ -1,11 +1,4 @@
-"""Options that override a scene's run settings, the same for every verb that runs a loop.
-
-dpcontrol run
-
-dpcontrol rig
-
-dpcontrol campaign
-"""
+"""The verbs that run the loop, and the options that override a scene's run settings: run, rig, campaign."""
 
 import sys
 from collections.abc import Callable, Iterator, Sequence

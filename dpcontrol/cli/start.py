@@ -1,7 +1,4 @@
-"""dpcontrol demo
-
-dpcontrol model
-"""
+"""The verbs to start with: demo, model."""
 
 import time
 from collections.abc import Iterator

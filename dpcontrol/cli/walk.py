@@ -1,4 +1,4 @@
-"""dpcontrol walk"""
+"""The verb walk."""
 
 import re
 from collections.abc import Iterator, Sequence

@@ -25,18 +25,18 @@ from dpcontrol.foundation.errors import InputError
 
 
 def checked_target(path: Path) -> None:
-    """Refuse to write where a rename would take the place of what is no file.
+    """Reject a target that is a folder, a device or the like: a rename would take its place.
 
     Raises:
         InputError: `path` is a folder, a device or the like.
     """
     if path.exists() and not path.is_file():
-        what = "a folder" if path.is_dir() else "no file but a device or the like"
+        what = "a folder" if path.is_dir() else "not a regular file"
         raise InputError(f"cannot write {path}: it is {what}; choose another file name")
 
 
 def checked_other_file(out: Path, source: Path | str, *, what: str) -> None:
-    """Refuse to write over what is being read.
+    """Reject a target that is the file being read.
 
     Raises:
         InputError: `out` is the file `source`, by whatever name; what: what that file is, as in "the log to repeat".
@@ -110,7 +110,7 @@ def write_archive(
 
 
 def archive_format(path: Path | str) -> str:
-    """Return the format that a file's header names, "" where it is no such file or cannot be read."""
+    """Return the format that a file's header names, "" where it has none or cannot be read."""
     try:
         with np.load(path, allow_pickle=False) as file:
             return str(json.loads(str(file["header"]))["format"])
@@ -131,7 +131,7 @@ def is_archive(path: Path | str) -> bool:
 def archive(
     path: Path | IO[bytes], *, what: str, make: str, again: str, format: str, versions: tuple[int, ...]
 ) -> Iterator[tuple[Any, dict[str, Any]]]:
-    """Yield the header and the arrays of `path`, a path or an open binary file; what the block trips over is damage.
+    """Yield the header and the arrays of `path`, a path or an open binary file; errors in the block mean damage.
 
     what: the archive's kind with its article; make: how one is made; again: the same of a damaged one. format,
     versions: those that the caller reads.

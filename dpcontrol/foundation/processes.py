@@ -49,7 +49,7 @@ def in_processes(
         # Forked processes would share heyoka's and casadi's threads in an unknown state.
         pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
         try:
-            with _deaf():
+            with _ignoring_interrupts():
                 running = {pool.submit(function, pieces[k]): k for k in left}
             while running:
                 finished, _ = wait(running, return_when=FIRST_COMPLETED)
@@ -71,18 +71,18 @@ def in_processes(
 
 
 @contextmanager
-def _deaf() -> Iterator[None]:
-    """Let Ctrl-C wait; processes that are started meanwhile never hear it: it is for the one that started them."""
-    heard: list[int] = []
+def _ignoring_interrupts() -> Iterator[None]:
+    """Delay Ctrl-C until the block ends; processes started in it ignore it, as it is for the one that started them."""
+    noted: list[int] = []
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     # Another thread may still be given the signal, and the main one would leave a process half started.
     in_main = threading.current_thread() is threading.main_thread()
-    handler = signal.signal(signal.SIGINT, lambda number, _: heard.append(number)) if in_main else None
+    handler = signal.signal(signal.SIGINT, lambda number, _: noted.append(number)) if in_main else None
     try:
         yield
     finally:
         if in_main:
             signal.signal(signal.SIGINT, handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
-    if heard:
+    if noted:
         signal.raise_signal(signal.SIGINT)

@@ -18,7 +18,7 @@ _SIMPLE = (float, int, str, tuple[str, ...])
 
 
 class Table:
-    """One table of a TOML file. Values are taken key by key; `finish` refuses keys that nobody took.
+    """One table of a TOML file. Values are taken key by key; `finish` rejects keys that were not taken.
 
     Every method raises InputError with one sentence when a key is missing, unknown or of the wrong kind.
     """
@@ -128,7 +128,7 @@ class Table:
         return self.checked(kind, **values)
 
     def checked(self, kind: type[T], /, **values: Any) -> T:
-        """Construct a dataclass and report what it refuses with this table's place."""
+        """Construct a dataclass and report what its checks reject with this table's place."""
         try:
             return kind(**values)
         except InputError as error:
@@ -137,7 +137,7 @@ class Table:
             raise InputError(f"{self.where()} {message}") from error
 
     def finish(self, *, also: Iterable[str] = ()) -> None:
-        """Refuse keys that were not taken; `also` names further keys for the suggestion."""
+        """Reject keys that were not taken; `also` names further keys for the suggestion."""
         for key in self._values:
             if key not in self._taken:
                 known = sorted(self._taken | set(also))
