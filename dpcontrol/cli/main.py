@@ -17,55 +17,42 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 
 GROUPS = {
     "Start": {
-        "demo": "Plan, run, score and picture one itinerary.",
-        "model": "Show a model: parameters, equilibria, eigenvalues.",
+        "demo": ("start", "Plan, run, score and picture one itinerary."),
+        "model": ("start", "Show a model: parameters, equilibria, eigenvalues."),
     },
     "Design": {
-        "orbit": "Compute a Lyapunov orbit, or its family, and its Floquet multipliers.",
-        "connect": "Find all homoclinic or heteroclinic connections of an energy.",
-        "bifurcations": "Find the energies at which connections appear, split or change their hits.",
-        "atlas": "Compute all of an energy: orbits, tubes, connections, their graph.",
-        "walk": "List, count and make walks on the connection graph, and their orbits.",
-        "plan": "Plan an itinerary: shadowing orbit and reference.",
-        "reference": "Show a reference that a plan made: limits, effort, mesh, error, picture.",
+        "orbit": ("orbit", "Compute a Lyapunov orbit, or its family, and its Floquet multipliers."),
+        "connect": ("connections", "Find all homoclinic or heteroclinic connections of an energy."),
+        "bifurcations": ("connections", "Find the energies at which connections appear, split or change their hits."),
+        "atlas": ("connections", "Compute all of an energy: orbits, tubes, connections, their graph."),
+        "walk": ("walk", "List, count and make walks on the connection graph, and their orbits."),
+        "plan": ("plan", "Plan an itinerary: shadowing orbit and reference."),
+        "reference": ("plan", "Show a reference that a plan made: limits, effort, mesh, error, picture."),
     },
     "Run": {
-        "run": "Run an itinerary in closed loop and write its log.",
-        "campaign": "Run an itinerary with many seeds; report how often it is completed.",
-        "rig": "Start an example bench for runs over UDP in real time.",
+        "run": ("run", "Run an itinerary in closed loop and write its log."),
+        "campaign": ("run", "Run an itinerary with many seeds; report how often it is completed."),
+        "rig": ("run", "Start an example bench for runs over UDP in real time."),
     },
     "Review": {
-        "score": "Report whether logged runs did what was asked.",
-        "review": "Open a log in the viewer, or save a recording or a picture.",
-        "report": "Write one page on a log or a campaign.",
-        "info": "Show what is in a log: topics, rates, metadata, attachments.",
-        "recover": "Rebuild a log that is cut or damaged, and report what is lost.",
+        "score": ("review", "Report whether logged runs did what was asked."),
+        "review": ("review", "Open a log in the viewer, or save a recording or a picture."),
+        "report": ("review", "Write one page on a log or a campaign."),
+        "info": ("review", "Show what is in a log: topics, rates, metadata, attachments."),
+        "recover": ("review", "Rebuild a log that is cut or damaged, and report what is lost."),
     },
     "Recordings": {
-        "import": "Import a recording of the bench as a log.",
-        "identify": "Identify a model from recordings of the bench.",
-        "replay": "Predict a recording by a model, and run an estimator over it.",
+        "import": ("recordings", "Import a recording of the bench as a log."),
+        "identify": ("recordings", "Identify a model from recordings of the bench."),
+        "replay": ("recordings", "Predict a recording by a model, and run an estimator over it."),
     },
     "Charts": {
-        "figures": "Draw the paper's computational figures, with captions.",
-        "bench": "Chart speed against accuracy, and where methods stop working.",
+        "figures": ("charts", "Draw the paper's computational figures, with captions."),
+        "bench": ("charts", "Chart speed against accuracy, and where methods stop working."),
     },
 }
-"""Verbs by heading, in the order of work, each with what it does."""
-VERBS = {verb: text for verbs in GROUPS.values() for verb, text in verbs.items()}
-
-MODULES = {
-    "start": ("demo", "model"),
-    "orbit": ("orbit",),
-    "connections": ("connect", "bifurcations", "atlas"),
-    "walk": ("walk",),
-    "plan": ("plan", "reference"),
-    "run": ("run", "rig", "campaign"),
-    "review": ("score", "review", "report", "info", "recover"),
-    "recordings": ("import", "identify", "replay"),
-    "charts": ("figures", "bench"),
-}
-"""Modules of this package with the verbs whose commands they hold."""
+"""Verbs by heading, in the order of work, each with the module that holds it and what it does."""
+VERBS = {verb: entry for verbs in GROUPS.values() for verb, entry in verbs.items()}
 
 
 class _Verbs(click.Group):
@@ -77,8 +64,8 @@ class _Verbs(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in VERBS:
             return None
-        module = next(module for module, verbs in MODULES.items() if cmd_name in verbs)
-        return getattr(importlib.import_module(f"dpcontrol.cli.{module}"), f"{cmd_name}_command")
+        module = importlib.import_module(f"dpcontrol.cli.{VERBS[cmd_name][0]}")
+        return getattr(module, f"{cmd_name}_command")
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -92,7 +79,7 @@ class _Verbs(click.Group):
         width = max(map(len, VERBS))
         for heading, verbs in GROUPS.items():
             with formatter.section(heading):
-                formatter.write_dl([(verb.ljust(width), text) for verb, text in verbs.items()])
+                formatter.write_dl([(verb.ljust(width), text) for verb, (_, text) in verbs.items()])
 
 
 @click.group(
