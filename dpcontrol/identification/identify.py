@@ -1,8 +1,9 @@
 """Which arms swung so: base-parameter ratios, friction laws and encoder zeros from recordings.
 
-Every third segment is left out. Each candidate (friction viscous; with Coulomb; with the air's drag; with both; the
-encoders' zeros free or not) is fitted to the others and predicts those left out from a fitted start over their whole
-length. The one of fewest unknowns whose mean squared error is within one standard error of the least is taken.
+Long segments are cut into equal ones, and every third is left out. Each candidate (friction viscous; with Coulomb; with
+the air's drag; with both; the encoders' zeros free or not) is fitted to the others and predicts those left out from a
+fitted start over their whole length. The one of fewest unknowns whose mean squared error is within one standard error
+of the least is taken.
 
 How well the numbers are known, and which cannot be distinguished:
 
@@ -21,8 +22,6 @@ Sources: Hastie, Tibshirani, Friedman, The elements of statistical learning (200
 Maximum likelihood estimation of misspecified models (1982); Cameron, Miller, A practitioner's guide to cluster-robust
 inference (2015), section II; Raue et al., Structural and practical identifiability analysis of partially observed
 dynamical models (2009).
-
-Recordings as swings to fit: each segment's angles, and the cart's motion where it moved; long segments cut.
 """
 
 from collections.abc import Sequence

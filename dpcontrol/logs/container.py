@@ -2,15 +2,15 @@
 
 The mcap package's own writer takes one message at a time, 3–4 µs each: more than the control loop itself costs.
 Here a chunk is handed over whole, with the times and offsets of its messages as arrays; all other records are the
-mcap package's. Source: the MCAP format specification, version 0.
+mcap package's.
 
-Where a log is while it grows: `NAME.mcap.partial`, beside the log that it will become.
-
-A run that was killed leaves its partial file. It is never overwritten nor removed: a later run of the same log grows
-under another name beside it, and `dpcontrol recover` makes a log of what the killed one left.
+While a log grows it is `NAME.mcap.partial`, beside the log that it will become. A run that was killed leaves this file.
+It is never overwritten nor removed: a later run of the same log grows under another name beside it, and `dpcontrol
+recover` makes a log of what the killed one left.
 
 MCAP gives a checksum to chunks and attachments, but metadata is covered by that of the whole data section only: in a
 file that is cut or damaged nothing would vouch for it. So each record carries the CRC-32 of its own name and values.
+Source: the MCAP format specification, version 0.
 """
 
 import json

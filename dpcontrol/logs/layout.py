@@ -4,11 +4,9 @@ One tick is one block of bytes: the MCAP message records of all topics at loop r
 numpy structured type. Writer and reader share it, so that neither handles single messages. Numbers and order of the
 channels follow from the layout alone, so that a log that lost them can be rebuilt.
 
-Schemas of the messages in a log, as ROS 2 message definitions ("ros2msg" in MCAP's registry).
-
-A schema is the message's own definition followed by those of every message it contains, each under a line of
-equals signs and `MSG: package/Name`. Source: MCAP's registry of well-known encodings, and the definitions of
-ROS 2's `common_interfaces`, `geometry2` and `rcl_interfaces`.
+Schemas are ROS 2 message definitions ("ros2msg" in MCAP's registry): the message's own, followed by those of every
+message that it contains, each under a line of equals signs and `MSG: package/Name`. Source: MCAP's registry of
+well-known encodings, and the definitions of ROS 2's `common_interfaces`, `geometry2` and `rcl_interfaces`.
 """
 
 from collections.abc import Sequence

@@ -1,9 +1,7 @@
-"""Read a run's log into arrays, or say topic by topic what is in it.
+"""Read a run's log into arrays, say topic by topic what is in it, or compare it with another message by message.
 
 The file's checksums are compared first (see `verified`). Messages are then found by walking the chunks' records,
 and those at loop rate are decoded as arrays, for their layout is known from the log's own metadata.
-
-Are two logs the same, message for message?
 """
 
 import struct

@@ -170,9 +170,10 @@ class VerifiedFile:
             encoding = channel.message_encoding if channel else ""
             number = channel.id if channel else None
             if schema is None or schema.data != definition or encoding != "cdr" or number != self.tick.channels[topic]:
-                found = f"{schema.name if schema else 'no schema'} in {encoding or 'no encoding'}"
+                found = f"channel {number}: {schema.name if schema else 'no schema'} in {encoding or 'no encoding'}"
                 raise InputError(
-                    f"{self.path}: topic {topic} carries {found}, not {name} in cdr as a log of `dpcontrol run` does"
+                    f"{self.path}: topic {topic} is on {found}, not on channel {self.tick.channels[topic]}: {name} "
+                    "in cdr as in a log of `dpcontrol run`; give the log as it was written"
                 )
 
 

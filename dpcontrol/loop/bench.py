@@ -13,15 +13,11 @@ Pushes on the arms and knocks on the cart, which act in no time at a tick, right
 
     push:  M(θ) Δω = impulse          knock:  Δẋ given, arms keep their momenta          tilt:  gravity (g sin, -g cos)
 
-Source: the rig's data sheets as read for its parameters: 40,000 counts per turn, 1 µm on the cart; commanded in
-velocity, 3 m/s, limit switches at both ends.
+Everything random in a run is drawn beforehand from its seed, from one stream of numbers for each use: a change of one
+setting leaves all other draws as they were, and a longer run begins like a shorter one.
 
-Everything random in a run, drawn beforehand from its seed: one stream of numbers for each use.
-
-A change of one setting leaves all other draws as they were, and a longer run begins like a shorter one. The same draws
-serve the bench tick by tick and many seeds in lockstep.
-
-Source of the streams: O'Neill's seed sequences as in numpy.random.SeedSequence.
+Sources: the rig's data sheets as read for its parameters: 40,000 counts per turn, 1 µm on the cart; commanded in
+velocity, 3 m/s, limit switches at both ends; O'Neill's seed sequences as in numpy.random.SeedSequence.
 """
 
 import math

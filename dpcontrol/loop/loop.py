@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings
-from dpcontrol.control.interface import Controller, Estimator
+from dpcontrol.control.interface import Controller
 from dpcontrol.control.model import SampledModel
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations
@@ -133,12 +133,6 @@ def loop_fallback(reference: Reference, parameters: ArmChainParameters, settings
     return nearest_keeper(reference, parameters, sampled_model(parameters, settings.rate), flies=flies)
 
 
-def loop_estimator(parameters: ArmChainParameters, settings: LoopSettings) -> Estimator:
-    """Return the estimator of these settings; it believes in the sensors' resolution and noise."""
-    model = sampled_model(parameters, settings.rate)
-    return make_estimator(settings.estimator, model, noise=settings.sensors.covariance(parameters.count))
-
-
 def loop_supervisor(settings: LoopSettings, limits: Limits, *, can_hold: bool = False) -> Supervisor:
     """Return a supervisor for one run within `limits`."""
     period = 1 / settings.rate
@@ -162,9 +156,12 @@ def control_loop(
 
     rate_noise (K, n) rad/s: see `ControlLoop`.
     """
+    # The estimator believes in the sensors' resolution and noise.
+    noise, model = settings.sensors.covariance(parameters.count), sampled_model(parameters, settings.rate)
+    estimator = make_estimator(settings.estimator, model, noise=noise)
     delay = settings.drive.delay if believed_delay is None else believed_delay
     return ControlLoop(
-        loop_estimator(parameters, settings),
+        estimator,
         controller,
         path=CommandPath(limits, delay=delay, period=1 / settings.rate),
         supervisor=loop_supervisor(settings, limits, can_hold=fallback is not None),

@@ -1,9 +1,4 @@
-"""What a run of the loop leaves: every tick as arrays, how it ended, and a few figures.
-
-A log as the loop's sink: blocks of ticks and events, written as they come.
-
-What the loop asks of a bench, simulated or real: readings come, commands go, and it can be stopped.
-"""
+"""What stands at the loop's ends: the rig that it runs on, the sink that takes its ticks, and the result of a run."""
 
 import math
 from dataclasses import dataclass

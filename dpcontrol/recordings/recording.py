@@ -10,13 +10,13 @@ The acceleration of the cart that the arms felt comes from its command or from i
 
 A command is sharper, but a drive may lag, saturate or give less than commanded. It is taken where it explains the
 position: where its integral, smoothed alike, has the accelerations of the position to a tenth of their rms.
-Source: Savitzky & Golay, Smoothing and Differentiation of Data (1964).
 
-Recordings of swings whose truth is known: what an identification is tried on.
+Simulated recordings, of swings whose truth is known, are flown to machine precision from rest, on a clamped cart, and
+read by relative encoders whose zeros ζ are off:
 
     y_i = Σ_{j≤i} q round((θ_j - θ_{j-1} + ζ_j - ζ_{j-1}) / q),      q = 2π / counts
 
-Swings are flown to machine precision from rest, on a clamped cart, and read by relative encoders whose zeros are off.
+Source: Savitzky & Golay, Smoothing and Differentiation of Data (1964).
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,7 +30,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
-from dpcontrol.dynamics.propagator import Propagator
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.logs import LogWriter, Mode, RunLog, control_fields, read_log
@@ -360,6 +359,9 @@ def simulated_recording(
     seconds: of each swing; period s between samples; counts per turn of the relative encoders, 0 for exact angles;
     zeros (n,) rad: what they show, as absolute angles, where the true ones are zero.
     """
+    # Its integrator takes long to import, and only simulated recordings need it.
+    from dpcontrol.dynamics.propagator import Propagator
+
     n = arms.count
     propagator = Propagator(equations_of(arms, Level.DISSIPATIVE), arms.base())
     times = np.arange(round(seconds / period) + 1) * period
