@@ -1,20 +1,15 @@
-"""What there is to see of a log, from the log alone: its series, and its plan, model and score where it has them.
+"""What there is to see of a log, of a reference, and of a sustained orbit, from what their files hold.
 
-What there is to see of a reference, from its file alone, and of a sustained orbit.
-
-The tubes that a plan uses: from a stop's orbit to the section of the symbol that leaves it, and on to the next stop.
-
-A plan notes each connection's name, which holds the hits and the section, and the section's lifted height. The unstable
-tube of the stop's orbit is flown to that section (`tubes.manifold`); the stable one of the next stop is such a tube
-turned around in time. Of both only the branch that meets the section at the plan's height is kept.
-Source: Kaheman et al. (2023), section 3.
+A plan's tubes lead from a stop's orbit to the section of the symbol that leaves it, and on to the next stop. Its notes
+hold each connection's name, with the hits and the section, and the section's lifted height. The unstable tube of the
+stop's orbit is cut there (`tubes.cut`); the stable one of the next stop is such a tube turned around in time. Of both
+only the branch that meets the section at the plan's height is kept. Source: Kaheman et al. (2023), section 3.
 """
 
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -44,16 +39,15 @@ from dpcontrol.review.score import (
     recovered_note,
     score,
 )
+from dpcontrol.tubes.cut import CutSettings, tube_cut
 
 Array = NDArray[np.float64]
 
-PHASES = 96
 STRANDS = 24
 INSTANTS = 160
 _HEIGHT = 1e-6
-_CHORD = 0.2
-"""rad, a rad/s counting a fifth: between neighbours of a cut; where halving the phases brings none, the cut is open."""
-_HALVINGS = 5
+_CUT = CutSettings(smallest_phase_step=3e-4)
+"""As fine as the eye sees; where halving the phases brings neighbours no nearer, a cut is drawn open."""
 _NAME = re.compile(r"h(?P<unstable>\d+)\.(?P<stable>\d+)(?::(?P<section>[\w-]+))?@")
 
 
@@ -90,54 +84,22 @@ def _flown(system: System, orbit_note: OrbitNote, *, section: Section, hit: int,
     except InputError:
         return
     manifold = UnstableManifold(orbit)
-    longest = system.flight_periods * orbit.period
+    cut = tube_cut(manifold, section, hit=hit, settings=_CUT)
+    gap = np.full((1, system.dimension), np.nan)
     for branch in (1, -1):
-        seeds, _ = manifold.seeds(np.arange(PHASES) / PHASES, branch)
-        crossings = system.propagator.crossings(seeds, section, longest=longest, hit=hit)
-        strands = [
-            system.propagator.sample(seeds[k], np.linspace(0.0, crossing.time, INSTANTS))
-            for k in range(0, PHASES, PHASES // STRANDS)
-            if (crossing := crossings[k]) is not None
-        ]
-        if strands:
-            ends_of = partial(_ends, manifold, section, branch=branch, longest=longest, hit=hit)
-            states, ends = np.array(strands), _resolved(ends_of)
-            if stable:
-                turn, centre = system.reversers[0].T, orbit.centre
-                states, ends = (states - centre) @ turn + centre, (ends - centre) @ turn + centre
-            yield TubeCurve(stable, states, ends)
-
-
-def _ends(
-    manifold: UnstableManifold, section: Section, phases: Array, *, branch: int, longest: float, hit: int
-) -> Array:
-    """Return where the trajectories of these phases (K,) meet the section (K, 2n), nan where they do not."""
-    seeds, _ = manifold.seeds(phases, branch)
-    system = manifold.orbit.system
-    found = system.propagator.crossings(seeds, section, longest=longest, hit=hit)
-    return np.array([c.state if c else np.full(system.dimension, np.nan) for c in found])
-
-
-def _resolved(ends_of: Callable[[Array], Array]) -> Array:
-    """Return a cut (C, 2n) in order of phase, its first point again at the end, nan between points that lie apart."""
-    phases: Array = np.arange(PHASES + 1) / PHASES
-    ends = ends_of(phases[:-1])
-    ends = np.vstack([ends, ends[:1]])
-    for _ in range(_HALVINGS):
-        far = np.flatnonzero(_chords(ends) > _CHORD)
-        if not len(far):
-            break
-        between = (phases[far] + phases[far + 1]) / 2
-        ends = np.insert(ends, far + 1, ends_of(between), axis=0)
-        phases = np.insert(phases, far + 1, between)
-    apart = np.flatnonzero(_chords(ends) > _CHORD)
-    return np.insert(ends, apart + 1, np.nan, axis=0)
-
-
-def _chords(ends: Array) -> Array:
-    half = ends.shape[1] // 2
-    steps = np.diff(ends, axis=0) * np.repeat([1.0, 0.2], half)
-    return np.asarray(np.linalg.norm(steps, axis=1), dtype=np.float64)
+        pieces = [piece for piece in cut.pieces if piece.branch == branch]
+        if not pieces:
+            continue
+        phases = np.concatenate([piece.phases for piece in pieces]) % 1.0
+        times = np.concatenate([piece.times for piece in pieces])
+        chosen = list(dict.fromkeys(int(np.argmin(np.abs(phases - k / STRANDS))) for k in range(STRANDS)))
+        seeds, _ = manifold.seeds(phases[chosen], branch)
+        instants = np.linspace(0.0, times[chosen], INSTANTS, axis=1)
+        strands = np.array([system.propagator.sample(*flight) for flight in zip(seeds, instants, strict=True)])
+        ends = np.vstack([part for p in pieces for part in (p.states, p.states[: int(p.closed)], gap)])
+        if stable:
+            strands, ends = ((states - orbit.centre) @ orbit.reverser.T + orbit.centre for states in (strands, ends))
+        yield TubeCurve(stable, strands, ends)
 
 
 def _at(curves: list[TubeCurve], section: Section, *, lift: Array, height: float) -> Iterator[TubeCurve]:

@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.review import series, style
 from dpcontrol.review.motion import RunView
-from dpcontrol.review.series import Chart, Level, Line, Plane, Range, Span, Strip, arm_points, strips, telling_rows
+from dpcontrol.review.series import Chart, LevelLine, Line, Plane, Range, Span, Strip, arm_points, strips, telling_rows
 
 Array = NDArray[np.float64]
 
@@ -218,7 +218,7 @@ def _axis(axes: Axes, chart: Chart, *, scale: float) -> None:
         axes.set_ylim(scale * chart.shown[0], scale * chart.shown[1])
 
 
-def _named_level(axes: Axes, level: Level) -> None:
+def _named_level(axes: Axes, level: LevelLine) -> None:
     low, high = axes.get_ylim()
     if not low <= level.value <= high:
         return

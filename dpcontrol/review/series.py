@@ -59,7 +59,7 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Level:
+class LevelLine:
     """A constant in a chart; kind: "limit" of the cart, end of a "band" where values belong, or "named" level."""
 
     key: str
@@ -88,7 +88,7 @@ class Chart:
     title: str
     named: str
     lines: tuple[Line, ...]
-    levels: tuple[Level, ...] = ()
+    levels: tuple[LevelLine, ...] = ()
     cut: tuple[Range, ...] = ()
     shown: Range | None = None
     scale: float = 1.0
@@ -216,11 +216,11 @@ def _use(view: RunView, which: int, scale: float, before: str = "") -> str:
     return f": {scale * view.summary.uses[which].largest:.3g} of ±{bound:.4g} used"
 
 
-def _limits(view: RunView, which: int, keys: tuple[str, str], names: tuple[str, str]) -> tuple[Level, ...]:
+def _limits(view: RunView, which: int, keys: tuple[str, str], names: tuple[str, str]) -> tuple[LevelLine, ...]:
     if view.limits is None:
         return ()
     bounds = (-view.limits[which], view.limits[which])
-    return tuple(Level(k, n, b, style.LIMIT, "limit") for k, n, b in zip(keys, names, bounds, strict=True))
+    return tuple(LevelLine(k, n, b, style.LIMIT, "limit") for k, n, b in zip(keys, names, bounds, strict=True))
 
 
 def _acceleration(view: RunView, control: dict[str, Array]) -> Chart:
@@ -294,7 +294,7 @@ def _energy(view: RunView) -> Chart | None:
     if energy is None or not np.isfinite(energy).any():
         return None
     levels = tuple(
-        Level(name.replace("-", "_"), name, value, style.saddle_colour(name), "named")
+        LevelLine(name.replace("-", "_"), name, value, style.saddle_colour(name), "named")
         for name, value in view.plan.saddle_energies.items()
     )
     title = "Energy of the pendulum (J)" + (", dashed: the saddles'" if levels else "")
@@ -310,7 +310,7 @@ def _nis(view: RunView) -> Chart | None:
     time, means, spread = smoothed_nis(view)
     ends = (max(view.sensors - spread, 0.0), view.sensors + spread)
     levels = [
-        Level(name, f"{name} for 95 %", value, style.ARMS[2], "band")
+        LevelLine(name, f"{name} for 95 %", value, style.ARMS[2], "band")
         for name, value in zip(("least", "greatest"), ends, strict=True)
     ]
     highest = float(np.nanquantile(means, 0.98)) if len(means) else 0.0
@@ -346,7 +346,7 @@ def _node_errors(view: RunView) -> Chart | None:
     shown = np.where(np.isfinite(errors), np.maximum(errors, 1e-17), np.nan)
     stored = view.summary.reference.max_error_between_nodes
     known = np.isfinite(stored) and stored > 0
-    levels = (Level("", "largest, as stored", stored, style.LIMIT, "named"),) if known else ()
+    levels = (LevelLine("", "largest, as stored", stored, style.LIMIT, "named"),) if known else ()
     return Chart("", title, "", (_stairs(view, shown, style.arm_colour(3)),), levels=levels, log=True)
 
 

@@ -35,7 +35,7 @@ from dpcontrol.review.page import (
     quiet,
     wrapped_runs,
 )
-from dpcontrol.review.series import Chart, Level, Line
+from dpcontrol.review.series import Chart, LevelLine, Line
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
@@ -189,7 +189,7 @@ class WalkStory:
             for saddle in self.saddles
         )  # fmt: skip
         title = "Distance from the periodic orbits (scaled)"
-        level = Level("", "wobbles are counted below", NEAR, style.MARK, "named")
+        level = LevelLine("", "wobbles are counted below", NEAR, style.MARK, "named")
         return Chart("", title, title, lines, levels=(level,), log=True)
 
 
