@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dpcontrol.dynamics.compiled import to_heyoka
 from dpcontrol.dynamics.equations import Equations
+from dpcontrol.dynamics.propagator import check_arrival, taylor_system
 from dpcontrol.foundation.errors import GoalMissed
 
 Array = NDArray[np.float64]
@@ -82,17 +83,10 @@ class ExtendedPropagator:
         self.equations = equations
         self.parameters = extended(parameters)
 
-    def _symbols(self) -> tuple[list[Any], list[Any]]:
-        e = self.equations
-        states = hy.make_vars(*[f"x{i}" for i in range(e.dimension)])
-        return list(states), [hy.par[i] for i in range(e.parameters.shape[0])]
-
     @cached_property
     def _integrator(self) -> Any:
-        states, parameters = self._symbols()
-        rates = to_heyoka(self.equations.function(), [states, [], parameters])
-        system = list(zip(states, rates, strict=True))
-        zero = extended(np.zeros(len(states)))
+        system = taylor_system(self.equations, [])
+        zero = extended(np.zeros(len(system)))
         integrator = hy.taylor_adaptive(system, zero, time=zero[0], fp_type=_real(), compact_mode=True)
         # Parameters that the equations never use are not part of the compiled code.
         integrator.pars[:] = self.parameters[: len(integrator.pars)]
@@ -100,8 +94,8 @@ class ExtendedPropagator:
 
     @cached_property
     def _energy(self) -> Any:
-        states, parameters = self._symbols()
         e = self.equations
+        states, parameters = [x for x, _ in taylor_system(e, [])], [hy.par[i] for i in range(e.parameters.shape[0])]
         function = ca.Function("energy", [e.state, e.parameters], [e.hamiltonian])
         value = to_heyoka(function, [states, parameters])
         return hy.cfunc(value, vars=states, fp_type=_real(), compact_mode=True)
@@ -125,9 +119,7 @@ class ExtendedPropagator:
         integrator.state[:] = state
         states = []
         for time in times:
-            outcome = integrator.propagate_until(time)[0]
-            if outcome != hy.taylor_outcome.time_limit:
-                raise ArithmeticError(f"propagation stopped at t = {float(integrator.time):g} s: {outcome}")
+            check_arrival(integrator, integrator.propagate_until(time)[0])
             states.append(integrator.state.copy())
         return np.array(states)
 

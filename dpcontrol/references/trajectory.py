@@ -18,7 +18,7 @@ from dpcontrol.references.method import Method, differentiation_matrix, interpol
 from dpcontrol.references.problem import Limits, ReferenceProblem, state_scale
 
 if TYPE_CHECKING:
-    from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
+    from dpcontrol.dynamics.propagator import PolynomialInputPropagator
 
 Array = NDArray[np.float64]
 
@@ -113,7 +113,7 @@ def error_between_nodes(
 
 def interval_propagator(problem: ReferenceProblem, method: Method) -> "PolynomialInputPropagator":
     """Return the propagator for intervals of `method`, compiled when first used."""
-    from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
+    from dpcontrol.dynamics.propagator import PolynomialInputPropagator
 
     return PolynomialInputPropagator(problem.equations, problem.parameters, degree=len(method.points) - 1)
 

@@ -8,7 +8,7 @@ from shadowing_stand_in import LAB
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.dynamics.plant import PlantLevel, PlantParameters, after_blow, longest_step, plant_step
-from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
+from dpcontrol.dynamics.propagator import PolynomialInputPropagator
 from dpcontrol.foundation.errors import InputError
 
 ROUND_OFF = 1e-10  # Two hundredths of a second of rates up to 50 rad/s; a stiff loop leaves 5e-11.

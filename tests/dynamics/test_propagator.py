@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.dynamics.compiled import to_heyoka
-from dpcontrol.dynamics.propagator import Propagator, Section
+from dpcontrol.dynamics.propagator import PolynomialInputPropagator, Section
 from dpcontrol.scenes.model import load_model
 
 DOP853 = 1e-9  # what scipy's DOP853 at 1e-12 is good for over a second of this motion
@@ -43,7 +43,7 @@ def test_cart_level_flow_holds_its_input(lab):
     equations = arm_chain_equations(2, Level.CART)
     state = np.append(STATE, [0.1, -0.3])
     expected = by_scipy(equations, lab.parameters.base(), state, 0.5, [4.0]).y[:, -1]
-    found = Propagator(equations, lab.parameters.base()).flow(state, 0.5, inputs=4.0)
+    found = PolynomialInputPropagator(equations, lab.parameters.base(), degree=0).flow(state, [4.0], 0.5)
     assert np.abs(found - expected).max() < DOP853
     assert found[5] == pytest.approx(-0.3 + 4.0 * 0.5, rel=1e-14)
 

@@ -5,7 +5,7 @@ import pytest
 from shadowing_stand_in import LAB
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
-from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
+from dpcontrol.dynamics.propagator import PolynomialInputPropagator
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.references.find import TransferSettings, find_transfer, smooth_guess
 from dpcontrol.references.method import method_named

@@ -12,7 +12,7 @@ from command_line import dpcontrol
 
 from dpcontrol.control.handover import Program
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
-from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
+from dpcontrol.dynamics.propagator import PolynomialInputPropagator
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog, read_log
 from dpcontrol.loop.batch import can_batch

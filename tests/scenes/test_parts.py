@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
-from dpcontrol.dynamics.polynomial_input import PolynomialInputPropagator
+from dpcontrol.dynamics.propagator import PolynomialInputPropagator
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.references.problem import state_scale
 from dpcontrol.references.trajectory import power_coefficients
