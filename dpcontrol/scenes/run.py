@@ -43,8 +43,6 @@ from dpcontrol.loop.loop import LoopSettings, control_loop, loop_controller, loo
 from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, NoSink
 from dpcontrol.references.reference import load_reference
 from dpcontrol.review.score import MODEL_METADATA, REFERENCE_ATTACHMENT, Score, score
-from dpcontrol.rig.bench import BenchProcess, BenchRecipe, BenchServerSettings
-from dpcontrol.rig.client import Deadlines, UdpRig, parse_address, real_time_priority, without_collecting
 from dpcontrol.scenes.itinerary import CONTROLLERS, Itinerary, itinerary_from
 from dpcontrol.scenes.model import model_from
 from dpcontrol.scenes.plan import Plan, plan_key
@@ -52,6 +50,9 @@ from dpcontrol.scenes.plan import Plan, plan_key
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
+
+    from dpcontrol.rig.bench import BenchRecipe
+    from dpcontrol.rig.client import Deadlines, UdpRig
 
 _SCENE, _MODEL = "scene.toml", "model.toml"
 
@@ -346,11 +347,11 @@ class RigRun:
 
     score: Score
     result: LoopResult
-    deadlines: Deadlines
+    deadlines: "Deadlines"
     bench: tuple[str, ...]
 
 
-def bench_recipe(plan: Plan, controller: Controller | None = None) -> BenchRecipe:
+def bench_recipe(plan: Plan, controller: Controller | None = None) -> "BenchRecipe":
     """Return the simulated bench that a planned itinerary is run on by its controller, which is made where not given.
 
     Raises:
@@ -360,6 +361,8 @@ def bench_recipe(plan: Plan, controller: Controller | None = None) -> BenchRecip
     itinerary, reference = plan.itinerary, followed(plan).reference
     loop = itinerary.loop
     controller = controller or loop_controller(reference, itinerary.model.arms, loop)
+    from dpcontrol.rig.bench import BenchRecipe
+
     return BenchRecipe(
         itinerary.model.arms, loop, loop.limits(reference), controller.first_state,
         ticks=controller.ticks + round(_SPARE * loop.rate) + 1, uncertainty=itinerary.uncertainty,
@@ -377,6 +380,9 @@ def run_on_rig(
         InputError: the address is none, no bench answers, it does not fit the itinerary, or the log cannot be written.
         GoalMissed: the plan did not converge, no controller can be made for it, or the bench failed at once.
     """
+    from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
+    from dpcontrol.rig.client import UdpRig, parse_address, real_time_priority, without_collecting
+
     itinerary, reference = plan.itinerary, followed(plan).reference
     arms, settings = itinerary.model.arms, itinerary.loop
     where = None if address == OWN_BENCH else parse_address(address)
@@ -410,7 +416,7 @@ def run_on_rig(
     return RigRun(score(read_log(out)), result, deadlines, tuple(process.said if process else ()))
 
 
-def _fits(rig: UdpRig, loop: ControlLoop, *, arms: int, rate: float) -> None:
+def _fits(rig: "UdpRig", loop: ControlLoop, *, arms: int, rate: float) -> None:
     welcome = rig.welcome
     if welcome.arms != arms:
         raise InputError(f"rig {rig.address} has {welcome.arms} arms, the itinerary's model {arms}")
