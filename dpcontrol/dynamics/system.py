@@ -7,8 +7,8 @@ are rows of numbers. A system of one's own is given by its energy as a casadi ex
         (x, y), (px, py) = q, p
         return (px**2 + py**2) / 2 + (x**2 + y**2) / 2 + c["lambda"] * (x**2 * y - y**3 / 3)
 
-    system = System.from_hamiltonian("henon-heiles", hamiltonian, coordinates=("x", "y"),
-                                     parameters={"lambda": 1.0}, equilibria={"top": (0.0, 1.0)})
+    system = dp.System.from_hamiltonian("henon-heiles", hamiltonian, coordinates=("x", "y"),
+                                        parameters={"lambda": 1.0}, equilibria={"top": (0.0, 1.0)})
 
 Source of the reversers' properties: Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998).
 """
@@ -24,8 +24,15 @@ import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpcontrol.dynamics.equations import Equations, NumericEquations, hamiltonian_equations, mechanics, state_equations
-from dpcontrol.dynamics.propagator import Propagator, Section, SegmentPropagator
+from dpcontrol.dynamics.equations import (
+    Energy,
+    Equations,
+    NumericEquations,
+    hamiltonian_equations,
+    mechanics,
+    state_equations,
+)
+from dpcontrol.dynamics.propagator import Propagator, Section, SegmentPropagator, taylor_system
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.tables import suggest
 
@@ -108,10 +115,10 @@ class System:
         Raises:
             InputError: what is wrong with the energy, a guess, a symmetry or an option, in one sentence.
         """
-        energy, values = _energy(name, "Lagrangian", lagrangian, coordinates, parameters)
-        parts = mechanics(energy, lambda *_: ca.SX(0), free=2, prescribed=0, parameters=values.symbols)
-        equations = _compilable(name, state_equations(parts, with_cart=False))
-        return described_system(name, equations, values.numbers, coordinates, equilibria, **options)
+        energy, symbols, numbers = _energy(name, "Lagrangian", lagrangian, coordinates, parameters)
+        parts = mechanics(energy, lambda *_: ca.SX(0), free=2, prescribed=0, parameters=symbols)
+        equations = state_equations(parts, with_cart=False)
+        return described_system(name, equations, numbers, coordinates, equilibria, **options)
 
     @classmethod
     def from_hamiltonian(
@@ -131,9 +138,9 @@ class System:
         Raises:
             InputError: what is wrong with the energy, a guess, a symmetry or an option, in one sentence.
         """
-        energy, values = _energy(name, "Hamiltonian", hamiltonian, coordinates, parameters)
-        equations = _compilable(name, hamiltonian_equations(energy, count=2, parameters=values.symbols))
-        return described_system(name, equations, values.numbers, coordinates, equilibria, **options)
+        energy, symbols, numbers = _energy(name, "Hamiltonian", hamiltonian, coordinates, parameters)
+        equations = hamiltonian_equations(energy, count=2, parameters=symbols)
+        return described_system(name, equations, numbers, coordinates, equilibria, **options)
 
     @property
     def dimension(self) -> int:
@@ -237,20 +244,10 @@ def momentum_scale(system: System, section: Section) -> float:
     return float(np.abs(along) @ units / (np.abs(along) @ system.scale[:n]))
 
 
-@dataclass(frozen=True)
-class _Parameters:
-    symbols: ca.SX
-    numbers: Array
-
-
 def _energy(
-    name: str,
-    kind: str,
-    function: EnergyFunction,
-    coordinates: Sequence[str],
-    parameters: Mapping[str, float] | None,
-) -> tuple[Callable[[ca.SX, ca.SX, ca.SX], ca.SX], _Parameters]:
-    """Return a user's energy as a function of casadi vectors, checked, and its parameters.
+    name: str, kind: str, function: EnergyFunction, coordinates: Sequence[str], parameters: Mapping[str, float] | None
+) -> tuple[Energy, ca.SX, Array]:
+    """Return a user's energy as a function of casadi vectors, checked, and its parameters' symbols and values.
 
     Raises:
         InputError: what is wrong with it.
@@ -287,20 +284,7 @@ def _energy(
             )
         return value
 
-    return energy, _Parameters(symbols, np.array([float(value) for value in given.values()]))
-
-
-def _compilable(name: str, equations: Equations) -> Equations:
-    """Return the equations.
-
-    Raises:
-        InputError: they hold an operation that cannot be compiled.
-    """
-    try:
-        Propagator(equations, np.ones(equations.parameters.shape[0])).taylor_system  # noqa: B018 - translated, that is
-    except NotImplementedError as error:
-        raise InputError(f"{name} cannot be compiled: {error}") from error
-    return equations
+    return energy, symbols, np.array([float(value) for value in given.values()])
 
 
 def described_system(
@@ -317,6 +301,10 @@ def described_system(
         InputError: what is wrong with a guess, a symmetry or an option.
     """
     n, numeric = len(coordinates), NumericEquations(equations, parameters)
+    try:
+        taylor_system(equations, [])
+    except NotImplementedError as error:
+        raise InputError(f"{name} cannot be compiled: {error}") from error
     states = _equilibria(name, numeric, equilibria, n)
     saddles = {key: state for key, state in states.items() if saddle_index(numeric, state) == 1}
     if not saddles:

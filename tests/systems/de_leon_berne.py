@@ -8,7 +8,7 @@ Source: De Leon, Berne, Intramolecular rate process: Isomerization dynamics and 
 
 import casadi as ca
 
-from dpcontrol.dynamics.system import System
+import dpcontrol as dp
 
 NUMBERS = {"m": 8.0, "D": 10.0, "lambda": 1.0, "zeta": 1.0, "V": 1.0, "w": 0.5**0.5}
 
@@ -21,7 +21,7 @@ def hamiltonian(q, p, c):
 
 
 def de_leon_berne():
-    return System.from_hamiltonian(
+    return dp.System.from_hamiltonian(
         "de-leon-berne",
         hamiltonian,
         coordinates=("x", "y"),

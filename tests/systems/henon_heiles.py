@@ -5,7 +5,7 @@
 Source: Hénon, Heiles, The applicability of the third integral of motion: some numerical experiments (1964).
 """
 
-from dpcontrol.dynamics.system import System
+import dpcontrol as dp
 
 
 def hamiltonian(q, p, _):
@@ -15,4 +15,4 @@ def hamiltonian(q, p, _):
 
 def henon_heiles():
     saddles = {"top": (0.0, 1.0), "left": (-0.9, -0.5), "right": (0.9, -0.5)}
-    return System.from_hamiltonian("henon-heiles", hamiltonian, coordinates=("x", "y"), equilibria=saddles)
+    return dp.System.from_hamiltonian("henon-heiles", hamiltonian, coordinates=("x", "y"), equilibria=saddles)

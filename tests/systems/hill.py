@@ -10,8 +10,7 @@ Source: Szebehely, Theory of Orbits (1967), section 10.4.
 
 import casadi as ca
 
-from dpcontrol.dynamics.propagator import Section
-from dpcontrol.dynamics.system import System
+import dpcontrol as dp
 
 
 def lagrangian(q, v, _):
@@ -20,15 +19,15 @@ def lagrangian(q, v, _):
 
 
 def hill():
-    return System.from_lagrangian(
+    return dp.System.from_lagrangian(
         "hill",
         lagrangian,
         coordinates=("x", "y"),
         equilibria={"L1": (-0.7, 0.0), "L2": (0.7, 0.0)},
         sections={
-            "left": Section.plane("y = 0, x < 0", (0, 1)).where((-1, 0)),
-            "middle": Section.plane("x = 0", (1, 0)),
-            "right": Section.plane("y = 0, x > 0", (0, 1)).where((1, 0)),
+            "left": dp.Section.plane("y = 0, x < 0", (0, 1)).where((-1, 0)),
+            "middle": dp.Section.plane("x = 0", (1, 0)),
+            "right": dp.Section.plane("y = 0, x > 0", (0, 1)).where((1, 0)),
         },
         between={("L1", "L1"): "right", ("L1", "L2"): "middle", ("L2", "L1"): "middle", ("L2", "L2"): "left"},
         scale=0.2,
