@@ -43,7 +43,7 @@ Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
 
 import casadi as ca
@@ -101,12 +101,12 @@ def propagation_chart(quick: bool, progress: Progress) -> EdgeChart:
         ("Plant: 12 stages of DOP853", DOP, plant_step(arms),
          lambda h, saddle: f"never taken: the simulated bench splits what is longer than {split:g} s"),
     ):  # fmt: skip
-        borders = []
-        for k, saddle in enumerate(saddles):
-            progress(f"edges of propagation, {title}, {saddle}", (len(maps) + k / len(saddles)) / 2)
-            borders.append(step_border(arms, saddle, x=k + 1.0, tableau=tableau, step=step, says=says))
+        border = partial(step_border, arms, tableau=tableau, step=step, says=says)
+        found = borders(border, saddles, part_of(progress, len(maps) / 2, (len(maps) + 1) / 2), title + ", {}")
+        # Equilibria are no numbers: lines stand side by side.
+        found = tuple(replace(one, x=float(k)) for k, one in enumerate(found))
         maps.append(
-            EdgeMap(title, "equilibrium", "step, s", tuple(borders), log_x=False, far="grows, though it should die out",
+            EdgeMap(title, "equilibrium", "step, s", found, log_x=False, far="grows, though it should die out",
                     theory="|R(sh)| = 1 for the first of the motions that die out")
         )  # fmt: skip
     return EdgeChart(
@@ -172,7 +172,7 @@ def decaying(arms: ArmChainParameters, saddle: str) -> tuple[Array, Complex, Com
 
 
 def step_border(
-    arms: ArmChainParameters, saddle: str, *, x: float, tableau: tuple[Array, Array], step: Step,
+    arms: ArmChainParameters, saddle: str, *, tableau: tuple[Array, Array], step: Step,
     says: Callable[[float, str], str], ratio: float = 1.05,
 ) -> Border:  # fmt: skip
     """Return the border of the step's length at an equilibrium."""
@@ -190,7 +190,7 @@ def step_border(
         return Attempt(True)
 
     found = find_border(
-        probe, x=x, line=saddle, near=predicted / 1.5, far=1.5 * predicted, predicted=predicted, ratio=ratio
+        probe, x=0.0, line=saddle, near=predicted / 1.5, far=1.5 * predicted, predicted=predicted, ratio=ratio
     )
     # Asked once, for it takes a run.
     return replace(found, says=says(found.far, saddle)) if found.far else found

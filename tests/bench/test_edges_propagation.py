@@ -28,14 +28,14 @@ def test_runge_kuttas_borders_on_both_axes_are_the_published_ones():
 
 @pytest.mark.parametrize("saddle", ["down-down", "up-up"])
 def test_steps_of_the_plant_grow_where_theory_has_it_and_the_bench_never_takes_them(saddle):
-    found = step_border(LAB, saddle, x=1.0, tableau=DOP, step=plant_step(LAB), says=silent)
+    found = step_border(LAB, saddle, tableau=DOP, step=plant_step(LAB), says=silent)
     assert found.off is not None
     assert found.off < 0.05
     assert longest_step(PlantParameters(LAB)) < found.near / 50
 
 
 def test_steps_of_the_model_grow_where_theory_has_it():
-    found = step_border(LAB, "down-up", x=1.0, tableau=RK4, step=model_step(LAB), says=silent)
+    found = step_border(LAB, "down-up", tableau=RK4, step=model_step(LAB), says=silent)
     assert found.off is not None
     assert found.off < 0.05
     assert found.says == "said"
