@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.bifurcations.links import Link
-from dpcontrol.bifurcations.sweep import Change, Found, Run, Sweep, SweepSettings
+from dpcontrol.bifurcations.sweep import Branch, Change, Found, Sweep, SweepSettings
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
@@ -98,7 +98,7 @@ class BifurcationSearch:
     events: tuple[Bifurcation, ...]
     counts: tuple[SweepPoint, ...]
     unexplained: tuple[tuple[float, float, str], ...]
-    runs: tuple[Run, ...]
+    runs: tuple[Branch, ...]
     scatters_from: float | None
     complete: bool
     status: str

@@ -335,7 +335,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Run:
+class Branch:
     """A connection followed in energy while it crosses its section as often as asked.
 
     energies (K,) in J, in order along it; points (K, 2): the first of its crossings, in (q, p/p₀).
@@ -354,7 +354,7 @@ class Interval:
 
     changes: tuple[Change, ...]
     reasons: tuple[str, ...]
-    runs: tuple[Run, ...]
+    runs: tuple[Branch, ...]
 
     @property
     def gain(self) -> int:
@@ -452,7 +452,7 @@ class Sweep:
         states = crossing_states(self.problem, event.link, event.energy, self.section)
         return section_points(system, self.section, states[0]) if len(states) else np.full(2, np.nan)
 
-    def _runs(self, points: Sequence[PathPoint]) -> list[Run]:
+    def _runs(self, points: Sequence[PathPoint]) -> list[Branch]:
         """Return where a connection, followed through points, crosses the section, for points that cross as asked."""
         runs: list[list[tuple[float, Array]]] = [[]]
         for point in points:
@@ -463,7 +463,7 @@ class Sweep:
             if len(states):
                 place = section_points(self.problem.system, self.section, states[0])
                 runs[-1].append((point.energy, place))
-        return [Run(np.array([e for e, _ in run]), np.array([x for _, x in run])) for run in runs if len(run) > 1]
+        return [Branch(np.array([e for e, _ in run]), np.array([x for _, x in run])) for run in runs if len(run) > 1]
 
     def between(self, low: float, high: float) -> Interval:
         """Explain what two neighbouring searches do not share; kept until one of them is amended."""
@@ -502,7 +502,7 @@ class Sweep:
 
         Returns what happened, and connections that the searches should have found.
         """
-        runs: list[Run] = []
+        runs: list[Branch] = []
         missed: list[PathPoint] = []
         lost, born = set(range(len(before.points))), set(range(len(after.points)))
         for k, point in enumerate(before.points):

@@ -31,7 +31,7 @@ from dpcontrol.references.reference import Reference, joined, still
 from dpcontrol.references.sustained import SustainedOrbit, SustainedSettings, sustained_orbit
 from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart
 from dpcontrol.scenes.notes import STILL, notes_of, notes_of_pieces
-from dpcontrol.scenes.pieces import Goal, Piece, cart_problem, walk_goal
+from dpcontrol.scenes.pieces import Goal, SolvedPiece, cart_problem, walk_goal
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver, phase_gap
 
@@ -82,7 +82,7 @@ def plan_kept(
     """
     orbits = _sustained(itinerary, chain)
     flights = _flights(part, chain, solver)
-    pieces: list[Piece] = []
+    pieces: list[SolvedPiece] = []
     for k, flight in enumerate(flights):
         here = part_of(progress, k / len(flights), (k + 1) / len(flights))
         lift = np.zeros(len(flight.goal.first))
@@ -134,7 +134,7 @@ def _periods(before: _Flight, after: _Flight) -> int:
 
 def _flown(
     itinerary: Itinerary, flight: _Flight, orbits: dict[str, SustainedOrbit], lift: Array, progress: Progress
-) -> Piece:
+) -> SolvedPiece:
     """Return the piece of a flight, `lift` (n,) added to its goal's angles."""
     goal, sample = flight.goal, flight.orbit.sample
     turned = np.concatenate([lift, np.zeros(len(lift))])
@@ -147,7 +147,7 @@ def _flown(
     text = ", ".join(goal.symbols)
     if not found.converged:
         raise GoalMissed(f"no flight {text!r} between the orbits that are to be kept: {found.status}")
-    return Piece("walk", text, goal, lift, found, flight.wraps)
+    return SolvedPiece("walk", text, goal, lift, found, flight.wraps)
 
 
 def _on_turns(orbit: SustainedOrbit, state: Array) -> Array:
@@ -161,7 +161,7 @@ def _assembled(
     itinerary: Itinerary,
     part: WalkPart,
     flights: list[_Flight],
-    pieces: list[Piece],
+    pieces: list[SolvedPiece],
     orbits: dict[str, SustainedOrbit],
 ) -> tuple[Reference, PlanNotes, dict[str, Array]]:
     """Return stays and flights end to end, with the notes and arrays of the whole."""

@@ -14,7 +14,7 @@ from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.symmetric_shooting import equilibria
 from dpcontrol.references.notes import OrbitNote, PlanNotes, StopNote, SymbolNote
 from dpcontrol.scenes.itinerary import Itinerary
-from dpcontrol.scenes.pieces import Goal, Piece
+from dpcontrol.scenes.pieces import Goal, SolvedPiece
 from dpcontrol.tubes.connection import Connection
 
 Array = NDArray[np.float64]
@@ -55,7 +55,7 @@ class _Story:
         }  # fmt: skip
         self._arrive(name, angles, here, symbol, None)  # type: ignore[arg-type]
 
-    def follow(self, piece: Piece, begin: float) -> None:
+    def follow(self, piece: SolvedPiece, begin: float) -> None:
         """Add the stops and symbols of a walk that begins at this time, s."""
         assert piece.goal is not None
         orbit = piece.goal.shadowing
@@ -101,7 +101,9 @@ class _Story:
         return known.index((saddle, energy))
 
 
-def notes_of_pieces(itinerary: Itinerary, pieces: Sequence[Piece], begins: Array) -> tuple[PlanNotes, dict[str, Array]]:
+def notes_of_pieces(
+    itinerary: Itinerary, pieces: Sequence[SolvedPiece], begins: Array
+) -> tuple[PlanNotes, dict[str, Array]]:
     """Return the notes of solved pieces that begin at `begins` (P + 1,) s, and the arrays that go with them."""
     story, way = _Story(itinerary), ""
     for piece, begin, end in zip(pieces, begins[:-1], begins[1:], strict=True):

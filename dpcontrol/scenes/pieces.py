@@ -53,7 +53,7 @@ class Goal:
 
 
 @dataclass(frozen=True)
-class Piece:
+class SolvedPiece:
     """A solved piece. kind: "walk", "hold" or "transfer"; lift (n,): radians added to its goal's angles.
 
     wraps: at the stop that it shares with the walk's piece before it; None for a walk in one piece.
@@ -100,7 +100,7 @@ def stay_goal(itinerary: Itinerary, name: str, seconds: float) -> Goal:
     return Goal(text, (name, name), angles, angles, state, state, seconds=seconds)
 
 
-def solve_pieces(itinerary: Itinerary, goals: Sequence[Goal], *, progress: Progress = no_progress) -> list[Piece]:
+def solve_pieces(itinerary: Itinerary, goals: Sequence[Goal], *, progress: Progress = no_progress) -> list[SolvedPiece]:
     """Return the pieces that do all goals in order, with the transfers between them.
 
     A reference that did not converge ends the list: what follows starts where it should have led.
@@ -108,7 +108,7 @@ def solve_pieces(itinerary: Itinerary, goals: Sequence[Goal], *, progress: Progr
     Raises:
         GoalMissed: no transfer between two goals.
     """
-    pieces: list[Piece] = []
+    pieces: list[SolvedPiece] = []
     for k, goal in enumerate(goals):
         here = part_of(progress, k / len(goals), (k + 0.5) / len(goals))
         lift = np.zeros(len(goal.first))
@@ -137,7 +137,7 @@ def cart_problem(itinerary: Itinerary, guess: Guess, duration: float, ends: EndC
     )
 
 
-def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress) -> Piece:
+def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress) -> SolvedPiece:
     """Return the piece of a goal itself."""
     turned = np.concatenate([lift, np.zeros(len(lift))])
     settings = itinerary.reference
@@ -147,18 +147,18 @@ def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress) -> P
         piece = still(
             state, goal.seconds, method=method, limits=itinerary.limits, interval=max(settings.interval, 0.05)
         )
-        return Piece("hold", goal.text, goal, lift, piece)
+        return SolvedPiece("hold", goal.text, goal, lift, piece)
     sample = goal.shadowing.sample
     problem = cart_problem(itinerary, lambda times: sample(times + goal.begin) + turned, goal.seconds, EndConditions())
     if settings.level == "conservative":
         free = itinerary.model.arms.frictionless()
         conservative = replace(problem, equations=equations_of(free, Level.CART), parameters=free.base())
         followed = shadowed(conservative, settings)
-        return Piece("walk", goal.text, goal, lift, followed)
-    return Piece("walk", goal.text, goal, lift, find_reference(problem, settings, progress=progress))
+        return SolvedPiece("walk", goal.text, goal, lift, followed)
+    return SolvedPiece("walk", goal.text, goal, lift, find_reference(problem, settings, progress=progress))
 
 
-def _transfer(itinerary: Itinerary, before: Goal, lift: Array, after: Goal, progress: Progress) -> Piece:
+def _transfer(itinerary: Itinerary, before: Goal, lift: Array, after: Goal, progress: Progress) -> SolvedPiece:
     """Return the piece from the end of one goal to the start of the next, and the lift of that."""
     start = np.concatenate([before.end + np.concatenate([lift, np.zeros(len(lift))]), [0.0, 0.0]])
     text = f"{_place(before.where[1])} to {_place(after.where[0])}"
@@ -167,7 +167,7 @@ def _transfer(itinerary: Itinerary, before: Goal, lift: Array, after: Goal, prog
     if same and before.shadowing is not None and after.shadowing is not None:
         onward = np.rint(apart) * 2 * np.pi
         found = _blend(itinerary, before.shadowing, lift, after.shadowing, onward, progress)
-        return Piece("transfer", f"change of energy at {after.where[0]}", None, onward, found)
+        return SolvedPiece("transfer", f"change of energy at {after.where[0]}", None, onward, found)
     # Half a turn apart, both ways round are tried.
     choices = [sorted({np.floor(a), np.ceil(a)}, key=abs) if 0.1 < a % 1 < 0.9 else [np.rint(a)] for a in apart]
     lifts = [np.array(turns) * 2 * np.pi for turns in product(*choices)]
@@ -186,7 +186,7 @@ def _transfer(itinerary: Itinerary, before: Goal, lift: Array, after: Goal, prog
         raise GoalMissed(f"{text}: {error}") from error
     landed = found.state(found.duration)
     chosen = lifts[int(np.argmin([np.abs(landed - end).max() for end in ends]))]
-    return Piece("transfer", text, None, chosen, found)
+    return SolvedPiece("transfer", text, None, chosen, found)
 
 
 def _place(name: str) -> str:
