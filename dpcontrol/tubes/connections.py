@@ -309,6 +309,7 @@ def reversed_search(search: ConnectionSearch) -> ConnectionSearch:
 
 
 _LARGE = 0.4  # scaled distance from the orbit to which a tube has grown where its connections are sought
+_PROBED = 96  # phases at which the seeds' distances are compared
 _EDGE = 1e-6  # of a phase: what rounding may put on either side of a whole number
 
 
@@ -377,7 +378,10 @@ def find_lap_connections(
 def grown_crossing(orbit: HyperbolicOrbit, section: Section, settings: ConnectionSettings | None = None) -> int:
     """Return the last crossing, counted from its seeds, on which a tube has grown to a scaled distance of about 0.4."""
     settings = settings or ConnectionSettings()
-    laps = np.log(_LARGE / settings.distance) / local_manifold(orbit, settings.distance).exponent
+    manifold, phases = local_manifold(orbit, settings.distance), np.arange(_PROBED) / _PROBED
+    away = (manifold.seeds(phases, 1)[0] - manifold.frame(phases).states) / orbit.system.scale
+    # Where they would otherwise meet one trajectory more than once, seeds are nearer than `distance`.
+    laps = float(np.log(_LARGE / np.linalg.norm(away, axis=1).min())) / manifold.exponent
     return max(1, int(laps * own_crossings(orbit, section)))
 
 
