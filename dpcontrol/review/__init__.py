@@ -1,1 +1,1 @@
-"""Score, Rerun recording and pictures of a log."""
+"""What there is to see of a run: its score, its story, and how the viewer and a page show it."""

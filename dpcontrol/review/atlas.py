@@ -1,9 +1,7 @@
-"""An atlas as a Rerun recording: tubes, orbits and flights in space, cuts with named connections on their sections.
+"""An atlas as a Rerun recording, and on one page: tubes, orbits and flights in space, cuts with their connections.
 
-Space is (first coordinate, second, first rate), for arms (θ₁, θ₂, ω₁); rates are scaled so that the tubes are about as
-high as wide. On the sections, (q, p/p₀) with p upwards. Dots move along the flights with time.
-
-An atlas on one page, drawn by matplotlib: tubes, orbits and connections in space, and the cuts of every kind.
+Space is (first coordinate, second, first rate), for arms (θ₁, θ₂, ω₁); in the recording rates are scaled so that the
+tubes are about as high as wide. On the sections, (q, p/p₀) with p upwards. Dots move along the flights with time.
 """
 
 import re

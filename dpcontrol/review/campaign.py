@@ -1,13 +1,10 @@
-"""A campaign's table, one row for each run, and what it says: shares of success, failures by symbol and reason.
+"""A campaign's table, one row for each run, as numbers and on one page: shares of success, failures, spreads.
 
-Shares come with Wilson's 95 % interval (`lab.statistics`). Only `completed` must be there; other columns are used where
-they are known: itinerary, controller, estimator, mismatch, symbols_completed, symbols_total, reason, ending,
-rms_tracking_error (rad), max_cart_position (m). A table with kind and level is of the standard score: its groups are
-those by kind of trouble, its levels those of all kinds together. Further columns are left alone.
-
-A campaign on one page: shares of success by group and by mismatch, where and why runs failed, and their spreads.
-
-What a campaign has nothing of, such as failures, has no panel.
+Shares come with Wilson's 95 % interval (`foundation.statistics`). Only `completed` is required; other columns are used
+where they are present: itinerary, controller, estimator, mismatch, symbols_completed, symbols_total, reason, ending,
+rms_tracking_error (rad), max_cart_position (m). A table with kind and level comes from the standard score: its groups
+are formed by kind of trouble, its levels over all kinds together. Other columns are ignored. The page leaves out panels
+for which there is nothing to show, such as failures.
 """
 
 import re
@@ -35,7 +32,7 @@ _WHAT = ("itinerary", "controller", "estimator")
 _KIND, _LEVEL = "kind", "level"
 _EARLY = re.compile(r"; the run ended [^:;]* early: ")
 _APART, _BINS = 21, 6
-"""Up to so many values stand for themselves; more are gathered."""
+"""The most values that are shown one by one, and the number of bins for more."""
 _NUMBER = re.compile(r"[-+]?\d[\d.,]*(?:e[-+]?\d+)?")
 _MOST_LETTERS = 90
 
@@ -131,7 +128,7 @@ def campaign_summary(path: Path) -> CampaignSummary:
     """Return what a campaign's Parquet table says.
 
     Raises:
-        InputError: there is no such file, it is no Parquet table, holds no runs, or does not say which completed.
+        InputError: there is no such file, it is not a Parquet table, holds no runs, or does not say which completed.
     """
     columns = _columns(Path(path))
     if "completed" not in columns:
@@ -183,7 +180,7 @@ def _columns(path: Path) -> dict[str, list[Any]]:
         return pyarrow.parquet.read_table(path).to_pydict()
     except (pyarrow.ArrowException, OSError, ValueError) as error:
         reason = str(error).splitlines()[0]
-        raise InputError(f"{path} is no Parquet table, or is damaged: {reason}; run the campaign again") from error
+        raise InputError(f"{path} is not a Parquet table, or is damaged: {reason}; run the campaign again") from error
 
 
 def _share(done: NDArray[np.bool_], chosen: Any) -> Share:
@@ -192,7 +189,7 @@ def _share(done: NDArray[np.bool_], chosen: Any) -> Share:
 
 
 def _numbers(table: dict[str, list[Any]], name: str) -> NDArray[np.float64] | None:
-    """Return a column as numbers, nan where there is none, or None where it has no numbers."""
+    """Return a column as numbers, nan where a value is missing, or None where it has no numbers."""
     try:
         values = np.array([np.nan if v is None else float(v) for v in table.get(name, [])])
     except (TypeError, ValueError):
@@ -244,7 +241,7 @@ def _reasons(table: dict[str, list[Any]], done: NDArray[np.bool_]) -> tuple[tupl
 
 
 def _plain(reason: str) -> str:
-    """Return why a run ended, else what was not done, without numbers and without the remedy."""
+    """Return why a run ended, else what was not done, without its numbers and remedy."""
     text = _EARLY.split(reason)[-1].split(";")[0].strip()
     text = _NUMBER.sub("…", text)
     return text if len(text) <= _MOST_LETTERS else text[: _MOST_LETTERS - 1] + "…"

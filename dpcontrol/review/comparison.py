@@ -1,12 +1,8 @@
-"""Several runs on one clock: each is delayed so that all cross the section of one symbol at the same moment.
+"""Several runs on one clock, on a page and as a Rerun recording: each delayed to cross one symbol's section together.
 
-The moment is the run's own crossing, decoded from its true angles, or from the estimated ones where the truth is not
-known; for a symbol without a section, or one that was not done, it is the plan's; a log without a plan is taken from
-its start. Which it was is said for each run.
-
-Several runs on one page, drawn by matplotlib: their stories and films one below the other, their curves together.
-
-Several runs as one Rerun recording: a scene for each, their curves in the same plots, their stories as strips.
+The crossing is the run's own, decoded from its true angles, or from the estimated ones where the truth is not known.
+For a symbol without a section, or one that the run did not complete, it is the plan's; a log without a plan is aligned
+at its start. The comparison's status reports which it was for each run.
 """
 
 import re
@@ -190,7 +186,7 @@ _FRAMES = 8
 _STORY, _FILM, _PANEL, _HEAD = 0.95, 1.75, 1.75, 0.95
 """Heights in inches: of a run's story and film, of a row of panels, and of the title."""
 _FILMED = 3
-"""Up to so many runs have a film each."""
+"""The most runs that have a film each."""
 
 
 def draw_comparison(comparison: RunComparison) -> Figure:
@@ -274,8 +270,8 @@ def write_comparison_recording(comparison: RunComparison, path: Path) -> None:
         for k, run in enumerate(comparison.runs):
             draw_pendulum(recording, f"runs/{k + 1}/scene", run.view)
             record_planes(recording, f"runs/{k + 1}/planes", run.view, boxes=boxes)
-            told = [s for s in strips(run.view, until=comparison.span[1]) if s.key in ("1_asked", "2_done")]
-            record_strips(recording, f"states/{k + 1}_{re.sub(r'[^A-Za-z0-9]+', '_', run.name)}", told, run.view)
+            shown = [s for s in strips(run.view, until=comparison.span[1]) if s.key in ("1_asked", "2_done")]
+            record_strips(recording, f"states/{k + 1}_{re.sub(r'[^A-Za-z0-9]+', '_', run.name)}", shown, run.view)
         for chart in compared_charts(comparison):
             record_chart(recording, "plots", chart, comparison.runs[0].view)
 

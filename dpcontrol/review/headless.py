@@ -1,6 +1,6 @@
-"""Take a picture of a recording in a viewer without a screen; run as a program by `viewer.picture_of`.
+"""Take a picture of a recording in a viewer without a screen; run as a program by `picture.picture_of`.
 
-Arguments: the viewer's executable, the recording, the picture, the time in s to show. Ends with 0 and the picture
+Arguments: the viewer's executable, the recording, the picture, the time in s to show. Exits with 0 and the picture
 written, or with 1 and the reason as the last line on standard output.
 """
 

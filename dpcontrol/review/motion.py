@@ -1,9 +1,7 @@
-"""What there is to see of a run: of a log with whatever it holds, or of a reference alone.
+"""What there is to see of a run, and of the plan that it follows, as the viewer and pages show it.
 
-A simulated run knows truth, estimate, reference and command; a recording from the bench the measured angles only, in
-segments.
-
-What a plan asks for, as pictures show it: its stays and symbols over time, its orbits and tubes in space.
+A simulated run has truth, estimate, reference and command; a recording from the bench has only the measured angles, in
+segments. A plan has stays and symbols over time, orbits and tubes in phase space.
 """
 
 from dataclasses import dataclass, field, replace
@@ -107,7 +105,7 @@ class PlanView:
 
 
 LARGEST = 1e6
-"""In rad, rad/s, m …: no run that is worth a look comes near, and drawing libraries fail far beyond."""
+"""In rad, rad/s, m …: no sensible run comes near, and drawing libraries fail far beyond."""
 ACTUAL = "actual"
 """In `control`: what the simulated cart did, where the truth is known."""
 _DRIVEN = ("command", "applied", "feedforward")
@@ -289,7 +287,7 @@ def _cart_acceleration(velocity: Array, time: Array) -> Array:
 
 
 def clean(values: Array) -> Array:
-    """Return values with nan for those beyond all sense; the same array where there are none, for logs are long."""
+    """Return values with nan for absurd ones; the same array where there are none, since logs are long."""
     with np.errstate(invalid="ignore"):
         sound = np.abs(values) < LARGEST
     return values if sound.all() else np.where(sound, values, np.nan)

@@ -253,7 +253,7 @@ def read_reference_view(file: Path) -> RunView:
     """Return what there is to see of a reference's file; its error between nodes is measured anew.
 
     Raises:
-        InputError: the file is no reference, or its notes are not those of a plan.
+        InputError: the file is not a reference, or its notes are not those of a plan.
     """
     reference = load_reference(file)
     try:

@@ -1,7 +1,4 @@
-"""Families of Lyapunov orbits on one page: their shapes, and periods and multipliers against energy.
-
-Families of rotating orbits on one page: trace, period and shapes against energy, coloured by stability.
-"""
+"""Families of Lyapunov and of rotating orbits, each on one page: shapes, periods and stability against energy."""
 
 from collections.abc import Sequence
 from itertools import groupby, pairwise

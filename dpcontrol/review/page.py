@@ -1,12 +1,8 @@
-"""A run, a recording or a reference on one page, drawn by matplotlib: what happened, how well, and where it went.
+"""A run, a recording, a reference or an orbit on one page, drawn by matplotlib from its story (`series`).
 
-What every page is made of: an empty figure, quiet panels with a legend above, limits, angles in units of π.
-
-Panels of a page: a chart over time, and a phase plane with orbits and tubes.
-
-Panels of a page that tell what happened: the itinerary as asked and as done, the controller, the events.
-
-The filmstrip of the drawn picture: the arms at several instants, side by side, as seen from the cart.
+From above: title and verdict; the itinerary as asked and as done; a film of the arms as seen from the cart; charts over
+time, phase planes, symbols and events. The helpers for figures, frames, axes in units of π and legends serve every
+other page and figure too.
 """
 
 from dataclasses import replace
@@ -27,7 +23,7 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.review import series, style
 from dpcontrol.review.motion import RunView
-from dpcontrol.review.series import Chart, LevelLine, Line, Plane, Range, Span, Strip, arm_points, strips, telling_rows
+from dpcontrol.review.series import Chart, LevelLine, Line, Plane, Range, Span, Strip, arm_points, extreme_rows, strips
 
 Array = NDArray[np.float64]
 
@@ -104,7 +100,7 @@ def label_in_pi(axis: Axis) -> None:
 
 def curve(view: RunView, time: Array, values: Array) -> tuple[Array, Array]:
     """Return a series (K,) of a view, thinned to its peaks, with nan in its gaps so that no line crosses them."""
-    rows = telling_rows(values, bins=_BINS)
+    rows = extreme_rows(values, bins=_BINS)
     time, values = time[rows], values[rows]
     if not len(view.breaks):
         return time, values

@@ -1,6 +1,6 @@
-"""A picture of what is reviewed: the viewer's where it can draw without a screen, else one drawn by matplotlib.
+"""A picture of what is reviewed: by the Rerun viewer where it can render without a screen, else by matplotlib.
 
-The Rerun viewer as a program: opened for a look, or started without a screen for a picture.
+The viewer is a program of its own: opened for the user, or started without a screen under a time limit.
 """
 
 import contextlib

@@ -1,18 +1,9 @@
-"""A run as a Rerun recording: the log's own messages, series derived from them, and a blueprint that arranges them.
+"""A run, a recording or a reference as a Rerun recording, made from its story (`series`), and its arrangement.
 
-The log alone can be opened in the viewer as well, but then without arrangement. Times are durations from the start.
-
-How the viewer arranges a recording: the views, what each shows, and where.
-
-The story of a run in a recording: charts with their levels and bands, strips of states, their common timeline.
-
-Phase planes in a recording: orbits, tubes with their cuts, the run, where it is now, and lines to read them by.
-
-The viewer's y points down and its scales are equal: a rate of 10 rad/s is drawn as long as an angle of 2 rad.
-
-Scenes in a recording: the tip's trace behind a log's own bodies; and pendulums drawn from a view alone.
-
-x to the right, z up, as the log's own transforms have it.
+A log's own messages supply the scene; its numbers go into curves with names and colours. Without the blueprint the
+viewer opens the log as well, but unarranged. Times are durations from the start. In the scene x points right and z up.
+In the phase planes the viewer's y points down and its scales are equal: a rate of 10 rad/s is drawn as long as an angle
+of 2 rad.
 """
 
 from collections.abc import Iterator, Sequence
@@ -37,10 +28,10 @@ from dpcontrol.review.series import (
     Strip,
     arm_points,
     check_charts,
+    extreme_rows,
     motion_charts,
     plane,
     strips,
-    telling_rows,
 )
 
 Array = NDArray[np.float64]
@@ -50,11 +41,11 @@ TIMELINE = "message_log_time"
 TRACE_RATE = 50.0
 """Hz at which poses and places are recorded: enough for the eye."""
 _BINS = 30_000
-"""A curve of more than three times as many points is recorded by its least and greatest in each of so many."""
+"""Bins of a long curve, of each of which the least and the greatest value are recorded."""
 _ON_THE_WAY = "on the way"
 _BAND_POINTS = 4000
 _EDGE = np.array([-1e-6, 0.0, 1e-6])
-"""s: about an end of a band."""
+"""s: offsets at which the edge of a band is sampled."""
 
 
 def times(time: Array) -> list[rr.TimeColumn]:
@@ -91,13 +82,13 @@ def record_chart(recording: rr.RecordingStream, home: str, chart: Chart, view: R
 
 
 def _line(recording: rr.RecordingStream, path: str, line: Line) -> None:
-    """Record a line under a path, of a long one the telling points, for the log keeps all; with its band if it has one.
+    """Record a line under a path, with its band if it has one; of a long line only the extremes, as the log keeps all.
 
     Ink becomes pale on the viewer's dark plots, and a reference grey.
     """
     colour = {style.INK: style.PALE_INK, style.CART: style.PALE_INK}.get(line.colour, line.colour)
     tint = style.rgb(style.REFERENCE if line.role == "reference" else colour)
-    rows = telling_rows(line.values, bins=_BINS)
+    rows = extreme_rows(line.values, bins=_BINS)
     look: rr.SeriesLines | rr.Measurements
     if line.reach is None:
         look = rr.SeriesLines(colors=[tint], names=[line.name], widths=[line.width])
@@ -153,14 +144,14 @@ _RATE = 0.2
 _SCALE = np.array([1.0, -_RATE])
 _GRID, _DARK_GRID = (226, 229, 233), (52, 56, 62)
 _EACH = 2
-"""Of a tube's strands every second is enough here, and quicker to draw without a graphics card."""
+"""Every second strand of a tube is enough here, and quicker to draw without a graphics card."""
 _TUBES = (
     (False, style.UNSTABLE, style.PALE_UNSTABLE, "tubes_from"),
     (True, style.STABLE, style.PALE_STABLE, "tubes_to"),
 )
 """Stable, colours of the cut and of the strands (the viewer's thin lines do not let through), and name."""
 _FAR = 60.0
-"""rad and rad/s: what lies farther out is not what the view is chosen for."""
+"""rad and rad/s: the view is not widened for what lies farther out."""
 
 
 def record_planes(recording: rr.RecordingStream, home: str, view: RunView, *, boxes: list[Box] | None = None) -> None:
@@ -232,7 +223,7 @@ def reading_lines(
 
 
 def _round_step(span: float, most: int) -> float:
-    """Return the least of 1, 2, 5 times a power of ten of which at most so many go into a span."""
+    """Return the least of 1, 2, 5 times a power of ten that divides a span into at most `most` steps."""
     size = 10.0 ** np.floor(np.log10(max(span, 1e-9) / most))
     return float(next(step * size for step in (1.0, 2.0, 5.0, 10.0) if span / (step * size) <= most))
 
@@ -313,10 +304,10 @@ def blueprint(view: RunView, *, from_log: bool) -> rrb.Blueprint:
     if len(checks) == 1 and len(middle) > 2:
         middle, checks = [*middle, *checks], []
     shares = [2.0] * len(middle)
-    told = {strip.key: strip.name or "symbols" for strip in strips(view)}
-    if told:
-        words = ["itinerary as asked and done" if view.done else "itinerary as asked"] if "1_asked" in told else []
-        words += [name for name in told.values() if name not in ("asked", "done")]
+    shown = {strip.key: strip.name or "symbols" for strip in strips(view)}
+    if shown:
+        words = ["itinerary as asked and done" if view.done else "itinerary as asked"] if "1_asked" in shown else []
+        words += [name for name in shown.values() if name not in ("asked", "done")]
         middle.insert(0, rrb.StateTimelineView(name=", ".join(words).capitalize(), origin="/states"))
         shares.insert(0, 2.2)
     planes = [
@@ -411,7 +402,7 @@ def write_recording(view: RunView, path: Path) -> None:
     """
     from_log = view.what != "reference"
     if from_log and not view.path.is_file():
-        raise InputError(f"there is no log {view.path} any more; put it back and try again")
+        raise InputError(f"the log {view.path} has gone; put it back and try again")
     from_log = from_log and view.time[-1] - view.time[0] <= _LONG
     with recording_to(path, view.title, blueprint(view, from_log=from_log)) as recording:
         summary = rr.TextDocument(_summary(view), media_type="text/markdown")

@@ -1,7 +1,7 @@
 """The story of a run, made once for every renderer: charts over time, strips of what was asked and done, phase planes.
 
-The viewer's recording (`recorded`) and the drawn page (`panels`) show the same story. Values are in SI units; a page
-shows a chart in a handier unit by its `scale`.
+The viewer's recording (`rerun_recording`) and the drawn page (`page`) show the same story. Values are in SI units; a
+page shows a chart in a handier unit by its `scale`.
 """
 
 from collections.abc import Iterator, Sequence
@@ -138,7 +138,7 @@ class Plane:
 
 
 def motion_charts(view: RunView) -> tuple[Chart, ...]:
-    """Return the charts of what was done: angles, rates, and, where there are such, cart and acceleration."""
+    """Return the charts of what was done: angles, rates, and, where they exist, cart and acceleration."""
     n = view.arms
     found = [_angles(view), _rates(view)]
     if view.has_cart:
@@ -357,7 +357,7 @@ def _stairs(view: RunView, values: Array, colour: str) -> Line:
 
 
 def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
-    """Return the itinerary as asked and as done, its symbols, and the controller's modes, as far as there are such.
+    """Return the itinerary as asked and as done, its symbols, and the controller's modes, as far as they exist.
 
     until: s, when the run should have ended; the plan's end if not given.
     """
@@ -479,7 +479,7 @@ def mode_name(number: float) -> str:
         return "unknown mode"
 
 
-def telling_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
+def extreme_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
     """Return the rows of the least and the greatest of values (N,) in each of `bins`, and the last; all where few."""
     size = len(values) // bins
     if size < 3:

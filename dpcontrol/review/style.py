@@ -1,4 +1,4 @@
-"""Colours and small manners shared by recordings, pages and figures."""
+"""Colours and text shared by recordings, pages and figures."""
 
 ARMS = ("#1f6fb4", "#d9640d", "#2c8a4b", "#8a4fa3", "#9a6b15")
 """One colour for each arm, from the pivot outwards; repeated beyond the fifth."""

@@ -1,8 +1,7 @@
 """An orbit that follows a walk, on one page: its symbols over time, the arms as a filmstrip, the orbit in space.
 
-What a picture of a walk shows: the orbit sampled, its symbols in words, where it wobbles and how often.
-
-The orbit of a walk in space and in the plane, coloured by time, over the periodic orbits that it wobbles about.
+The orbit is sampled once (`WalkStory`) and shown as a run is; stays are the stretches near a periodic orbit, with the
+number of wraps. In space and in the plane the orbit is coloured by time.
 """
 
 from dataclasses import dataclass
@@ -50,8 +49,9 @@ _MOST_SAMPLES = 40_000
 
 @dataclass(frozen=True)
 class Wobble:
-    """A stretch near a periodic orbit: from start to end (s) about `saddle`, with so many wraps; closing: the stop of
-    a closed walk from its last symbol back to its first.
+    """A stretch near a periodic orbit: from start to end (s) about `saddle`, with its number of wraps.
+
+    closing: whether it is a closed walk's stop from its last symbol back to its first.
     """
 
     start: float
@@ -273,7 +273,7 @@ def space(axes: Axes, story: WalkStory) -> None:
 
 
 def _periods(story: WalkStory) -> tuple[float | None, ...]:
-    """Return the period of each coordinate, None where it is no angle."""
+    """Return the period of each coordinate, None where it is not an angle."""
     return tuple(float(p) if np.isfinite(p) else None for p in story.orbit.connections[0].source.system.periods)
 
 
@@ -392,7 +392,7 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
 
 
 def film_shape(count: int) -> tuple[int, int, int]:
-    """Return (rows, symbols in a row, poses of a symbol) of the film of so many symbols."""
+    """Return (rows, symbols in a row, poses of a symbol) of the film of `count` symbols."""
     count = min(count, FILM_SYMBOLS)
     poses = 9 if count == 1 else 7 if count == 2 else 5 if count <= 6 else 3 if count <= 16 else 1
     rows = int(np.ceil(count * poses / 18))

@@ -153,7 +153,7 @@ def test_what_is_no_campaign_is_refused_in_one_sentence(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no campaign"):
         campaign_summary(tmp_path / "none.parquet")
     (tmp_path / "text.parquet").write_text("no table")
-    with pytest.raises(InputError, match="no Parquet table"):
+    with pytest.raises(InputError, match="not a Parquet table"):
         campaign_summary(tmp_path / "text.parquet")
     with pytest.raises(InputError, match="does not say which runs completed: it has seed"):
         campaign_summary(table(tmp_path / "bare.parquet", [{"seed": 1}]))

@@ -109,7 +109,7 @@ def test_other_shapes_are_recorded_too(tmp_path: Path, arms: int, has_cart: bool
 
 def test_a_log_that_has_gone_is_an_input_error(run: RunView, tmp_path: Path) -> None:
     view = replace(run, path=tmp_path / "gone.mcap")
-    with pytest.raises(InputError, match="any more"):
+    with pytest.raises(InputError, match="has gone"):
         write_recording(view, tmp_path / "run.rrd")
     assert not list(tmp_path.iterdir())
 

@@ -1,1 +1,1 @@
-"""The paper's computational figures, redrawn: one module for each, listed by name in `registry`."""
+"""The paper's computational figures, redrawn and listed by name in `registry`."""

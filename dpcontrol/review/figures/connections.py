@@ -1,18 +1,7 @@
-"""Cuts of two tubes on their section, with the connections where they meet: one panel of several figures.
+"""Figures of tubes and connections: in space, as cuts on a section, and as flights in the plane of the coordinates.
 
-Flights of connections: in the plane of the two coordinates, beside the cuts where they meet, and against time.
-
-Tubes, cuts and orbits of an atlas in space: first coordinate, second, first rate.
-
-Tubes of Down-Up in space, and the cuts in which they meet the section.
-
-Homoclinic connections of the lab pendulum at two energies: where cuts meet, and the flights.
-
-Heteroclinic connections of the lab pendulum at 0.2 J, there and back.
-
-Double and triple homoclinics: later hits of the section, with flights on which the outer arm turns so often.
-
-Three bodies: the same search about L1 and L2: orbits, tubes in the plane, and the first connection between them.
+The lab pendulum's tubes, its homoclinic connections of one and more turns and its heteroclinic ones; and the first
+connection between L1 and L2 of three bodies, found by the same search.
 """
 
 from collections.abc import Callable, Sequence
@@ -456,7 +445,7 @@ def _draw(gallery: Gallery, turns: int) -> Page:
     assert kind is not None
     connections = atlas.between(SADDLE, SADDLE)
     repeated = [c for c in connections if tuple(map(abs, c.winding)) == (0, turns) and c.sense > 0]
-    # Time reversal moves the section to the other passage, so images of one flight are told by its length.
+    # Time reversal moves the section to the other passage, so images of one flight are recognised by its length.
     lengths: dict[float, AtlasConnection] = {}
     for c in sorted(repeated, key=lambda c: (c.time_in + c.time_out, c.name)):
         lengths.setdefault(round(c.time_in + c.time_out, 4), c)

@@ -1,14 +1,7 @@
-"""Hill's regions: where in the plane of the angles an energy allows the arms to be, and the saddles between.
+"""Figures of what an energy allows: Hill's regions, families of orbits, the connection graph, colour wheels, branches.
 
-Families of Lyapunov orbits about both saddles: shapes, periods and multipliers against energy.
-
-The connection graph of the lab pendulum: orbits as nodes, one arrow for each connection.
-
-Colour wheels: the inside of Down-Up's tube carried through returns to the section.
-
-The inside of a tube as colour wheels: where each point of its cut goes at every return to the section.
-
-Connections of the lab pendulum against energy: where each crosses its section, is born, splits, or grazes.
+A colour wheel shows where each point inside a tube's cut goes at every return to the section. Branches are connections
+against energy: where each crosses its section, is born, splits, or grazes it.
 """
 
 from textwrap import fill
@@ -469,9 +462,9 @@ def _scattering(diagrams: list[BranchDiagram]) -> str:
 def _differs(diagrams: list[BranchDiagram]) -> str:
     onset = min((m.energy for m in diagrams[2].marks), default=float("nan"))
     return (
-        "Folds and splittings are located instead of read off a list of counts, and told from grazes of the section, "
-        "which only move a connection to another number of hits. Both orbits exist from 0.1754 J on, which the paper "
-        f"gives for the onset of heteroclinics; the first of them that meets its section once each appears at "
+        "Folds and splittings are located instead of read off a list of counts, and distinguished from grazes of the "
+        "section, which only move a connection to another number of hits. Both orbits exist from 0.1754 J on, which "
+        "the paper gives for the onset of heteroclinics; the first of them that meets its section once each appears at "
         f"{onset:.6f} J, and none below it. Counts are of both senses and of all images on the torus. Parameters are "
         "the rig's identified ones; with those printed in the text all these energies differ."
     )
