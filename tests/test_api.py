@@ -120,7 +120,7 @@ def test_an_interior_stop_has_the_fewest_wraps_unless_asked(example: dict[str, A
     walk = dp.shadow(example["found"], ["down-up +", "down-up -"])
     assert walk.converged
     assert len(walk.wraps) == 1
-    with pytest.raises(dp.InputError, match="stops"):
+    with pytest.raises(dp.InputError, match="1 interior stop"):
         dp.shadow(example["found"], ["down-up +", "down-up -"], wraps=[1, 2])
 
 
