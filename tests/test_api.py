@@ -15,24 +15,15 @@ from dpcontrol.references.reference import load_reference
 from dpcontrol.scenes.atlas import make_atlas
 from dpcontrol.scenes.itinerary import itinerary_from
 
-EXAMPLE = """
-lab = dp.load_model("lab")
-orbit = dp.orbit(lab, "down-up", energy=-0.07)
-found = dp.connections(orbit)                       # or dp.connections(orbit, other)
-walk = dp.shadow(found, ["down-up +"])
-reference = dp.reference(walk, limits=dp.Limits(position=0.4))
-run = dp.run(reference, mismatch=0.02, seed=3)      # in memory; log="turn.mcap" writes one
-print(run.score().sentence)
-run.frame()                                         # pandas; run.plot() for the page
-campaign = dp.campaign(reference, runs=200, mismatch=0.1)
-"""
+README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
+EXAMPLE = README.partition("```python\n")[2].partition("```")[0]
 FUNCTIONS = [name for name in dp.__all__ if inspect.isfunction(getattr(api, name))]
 
 
 @pytest.fixture(scope="module")
 def example(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """What the example leaves, with the log of its run besides."""
-    values: dict[str, Any] = {"dp": dp}
+    values: dict[str, Any] = {}
     exec(EXAMPLE, values)
     values["log"] = tmp_path_factory.mktemp("api") / "turn.mcap"
     values["logged"] = dp.run(values["reference"], mismatch=0.02, seed=3, log=values["log"])
@@ -44,7 +35,8 @@ def atlas_file(example: dict[str, Any]) -> Path:
     return make_atlas(example["lab"], -0.07).file
 
 
-def test_the_example_runs_as_it_stands(example: dict[str, Any], capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_readmes_example_runs_as_it_stands(example: dict[str, Any]) -> None:
+    assert len([line for line in EXAMPLE.splitlines() if line and not line.startswith("import")]) <= 20
     assert example["run"].score().sentence.startswith("completed: 1 of 1 symbols")
     assert example["campaign"].completed.runs == 200
     assert 150 < example["campaign"].completed.successes <= 200
