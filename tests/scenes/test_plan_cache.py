@@ -1,5 +1,6 @@
 """Plans kept by content: found again, and never taken for another's."""
 
+import io
 import shutil
 import subprocess
 import sys
@@ -12,8 +13,8 @@ import pytest
 import dpcontrol
 from dpcontrol.foundation.cache import code_hash, module_sources
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs import read_log
-from dpcontrol.references.reference import load_reference, save_reference
+from dpcontrol.logs import RunLog
+from dpcontrol.references.reference import Reference, load_reference, save_reference
 from dpcontrol.review.score import score
 from dpcontrol.scenes import plan as planning
 from dpcontrol.scenes.itinerary import load_itinerary
@@ -91,20 +92,30 @@ def test_an_edit_to_the_command_line_keeps_the_plans(copy: Path) -> None:
     assert code_hash(PLANS, copy) == code_hash(PLANS)
 
 
+@pytest.fixture(scope="module")
+def flown() -> RunLog:
+    """What the log of a run says."""
+    run = run_plan(make_plan(load_itinerary("outer-turn")))
+    assert run.score().completed
+    return run.log
+
+
+def with_plan(log: RunLog, reference: Reference, folder: Path) -> RunLog:
+    """Return the log with another plan attached."""
+    save_reference(folder / "other.npz", reference)
+    return replace(log, attachments={**log.attachments, "reference.npz": (folder / "other.npz").read_bytes()})
+
+
 @pytest.mark.parametrize("lost", ["stops", "symbols", "orbits", "saddles", "wraps", "title"])
-def test_a_log_whose_plan_lacks_a_part_is_refused_whole(lost: str, tmp_path: Path) -> None:
-    plan = make_plan(load_itinerary("outer-turn"))
-    reference = load_reference(plan.file)
+def test_a_log_whose_plan_lacks_a_part_is_refused_whole(lost: str, flown: RunLog, tmp_path: Path) -> None:
+    reference = load_reference(io.BytesIO(flown.attachments["reference.npz"]))
     notes = {key: value for key, value in reference.notes.items() if key != lost}
-    damaged = tmp_path / "damaged.npz"
-    save_reference(damaged, replace(reference, notes=notes))
-    log = tmp_path / "run.mcap"
-    run_plan(plan, log)
-    run = read_log(log)
-    assert score(run).completed
     with pytest.raises(InputError, match="holds no plan"):
-        score(replace(run, attachments={**run.attachments, "reference.npz": damaged.read_bytes()}))
-    other = replace(reference, states=np.ascontiguousarray(reference.states[..., :3]))
-    save_reference(damaged, other)
+        score(with_plan(flown, replace(reference, notes=notes), tmp_path))
+
+
+def test_a_log_whose_plan_is_of_other_arms_is_refused(flown: RunLog, tmp_path: Path) -> None:
+    reference = load_reference(io.BytesIO(flown.attachments["reference.npz"]))
+    fewer = replace(reference, states=np.ascontiguousarray(reference.states[..., :3]))
     with pytest.raises(InputError, match="holds no plan"):
-        score(replace(run, attachments={**run.attachments, "reference.npz": damaged.read_bytes()}))
+        score(with_plan(flown, fewer, tmp_path))
