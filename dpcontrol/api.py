@@ -6,8 +6,8 @@
     run = dp.run(dp.reference(walk, limits=dp.Limits(position=0.4)), mismatch=0.02, seed=3)
     print(run.score().sentence)
 
-Bad input is an `InputError`; a result that a step needs and that was not found is a `GoalMissed`. What was looked for
-and not found is told by the result itself, its `converged` and `status`. Long calls take `progress`: a function of a
+Bad input is an `InputError`; a result that a step needs and that was not found is a `GoalMissed`. A search
+that fails says so in its result, by `converged` and `status`. Long calls take `progress`: a function of a
 text and a share from 0 to 1, or True for a bar on stderr.
 """
 

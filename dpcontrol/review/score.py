@@ -48,7 +48,7 @@ class Visit:
 
 
 def _same(a: Sequence[float], b: Sequence[float]) -> bool:
-    """Tell whether two lattice points are the same; those of one lattice are a fair part of a turn apart."""
+    """Return whether two lattice points are the same; those of one lattice are a fair part of a turn apart."""
     return all(abs(x - y) <= _SAME for x, y in zip(a, b, strict=True))
 
 
@@ -144,7 +144,7 @@ def section_crossings(time: Array, angles: Array, notes: PlanNotes, visits: list
         if signs.size == 0:
             break
         if "program" in notes:
-            # Stays last as long as the plant's own period makes them: where it crosses tells which crossing it is.
+            # Stays last as long as the plant's own period makes them: the place of a crossing identifies it.
             i = signs[np.argmin(np.abs(angles[signs] - section["angles"]).max(axis=1))]
         else:
             i = signs[np.argmin(np.abs(time[signs] - symbols[k]["time"]))]
@@ -224,7 +224,7 @@ def far_from_orbit(plan: Reference, orbit: int, angles: Array, *, ticks: float) 
 
 
 def _in_step(orbit: Array, angles: Array, *, ticks: float) -> bool:
-    """Tell whether angles (K, n) stay near those (M, n) of an orbit, evenly spaced, as both go on at the same pace.
+    """Return whether angles (K, n) stay near those (M, n) of an orbit, evenly spaced, as both go on at the same pace.
 
     The point of the same phase is no nearer than the nearest one, and much sooner found.
     """
@@ -235,7 +235,7 @@ def _in_step(orbit: Array, angles: Array, *, ticks: float) -> bool:
 
 
 def _near(orbit: Array, angles: Array) -> bool:
-    """Tell whether angles (K, n) stay near the points (M, n) themselves; between them they may be nearer still."""
+    """Return whether angles (K, n) stay near the points (M, n) themselves; between them they may be nearer still."""
     if len(orbit) * len(angles) > _FEW:
         return False
     apart = np.maximum.reduce([np.abs(angles[:, i, None] - orbit[:, i]) for i in range(orbit.shape[1])])
@@ -321,7 +321,7 @@ def plan_of(log: RunLog) -> Reference:
 
 
 def _whole(reference: Reference, log: RunLog) -> bool:
-    """Tell whether a reference carries all of a plan's notes, for the arms of this log."""
+    """Return whether a reference carries all of a plan's notes, for the arms of this log."""
     notes: Any = dict(reference.notes)
     n = len(log.arm_lengths)
     try:

@@ -8,9 +8,9 @@ Either the file's top level gives one part's keys, or [[parts]] lists several:
     hold = "up-up", seconds = 2.0                       a stay at an equilibrium
     orbit = "down-up", energy = -0.07, seconds = 60     a stay on a periodic orbit; the only part of its itinerary
 
-A scene's run settings: [run], [controller], [estimator] and [supervisor] of its file, and what overrides them.
+A scene's run settings: [run], [controller], [estimator] and [supervisor] of its file, and overriding options.
 
-In [run] the keys of sensors, drive and disturbances stand side by side, for a user thinks of one bench; [[run.blows]]
+In [run] the keys of sensors, drive and disturbances stand side by side, as a user thinks of one bench; [[run.blows]]
 lists blows at given times. `RunOptions` has the same names: `mismatch = 0.05` in the file is `--mismatch 0.05`.
 """
 
@@ -81,7 +81,7 @@ def read_parts(table: Table, model: Model) -> tuple[Part, ...]:
     """Return the parts of an itinerary's file.
 
     Raises:
-        InputError: a walk, wraps, energy or hold that nothing could save; names file, table, key, value and remedy.
+        InputError: an impossible walk, wraps, energy or hold; names file, table, key, value and remedy.
     """
     listed = table.tables("parts")
     if not listed:
@@ -148,7 +148,7 @@ def _walk(table: Table, saddles: Sequence[str]) -> tuple[tuple[str, ...], tuple[
     """Return the walk and its wraps, grown edges written out, repeated as often as asked, and how often that is.
 
     Raises:
-        InputError: a walk or wraps that no energy could save; before anything is computed.
+        InputError: a walk or wraps that are impossible at any energy; before anything is computed.
     """
     walk, wraps, repeat = table.texts("walk"), table.integers("wraps", ()), table.integer("repeat", 1, least=1)
     try:
@@ -178,7 +178,7 @@ def _walk(table: Table, saddles: Sequence[str]) -> tuple[tuple[str, ...], tuple[
 
 
 def _check_energy(table: Table, walk: tuple[str, ...], saddles: Sequence[str], model: Model, energy: float) -> None:
-    """Refuse an energy at which a saddle of the walk has no orbits."""
+    """Reject an energy at which a saddle of the walk has no orbits."""
     points = equilibria(model.system)
     for saddle in {name for s in parse_walk(walk, saddles) for name in (s.source, s.target)}:
         if energy <= points[saddle].energy:

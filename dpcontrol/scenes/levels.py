@@ -34,7 +34,7 @@ class LevelRuns:
     error: float
 
     def agrees(self, other: "LevelRuns") -> bool:
-        """Tell whether as many runs complete, and with the same tracking error to a fifth."""
+        """Return whether as many runs complete, and with the same tracking error to a fifth."""
         same = abs(self.error - other.error) <= ALLOWED * max(self.error, other.error)
         return same and (self.completed, self.runs) == (other.completed, other.runs)
 
@@ -134,16 +134,16 @@ def _remark(
     if level == enough:
         return ()
     more = order.index(level) > order.index(enough)
-    # Of more than is needed the level that would do is the evidence; of less, the level that is taken.
-    told = enough if more else level
-    if told not in runs:
+    # Where the level is more than needed, the one that suffices is the evidence; where it is less, the level itself.
+    shown = enough if more else level
+    if shown not in runs:
         return (f'{what} = "{level}" is less than this scene needs: it cannot be made without "{enough}"',)
-    found = runs[told]
+    found = runs[shown]
     verdict = f'less than the evidence asks for, "{enough}"'
     if more:
         verdict = f'more than the evidence supports: "{enough}" is enough'
-    return (f'{what} = "{level}" is {verdict}; with "{told}" {_told(found)}, with everything {_told(full)}',)
+    return (f'{what} = "{level}" is {verdict}; with "{shown}" {_figures(found)}, with everything {_figures(full)}',)
 
 
-def _told(runs: LevelRuns) -> str:
+def _figures(runs: LevelRuns) -> str:
     return f"{runs.completed} of {runs.runs} runs completed at {runs.effort:.3g} m/s² and {runs.error:.2g} rad rms"

@@ -50,7 +50,7 @@ def known(kind: str) -> list[str]:
 
 
 def _is_file(path: Path) -> bool:
-    """Tell whether there is such a file that may be looked at; a name that no file can have is none."""
+    """Return whether a readable file has this name; False for a name that no file can have."""
     try:
         return path.is_file()
     except (OSError, ValueError):
@@ -87,7 +87,7 @@ SYSTEMS = ("arm-chain", "three-body")
 class Model:
     """A model as its file gives it: title, parameters, the source of each table, and the text itself.
 
-    encoder_zeros (n,) rad: what recorded absolute angles show where the true ones are zero, if the file tells;
+    encoder_zeros (n,) rad: recorded absolute angles where the true ones are zero, if the file gives them;
     uncertainty: of identified arms.
     """
 
@@ -273,7 +273,7 @@ def model_text(found: "Identification", *, title: str, logs: Sequence[str], star
         *(f"{name} = {_numbers(getattr(arms, name))}" for name in ("mass", "centre_of_mass", "length", "inertia")),
         "",
         "[gravity]",
-        f"source = {quoted(f'Taken from the model {starting_model}; recordings on a clamped cart do not tell it')}",
+        f"source = {quoted(f'Taken from the model {starting_model}; a clamped cart does not determine it')}",
         f"acceleration = {arms.gravity!r}",
         "",
         "[friction]",

@@ -1,7 +1,7 @@
 """An itinerary's parts as pieces of one reference: walks, holds and rests, with transfers where they do not meet.
 
 Each piece is solved on its own, from a state that is known to a state that is known, and they are joined end to end:
-the cost grows with the sum of their lengths, and a piece that cannot be had is named.
+the cost grows with the sum of their lengths, and an infeasible piece is reported by name.
 """
 
 from collections.abc import Sequence

@@ -141,7 +141,7 @@ def run_plan(plan: Plan, out: Path | None = None, *, progress: Progress = no_pro
 
 
 def followed(plan: Plan) -> Plan:
-    """Return a plan that there is a reference for.
+    """Return a plan whose reference can be followed.
 
     Raises:
         GoalMissed: it did not converge.
@@ -223,7 +223,7 @@ def _attachments(plan: Plan) -> dict[str, bytes]:
 
 
 def _metadata(itinerary: Itinerary) -> Mapping[str, str]:
-    """Return what tells this run from others; settings as JSON, so that overrides on the command line are kept."""
+    """Return what distinguishes this run from others; settings as JSON, overriding options included."""
     return {
         "version": dpcontrol.__version__,
         "commit": commit(),
@@ -377,7 +377,8 @@ def run_on_rig(
     address: udp://HOST:PORT, or `udp` for an example bench of its own. real_time: ask the system for priority.
 
     Raises:
-        InputError: the address is none, no bench answers, it does not fit the itinerary, or the log cannot be written.
+        InputError: the address is malformed, no bench answers or it does not fit the itinerary, or the log cannot be
+            written.
         GoalMissed: the plan did not converge, no controller can be made for it, or the bench failed at once.
     """
     from dpcontrol.rig.bench import BenchProcess, BenchServerSettings

@@ -4,11 +4,11 @@ Each kind has 21 levels, on top of what the scene itself asks of its bench. The 
 that complete the whole itinerary, symbol by symbol, by the true state; that of the controller the mean over the kinds.
 
 The first six kinds are those of the leaderboard of the dfki double pendulum, which swings up under a torque of at most
-6 N m; the last three are of encoders and of the cart's drive. What is as there, and what is not:
+6 N m; the last three are of encoders and of the cart's drive. What agrees with theirs, and what does not:
 
     velocity noise   the same: Gaussian, 0 to 0.5 rad/s, on the rates that the controller is given
     response         the same: 0.1 to 2 times what was commanded
-    delay            the same lengths, 0 to 40 ms; here the loop is told of it and predicts, as a rig's delay is known
+    delay            the same lengths, 0 to 40 ms; here the loop knows it and predicts, as a rig's delay is known
     model error      there one parameter at a time, ±25 %; here all at once, ±25 % at worst and friction five times that
     command noise    there up to 1.1 of 6 N m; here the same share of 30 m/s²
     pushes           there three a joint, of 0.06 to 1.3 N m s over a tenth of a second on arms several times as heavy,
