@@ -17,16 +17,19 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.propagator import Section as Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of, progress_bar
 from dpcontrol.references.problem import Limits, ReferenceSettings
-from dpcontrol.scenes.model import Model, model_of
+from dpcontrol.scenes.model import Model, ModelSystem, model_of
 from dpcontrol.scenes.model import load_model as load_model
 from dpcontrol.scenes.run_options import RunOptions
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from dpcontrol.bifurcations.bifurcations import BifurcationSearch
     from dpcontrol.identification.identify import Identification
     from dpcontrol.orbits.lyapunov import LyapunovOrbit
@@ -448,6 +451,42 @@ def open_recording(
         return load_recording(path)
     with _reporting(progress, "import") as report:
         return import_recording(path, mapping, repairs=list(repairs), progress=report)
+
+
+def picture(result: "Run | Plan | ShadowingOrbit | Atlas", *, file: Place | None = None) -> "Figure":
+    """Draw a run, a plan, a walk's orbit or an atlas as a figure of matplotlib.
+
+    file: the PNG or PDF to write as well, if any.
+
+    >>> len(dp.picture(walk).axes) > 1
+    True
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    from dpcontrol.references.reference import summarised
+    from dpcontrol.review.atlas import draw_atlas
+    from dpcontrol.review.of_log import reference_view
+    from dpcontrol.review.page import draw, save_figure
+    from dpcontrol.review.walks import draw_walk
+    from dpcontrol.scenes.plan import Plan
+    from dpcontrol.scenes.run import Run
+    from dpcontrol.walks.shadowing import ShadowingOrbit
+
+    if isinstance(result, Run):
+        figure = result.plot()
+    elif isinstance(result, Plan):
+        figure = draw(reference_view(summarised(result.reference), result.file))
+    elif isinstance(result, ShadowingOrbit):
+        system = result.connections[0].source.system
+        arms = system.model.parameters if isinstance(system, ModelSystem) else None
+        lengths = arms.length if isinstance(arms, ArmChainParameters) else None
+        figure = draw_walk(result, arm_lengths=lengths, model=system.name)
+    else:
+        figure = draw_atlas(result)
+    if file is not None:
+        save_figure(figure, file)
+    return figure
 
 
 def _system(model: Model | System) -> System:

@@ -84,8 +84,11 @@ def test_a_plan_of_a_walk_is_that_of_the_file_it_writes(example: dict[str, Any])
     }
 
 
-def test_a_run_draws_its_page(example: dict[str, Any]) -> None:
+def test_runs_plans_and_atlases_draw_themselves(example: dict[str, Any], atlas_file: Path, tmp_path: Path) -> None:
     assert len(example["run"].plot().axes) > 5
+    for name, result in (("plan", example["reference"]), ("atlas", dp.open_atlas(atlas_file))):
+        assert len(dp.picture(result, file=tmp_path / f"{name}.png").axes) > 1
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
 
 
 def test_results_show_themselves_in_a_line(example: dict[str, Any]) -> None:
