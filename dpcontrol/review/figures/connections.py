@@ -512,14 +512,15 @@ def three_body_page(gallery: Gallery) -> Page:
         fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=2, borderaxespad=0.2,
     )  # fmt: skip
     cuts = figure.add_axes((0.46, 0.1, 0.22, 0.76))
-    draw_cuts(cuts, atlas, kind, numbers={c.name: "ab"[k] for k, c in enumerate(atlas.between("L1", "L2")[:2])},
+    draw_cuts(cuts, atlas, kind, numbers={c.name: "ab"[k] for k, c in enumerate(connections_of(atlas, kind)[:2])},
               legend=False)  # fmt: skip
     cuts.set_title(f"cuts on {kind.section.replace('mu', 'μ')}, hits {list(kind.hits)}", fontsize=10, loc="left")
     flight = figure.add_axes((0.72, 0.1, 0.27, 0.76))
     _forbidden(flight, gallery)
-    connections = atlas.between("L1", "L2")
+    connections = connections_of(atlas, kind)
+    look = colours(connections)
     for c in connections[:1]:
-        flight.plot(c.states[:, 0], c.states[:, 1], color=style.CONNECTIONS[0], linewidth=1.1, zorder=3)
+        flight.plot(c.states[:, 0], c.states[:, 1], color=look[c.name], linewidth=1.1, zorder=3)
     _bodies(flight, atlas, mu)
     flight.set_title("a  from L1's orbit to L2's" if connections else "none found", fontsize=10, loc="left")
     return Page(
