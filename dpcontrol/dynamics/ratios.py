@@ -1,4 +1,4 @@
-"""What free swings tell of a chain of arms: base parameters over one of them, and arms that have given ones.
+"""What free swings identify of a chain of arms: base parameters over one of them, and arms that have given ones.
 
 On a cart that is clamped, or driven in acceleration, the equations stay the same when masses, inertias and friction all
 grow in proportion. What can be identified are, with g known, over C = M_12 (M_11 of a single arm),
@@ -53,7 +53,7 @@ def inertial_count(count: int) -> int:
 
 
 def base_ratios(arms: ArmChainParameters) -> Array:
-    """Return the ratios (m,) that swings on a clamped or driven cart can tell, in SI units."""
+    """Return the ratios (m,) that swings on a clamped or driven cart identify, in SI units."""
     n = arms.count
     base = arms.base()
     pairs = [(i, j) for i in range(n) for j in range(i, n)]
@@ -160,7 +160,7 @@ class Uncertainty:
         return np.reshape(self.covariance, (len(self.names), len(self.names)))
 
     def check(self, arms: ArmChainParameters) -> None:
-        """Refuse what is not the covariance of these arms' ratios.
+        """Check that this is a covariance of these arms' ratios.
 
         Raises:
             InputError: names the key and what is allowed.
@@ -176,7 +176,7 @@ class Uncertainty:
         scaled = self.matrix / np.outer(scale, scale)
         if not np.allclose(scaled, scaled.T, atol=1e-9) or np.linalg.eigvalsh(scaled)[0] < -1e-6:
             raise InputError(
-                "covariance is none: it must be symmetric, and no direction may have a variance below zero"
+                "covariance is invalid: it must be symmetric, with no variance below zero in any direction"
             )
 
     def drawn(self, arms: ArmChainParameters, random: np.random.Generator, *, scale: float = 1.0) -> ArmChainParameters:
