@@ -189,7 +189,7 @@ def find_connections(
     found = []
     for k, crossing in enumerate(crossings):
         progress("refining connections", 0.7 + 0.3 * k / len(crossings))
-        orbit = _shot(crossing, settings)
+        orbit = _refined(crossing, settings)
         if not orbit.converged:
             failed += 1
             continue
@@ -245,6 +245,16 @@ def _known(system: System, connection: Connection, found: list[Connection], tole
     return any(same(other) for other in found)
 
 
+def _refined(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit:
+    """Refine by multiple shooting, over shorter segments where rounding grows too far along an unstable orbit's."""
+    orbit = _shot(crossing, settings)
+    for shorter in (2, 4):
+        if orbit.converged:
+            break
+        orbit = _shot(crossing, replace(settings, segments=shorter * settings.segments))
+    return orbit
+
+
 def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit:
     """Refine by multiple shooting from farther out on both manifolds; time zero is the node on the section."""
     ends, times, states = [], [], []
@@ -258,6 +268,7 @@ def _shot(crossing: Intersection, settings: ConnectionSettings) -> ShootingOrbit
         sign = -1.0 if side.stable else 1.0
         count = max(2, int(np.ceil(flight / period * settings.segments)))
         out = max(settings.lead, float(np.log(manifold.distance / settings.farthest)) / manifold.exponent)
+        out = min(out, float(np.log(manifold.distance / settings.nearest)) / manifold.exponent)
         lead = np.linspace(-out * period, 0.0, max(1, int(np.ceil(out * settings.segments))) + 1)[:-1]
         along = np.linspace(0.0, flight, count + 1)
         seeds, _ = manifold.seeds(np.array([phase]), side.branch)

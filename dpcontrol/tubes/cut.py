@@ -20,6 +20,12 @@ from dpcontrol.orbits.manifold import UnstableManifold
 
 Array = NDArray[np.float64]
 
+_THOROUGH = 20_000
+"""Phases of a thorough cut: windows between them in which trajectories go another way are narrower than 5e-5."""
+
+_NARROWEST = 1e-7
+"""Phase between neighbours at which a thorough cut stops: where tubes scatter, narrower windows follow without end."""
+
 
 @dataclass(frozen=True)
 class CutSettings:
@@ -39,6 +45,16 @@ class CutSettings:
     fine_phase_step: float = 1e-4
     most_jumps: int = 40
     grazing: float = 0.01
+
+    def thoroughly(self) -> "CutSettings":
+        """Return settings that sample phases ten thousandths of a turn apart and refine wherever chords stay wide."""
+        return replace(
+            self,
+            first_phases=_THOROUGH,
+            most_points=3 * _THOROUGH,
+            most_jumps=3 * _THOROUGH,
+            smallest_phase_step=_NARROWEST,
+        )
 
 
 def longest_flight(manifold: UnstableManifold, settings: CutSettings) -> float:

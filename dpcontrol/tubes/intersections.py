@@ -39,13 +39,18 @@ def polyline_crossings(first: Array, second: Array) -> list[tuple[float, float]]
     a, b = first[:-1], second[:-1]
     da, db = np.diff(first, axis=0), np.diff(second, axis=0)
     low, high = np.minimum(b, second[1:]), np.maximum(b, second[1:])
+    starts = np.arange(0, len(b), _BLOCK)
+    blocks = np.minimum.reduceat(low, starts), np.maximum.reduceat(high, starts)
     # Wider than rounding can move a crossing.
     margin = 1e-9 * max(float(np.abs(first).max(initial=0.0)), float(np.abs(second).max(initial=0.0)))
     found: list[tuple[float, float]] = []
     for start in range(0, len(a), _BLOCK):
         part = slice(start, start + _BLOCK)
         box = first[start : start + _BLOCK + 1]
-        near = np.flatnonzero(((low <= box.max(axis=0) + margin) & (high >= box.min(axis=0) - margin)).all(axis=1))
+        least, most = box.min(axis=0) - margin, box.max(axis=0) + margin
+        within = np.repeat(((blocks[0] <= most) & (blocks[1] >= least)).all(axis=1), _BLOCK)[: len(b)]
+        near = np.flatnonzero(within)
+        near = near[((low[near] <= most) & (high[near] >= least)).all(axis=1)]
         if not near.size:
             continue
         cross = da[part, None, 0] * db[None, near, 1] - da[part, None, 1] * db[None, near, 0]
@@ -67,13 +72,17 @@ def near_touches(first: Array, second: Array, *, margin: float = 4.0) -> list[tu
     """
     if len(first) < 3 or len(second) < 3:
         return []
+    bends = _sagitta(first), _sagitta(second)
+    reach = margin * float(bends[0].max() + bends[1].max())
+    if ((first.min(axis=0) - reach > second.max(axis=0)) | (first.max(axis=0) + reach < second.min(axis=0))).any():
+        return []
     tree = KDTree(second)
     nearest = np.clip(np.asarray(tree.query(first)[1]), 1, len(second) - 2)
     distance = np.minimum(
         _to_segment(first, second[nearest - 1], second[nearest]),
         _to_segment(first, second[nearest], second[nearest + 1]),
     )
-    allowed = margin * (_sagitta(first) + _sagitta(second)[nearest])
+    allowed = margin * (bends[0] + bends[1][nearest])
     # Neighbours that are near another stretch of the second curve say nothing about this one.
     along = np.abs(np.diff(nearest)) <= _STRETCH
     before = np.r_[np.inf, np.where(along, distance[:-1], np.inf)]
@@ -98,6 +107,7 @@ def _to_segment(points: Array, start: Array, end: Array) -> Array:
 
 _BESIDE = 1e-3  # phase over which the cuts' bend is measured, less than the 1/100 between the first samples of a cut
 _FARTHEST_PARTNER = 0.05  # phase; the polylines tell partners apart that are farther off
+_FARTHEST = 0.2  # phase from a guess to where Newton's method may lead
 _CLOSER = 16  # points for each between neighbours of a cut where Newton's method did not converge from them
 _AT_REST = 1e-10  # of a phase: Newton's steps where the rounding of seeds, grown with the flight, is what is left
 
@@ -107,10 +117,10 @@ class ConnectionSettings:
     """distance: of seeds from their orbits, scaled (truncation falls as its cube, rounding grows as its inverse).
 
     accept: gap between the two tubes' arrivals below which they are taken for a connection before it is refined, as
-    they are where only rounding keeps the gap larger;
-    lead: periods of each orbit at least, farthest: scaled distance from it at most (its square is left out), and
-    segments: nodes per period, in the multiple-shooting refinement; near: scaled distance at which a connection is said
-    to have joined its orbit. finest: chord to which cuts are refined where closed ones cross unevenly.
+    they are where only rounding keeps the gap larger; lead: periods of each orbit at least, farthest: scaled distance
+    from it at most (its square is left out), nearest: at least (rounding), and segments: nodes per period, in the
+    multiple-shooting refinement; near: scaled distance at which a connection is said to have joined its orbit. finest:
+    chord to which cuts are refined where closed ones cross unevenly.
     """
 
     distance: float = 1e-4
@@ -120,9 +130,14 @@ class ConnectionSettings:
     same: float = 1e-7
     lead: float = 1.0
     farthest: float = 3e-7
+    nearest: float = 1e-10
     segments: int = 8
     near: float = 1e-3
     finest: float = 0.003
+
+    def thoroughly(self) -> "ConnectionSettings":
+        """Return settings for a search that goes on where one with these stops: minutes, for what seconds miss."""
+        return replace(self, cut=self.cut.thoroughly())
 
 
 @dataclass(frozen=True)
@@ -220,7 +235,7 @@ def intersect_cuts(
             if s_piece.direction != u_piece.direction:
                 continue
             sides, here = (side(0, u_piece), s_side), list[Intersection]()
-            for shift in _shifts(system, section, u_piece, s_piece):
+            for shift in _shifts(system, section, u_piece, s_piece, settings.cut.chord * system.section_scale):
                 for places, sure in _meetings(u_piece.points, s_piece.points + shift):
                     solutions = _solved(system, sides, (u_piece, s_piece), places, shift, settings)
                     failed += int(sure and not solutions)
@@ -258,14 +273,17 @@ def balanced(crossings: list[Intersection], cuts: tuple[Cut, Cut]) -> bool:
     )
 
 
-def _shifts(system: System, section: Section, u: Piece, s: Piece) -> list[Array]:
-    """Return the whole turns (2,) in (q, p/p₀) by which one piece may have to be moved to meet another."""
+def _shifts(system: System, section: Section, u: Piece, s: Piece, margin: float) -> list[Array]:
+    """Return the whole turns (2,) in (q, p/p₀) that bring one piece to another, or within a margin of it."""
     period = float(system.periods[int(np.argmax(np.abs(section.position)))])
+    (low, high), (least, most) = ((p.points.min(axis=0), p.points.max(axis=0)) for p in (u, s))
+    if high[1] < least[1] - margin or low[1] > most[1] + margin:
+        return []
     if not np.isfinite(period):
-        return [np.zeros(2)]
-    low = np.floor((u.points[:, 0].min() - s.points[:, 0].max()) / period)
-    high = np.ceil((u.points[:, 0].max() - s.points[:, 0].min()) / period)
-    return [np.array([k * period, 0.0]) for k in range(int(low), int(high) + 1)]
+        return [np.zeros(2)] if high[0] >= least[0] - margin and low[0] <= most[0] + margin else []
+    first = int(np.ceil((low[0] - most[0] - margin) / period))
+    last = int(np.floor((high[0] - least[0] + margin) / period))
+    return [np.array([k * period, 0.0]) for k in range(first, last + 1)]
 
 
 def _meetings(first: Array, second: Array) -> list[tuple[tuple[float, float], bool]]:
@@ -294,7 +312,9 @@ def _solved(
     """
     spans = [_span(piece, place) for piece, place in zip(pieces, places, strict=True)]
     guess = [np.interp(k, np.arange(len(p.phases)), p.phases) for k, p in zip(places, pieces, strict=True)]
-    solution = _newton(system, sides, np.array(guess), settings)
+    # Newton's method may lead past neighbours of a place, but not to where the cuts have nothing to do with it.
+    reach = min(_FARTHEST, 20 * max(float(span[-1] - span[0]) for span in spans))
+    solution = _newton(system, sides, np.array(guess), settings, reach)
     found = [] if solution is None else [solution]
     if solution is not None and all(s[0] <= p <= s[-1] for s, p in zip(spans, solution.phases, strict=True)):
         return found
@@ -303,7 +323,7 @@ def _solved(
         return found
     for closer, _ in _meetings(curves[0], curves[1] + shift):
         guess = [np.interp(k, np.arange(len(span)), span) for k, span in zip(closer, spans, strict=True)]
-        solution = _newton(system, sides, np.array(guess), settings)
+        solution = _newton(system, sides, np.array(guess), settings, reach)
         if solution is not None:
             found.append(solution)
     return found
@@ -352,9 +372,13 @@ def _slopes(crossing: Intersection) -> Array:
 
 
 def _newton(
-    system: System, sides: tuple[TubeSide, TubeSide], guess: Array, settings: ConnectionSettings
+    system: System,
+    sides: tuple[TubeSide, TubeSide],
+    guess: Array,
+    settings: ConnectionSettings,
+    reach: float = _FARTHEST,
 ) -> Intersection | None:
-    """Solve for the two phases; None where Newton leaves the neighbourhood or does not converge."""
+    """Solve for the two phases; None where Newton goes farther than `reach` or does not converge."""
     phases, resting = guess.copy(), np.inf
     for _ in range(settings.newton_iterations):
         met = _meeting(system, sides, phases)
@@ -372,7 +396,7 @@ def _newton(
                 return crossing
             resting = float(np.abs(gap).max())
         phases = phases - step * min(1.0, 0.05 / longest if longest else 1.0)
-        if np.max(np.abs(phases - guess)) > 0.2:
+        if np.max(np.abs(phases - guess)) > reach:
             return None
     return None
 
