@@ -68,12 +68,14 @@ def connections(
     hits: tuple[int, int] = (1, 1),
     section: str | None = None,
     longest: float | None = None,
+    thorough: bool = False,
     progress: Reporting = None,
 ) -> "ConnectionSearch":
     """Find every connection from one orbit to another of the same energy, or back to itself where there is no other.
 
     hits: which crossings of the section count, of the unstable and the stable tube. section: by its short name, the
     saddles' own by default. longest: time that trajectories are given to the section, in periods of their orbit.
+    thorough: go on where a search says "at least", for up to a minute.
 
     >>> len(dp.connections(orbit).connections)
     8
@@ -83,8 +85,7 @@ def connections(
         GoalMissed: an orbit did not converge.
     """
     from dpcontrol.tubes.connections import find_connections
-    from dpcontrol.tubes.cut import CutSettings
-    from dpcontrol.tubes.intersections import ConnectionSettings
+    from dpcontrol.tubes.intersections import search_settings
 
     target = source if target is None else target
     for one in (source, target):
@@ -95,7 +96,7 @@ def connections(
             target,
             hits=hits,
             section=source.system.section_between(source.saddle, target.saddle, section),
-            settings=ConnectionSettings(cut=CutSettings(longest=longest)),
+            settings=search_settings(longest=longest, thorough=thorough),
             progress=report,
         )
 
@@ -156,12 +157,14 @@ def atlas(
     *,
     energy: float,
     hits: tuple[int, int] | None = None,
+    thorough: bool = False,
     fresh: bool = False,
     progress: Reporting = None,
 ) -> "Atlas":
     """Return the atlas of an energy in J: every orbit, tube and connection; kept by content unless `fresh`.
 
-    hits: of the unstable and the stable tube; by default the first at which they meet, up to the second.
+    hits: of the unstable and the stable tube; by default the first at which they meet, up to the second. thorough: go
+    on where a search says "at least", for up to a minute each.
 
     >>> len(dp.atlas(lab, energy=-0.07).connections)
     8
@@ -170,9 +173,11 @@ def atlas(
         InputError: no saddle has an orbit at this energy.
     """
     from dpcontrol.scenes.atlas import AtlasSettings, make_atlas
+    from dpcontrol.tubes.intersections import search_settings
 
+    settings = AtlasSettings(hits=hits, search=search_settings(thorough=thorough))
     with _reporting(progress, "atlas") as report:
-        return make_atlas(model, energy, settings=AtlasSettings(hits=hits), fresh=fresh, progress=report).atlas
+        return make_atlas(model, energy, settings=settings, fresh=fresh, progress=report).atlas
 
 
 def shadow(

@@ -57,6 +57,12 @@ SHOWN = 8
     help="Time that trajectories are given to the section, in periods of their orbit. Tubes that scatter are "
     "resolved when it is short. [default: the model's, 12 for pendulums]",
 )
+@option(
+    "--thorough",
+    is_flag=True,
+    group=SEARCH,
+    help='Go on where the search says "at least": 20,000 trajectories a tube and more where they part, up to a minute.',
+)
 @option("--name", group=RESULT, help="Show this connection only; names are those that the verb lists.")
 @precision_option("refine the connection named by --name in 113-bit arithmetic.", group=RESULT)
 def connect_command(
@@ -68,6 +74,7 @@ def connect_command(
     hits: tuple[int, int] | None,
     section_name: str | None,
     longest: float | None,
+    thorough: bool,
     name: str | None,
     precision: str,
 ) -> Answer:
@@ -90,7 +97,12 @@ def connect_command(
     loaded = load_model(model)
     orbits = orbits_between(loaded.system, source, target, float(energy))
     search = api.connections(
-        *orbits, hits=hits or named_hits, section=section_name or named_section, longest=longest, progress=True
+        *orbits,
+        hits=hits or named_hits,
+        section=section_name or named_section,
+        longest=longest,
+        thorough=thorough,
+        progress=True,
     )
     document, found = search.document(), search.connections
     if name is not None:
@@ -220,9 +232,17 @@ def _bifurcations_text(found: "BifurcationSearch") -> Iterator[str | TextTable]:
 @click.argument("model")
 @click.option("--energy", required=True, type=float, help="Energy in J, zero at the pivot's height.")
 @hits_option("for each kind the first at which they meet, up to 2")
+@click.option(
+    "--thorough",
+    is_flag=True,
+    help='Go on where a search says "at least": 20,000 trajectories a tube and more where they part, up to a minute '
+    "for each kind of connection.",
+)
 @click.option("--fresh", is_flag=True, help="Compute anew even if the atlas is cached.")
 @file_option("--out", suffix=".npz", help="Also write the atlas to this .npz.")
-def atlas_command(*, model: str, energy: float, hits: tuple[int, int] | None, fresh: bool, out: Path | None) -> Answer:
+def atlas_command(
+    *, model: str, energy: float, hits: tuple[int, int] | None, thorough: bool, fresh: bool, out: Path | None
+) -> Answer:
     """Compute all of one energy: every Lyapunov orbit, their tubes, every connection between them, rotating orbits.
 
     The atlas is one file (orbits, cuts, connections with their flights), kept by content: it is computed once. Look at
@@ -231,9 +251,11 @@ def atlas_command(*, model: str, energy: float, hits: tuple[int, int] | None, fr
     from dpcontrol.foundation.files import whole_file
     from dpcontrol.scenes.atlas import AtlasSettings, make_atlas
     from dpcontrol.scenes.model import load_model
+    from dpcontrol.tubes.intersections import search_settings
 
+    settings = AtlasSettings(hits=hits, search=search_settings(thorough=thorough))
     with progress_bar("atlas") as progress:
-        found = make_atlas(load_model(model), energy, settings=AtlasSettings(hits=hits), fresh=fresh, progress=progress)
+        found = make_atlas(load_model(model), energy, settings=settings, fresh=fresh, progress=progress)
     atlas, file = found.atlas, found.file
     if out is not None:
         with whole_file(out, suffix=".npz") as temporary:

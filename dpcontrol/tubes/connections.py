@@ -215,9 +215,9 @@ def find_connections(
     count = f"{'' if complete else 'at least '}{len(found)} connections"
     status = f"{count}; unstable tube {unstable.status}; stable tube {backward.status}"
     if not even:
-        status += "; closed cuts cross one way more often than the other, so crossings were missed: refine the chord"
+        status += "; closed cuts cross one way more often than the other, so crossings were missed: search thoroughly"
     if failed:
-        status += f"; {failed} crossings of the cuts did not converge: refine the chord"
+        status += f"; {failed} crossings of the cuts did not converge: search thoroughly, or at another energy"
     if tangent:
         status += f"; the tubes are tangent to rounding at {tangent}, so near a bifurcation that each may be several"
     if hidden:
@@ -380,7 +380,7 @@ def find_lap_connections(
     status = f"{len(found)} connections where {lapping[0].saddle}'s tube crosses {section.name} for the {listed}. time"
     status += "; other crossings have others"
     if failed:
-        status += f"; {failed} crossings of the cuts did not converge: refine the chord"
+        status += f"; {failed} crossings of the cuts did not converge; try another energy"
     if not resolved:
         status += "; not every cut is resolved: allow less time"
     return replace(search, connections=tuple(found), failed=failed, complete=False, status=status)

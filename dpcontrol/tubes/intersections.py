@@ -135,9 +135,15 @@ class ConnectionSettings:
     near: float = 1e-3
     finest: float = 0.003
 
-    def thoroughly(self) -> "ConnectionSettings":
-        """Return settings for a search that goes on where one with these stops: minutes, for what seconds miss."""
-        return replace(self, cut=self.cut.thoroughly())
+
+def search_settings(*, longest: float | None = None, thorough: bool = False) -> ConnectionSettings:
+    """Return settings for a search.
+
+    longest: periods of its orbit that a trajectory may take to the section, None for the system's own number; thorough:
+    go on where a search is given up after seconds, for up to a minute.
+    """
+    cut = CutSettings(longest=longest)
+    return ConnectionSettings(cut=cut.thoroughly() if thorough else cut)
 
 
 @dataclass(frozen=True)
