@@ -16,7 +16,7 @@ across it, v = v₀ + s w, solves the energy's quadratic
     ½ vᵀ M v = H - V(θ),      the root with the asked direction of crossing.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -179,20 +179,17 @@ class Returns:
 class TubeInterior:
     """A grid of K points inside one tube's cut, and its returns.
 
-    stable, branch: which tube. points (K, 2), states (K, N); angle (K,) rad and radius (K,) from 0 to 1: hue and
-    saturation; in_other (K,): branch of the other tube's cut that a point lies in at the start, or 0. outlines: the
-    closed cuts of both tubes. status: a sentence; without points, the reason.
+    branch: of the unstable tube. points (K, 2), states (K, N); angle (K,) rad and radius (K,) from 0 to 1: hue and
+    saturation. outlines: the closed cuts of both tubes. status: a sentence.
     """
 
     orbit: LyapunovOrbit
     section: Section
-    stable: bool
     branch: int
     points: Array
     states: Array
     angle: Array
     radius: Array
-    in_other: Labels
     forward: Returns
     backward: Returns
     outlines: tuple[Outline, ...]
@@ -210,7 +207,8 @@ def tube_interior(
     """Carry a grid of the inside of an unstable tube's cut through returns, forward and backward.
 
     Raises:
-        InputError: a branch that is not +1 or -1, or a system that has not two degrees of freedom.
+        InputError: a branch that is not +1 or -1 or whose cut is not closed, or a system that has not two degrees of
+            freedom.
     """
     settings = settings or InteriorSettings()
     orbit, section = manifold.orbit, cut.section
@@ -226,19 +224,17 @@ def tube_interior(
     if not own:
         ends = [end.reason for end in cut.open_ends if end.branch == branch]
         reason = ends[0] if ends else cut.status
-        status = (
+        raise InputError(
             f"branch {branch:+d} has no closed cut at crossing {cut.hit} of {section.name}, so no inside: {reason}; "
+            "use another section, crossing or energy"
         )
-        status += "use another section, crossing or energy"
-        return _without_points(orbit, section, branch, outlines, settings, status)
     piece = next(p for p in cut.pieces if p.branch == branch and p.closed)
     level = float(piece.states[0] @ np.asarray(section.normal))
     points = _grid(own[0].vertices, settings.across)
     states, fits = section_states(system, section, points, energy=orbit.energy, direction=own[0].direction, level=level)
     points, states = points[fits], states[fits]
     if not len(points):
-        status = f"the cut of branch {branch:+d} is too thin for {settings.across} points across; ask for more"
-        return _without_points(orbit, section, branch, outlines, settings, status)
+        raise InputError(f"the cut of branch {branch:+d} is too thin for {settings.across} points across; ask for more")
     angle, radius = _wheel(points, own[0].vertices)
     runs = []
     for k, sign in enumerate((1, -1)):
@@ -247,46 +243,9 @@ def tube_interior(
             progress(what, share + done / 2)
 
         runs.append(_carried(orbit, section, states, sign, outlines, settings, report))
-    other = tuple(o for o in outlines if o.stable)
-    direction = np.full(len(points), own[0].direction)
-    in_other = labels(system, section, other, points, direction)
     back = [int(np.count_nonzero(run.arrived[:, -1])) for run in runs]
     status = f"{len(points)} points; {back[0]} return {settings.returns} times forward, {back[1]} backward"
-    return TubeInterior(
-        orbit, section, False, branch, points, states, angle, radius, in_other, runs[0], runs[1], outlines, status
-    )
-
-
-def turned_around(interior: TubeInterior) -> TubeInterior:
-    """Return the other tube's interior: this one under time reversal, forward and backward exchanged."""
-    system, section = interior.orbit.system, interior.section
-    reverser, centre = system.reversers[0], interior.orbit.centre
-    n = system.dimension // 2
-
-    def run(returns: Returns) -> Returns:
-        states = (returns.states - centre) @ reverser.T + centre
-        points, direction = place_on_section(system, section, states)
-        return replace(
-            returns,
-            states=states,
-            points=np.where(returns.arrived[..., None], points, 0.0),
-            winding=np.rint(returns.winding @ reverser[:n, :n].T).astype(np.int64),
-            direction=np.where(returns.arrived, direction, 0).astype(np.int8),
-            in_unstable=returns.in_stable,
-            in_stable=returns.in_unstable,
-        )
-
-    if not len(interior.points):
-        return replace(interior, stable=not interior.stable)
-    states = (interior.states - centre) @ reverser.T + centre
-    return replace(
-        interior,
-        stable=not interior.stable,
-        states=states,
-        points=section_points(system, section, states),
-        forward=run(interior.backward),
-        backward=run(interior.forward),
-    )
+    return TubeInterior(orbit, section, branch, points, states, angle, radius, runs[0], runs[1], outlines, status)
 
 
 def _carried(
@@ -369,39 +328,3 @@ def _wheel(points: Array, vertices: Array) -> tuple[Array, Array]:
     centre = x[np.argmax(depth)]
     gap = x - centre
     return np.arctan2(gap[:, 1], gap[:, 0]) % (2 * np.pi), 1 - depth / depth.max()
-
-
-def _without_points(
-    orbit: LyapunovOrbit,
-    section: Section,
-    branch: int,
-    outlines: tuple[Outline, ...],
-    settings: InteriorSettings,
-    status: str,
-) -> TubeInterior:
-    n, r = orbit.system.dimension // 2, settings.returns
-    none = Returns(
-        arrived=np.empty((0, r), dtype=bool),
-        states=np.empty((0, r, 2 * n)),
-        points=np.empty((0, r, 2)),
-        seconds=np.empty((0, r)),
-        winding=np.empty((0, r, n), dtype=np.int64),
-        direction=np.empty((0, r), dtype=np.int8),
-        in_unstable=np.empty((0, r), dtype=np.int8),
-        in_stable=np.empty((0, r), dtype=np.int8),
-    )
-    return TubeInterior(
-        orbit=orbit,
-        section=section,
-        stable=False,
-        branch=branch,
-        points=np.empty((0, 2)),
-        states=np.empty((0, 2 * n)),
-        angle=np.empty(0),
-        radius=np.empty(0),
-        in_other=np.empty(0, dtype=np.int8),
-        forward=none,
-        backward=none,
-        outlines=outlines,
-        status=status,
-    )

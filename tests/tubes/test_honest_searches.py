@@ -61,7 +61,7 @@ def test_a_short_symbol_names_one_motion_from_energy_to_energy():
     [
         ("connect", "three-body", "--from", "L2", "--to", "L2", "--energy", "-1.5185"),
         ("connect", "printed", "--from", "up-down", "--to", "up-down", "--energy", "0.18706681656897742"),
-        ("atlas", "point-mass", "--energy", "0.3"),
+        pytest.param(("atlas", "point-mass", "--energy", "0.3"), marks=pytest.mark.slow),
     ],
     ids=lambda arguments: " ".join(arguments[:2]),
 )

@@ -4,8 +4,6 @@ A colour wheel shows where each point inside a tube's cut goes at every return t
 against energy: where each crosses its section, is born, splits, or grazes it.
 """
 
-from textwrap import fill
-
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -197,8 +195,6 @@ Array = NDArray[np.float64]
 
 def draw_interior(interior: TubeInterior) -> Figure:
     """Return the figure: the start and its forward returns above, its backward returns below."""
-    if not len(interior.points):
-        return _nothing(interior)
     returns = interior.forward.arrived.shape[1]
     figure = Figure(figsize=(3.5 * (returns + 1), 7.9), dpi=110, facecolor="white")
     FigureCanvasAgg(figure)
@@ -211,7 +207,7 @@ def draw_interior(interior: TubeInterior) -> Figure:
     hue = interior.angle / (2 * np.pi)
     colours = hsv_to_rgb(np.column_stack([hue, saturation, np.full(len(hue), 0.93)]))
     own = next(o for o in interior.outlines if o.branch == interior.branch and not o.stable)
-    direction = -own.direction if interior.stable else own.direction
+    direction = own.direction
     size = _marker(interior)
     both = (interior.forward, interior.backward)
     for row, run in enumerate(both):
@@ -246,18 +242,9 @@ def draw_interior(interior: TubeInterior) -> Figure:
 def _heading(interior: TubeInterior) -> str:
     orbit = interior.orbit
     return (
-        f"Inside the {'stable' if interior.stable else 'unstable'} tube of {orbit.saddle} at {orbit.energy:g} J "
+        f"Inside the unstable tube of {orbit.saddle} at {orbit.energy:g} J "
         f"(branch {interior.branch:+d}), cut on {interior.section.name}"
     )
-
-
-def _nothing(interior: TubeInterior) -> Figure:
-    """Return a small figure that says why there is nothing to draw."""
-    figure = Figure(figsize=(9.0, 1.8), dpi=110, facecolor="white")
-    FigureCanvasAgg(figure)
-    figure.text(0.03, 0.82, _heading(interior), fontsize=12, color=style.INK, va="top")
-    figure.text(0.03, 0.55, fill(interior.status, 110), fontsize=10, color=style.LIMIT, va="top")
-    return figure
 
 
 def _marker(interior: TubeInterior) -> float:
