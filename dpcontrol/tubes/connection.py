@@ -141,7 +141,7 @@ def _meets_a_mirror(orbit: ShootingOrbit, middle: float, within: float) -> bool:
     system, centre = orbit.system, orbit.start.manifold.orbit.centre
     half = np.where(np.isfinite(system.periods), system.periods / 2, np.inf)
     for reverser in system.reversers:
-        turned_over, time = (np.eye(system.dimension) - reverser) / 2, middle
+        turned_over, time, off = (np.eye(system.dimension) - reverser) / 2, middle, np.full(system.dimension, np.inf)
         for _ in range(4):
             state = orbit.sample(np.array([time]))[0]
             off = turned_over @ (state - centre)
