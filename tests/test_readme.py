@@ -41,27 +41,13 @@ SECTIONS = {text.split("\n", 1)[0]: conversations(text) for text in README.split
 """The README's sections that hold commands, by title."""
 
 
-def earlier(section: str) -> list[str]:
-    """Return the commands of earlier sections that write files which those of `section` read.
-
-    A file is known by its name: in what a command prints, after its --out, or for plain runs by the itinerary's.
-    """
-    makers: dict[str, str] = {}
-    needed: list[str] = []
-    for title, shown in SECTIONS.items():
-        for command, lines in shown:
-            if title == section:
-                for word in shlex.split(command, comments=True):
-                    maker = makers.get(word)
-                    if maker is not None and maker not in needed:
-                        needed.append(maker)
-            for line in lines:
-                for name in re.findall(r"^logs/\S+", line):
-                    makers.setdefault(name, command)
-        if title == section:
-            own = {command for command, _ in shown}
-            return [command for command in needed if command not in own]
-    raise KeyError(section)
+def makers(text: str) -> list[str]:
+    """Return the commands that make the logs which `text` names: those that print a log's name first."""
+    found: dict[str, str] = {}
+    for command, lines in conversations():
+        for name in re.findall(r"^logs/\S+", "\n".join(lines), re.MULTILINE):
+            found.setdefault(name, command)
+    return [command for name, command in found.items() if name in text]
 
 
 def commands_in_text() -> list[str]:
@@ -108,14 +94,24 @@ def test_the_readme_shows_every_verb_at_work() -> None:
 
 @pytest.mark.parametrize("section", [pytest.param(s, marks=pytest.mark.xdist_group(f"readme: {s}")) for s in SECTIONS])
 def test_the_commands_of_a_section_print_what_it_shows(section: str) -> None:
-    for command in earlier(section):
-        ended_as_said(command)
+    own = [command for command, _ in SECTIONS[section]]
+    for command in makers("\n".join(own)):
+        if command not in own:
+            ended_as_said(command)
     for command, lines in SECTIONS[section]:
         ended = ended_as_said(command)
         for line in lines:
             assert said(line).search(ended.stdout), f"{command}\ndid not print\n{line}\nbut\n{ended.stdout}"
         for name in re.findall(r"--(?:out|save|picture) (\S+)", command):
             assert Path(name).exists(), f"{command} did not write {name}"
+
+
+@pytest.mark.parametrize("block", [pytest.param(text, id=text.split("\n")[0]) for text in blocks("python")[1:]])
+def test_the_python_shown_runs(block: str) -> None:
+    """The first block, the front door, is run by test_api."""
+    for command in makers(block):
+        ended_as_said(command)
+    exec(compile(block, "README.md", "exec"), {})
 
 
 def test_the_commands_that_show_the_numbers_run() -> None:
