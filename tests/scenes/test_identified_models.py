@@ -72,7 +72,7 @@ def test_models_without_uncertainty_are_as_they_were_and_cannot_be_drawn_from() 
         ("covariance = [\n    ", "covariance = [\n    -", "symmetric"),
         ("zeros = [", "zeros = [0.0, ", "zeros has 3 values"),
         ("smoothing = 0.05", "smoothing = 0", "smoothing = 0"),
-        ("coulomb = [", "coulomb = [-", "zero or positive"),
+        ("coulomb = [", "coulomb = [-", "must be 0 to 1e+06"),
         ("coulomb = [", "coulombs = [", "did you mean 'coulomb'"),
     ],
 )
