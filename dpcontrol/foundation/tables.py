@@ -111,18 +111,18 @@ class Table:
         """
         hints = get_type_hints(kind)
         values = dict(given)
-        for field in fields(kind):  # type: ignore[arg-type]
-            if field.name in given or field.name not in self:
+        for one in fields(kind):  # type: ignore[arg-type]
+            if one.name in given or one.name not in self:
                 continue
-            hint = hints[field.name]
+            hint = hints[one.name]
             if hint is float:
-                values[field.name] = self.number(field.name)
+                values[one.name] = self.number(one.name)
             elif hint is int:
-                values[field.name] = self.integer(field.name)
+                values[one.name] = self.integer(one.name)
             elif hint is str:
-                values[field.name] = self.text(field.name)
+                values[one.name] = self.text(one.name)
             elif hint == tuple[str, ...]:
-                values[field.name] = self.texts(field.name)
+                values[one.name] = self.texts(one.name)
         simple = [f.name for f in fields(kind) if hints[f.name] in _SIMPLE]  # type: ignore[arg-type]
         self.finish(also=[*(name for name in simple if name not in given), *also])
         return self.checked(kind, **values)

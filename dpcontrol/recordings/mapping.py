@@ -150,9 +150,9 @@ def _mapping(table: Table, name: str) -> Mapping:
         raise InputError(
             f"{rates.where('columns')}: {len(found.rate_columns)} rates for {len(columns)} angles; give as many"
         )
-    for column, times in Counter(found.named).items():
+    for name, times in Counter(found.named).items():
         if times > 1:
-            raise InputError(f"{angles.where('columns')}: {column!r} is named twice; a column has one meaning")
+            raise InputError(f"{angles.where('columns')}: {name!r} is named twice; a column has one meaning")
     if not (found.time_column or time_cells or found.period or found.period_variable):
         raise InputError(f"{table.file}: neither [time] column nor [sampling] period is given; give one of them")
     if "counts" in (angle_unit, rate_unit.partition("/")[0]) and not count:
