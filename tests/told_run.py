@@ -8,11 +8,11 @@ from pathlib import Path
 
 from dpcontrol.cli.main import main
 from dpcontrol.logs import read_log, recover
-from dpcontrol.loop import loop
+from dpcontrol.loop.loop import SimulatedRig
 from dpcontrol.loop.result import Reading
 
 
-class TellingRig(loop.SimulatedRig):
+class TellingRig(SimulatedRig):
     """A rig that writes the number of each tick that is read, four bytes at a time."""
 
     told = 0
@@ -43,5 +43,5 @@ def killed(path: Path, *, after: float) -> tuple[int, int]:
 
 
 if __name__ == "__main__":
-    loop.SimulatedRig = TellingRig
+    SimulatedRig = TellingRig
     main(sys.argv[1:])

@@ -15,8 +15,8 @@ from dpcontrol.bench.chart import Panel, Point, PrecisionChart
 from dpcontrol.bench.measure import Alternative, Judged, compare, timed_in_turns
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, part_of
-from dpcontrol.orbits.curve import local_manifold
 from dpcontrol.orbits.lyapunov import ContinuationSettings, LyapunovOrbit, lyapunov_orbit
+from dpcontrol.orbits.manifold import local_manifold
 from dpcontrol.scenes.model import load_model
 from dpcontrol.shooting.extended import refine, refine_orbit
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections

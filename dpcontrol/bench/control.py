@@ -20,9 +20,8 @@ from dpcontrol.bench.measure import Compared, Judged, timed_in_turns
 from dpcontrol.control.adaptive import AdaptiveSettings, adaptive_controller
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings
-from dpcontrol.control.interface import Action, Controller
+from dpcontrol.control.interface import Action, Controller, SampledModel
 from dpcontrol.control.lqr import HoldSettings, hold_controller
-from dpcontrol.control.model import SampledModel
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings, ogy_controller
 from dpcontrol.control.periodic import orbit_controller
 from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings, tracking_controller

@@ -6,8 +6,7 @@ from typing import Any
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
 
-from dpcontrol.bench.chart import ChartPage, Panel, PrecisionChart
-from dpcontrol.bench.edges import EdgeMap
+from dpcontrol.bench.chart import ChartPage, EdgeMap, Panel, PrecisionChart
 from dpcontrol.review.style import FAINT, INK, LIMIT, REFERENCE, STABLE
 
 MARKS = "osD^v<>Pph*X8d"

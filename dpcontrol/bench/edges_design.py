@@ -51,10 +51,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.integrate import DOP853
 
-from dpcontrol.bench.edges import Attempt, Border, EdgeChart, EdgeMap, borders, find_border, half_of
+from dpcontrol.bench.chart import Attempt, Border, EdgeChart, EdgeMap, borders, find_border, half_of
 from dpcontrol.bench.edges_loop import HELD_ERROR, ROOM, STRONG, held_at_rest
 from dpcontrol.bench.propagation import Stepper
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations
 from dpcontrol.dynamics.compiled import fixed_step
 from dpcontrol.dynamics.plant import PlantParameters, longest_step

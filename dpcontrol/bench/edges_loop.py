@@ -38,12 +38,11 @@ from functools import cache, partial
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.bench.chart import Attempt, Border, EdgeChart, EdgeMap, borders, find_border, half_of
 from dpcontrol.bench.control import held
-from dpcontrol.bench.edges import Attempt, Border, EdgeChart, EdgeMap, borders, find_border, half_of
 from dpcontrol.control.estimator_settings import EkfSettings
-from dpcontrol.control.interface import Controller
+from dpcontrol.control.interface import Controller, SampledModel
 from dpcontrol.control.lqr import HoldController, HoldSettings, hold_controller
-from dpcontrol.control.model import SampledModel
 from dpcontrol.control.ogy import OgyController, OgySettings, ogy_controller
 from dpcontrol.control.periodic import orbit_controller
 from dpcontrol.control.tracking import TvlqrSettings, tracking_controller

@@ -25,8 +25,7 @@ from dpcontrol.control.estimator_settings import (
     nees,
     share_inside,
 )
-from dpcontrol.control.interface import Estimate, Estimator
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import Estimate, Estimator, SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.loop.bench import SensorSettings

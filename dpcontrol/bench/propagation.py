@@ -25,7 +25,7 @@ from scipy.integrate import solve_ivp
 
 from dpcontrol.bench.chart import Panel, PrecisionChart
 from dpcontrol.bench.measure import Alternative, Compared, Judged, compare
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import Compiled, fixed_step
 from dpcontrol.dynamics.equations import Equations

@@ -14,7 +14,7 @@ from dpcontrol.cli.review import score_text, shortfall
 from dpcontrol.cli.verbs import Answer, TextTable, file_option, option, show, verb
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import part_of, progress_bar
-from dpcontrol.foundation.tables import suggest
+from dpcontrol.foundation.settings import suggest
 from dpcontrol.scenes.run_options import RunOptions
 
 if TYPE_CHECKING:

@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.ekf import FilterEquations
 from dpcontrol.control.estimator_settings import Augment, FilterSettings, extra_names
-from dpcontrol.control.interface import Action, Mode
+from dpcontrol.control.interface import Action, Mode, SampledModel
 from dpcontrol.control.lqr import ClosingWeights
-from dpcontrol.control.model import SampledModel
 from dpcontrol.control.tracking import (
     FeedforwardSettings,
     TimedController,

@@ -29,8 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import Augment, FilterSettings, extra_names
-from dpcontrol.control.interface import Estimate, Present
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import Estimate, Present, SampledModel
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.errors import InputError

@@ -5,8 +5,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterpyEkfSettings, UkfSettings
-from dpcontrol.control.interface import Estimator
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import Estimator, SampledModel
 
 ESTIMATORS: dict[str, type[EstimatorSettings]] = {
     settings.kind: settings for settings in (EkfSettings, UkfSettings, FilterpyEkfSettings)

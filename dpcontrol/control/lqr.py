@@ -15,8 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpcontrol.control.interface import Action, Mode
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import Action, Mode, SampledModel
 from dpcontrol.control.phase import whole_turns
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import Settings, setting

@@ -30,9 +30,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.interface import Action, Mode
+from dpcontrol.control.interface import Action, Mode, SampledModel
 from dpcontrol.control.lqr import QuadraticWeights
-from dpcontrol.control.model import SampledModel
 from dpcontrol.control.periodic import check_orbit, periodic_gains
 from dpcontrol.control.phase import PhaseTable, phase_table
 from dpcontrol.control.tracking import riccati_gains

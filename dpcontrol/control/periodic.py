@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.interface import Action, Mode
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import Action, Mode, SampledModel
 from dpcontrol.control.phase import PhaseTable, phase_table
 from dpcontrol.control.tracking import TvlqrSettings, riccati_gains
 from dpcontrol.foundation.errors import GoalMissed, InputError

@@ -23,9 +23,8 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.interface import Action, Mode, Session
+from dpcontrol.control.interface import Action, Mode, SampledModel, Session
 from dpcontrol.control.lqr import ClosingWeights
-from dpcontrol.control.model import SampledModel
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import setting
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE

@@ -23,8 +23,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.ekf import KalmanFilter, unpacked
 from dpcontrol.control.estimator_settings import FilterSettings, UkfSettings
-from dpcontrol.control.interface import Estimate, Present
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import Estimate, Present, SampledModel
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.errors import InputError
 

@@ -34,7 +34,7 @@ from dpcontrol.dynamics.equations import (
 )
 from dpcontrol.dynamics.propagator import Propagator, Section, SegmentPropagator, taylor_system
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.tables import suggest
+from dpcontrol.foundation.settings import suggest
 
 Array = NDArray[np.float64]
 EnergyFunction = Callable[[tuple[ca.SX, ...], tuple[ca.SX, ...], dict[str, ca.SX]], ca.SX]

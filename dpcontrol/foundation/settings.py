@@ -5,17 +5,215 @@
         delay: float = setting(1.0, least=0, most=1000, unit="periods")
 
 A value out of bounds is an InputError that names the table, the key, the value and what is allowed.
+
+Checked reading of TOML files: every mistake is one sentence naming file, table, key, value and what is allowed.
 """
 
+import difflib
 import math
-from collections.abc import Sequence
+import tomllib
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
 from numbers import Real
-from typing import Any, ClassVar
+from pathlib import Path
+from typing import Any, ClassVar, TypeVar, get_type_hints
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.tables import suggest
+
+T = TypeVar("T")
+
+
+_SIMPLE = (float, int, str, tuple[str, ...])
+"""Types of settings that a table can fill."""
+
+
+class Table:
+    """One table of a TOML file. Values are taken key by key; `finish` rejects keys that were not taken.
+
+    Every method raises InputError with one sentence when a key is missing, unknown or of the wrong kind.
+    """
+
+    def __init__(self, values: Mapping[str, Any], *, file: str, name: str = "") -> None:
+        self._values = dict(values)
+        self._taken: set[str] = set()
+        self.file, self.name = file, name
+
+    def where(self, key: str | None = None) -> str:
+        """Return "FILE: [table] key" for a message."""
+        table = f" [{self.name}]" if self.name else ""
+        return f"{self.file}:{table}{f' {key}' if key else ''}"
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._values
+
+    def _take(self, key: str, default: Any) -> Any:
+        self._taken.add(key)
+        if key in self._values:
+            return self._values[key]
+        if default is MISSING:
+            raise InputError(f"{self.where()} the key {key!r} is missing{self.misspelt(key)}")
+        return default
+
+    def misspelt(self, key: str) -> str:
+        """Return "; did you mean it by …?" where `key` is missing and one much like it was not taken, else ""."""
+        others = [] if key in self._values else [k for k in self._values if k not in self._taken]
+        close = difflib.get_close_matches(key, others, n=1)
+        return f"; did you mean it by {close[0]!r}?" if close else ""
+
+    def text(self, key: str, default: Any = MISSING, *, allowed: Iterable[str] | None = None) -> str:
+        """Return a string, one of `allowed` if given."""
+        value = self._take(key, default)
+        if not isinstance(value, str):
+            raise InputError(f"{self.where(key)} = {value!r}: must be text in quotes")
+        if allowed is not None and value not in (choices := list(allowed)):
+            raise InputError(f"{self.where(key)} = {value!r}: {suggest(value, choices)}")
+        return value
+
+    def number(self, key: str, default: Any = MISSING) -> float:
+        """Return a finite number."""
+        return self._number(self._take(key, default), key)
+
+    def integer(self, key: str, default: Any = MISSING, *, least: int = 0) -> int:
+        """Return a whole number of at least `least`."""
+        return self._integer(self._take(key, default), key, least)
+
+    def numbers(self, key: str, default: Any = MISSING) -> tuple[float, ...]:
+        """Return a list of finite numbers."""
+        return tuple(self._number(v, key) for v in self._list(key, default))
+
+    def integers(self, key: str, default: Any = MISSING, *, least: int = 0) -> tuple[int, ...]:
+        """Return a list of whole numbers of at least `least`."""
+        return tuple(self._integer(v, key, least) for v in self._list(key, default))
+
+    def texts(self, key: str, default: Any = MISSING) -> tuple[str, ...]:
+        """Return a list of strings."""
+        values = self._list(key, default)
+        for value in values:
+            if not isinstance(value, str):
+                raise InputError(f"{self.where(key)} holds {value!r}: must be a list of texts in quotes")
+        return tuple(values)
+
+    def table(self, key: str, *, required: bool = False) -> "Table":
+        """Return a table within this one, empty where it is not given."""
+        value = self._take(key, MISSING if required else {})
+        if not isinstance(value, dict):
+            raise InputError(f"{self.where(key)} = {value!r}: must be a table, [{key}]")
+        return Table(value, file=self.file, name=f"{self.name}.{key}" if self.name else key)
+
+    def tables(self, key: str) -> "list[Table]":
+        """Return the tables of an array of tables, [[key]], none where it is not given."""
+        value = self._take(key, [])
+        if not isinstance(value, list) or not all(isinstance(one, dict) for one in value):
+            raise InputError(f"{self.where(key)} = {value!r}: must be tables, each under [[{key}]]")
+        return [Table(one, file=self.file, name=f"{key} {k}") for k, one in enumerate(value, start=1)]
+
+    def remaining(self) -> dict[str, Any]:
+        """Return the keys that were not taken yet, and take them."""
+        rest = {key: value for key, value in self._values.items() if key not in self._taken}
+        self._taken |= set(rest)
+        return rest
+
+    def settings(self, kind: type[T], /, *, also: Iterable[str] = (), **given: Any) -> T:
+        """Return a settings dataclass filled from this table, its fields' defaults elsewhere.
+
+        Fields named in `given` are set by the caller and may not be in the file. The dataclass's own checks are
+        reported with this table's place; `also` names further keys for the suggestion after an unknown one.
+        """
+        hints = get_type_hints(kind)
+        values = dict(given)
+        for one in fields(kind):  # type: ignore[arg-type]
+            if one.name in given or one.name not in self:
+                continue
+            hint = hints[one.name]
+            if hint is float:
+                values[one.name] = self.number(one.name)
+            elif hint is int:
+                values[one.name] = self.integer(one.name)
+            elif hint is str:
+                values[one.name] = self.text(one.name)
+            elif hint == tuple[str, ...]:
+                values[one.name] = self.texts(one.name)
+        simple = [f.name for f in fields(kind) if hints[f.name] in _SIMPLE]  # type: ignore[arg-type]
+        self.finish(also=[*(name for name in simple if name not in given), *also])
+        return self.checked(kind, **values)
+
+    def checked(self, kind: type[T], /, **values: Any) -> T:
+        """Construct a dataclass and report what its checks reject with this table's place."""
+        try:
+            return kind(**values)
+        except InputError as error:
+            # Settings name their table in front, as this table's place already does.
+            message = str(error).removeprefix(f"{getattr(kind, 'TABLE', '')}: ")
+            raise InputError(f"{self.where()} {message}") from error
+
+    def finish(self, *, also: Iterable[str] = ()) -> None:
+        """Reject keys that were not taken; `also` names further keys for the suggestion."""
+        for key in self._values:
+            if key not in self._taken:
+                known = sorted(self._taken | set(also))
+                place = f"{self.where()} " if self.name else f"{self.where()} at the top level, "
+                raise InputError(f"{place}the key {key!r} is unknown: {suggest(key, known)}")
+
+    def _list(self, key: str, default: Any) -> list[Any] | tuple[Any, ...]:
+        value = self._take(key, default)
+        if not isinstance(value, list | tuple):
+            raise InputError(f"{self.where(key)} = {value!r}: must be a list in square brackets")
+        return value
+
+    def _number(self, value: Any, key: str) -> float:
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise InputError(f"{self.where(key)} = {value!r}: must be a number")
+        try:
+            number = float(value)
+        except OverflowError:
+            raise InputError(f"{self.where(key)}: must be a finite number; this one has too many digits") from None
+        if not math.isfinite(number):
+            raise InputError(f"{self.where(key)} = {value!r}: must be a finite number")
+        return number
+
+    def _integer(self, value: Any, key: str, least: int) -> int:
+        if isinstance(value, bool) or not isinstance(value, int) or value < least:
+            raise InputError(f"{self.where(key)} = {value!r}: must be a whole number of at least {least}")
+        return value
+
+
+def suggest(value: str, choices: Iterable[str]) -> str:
+    """Return what is allowed instead of `value`, the nearest spelling first."""
+    choices = [str(choice) for choice in choices]
+    close = difflib.get_close_matches(value, choices, n=1)
+    if close:
+        return f"did you mean {close[0]!r}? Allowed: {', '.join(choices)}"
+    return f"allowed: {', '.join(choices)}"
+
+
+def read_toml(path: Path) -> tuple[Table, str]:
+    """Return the file's top table and its text.
+
+    Raises:
+        InputError: the file cannot be read, is not text, or is not TOML; names the line.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}; check the name") from error
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not a text file; give a TOML file") from error
+    return parse_toml(text, str(path)), text
+
+
+def parse_toml(text: str, file: str) -> Table:
+    """Return the top table of TOML text, `file` naming it in messages.
+
+    Raises:
+        InputError: the text is not TOML; names the line.
+    """
+    try:
+        return Table(tomllib.loads(text), file=file)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{file} is not valid TOML: {error}") from error
+    except (RecursionError, ValueError) as error:
+        raise InputError(f"{file} is not usable TOML: nested too deeply, or a number of too many digits") from error
 
 
 @dataclass(frozen=True)

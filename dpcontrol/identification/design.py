@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.chain import ArmChainParameters
-from dpcontrol.dynamics.ratios import base_ratios, ratio_names
+from dpcontrol.dynamics.chain import ArmChainParameters, base_ratios, ratio_names
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress

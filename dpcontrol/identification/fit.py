@@ -12,7 +12,7 @@ Swings fly from many starts at once, with their sensitivities to start and param
 
     x_{k+1} = F(x_k, p; u),    S_{k+1} = ∂F/∂x S_k + [0  ∂F/∂p],    S = [∂x/∂x_0  ∂x/∂p]
 
-F is one classical Runge-Kutta step (order 4), p the ratios of `dpcontrol.dynamics.ratios`; the cart is clamped or
+F is one classical Runge-Kutta step (order 4), p the ratios of `dpcontrol.dynamics.chain`; the cart is clamped or
 follows an acceleration. It is compiled once in a process, for as many swings as the processor's vectors hold.
 
 Sources: Bock, Kostina, Schlöder, Numerical methods for parameter estimation in nonlinear differential algebraic
@@ -28,9 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, base_from_ratios, equations_of, ratio_names
 from dpcontrol.dynamics.compiled import Compiled
-from dpcontrol.dynamics.ratios import base_from_ratios, ratio_names
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
 

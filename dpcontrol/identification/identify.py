@@ -32,8 +32,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.chain import ArmChainParameters, Friction
-from dpcontrol.dynamics.ratios import base_ratios, inertial_count, nearest_arms, ratio_names, unit_name, with_laws
+from dpcontrol.dynamics.chain import (
+    ArmChainParameters,
+    Friction,
+    base_ratios,
+    inertial_count,
+    nearest_arms,
+    ratio_names,
+    unit_name,
+    with_laws,
+)
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress

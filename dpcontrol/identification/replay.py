@@ -35,15 +35,14 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.estimation import ESTIMATORS, make_estimator
 from dpcontrol.control.estimator_settings import EstimatorSettings, chi_square_band
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import compiled_step
 from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.foundation.settings import Settings, setting
-from dpcontrol.foundation.tables import suggest
+from dpcontrol.foundation.settings import Settings, setting, suggest
 from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.recordings.recording import (
     REPLAYED,

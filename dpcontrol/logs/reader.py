@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs import cdr
 from dpcontrol.logs.container import partials_of
 from dpcontrol.logs.layout import (
     CONTROL,
@@ -34,6 +33,7 @@ from dpcontrol.logs.layout import (
     UNITS,
     TickLayout,
     joint_order,
+    read_log_message,
     state_names,
 )
 from dpcontrol.logs.verified import (
@@ -219,7 +219,7 @@ def _numbers(ticks: NDArray, tick: TickLayout) -> Iterator[tuple[str, Array]]:
 def _event(data: bytes, offset: int) -> Event:
     head = np.frombuffer(data, RECORD_HEADER, count=1, offset=offset)[0]
     end = offset + 9 + int(head["length"])
-    level, name, text = cdr.read_log_message(data[offset + RECORD_HEADER.itemsize : end])
+    level, name, text = read_log_message(data[offset + RECORD_HEADER.itemsize : end])
     return Event(int(head["log_time"]) / 1e9, _LEVEL_NAMES.get(level, "info"), name, text)
 
 

@@ -33,10 +33,11 @@ from numpy.typing import ArrayLike, NDArray
 import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_target
-from dpcontrol.logs import cdr, urdf
+from dpcontrol.logs import urdf
 from dpcontrol.logs.container import COMPRESSION, ChunkMessages, McapFile, moved_away, open_partial, sealed, sync_folder
 from dpcontrol.logs.layout import (
     CONTROL,
+    ENCAPSULATION,
     EVENTS,
     FORMAT,
     GHOST,
@@ -55,6 +56,9 @@ from dpcontrol.logs.layout import (
     TRANSFORMS,
     TickLayout,
     joint_order,
+    log,
+    string,
+    transforms,
 )
 
 REFERENCE_PREFIX = "reference/"
@@ -114,7 +118,7 @@ class ChunkEncoder:
             for frame in urdf.frames(tick.arms, has_cart=tick.has_cart, prefix=prefix)
         ]
         self._frames = len(frames)
-        self._transforms = cdr.transforms(frames)
+        self._transforms = transforms(frames)
         self._template = np.frombuffer(self._transforms.template, np.uint8)
         fields = self._transforms.fields
         stamp_starts = [fields[f"{i}.stamp.sec"][1] for i in range(self._frames)]
@@ -188,7 +192,7 @@ class ChunkEncoder:
         head = np.empty(count, _TICK_HEAD)
         head["sequence"] = np.arange(self._ticks, self._ticks + count)
         head["log_time"] = head["publish_time"] = rows.time_ns
-        head["encapsulation"] = cdr.ENCAPSULATION
+        head["encapsulation"] = ENCAPSULATION
         head["sec"], head["nanosec"] = np.divmod(rows.time_ns, _SECOND)
         self._ticks += count
         raw = head.view(np.uint8).reshape(count, _TICK_HEAD.itemsize)
@@ -358,7 +362,7 @@ def descriptions(tick: TickLayout, arm_lengths: Sequence[float], *, limits: Limi
             prefix=REFERENCE_PREFIX if ghost else "",
             ghost=ghost,
         )
-        notes.insert(0, Note(row=0, topic=topic, time_ns=time_ns, content=cdr.string(text)))
+        notes.insert(0, Note(row=0, topic=topic, time_ns=time_ns, content=string(text)))
     return notes
 
 
@@ -535,7 +539,7 @@ class LogWriter:
         if level not in LEVELS:
             raise ValueError(f"event level {level!r}: must be one of {', '.join(LEVELS)}")
         time_ns = round(time_s * 1e9)
-        message = cdr.log(time_ns, LEVELS[level], name=name, text=text)
+        message = log(time_ns, LEVELS[level], name=name, text=text)
         self._notes.append(Note(row=self._buffer.filled, topic=EVENTS, time_ns=time_ns, content=message))
 
     def _prepare(self, file: McapFile) -> ChunkEncoder:

@@ -28,9 +28,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.dynamics.plant import PlantParameters
-from dpcontrol.dynamics.ratios import Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.references.problem import Limits

@@ -16,9 +16,8 @@ import numpy as np
 from dpcontrol.control.adaptive import AdaptiveSettings, adaptive_controller
 from dpcontrol.control.estimator_settings import FilterSettings
 from dpcontrol.control.handover import Fly, Keep, Keeper, NearestKeeper, Program, Segment, program
-from dpcontrol.control.interface import Controller
+from dpcontrol.control.interface import Controller, SampledModel
 from dpcontrol.control.lqr import HoldSettings, hold_controller
-from dpcontrol.control.model import SampledModel
 from dpcontrol.control.ogy import ClassicOgySettings, OgyController, OgySettings, ogy_controller
 from dpcontrol.control.periodic import OrbitController, orbit_controller
 from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings, tracking_controller

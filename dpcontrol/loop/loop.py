@@ -2,21 +2,38 @@
 
 All that is random comes from the seed; the controller and the estimator know the model's parameters and the drive's
 nominal limits and delay, and nothing of what was drawn.
+
+The control loop, tick by tick, on any rig: read, estimate, decide, command.
+
+At tick k the positions are read and the estimate updated; the command computed then acts from tick k + delay on, and
+is computed for the estimate predicted to that tick through the commands on their way. The supervisor judges every
+tick; the cart is braked to rest before a run ends early. Rows of ticks go to the sink in step with its chunks, every
+twenty milliseconds: a run that is killed loses no more.
+
+A command acts d periods after its tick, d the delay. With d = i + f, 0 ≤ f < 1, the mean over the period from tick k is
+
+    f c_{k-i-1} + (1 - f) c_{k-i}
+
+and the command is computed for the state at tick k + round(d): up to half a period of wrong timing is left. At 1 kHz it
+moves the motion in time and harms nothing; at 50 Hz it takes part of the margin for delays. The limits of acceleration
+and velocity are the drive's own, applied before it is believed.
 """
 
+import math
+import time
+from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings
-from dpcontrol.control.interface import Controller
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import Action, Controller, Estimate, Estimator, Mode, SampledModel, Session
 from dpcontrol.control.tracking import TvlqrSettings
-from dpcontrol.dynamics.chain import ArmChainParameters, Level, arm_chain_equations
-from dpcontrol.dynamics.ratios import Uncertainty
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, Uncertainty, arm_chain_equations
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
@@ -26,17 +43,325 @@ from dpcontrol.loop.bench import (
     DisturbanceSettings,
     DriveSettings,
     SensorSettings,
+    clip_lanes,
+    clip_number,
     draw_bench,
 )
-from dpcontrol.loop.control_loop import CommandPath, ControlLoop, Fallback
 from dpcontrol.loop.controllers import KEEPERS, ControllerSettings, make_controller, nearest_keeper
-from dpcontrol.loop.result import LoopResult, LoopSink, NoSink
+from dpcontrol.loop.result import Ending, LoopResult, LoopSink, NoSink, Reading, Rig, Ticks
 from dpcontrol.loop.simulated import SimulatedRig
-from dpcontrol.loop.supervisor import Supervisor, SupervisorSettings
+from dpcontrol.loop.supervisor import Outcome, StuckWatch, Supervisor, SupervisorSettings
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
 
+AT_REST = 1e-12
+"""m/s: slower than any cart."""
+LONGEST_DELAY = 1000.0
+"""Periods."""
+
+
+class CommandPath:
+    """The commands on their way, for a delay in periods and a loop's period in s.
+
+    Commands and velocities are numbers or, for `runs` runs in lockstep, arrays (S,).
+
+    Raises:
+        InputError: the delay is negative or absurd.
+    """
+
+    def __init__(self, limits: Limits, *, delay: float, period: float, runs: int = 0) -> None:
+        if not 0 <= delay <= LONGEST_DELAY:
+            raise InputError(f"run: delay = {delay!r}: must be 0 to {LONGEST_DELAY:g} periods")
+        self.limits, self.period = limits, period
+        self._most, self._fastest = float(limits.acceleration), float(limits.velocity)
+        self._runs, self._clip = runs, clip_lanes if runs else clip_number
+        self.lead = round(delay)
+        """By how many ticks a command is computed ahead."""
+        whole = math.floor(delay)
+        self._share = delay - whole
+        # Oldest first; the last is the newest sent. One more than the whole periods, for the blend.
+        self.velocity: Any = np.zeros(runs) if runs else 0.0
+        """The cart's velocity in m/s once all that was sent has acted."""
+        self._sent: deque[Any] = deque([self.velocity] * (whole + 2), maxlen=whole + 2)
+
+    def clipped(self, command: Any) -> Any:
+        """Return the command within the limit of acceleration, m/s²."""
+        return self._clip(command, -self._most, self._most)
+
+    def start(self, commands: Sequence[Any], *, velocity: float) -> None:
+        """Fill the path with the commands (m/s²) on their way when the run begins, the cart having `velocity` m/s."""
+        self.velocity = self.velocity * 0.0 + velocity
+        for command in commands:
+            self.send(command)
+
+    def braking(self, share: float) -> Any:
+        """Return the command in m/s² that brakes the cart to rest with a share of the greatest acceleration."""
+        most = share * self._most
+        return self._clip(-self.velocity / self.period, -most, most)
+
+    def send(self, command: Any) -> None:
+        """Take the command (m/s²) that has just been computed."""
+        clipped = self.clipped(command)
+        self._sent.append(clipped)
+        velocity = self._clip(self.velocity + clipped * self.period, -self._fastest, self._fastest)
+        # Braking to rest leaves what rounding leaves.
+        moves = abs(velocity) > AT_REST
+        self.velocity = np.where(moves, velocity, 0.0) if self._runs else velocity if moves else 0.0
+
+    def acted(self, velocity: Any) -> Any:
+        """Return what acted in the period that now ends, m/s², at the cart's believed `velocity` m/s at its start."""
+        sent, fastest, period = self._sent, self._fastest, self.period
+        mean = sent[1] if not self._share else self._share * sent[0] + (1 - self._share) * sent[1]
+        return self._clip(mean, (-fastest - velocity) / period, (fastest - velocity) / period)
+
+    def on_their_way(self) -> list[Any]:
+        """Return what will act in each of the `lead` periods from now on, m/s²."""
+        sent = list(self._sent)
+        # The next to act is one place newer than what acted last.
+        if not self._share:
+            return sent[2:]
+        newer = (sent[min(k + 1, len(sent) - 1)] for k in range(1, self.lead + 1))
+        return [self._share * sent[k] + (1 - self._share) * new for k, new in enumerate(newer, start=1)]
+
+
 Array = NDArray[np.float64]
+
+_GO_ON = Outcome.CONTINUE
+_FLUSH_SECONDS = 0.02
+"""Between two handings over of rows to the sink; a log's writer makes a chunk of as many."""
+_PROGRESS_EVERY = 500
+_TELL_EVERY = 1.0
+"""Seconds between events that deadlines were missed."""
+BRAKING = 0.9
+"""Share of the greatest acceleration with which the cart is braked: more than the supervisor counts on."""
+SETTLING = 0.05
+"""Seconds for which the loop goes on after the cart was commanded to rest: delays and lags have passed by then."""
+
+
+class Fallback(Protocol):
+    """Finds something to hold where the reference was given up."""
+
+    def session(self, tick: int, state: Array) -> tuple[Session, str]:
+        """Return a session that holds what is nearest to `state` (N,) from `tick` on, and a sentence saying what."""
+        ...
+
+
+class ControlLoop:
+    """One run of a controller and an estimator on a rig; `run` may be called once.
+
+    rate_noise (K, n) rad/s: what is added at each tick to the rates that the controller steers by, as where rates are
+    measured and not estimated (Wiebe et al., Open-source dual-purpose acrobot and pendubot platform, IEEE RAM 2024);
+    the estimator itself goes on without it. fallback: used when the supervisor gives the reference up; without one the
+    run ends then. The rig's `truth`, where it has one, is recorded and never used.
+    """
+
+    def __init__(
+        self,
+        estimator: Estimator,
+        controller: Controller,
+        *,
+        path: CommandPath,
+        supervisor: Supervisor,
+        sink: LoopSink,
+        rate_noise: Array | None = None,
+        fallback: Fallback | None = None,
+        progress: Progress = no_progress,
+    ) -> None:
+        self.estimator, self.path, self.supervisor, self.sink = estimator, path, supervisor, sink
+        self.controller, self.fallback, self.progress = controller, fallback, progress
+        self._rate_noise = rate_noise
+        self.session: Session = controller.begin()
+        self.count = controller.ticks + 1
+        self.ending, self.reason = Ending.FINISHED, "came to the reference's end"
+        self._n = len(controller.first_state)
+        self._arms = (self._n - 2) // 2
+        self._angles = range(self._arms)
+        self._rows = Ticks.empty(0, self._arms, has_truth=False, period=path.period)
+        self._flush_every = max(1, round(_FLUSH_SECONDS / path.period))
+        self._done = self._flushed = 0
+        self._braking_since: float | None = None
+        self._sensors = StuckWatch(self._arms, period=path.period, reaction=supervisor.reaction)
+        self._first = estimator.first(controller.first_state)
+        # The commands that act before the first tick's own can, computed for where those before them lead.
+        self._coming: deque[Action] = deque()
+        for k in range(path.lead):
+            ahead = estimator.ahead(self._first, self.queued)
+            self._coming.append(self.session.command(k, ahead, self._first.extra))
+
+    @property
+    def queued(self) -> list[float]:
+        """The commands (m/s²) to be on their way when the run begins, oldest first."""
+        return [action.feedforward + action.feedback for action in self._coming]
+
+    def rehearse(self) -> None:
+        """Have all that the loop needs compiled and in memory before its first deadline, by ticks that nobody sees."""
+        state, estimator = self.controller.first_state, self.estimator
+        measured = state[[*self._angles, self._n - 2]]
+        estimate = estimator.update(self._first, measured)
+        session = self.controller.begin()
+        for tick in range(50):
+            estimate = estimator.step(estimate, 0.0, measured)
+            session.command(tick, estimator.ahead(estimate, [0.0]), estimate.extra)
+
+    def run(self, rig: Rig) -> LoopResult:
+        """Run to the controller's last tick, or to where the supervisor ends it and the cart stands.
+
+        Interrupted, the sink gets the rows so far.
+
+        Raises:
+            InputError: the sink cannot be written.
+        """
+        try:
+            return self._run(rig)
+        finally:
+            self._flush(self._done)
+
+    def _run(self, rig: Rig) -> LoopResult:
+        path, period, n, estimate = self.path, self.path.period, self._n, self._first
+        has_truth = rig.truth is not None
+        self._rows = rows = Ticks.empty(self.count, self._arms, has_truth=has_truth, period=period)
+        path.start(self.queued, velocity=float(self.controller.first_state[-1]))
+        ticks = f"{self.count - 1} ticks at {1 / period:g} Hz"
+        self._event(0.0, "info", "start", f"{self.controller.kind}, {self.estimator.kind}, {ticks}")
+        thinking = np.zeros(self.count)
+        most, fastest = path.limits.acceleration, path.limits.velocity
+        acted, was_saturated, late, quiet_until, aborted = 0.0, False, 0, 0.0, Mode.ABORTED
+        clock, step, take = time.perf_counter, self.estimator.step, rows.take
+        began = clock()
+        for k in range(self.count):
+            now = k * period
+            try:
+                reading = rig.read()
+            except ArithmeticError as failure:
+                self.ending, self.reason = Ending.PLANT_FAILED, str(failure)
+                break
+            before = clock()
+            way = path.on_their_way()
+            coming = way[0] if way else 0.0
+            try:
+                if k:
+                    estimate = step(estimate, acted, reading.positions, reading.present, coming=coming)
+                else:
+                    estimate = self.estimator.update(estimate, reading.positions, reading.present, coming=coming)
+                nis = estimate.nis
+            except ArithmeticError:
+                nis = math.inf
+            action, wanted, estimate = self._decided(k, now, estimate, reading, nis, way)
+            command = action.feedforward + action.feedback
+            path.send(command)
+            thinking[k] = clock() - before
+            rig.command(command)
+            if self._braking_since is not None:
+                # The drive brakes by itself; what is sent meanwhile is what the loop believes it does.
+                rig.stop()
+            acted = path.acted(estimate.state.item(n - 1))
+            mode = action.mode
+            saturated = abs(command) > most or abs(path.velocity) >= fastest
+            if saturated and mode is not aborted:
+                mode = Mode.SATURATED
+            take(k, reading, estimate, action, wanted, (acted, saturated, mode), rig.truth)
+            if reading.late > 0:
+                late += 1
+                if now >= quiet_until:
+                    quiet_until = now + _TELL_EVERY
+                    text = f"a tick's command comes {1e3 * reading.late:.3g} ms too late; {late} such ticks so far"
+                    self._event(now, "warn", "deadline missed", text)
+            self._done = done = k + 1
+            if rig.fault and self.ending is not Ending.CART_STOP:
+                self.ending, self.reason = Ending.CART_STOP, rig.fault
+                break
+            if saturated and not was_saturated:
+                over = f"command {command:.3g} m/s², cut to {path.clipped(command):.3g} m/s²"
+                self._event(now, "warn", "saturated", over if abs(command) > most else f"cart at {fastest:g} m/s")
+            was_saturated = saturated
+            if self._braking_since is not None and now > self._braking_since + SETTLING:
+                break
+            if done % self._flush_every == 0:
+                self._flush(done)
+                if not done % _PROGRESS_EVERY:
+                    self.progress("run", done / self.count)
+        elapsed, done = clock() - began, self._done
+        rig.stop()
+        self._flush(done)
+        fine = self.ending is Ending.FINISHED
+        self._event(max(done - 1, 0) * period, "info" if fine else "error", self.ending.value, self.reason)
+        self.progress("run", 1.0)
+        return LoopResult(rows.head(done), self.ending, self.reason, thinking[:done], late, elapsed)
+
+    def _decided(
+        self, k: int, now: float, estimate: Estimate, reading: Reading, nis: float, way: list[float]
+    ) -> tuple[Action, Array, Estimate]:
+        """Return the command of tick k, the reference of tick k, and the estimate, restarted if need be.
+
+        way: the commands on their way.
+        """
+        if self._braking_since is not None:
+            wanted = self._rows.references[k - 1]
+            return self._brake(now, wanted), wanted, estimate
+        lead = len(way)
+        ahead = self.estimator.ahead(estimate, way)
+        if self._rate_noise is not None:
+            ahead = ahead.copy()
+            ahead[self._arms : 2 * self._arms] += self._rate_noise[k]
+        action = self.session.command(k + lead, ahead, estimate.extra)
+        self._coming.append(action)
+        wanted = self._coming.popleft().reference
+        if action.event:
+            self._event(now, "info", "controller", action.event)
+        seen, due, expected = estimate.state.tolist(), wanted.tolist(), ahead.tolist()
+        error = 0.0
+        for i in self._angles:
+            away = abs(seen[i] - due[i])
+            # NaN must not be passed over.
+            if not away <= error:
+                error = away
+        path, supervisor = self.path, self.supervisor
+        sent = path.velocity
+        verdict = supervisor.judge(
+            now, error=error, nis=nis, used=estimate.used, position=expected[-2], velocity=expected[-1], sent=sent
+        )
+        stuck = ""
+        if reading.present is None:
+            stuck = self._sensors.seen(reading.positions.tolist(), due, sent, supervisor.nis)
+        if stuck or reading.switch:
+            verdict = supervisor.overruled(verdict, now, stuck=stuck, switch=bool(reading.switch))
+        outcome, ending, why = verdict
+        if outcome is _GO_ON:
+            return action, wanted, estimate
+        self._event(now, "warn", outcome.value, why)
+        if outcome is Outcome.RESTART:
+            return action, wanted, self.estimator.restarted(estimate, reading.positions)
+        if outcome is Outcome.RESYNCHRONISE:
+            moved = self.session.resynchronise(k + lead, ahead)
+            self._event(now, "info", "re-synchronise", moved or "the controller has no clock to move")
+            return action, wanted, estimate
+        if outcome is Outcome.HOLD and self.fallback is not None:
+            self.session, held = self.fallback.session(k + lead, ahead)
+            self._coming.clear()
+            self._coming.extend([action] * lead)
+            self._event(now, "warn", "fallback", held)
+            self.ending, self.reason = Ending.FELL_BACK, f"{why}; {held}"
+            return action, wanted, estimate
+        self.ending, self.reason = ending, why
+        self._braking_since = now
+        return self._brake(now, wanted), wanted, estimate
+
+    def _brake(self, now: float, wanted: Array) -> Action:
+        if self.path.velocity:
+            self._braking_since = now
+        return Action(0.0, self.path.braking(BRAKING), wanted, Mode.ABORTED)
+
+    def _event(self, time_s: float, level: str, name: str, text: str) -> None:
+        # Events stand among the ticks they belong to.
+        self._flush(round(time_s / self.path.period))
+        self.sink.event(time_s, level, name, text)
+
+    def _flush(self, until: int) -> None:
+        first = self._flushed
+        if until > first:
+            # Noted first, so that rows on which an interrupt falls are not written twice.
+            self._flushed = until
+            self.sink.ticks(self._rows.between(first, until))
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.tables import suggest
+from dpcontrol.foundation.settings import suggest
 
 Array = NDArray[np.float64]
 

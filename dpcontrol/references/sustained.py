@@ -38,8 +38,8 @@ from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import gauss
 from dpcontrol.references.problem import EndConditions, Limits, ReferenceProblem, ReferenceSettings, state_scale

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from numpy.typing import NDArray
 
-from dpcontrol.orbits.curve import OrbitCurve
+from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.review import page as story_panels
 from dpcontrol.review import style
 from dpcontrol.review.motion import PlanView, RunView, Stay

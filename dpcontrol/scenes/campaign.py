@@ -37,8 +37,7 @@ import numpy as np
 
 import dpcontrol
 from dpcontrol.control.interface import Controller
-from dpcontrol.dynamics.chain import ArmChainParameters
-from dpcontrol.dynamics.ratios import Uncertainty
+from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash, whole_file
 from dpcontrol.foundation.processes import ATTEMPTS, in_processes, processors
@@ -46,8 +45,7 @@ from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
 from dpcontrol.loop.batch import BatchRun, can_batch, run_batch
-from dpcontrol.loop.control_loop import Fallback
-from dpcontrol.loop.loop import LoopSettings, loop_controller, loop_fallback, run_loop
+from dpcontrol.loop.loop import Fallback, LoopSettings, loop_controller, loop_fallback, run_loop
 from dpcontrol.loop.result import Ending
 from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.review.score import Flown, verdict_on

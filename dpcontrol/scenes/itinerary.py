@@ -29,9 +29,9 @@ from dpcontrol.control.estimator_settings import (
 from dpcontrol.control.lqr import HoldSettings
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
 from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings
-from dpcontrol.dynamics.ratios import Uncertainty
+from dpcontrol.dynamics.chain import Uncertainty
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.tables import Table, parse_toml, read_toml, suggest
+from dpcontrol.foundation.settings import Table, parse_toml, read_toml, suggest
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings
 from dpcontrol.loop.controllers import KEEPERS, ControllerSettings
 from dpcontrol.loop.loop import LoopSettings
@@ -41,7 +41,7 @@ from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.scenes.model import Model, find, load_model, quoted
 from dpcontrol.scenes.run_options import RunOptions
-from dpcontrol.walks.symbols import expanded, parse_walk
+from dpcontrol.walks.edges import expanded, parse_walk
 
 
 @dataclass(frozen=True)

@@ -30,8 +30,7 @@ from dpcontrol.references.problem import EndConditions
 from dpcontrol.references.reference import Reference, joined, still
 from dpcontrol.references.sustained import SustainedOrbit, SustainedSettings, sustained_orbit
 from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart
-from dpcontrol.scenes.notes import STILL, notes_of, notes_of_pieces
-from dpcontrol.scenes.pieces import Goal, SolvedPiece, cart_problem, walk_goal
+from dpcontrol.scenes.pieces import STILL, Goal, SolvedPiece, cart_problem, notes_of, notes_of_pieces, walk_goal
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver, phase_gap
 

@@ -20,13 +20,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import dpcontrol
-from dpcontrol.dynamics.chain import ArmChainParameters, Friction, pendulum_system
-from dpcontrol.dynamics.ratios import Uncertainty, ratio_names, unit_name
+from dpcontrol.dynamics.chain import ArmChainParameters, Friction, Uncertainty, pendulum_system, ratio_names, unit_name
 from dpcontrol.dynamics.system import System
 from dpcontrol.dynamics.three_body import ThreeBodyParameters, three_body_system
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
-from dpcontrol.foundation.tables import Table, parse_toml, read_toml
+from dpcontrol.foundation.settings import Table, parse_toml, read_toml
 
 if TYPE_CHECKING:
     from dpcontrol.identification.identify import Identification

@@ -11,12 +11,19 @@ from dpcontrol.references.notes import PlanNotes
 from dpcontrol.references.reference import Reference, joined
 from dpcontrol.scenes.itinerary import HoldPart, Itinerary, WalkPart
 from dpcontrol.scenes.kept_walks import plan_kept, plan_stay
-from dpcontrol.scenes.notes import notes_of_pieces
-from dpcontrol.scenes.pieces import REST, REST_AFTER, REST_BEFORE, Goal, solve_pieces, stay_goal, walk_goal
+from dpcontrol.scenes.pieces import (
+    REST,
+    REST_AFTER,
+    REST_BEFORE,
+    Goal,
+    notes_of_pieces,
+    solve_pieces,
+    stay_goal,
+    walk_goal,
+)
 from dpcontrol.tubes.connection import Connection
-from dpcontrol.walks.edges import find_edges
+from dpcontrol.walks.edges import find_edges, parse_walk
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
-from dpcontrol.walks.symbols import parse_walk
 from dpcontrol.walks.walks import resolve
 
 Array = NDArray[np.float64]

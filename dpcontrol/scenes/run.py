@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 import dpcontrol
 from dpcontrol.control.estimation import ESTIMATORS
 from dpcontrol.control.interface import Controller
-from dpcontrol.dynamics.ratios import Uncertainty
+from dpcontrol.dynamics.chain import Uncertainty
 from dpcontrol.foundation.checkout import commit
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import checked_other_file, content_hash
@@ -38,8 +38,7 @@ from dpcontrol.logs import (
     joint_names,
     read_log,
 )
-from dpcontrol.loop.control_loop import ControlLoop
-from dpcontrol.loop.loop import LoopSettings, control_loop, loop_controller, loop_fallback, run_loop
+from dpcontrol.loop.loop import ControlLoop, LoopSettings, control_loop, loop_controller, loop_fallback, run_loop
 from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, NoSink
 from dpcontrol.references.reference import load_reference
 from dpcontrol.review.score import MODEL_METADATA, REFERENCE_ATTACHMENT, Score, score

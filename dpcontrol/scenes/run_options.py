@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.tables import suggest
+from dpcontrol.foundation.settings import suggest
 
 PLANT, DISTURBANCES, SENSORS, DRIVE = "Plant", "Disturbances", "Sensors", "Drive"
 ESTIMATOR, CONTROLLER, SUPERVISOR = "Estimator", "Controller", "Supervisor"

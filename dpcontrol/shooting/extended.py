@@ -21,10 +21,9 @@ from scipy.sparse.linalg import splu
 from dpcontrol.dynamics.extended import Exact, Extended, ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.orbits.curve import local_manifold
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
-from dpcontrol.shooting.equations import Guess, ShootingEquations
-from dpcontrol.shooting.orbit import ManifoldEnd
+from dpcontrol.orbits.manifold import local_manifold
+from dpcontrol.shooting.equations import Guess, ManifoldEnd, ShootingEquations
 
 Array = NDArray[np.float64]
 

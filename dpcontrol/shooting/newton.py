@@ -25,10 +25,9 @@ from numpy.typing import NDArray
 from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
-from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
-from dpcontrol.shooting.equations import Guess, ShootingEquations, Unknowns
-from dpcontrol.shooting.orbit import ShootingOrbit
+from dpcontrol.orbits.manifold import OrbitCurve
+from dpcontrol.shooting.equations import Guess, ShootingEquations, ShootingOrbit, Unknowns
 
 Array = NDArray[np.float64]
 

@@ -14,10 +14,9 @@ from scipy.optimize import root_scalar
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
-from dpcontrol.shooting.equations import Guess
-from dpcontrol.shooting.orbit import ShootingOrbit
+from dpcontrol.orbits.manifold import OrbitCurve
+from dpcontrol.shooting.equations import Guess, ShootingOrbit
 from dpcontrol.tubes.intersections import ConnectionSettings, Intersection
 
 Array = NDArray[np.float64]

@@ -36,11 +36,10 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.orbits.curve import HyperbolicOrbit, OrbitCurve, local_manifold
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
-from dpcontrol.shooting.equations import Guess
+from dpcontrol.orbits.manifold import HyperbolicOrbit, OrbitCurve, local_manifold
+from dpcontrol.shooting.equations import Guess, ManifoldEnd, ShootingOrbit
 from dpcontrol.shooting.newton import solve_shooting
-from dpcontrol.shooting.orbit import ManifoldEnd, ShootingOrbit
 from dpcontrol.tubes.connection import (
     Connection,
     can_be_reversed,

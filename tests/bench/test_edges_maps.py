@@ -5,9 +5,8 @@ import math
 
 import pytest
 
-from dpcontrol.bench.chart import GROUPS, check_names
+from dpcontrol.bench.chart import AGREES, GROUPS, Attempt, Border, EdgeChart, EdgeMap, check_names, find_border, half_of
 from dpcontrol.bench.drawing import figure
-from dpcontrol.bench.edges import AGREES, Attempt, Border, EdgeChart, EdgeMap, find_border, half_of
 from dpcontrol.foundation.errors import InputError
 
 BORDER = 0.37

@@ -14,7 +14,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 from uniform_rods import uniform_rods
 
-from dpcontrol.orbits.curve import OrbitCurve, local_manifold
+from dpcontrol.orbits.manifold import OrbitCurve, local_manifold
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import section_points
 from dpcontrol.tubes.intersections import polyline_crossings, search_settings

@@ -8,7 +8,7 @@ import pytest
 from command_line import dpcontrol
 from mcap.reader import make_reader
 
-from dpcontrol.dynamics.ratios import base_ratios
+from dpcontrol.dynamics.chain import base_ratios
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.identification.identify import IdentificationSettings, identify
 from dpcontrol.logs import read_log

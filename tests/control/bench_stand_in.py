@@ -8,8 +8,7 @@ from shadowing_stand_in import LAB
 
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings
-from dpcontrol.control.interface import Action, Session
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import Action, SampledModel, Session
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.loop.bench import SensorSettings
 

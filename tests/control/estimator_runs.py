@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from shadowing_stand_in import LAB
 
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.loop.bench import SensorSettings
 

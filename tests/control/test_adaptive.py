@@ -13,7 +13,7 @@ from dpcontrol.control.adaptive import (
     preview_gains,
 )
 from dpcontrol.control.estimator_settings import Augment, EkfSettings
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import SampledModel
 from dpcontrol.control.tracking import TvlqrSettings, tracking_controller
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import InputError

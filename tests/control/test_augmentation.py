@@ -7,7 +7,7 @@ from shadowing_stand_in import LAB
 
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import Augment, EkfSettings, extra_names
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import Friction, Level, arm_chain_equations
 
 ZERO = 1e-3  # rad, after four seconds of swinging: a hundredth of what harms a run.

@@ -7,8 +7,7 @@ from textbook_filter import TextbookFilter
 
 from dpcontrol.control.ekf import CompiledEkf, checked_noise, packed, unpacked
 from dpcontrol.control.estimator_settings import EkfSettings
-from dpcontrol.control.interface import Estimate
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import Estimate, SampledModel
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.bench import SensorSettings

@@ -3,7 +3,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from shadowing_stand_in import LAB
 
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import InputError
 

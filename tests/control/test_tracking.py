@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import solve_discrete_are
 from shadowing_stand_in import LAB, StandIn
 
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import SampledModel
 from dpcontrol.control.tracking import (
     FeedforwardSettings,
     PhaseController,

@@ -6,7 +6,7 @@ Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking a
 import numpy as np
 
 from dpcontrol.control.estimator_settings import EkfSettings
-from dpcontrol.control.model import SampledModel
+from dpcontrol.control.interface import SampledModel
 
 
 class TextbookFilter:

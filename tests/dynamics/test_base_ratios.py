@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from dpcontrol.dynamics.chain import ArmChainParameters, Friction, Level, equations_of
-from dpcontrol.dynamics.ratios import base_from_ratios, base_ratios, nearest_arms, ratio_names, with_laws
+from dpcontrol.dynamics.chain import (
+    ArmChainParameters,
+    Friction,
+    Level,
+    base_from_ratios,
+    base_ratios,
+    equations_of,
+    nearest_arms,
+    ratio_names,
+    with_laws,
+)
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.scenes.model import load_model
 

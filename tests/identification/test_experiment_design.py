@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpcontrol.dynamics.chain import Friction
-from dpcontrol.dynamics.ratios import base_ratios, with_laws
+from dpcontrol.dynamics.chain import Friction, base_ratios, with_laws
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.design import Design, DesignSettings, design_experiments, digits
 from dpcontrol.identification.fit import FitSettings, Swings, fit_swings

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from bench_recordings import rig_file
 
-from dpcontrol.dynamics.chain import ArmChainParameters, Friction
-from dpcontrol.dynamics.ratios import base_ratios
+from dpcontrol.dynamics.chain import ArmChainParameters, Friction, base_ratios
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.identify import Identification, IdentificationSettings, choose, correlation_time, identify
 from dpcontrol.recordings.importing import import_recording

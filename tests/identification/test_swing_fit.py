@@ -6,8 +6,16 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dpcontrol.dynamics.chain import ArmChainParameters, Friction, Level, equations_of
-from dpcontrol.dynamics.ratios import base_from_ratios, base_ratios, inertial_count, with_laws
+from dpcontrol.dynamics.chain import (
+    ArmChainParameters,
+    Friction,
+    Level,
+    base_from_ratios,
+    base_ratios,
+    equations_of,
+    inertial_count,
+    with_laws,
+)
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, fit_swings
 from dpcontrol.scenes.model import load_model

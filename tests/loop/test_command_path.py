@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.loop.control_loop import CommandPath
+from dpcontrol.loop.loop import CommandPath
 from dpcontrol.references.problem import Limits
 
 EXACT = 1e-12  # Sums of a few numbers of order ten.

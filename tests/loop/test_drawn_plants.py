@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from shadowing_stand_in import StandIn
 
-from dpcontrol.dynamics.ratios import Uncertainty, base_ratios, ratio_names
+from dpcontrol.dynamics.chain import Uncertainty, base_ratios, ratio_names
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.loop.batch import run_batch
 from dpcontrol.loop.bench import (

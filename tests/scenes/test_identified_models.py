@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpcontrol.dynamics.ratios import base_ratios
+from dpcontrol.dynamics.chain import base_ratios
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.identify import Identification, IdentificationSettings, identify
 from dpcontrol.recordings.recording import simulated_recording

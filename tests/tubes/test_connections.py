@@ -5,9 +5,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import CutSettings, tube_cut

@@ -12,7 +12,7 @@ from dpcontrol.cli.main import main
 from dpcontrol.dynamics.compiled import to_heyoka
 from dpcontrol.dynamics.extended import ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.orbits.curve import OrbitCurve
+from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.scenes.model import load_model
 from dpcontrol.shooting.extended import RefinementSettings, refine
 from dpcontrol.tubes.connections import find_connections, orbits_between

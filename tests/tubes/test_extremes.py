@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from dpcontrol.dynamics.system import momentum_scale
-from dpcontrol.orbits.curve import OrbitCurve
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.orbits.manifold import UnstableManifold
+from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold
 from dpcontrol.scenes.model import load_model
 from dpcontrol.shooting.extended import refine
 from dpcontrol.tubes.connections import find_connections, orbits_between

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.orbits.curve import OrbitCurve, local_manifold, rotating_vertex
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.manifold import OrbitCurve, local_manifold, rotating_vertex
 from dpcontrol.orbits.rotating import rotating_orbits
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_lap_connections
