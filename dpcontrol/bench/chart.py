@@ -1,4 +1,6 @@
-"""A work-precision chart: methods as points of time and error, their front, and where the product's default stands.
+"""What a chart is: work-precision charts, and maps of failure.
+
+A work-precision chart: methods as points of time and error, their front, and where the product's default stands.
 
 A point is on the *front* when no other point of its panel is at most as slow and at most as wrong, and better in one.
 A default t, e is off the front by

@@ -1,4 +1,6 @@
-"""What the loop asks of an estimator and of a controller; the same objects serve a simulated and a real bench.
+"""What loop, estimators and controllers share: their interfaces, and the model between two ticks.
+
+What the loop asks of an estimator and of a controller; the same objects serve a simulated and a real bench.
 
 The model between two ticks: one step of the equations with the input held, and its Jacobians.
 

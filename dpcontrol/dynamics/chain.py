@@ -1,4 +1,6 @@
-"""Parameters of a planar chain of arms on a cart, physical and base.
+"""The chain of arms on a cart: parameters, Lagrangian, levels, identifiable ratios, arms drawn from a covariance.
+
+Parameters of a planar chain of arms on a cart, physical and base.
 
 The physical parameters (masses, centres, lengths, inertias) enter the equations only through the base
 parameters
@@ -16,7 +18,7 @@ A planar chain of n arms on a cart: one Lagrangian, one dissipation function, th
     L = ½ Σ M_ij cos(θ_i-θ_j) ω_i ω_j + Σ S_i cos θ_i ω_i ẋ + ½ ẋ² + Σ G_i cos θ_i
     D = Σ ½ k_i ρ_i² + c_i √(ρ_i² + w²) + ⅓ b_i (v_i² + (λ_i w)²)^{3/2},      ρ_i = ω_i - ω_{i-1}
 
-in the base parameters of `dpcontrol.dynamics.chain`. The cart's own inertia does not matter where its
+in the base parameters. The cart's own inertia does not matter where its
 acceleration is the input; ½ ẋ² stands in for it. Besides viscous friction k a joint may have Coulomb friction c, and
 each arm the air's drag b v², where v_i is the speed of the arm's centre of oscillation, λ_i = M_ii/S_i from its joint,
 in air at rest: on a free swing the drag at this true speed explains the data and a torque b ρ|ρ| in the joint does not.
@@ -42,7 +44,7 @@ How well identified arms are known, and arms drawn as likely as that says.
 
     r' = r + s Σ^½ z,      z standard normal,      arms' = the nearest to the model's with the ratios r'
 
-r: the f ratios of `dpcontrol.dynamics.chain`; Σ their covariance; s a factor on their standard errors.
+r: the f ratios; Σ their covariance; s a factor on their standard errors.
 
 Source: Hastie, Tibshirani, Friedman, The elements of statistical learning (2009), section 8.2 (parametric bootstrap).
 """

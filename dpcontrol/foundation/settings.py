@@ -1,4 +1,6 @@
-"""Settings: frozen dataclasses whose fields carry their bounds and units, checked in one place.
+"""Settings with declared bounds, and their checked reading from TOML files.
+
+Settings: frozen dataclasses whose fields carry their bounds and units, checked in one place.
 
     @dataclass(frozen=True)
     class DriveSettings(Settings, table="drive"):

@@ -1,4 +1,6 @@
-"""What a log holds: topics, joint names, the control message's fields.
+"""What a log holds and how its messages are laid out in bytes.
+
+What a log holds: topics, joint names, the control message's fields.
 
 One tick is one block of bytes: the MCAP message records of all topics at loop rate, one after the other, as a
 numpy structured type. Writer and reader share it, so that neither handles single messages. Numbers and order of the

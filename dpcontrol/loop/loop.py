@@ -1,4 +1,6 @@
-"""A simulated run: plant, sensors and drive drawn from a seed, a controller and an estimator with the model.
+"""One run of the closed loop: tick by tick on any rig, and simulated with what its seed draws.
+
+A simulated run: plant, sensors and drive drawn from a seed, a controller and an estimator with the model.
 
 All that is random comes from the seed; the controller and the estimator know the model's parameters and the drive's
 nominal limits and delay, and nothing of what was drawn.

@@ -1,4 +1,6 @@
-"""The unstable manifold of a Lyapunov orbit near the orbit: γ(φ) ± δ v(φ), on the orbit's energy.
+"""Local manifolds of periodic orbits, and the orbits as closed curves.
+
+The unstable manifold of a Lyapunov orbit near the orbit: γ(φ) ± δ v(φ), on the orbit's energy.
 
 γ(φ) is the orbit at phase φ (period 1), v(φ) the Floquet vector of the unstable multiplier λ, transported by the
 variational equations. The stable manifold is the unstable one turned around by a

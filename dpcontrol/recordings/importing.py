@@ -1,4 +1,6 @@
-"""Read a bench's file as a recording: columns by the mapping, checks, repairs where asked, segments.
+"""Recordings from files: what their columns mean, and how they are read.
+
+Read a bench's file as a recording: columns by the mapping, checks, repairs where asked, segments.
 
 A MATLAB file of cells has one segment per cell; a table or a whole MATLAB recording is one segment, unless a repair
 cuts it. Where the segments' times do not follow one another they are laid end to end, and a note says so.

@@ -1,4 +1,6 @@
-"""An itinerary's parts as pieces of one reference: walks, holds and rests, with transfers where they do not meet.
+"""An itinerary's parts as pieces of one reference, and the notes of the plan that they make.
+
+An itinerary's parts as pieces of one reference: walks, holds and rests, with transfers where they do not meet.
 
 Each piece is solved on its own, from a state that is known to a state that is known, and they are joined end to end:
 the cost grows with the sum of their lengths, and an infeasible piece is reported by name.

@@ -1,4 +1,6 @@
-"""The equations of multiple shooting with free segment lengths, as residuals and a sparse Jacobian.
+"""Multiple shooting: orbits as nodes, and the equations they satisfy.
+
+The equations of multiple shooting with free segment lengths, as residuals and a sparse Jacobian.
 
 Nodes x_0 … x_K and durations τ_0 … τ_{K-1} satisfy
 

@@ -1,6 +1,6 @@
-"""The connection graph of one energy with its orbits: what walks are made of.
+"""The connection graph of one energy as walks use it: orbits, rotating vertices, symbols.
 
-Source: Kaheman et al. (2023), section 4.
+The connection graph of one energy with its orbits: what walks are made of.
 
 Rotating orbits as vertices that a walk asks for by name, as "outer-rotating" or "inner-rotating-back-2".
 
