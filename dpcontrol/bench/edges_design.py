@@ -282,7 +282,7 @@ def far_border(orbit: LyapunovOrbit, states: Array, *, ratio: float = 1.25) -> B
     """Return the largest distance of seeds with which all connections are found, those of `states` (K, N)."""
     return find_border(
         lambda distance: found_all(orbit, states, distance), x=orbit.energy, line=f"{orbit.energy:g} J", near=0.15,
-        far=0.6, ratio=ratio,
+        far=1.6, ratio=ratio,
     )  # fmt: skip
 
 

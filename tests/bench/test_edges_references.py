@@ -1,10 +1,13 @@
 """The longest interval of a mesh: predicted by the method's order from one finer mesh, named beyond it."""
 
+import pytest
+
 from dpcontrol.bench.edges_design import TOLERANCE, mesh_border, on_equal_intervals, problem_of
 
 APART = 0.25  # the bar
 
 
+@pytest.mark.slow
 def test_the_error_between_nodes_passes_the_tolerance_where_the_order_has_it():
     found = mesh_border(1.0, x=1.0)
     assert found.off is not None

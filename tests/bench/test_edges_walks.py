@@ -2,6 +2,8 @@
 
 from functools import cache
 
+import pytest
+
 from dpcontrol.bench.edges_design import APART, ENERGY, round_trip, rounding_floor, tolerance_border
 
 
@@ -10,6 +12,7 @@ def border(segments: int, wraps: int):
     return tolerance_border([round_trip(), round_trip(ENERGY * (1 + APART))], segments=segments, wraps=wraps, x=1.0)
 
 
+@pytest.mark.slow
 def test_nodes_nearer_together_reach_smaller_gaps():
     assert border(1, 2).measured > 10 * border(4, 2).measured
     # 1e-11 is the product's tolerance, at eight nodes a period.

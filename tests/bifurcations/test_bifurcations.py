@@ -95,6 +95,7 @@ def test_counts_by_the_search_alone_change_at_the_located_energies(system, event
         assert counts == [event.count_below, event.count_above]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "which", "kind"),
     [
@@ -147,6 +148,7 @@ def test_energies_repeat_under_doubled_sampling_and_halved_seed_distance(system,
     assert np.abs(again.events[0].state - events[name].state)[2:].max() < 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [UP_DOWN, BETWEEN], ids=["up-down", "between"])
 def test_energies_of_other_saddles_repeat_as_well(system, first_events, name):
     source, target = SADDLES[name]
@@ -155,6 +157,7 @@ def test_energies_of_other_saddles_repeat_as_well(system, first_events, name):
     assert max(abs(a.energy - b.energy) for a, b in zip(again, first_events[name], strict=True)) < REPEATABLE
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("energies", "kind"), [((-0.1637, -0.1633), "saddle-node"), ((-0.1536, -0.1532), "pitchfork")])
 def test_energies_of_other_parameters_repeat_as_well(energies, kind):
     pendulum = load_model("printed").system
@@ -292,6 +295,7 @@ def test_carrying_a_connection_refuses_to_pass_a_fold(system):
     assert sweep.among(arrived.link, sweep.search(-0.1400).points) is not None
 
 
+@pytest.mark.slow
 def test_connections_of_a_strongly_unstable_orbit_are_followed_down_to_their_fold():
     """The printed pendulum: its multiplier of 9e4 lets no gap fall below 1e-10, and still nothing is lost."""
     found = located(load_model("printed").system, (0.1783, 0.1790), target="up-down")
@@ -302,6 +306,7 @@ def test_connections_of_a_strongly_unstable_orbit_are_followed_down_to_their_fol
     ]
 
 
+@pytest.mark.slow
 def test_where_cuts_scatter_counts_are_lower_bounds_and_changes_still_have_causes(system, monkeypatch):
     """Trajectories part by the other orbit before they arrive: connections accumulate, and the answer says so.
 

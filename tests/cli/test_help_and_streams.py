@@ -60,6 +60,7 @@ def test_the_example_in_a_verbs_help_runs(verb: str, tmp_path: Path, monkeypatch
     assert ended.code == 0, ended.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("line", "progress"),
     [

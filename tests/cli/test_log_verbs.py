@@ -98,6 +98,7 @@ def test_a_run_repeated_from_its_log_has_the_same_bytes_in_every_message(
     assert differing <= {"real_time_factor", "commit", "plan"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kinds", [("--controller", "adaptive"), ("--estimator", "ukf")])
 def test_a_run_with_every_kind_of_trouble_repeats_too(tmp_path: Path, kinds: tuple[str, str]) -> None:
     troubles = {"mismatch": 0.05, "initial-error": 0.02, "lag": 0.004, "delay": 1.5, "command-noise": 0.3, "tilt": 0.01,

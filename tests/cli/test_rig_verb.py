@@ -4,9 +4,11 @@ import json
 import subprocess
 from pathlib import Path
 
+import pytest
 from command_line import PROGRAM, dpcontrol
 
 
+@pytest.mark.slow
 def test_a_run_on_a_bench_in_another_process_is_logged_without_truth(tmp_path: Path) -> None:
     command = [PROGRAM, "rig", "outer-turn", "--runs", "1", "--json"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as bench:

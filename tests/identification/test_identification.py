@@ -50,6 +50,7 @@ def ten_runs() -> list[tuple[Identification, np.ndarray]]:
     return out
 
 
+@pytest.mark.slow
 def test_true_ratios_and_zeros_lie_inside_the_95_percent_region(ten_runs) -> None:
     inside = [np.abs(found.values - truth) <= TWO_SIDED_95 * found.errors for found, truth in ten_runs]
     assert np.mean(inside) >= COVERED
@@ -61,6 +62,7 @@ def test_standard_errors_are_no_larger_than_errors_call_for(ten_runs) -> None:
     assert 0.15 < np.median(squares) < 1.5
 
 
+@pytest.mark.slow
 def test_true_ratios_are_recovered_those_of_friction_too(ten_runs) -> None:
     for found, truth in ten_runs:
         ratios = len(base_ratios(found.arms))

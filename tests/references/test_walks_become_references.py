@@ -1,5 +1,6 @@
 """Random itineraries at 0.2 J: a sample of the two hundred in tests/benchmarks/test_references.py."""
 
+import pytest
 from walk_references import complaints, random_references
 
 from dpcontrol.references.problem import ReferenceSettings
@@ -7,6 +8,7 @@ from dpcontrol.scenes.model import load_model
 from dpcontrol.walks.edges import find_edges
 
 
+@pytest.mark.slow
 def test_random_itineraries_converge_and_stop_where_their_walks_ask() -> None:
     model = load_model("lab")
     edges = find_edges(model.system, 0.2)

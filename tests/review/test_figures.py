@@ -55,6 +55,7 @@ def size_of(picture):
     return struct.unpack(">II", content[16:24])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [n for n in FIGURES if n not in LATER])
 def test_every_figure_is_drawn_with_a_caption_and_what_differs(name, gallery, tmp_path):
     (drawn,) = draw_figures([name], gallery, tmp_path)
@@ -83,6 +84,7 @@ def test_figures_of_later_hits_are_drawn(name, gallery, tmp_path):
     assert drawn.file.stat().st_size > LEAST_BYTES
 
 
+@pytest.mark.slow
 def test_sweeps_report_how_far_a_figure_is(gallery, tmp_path):
     def halfway(*arguments):
         arguments[-1]("swept", 0.5)

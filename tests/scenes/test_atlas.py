@@ -103,6 +103,7 @@ def flown_by_scipy(system, state, seconds):
     ).y[:, -1]
 
 
+@pytest.mark.slow
 def test_flights_pass_the_section_at_time_zero_and_follow_the_equations(model, high):
     for c in high.connections:
         for seconds in (-0.7 * c.time_out, 0.0, c.time_in):
@@ -173,6 +174,7 @@ def test_reversed_orbits_satisfy_their_own_boundary_conditions(model):
         assert np.abs(c.orbit.end.point()[0] - c.orbit.states[-1]).max() < REVERSED
 
 
+@pytest.mark.slow
 def test_where_first_hits_are_empty_the_next_are_searched_and_both_are_reported():
     """L1 → L2 on x = 1 - μ: both tubes pass it once before they can meet."""
     found = compute_atlas(load_model("three-body"), -1.5175)

@@ -79,6 +79,7 @@ def test_a_run_through_two_energies_and_a_hold_is_completed(two_energies, tmp_pa
     assert done.reason.endswith("at rest to the end")
 
 
+@pytest.mark.slow
 def test_a_hold_that_is_lost_is_named(tmp_path):
     itinerary = load_itinerary("up-up").with_run(RunOptions(controller="feedforward"))
     done = run_plan(make_plan(itinerary), tmp_path / "run.mcap").score()
@@ -95,6 +96,7 @@ def test_a_walk_without_friction_and_cart_is_its_shadowing_orbit(tmp_path):
     assert np.abs(plan.itinerary.model.system.numeric.hamiltonian(states) + 0.07).max() < 1e-6
 
 
+@pytest.mark.slow
 def test_a_transfer_that_the_limits_forbid_is_named_with_its_place(tmp_path):
     limits = "[limits]\nposition = 0.02\nvelocity = 0.1\nacceleration = 1.0"
     with pytest.raises(

@@ -115,6 +115,7 @@ def test_the_residual_is_below_what_double_can_express(refined):
     assert found.correction <= AGREES
 
 
+@pytest.mark.slow
 def test_free_flight_in_extended_precision_reaches_both_orbits(refined):
     _, connection, found = refined
     assert free_flight(found, connection.target, forward=True) < FREE_EXTENDED

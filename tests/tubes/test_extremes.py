@@ -88,6 +88,7 @@ def test_a_phase_that_grazes_is_where_a_trajectory_touches_the_section(lab):
         assert np.abs(off - np.rint(off / (2 * np.pi)) * 2 * np.pi).min() < TOUCH
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("source", "target", "energy"),
     [

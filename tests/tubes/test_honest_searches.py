@@ -29,6 +29,7 @@ def test_a_trajectory_that_meets_its_orbits_neighbourhood_again_is_no_saddle_nod
     assert {c.count for c in found.counts} == {12}
 
 
+@pytest.mark.slow
 def test_next_to_a_pitchfork_each_connection_is_counted_once():
     assert len(homoclinics("lab", "down-up", PITCHFORK + 1e-9).connections) == 8
     # Nearer the tubes are tangent to rounding, which is admitted.

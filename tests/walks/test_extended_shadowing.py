@@ -43,6 +43,7 @@ def refined_dance(dance):
     return refine(dance.shot.solution)
 
 
+@pytest.mark.slow
 def test_an_open_walk_of_four_symbols_is_refined(lab, turns):
     walk = [turns[sense] for sense in "+-++"]
     orbit = shadow(walk, wraps=[1, 1, 1])
