@@ -8,11 +8,11 @@ from pathlib import Path
 
 from dpcontrol.cli.main import main
 from dpcontrol.logs import read_log, recover
-from dpcontrol.loop.loop import SimulatedRig
+from dpcontrol.loop import loop
 from dpcontrol.loop.result import Reading
 
 
-class TellingRig(SimulatedRig):
+class TellingRig(loop.SimulatedRig):
     """A rig that writes the number of each tick that is read, four bytes at a time."""
 
     told = 0
@@ -33,7 +33,9 @@ def killed(path: Path, *, after: float) -> tuple[int, int]:
         end = time.perf_counter() + after
         # The first chunk stands for a log at all; a slow machine may need longer for it.
         while time.perf_counter() < end or len(told) < 400:
-            told += os.read(pipe, 1 << 16)
+            more = os.read(pipe, 1 << 16)
+            assert more, "the run ended before it could be killed"
+            told += more
         child.kill()
         while rest := os.read(pipe, 1 << 16):
             told += rest
@@ -43,5 +45,5 @@ def killed(path: Path, *, after: float) -> tuple[int, int]:
 
 
 if __name__ == "__main__":
-    SimulatedRig = TellingRig
+    loop.SimulatedRig = TellingRig
     main(sys.argv[1:])
