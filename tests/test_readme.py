@@ -92,7 +92,19 @@ def test_the_readme_shows_every_verb_at_work() -> None:
     assert {command.split()[1] for command, _ in conversations()} >= set(VERBS) - {"demo", "rig"}
 
 
-@pytest.mark.parametrize("section", [pytest.param(s, marks=pytest.mark.xdist_group(f"readme: {s}")) for s in SECTIONS])
+@pytest.mark.parametrize(
+    "section",
+    [
+        pytest.param(
+            section,
+            marks=[
+                pytest.mark.xdist_group(f"readme: {section}"),
+                *([pytest.mark.slow] if "dpcontrol bench" in str(shown) else []),
+            ],
+        )
+        for section, shown in SECTIONS.items()
+    ],
+)
 def test_the_commands_of_a_section_print_what_it_shows(section: str) -> None:
     own = [command for command, _ in SECTIONS[section]]
     for command in makers("\n".join(own)):

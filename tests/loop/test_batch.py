@@ -99,7 +99,13 @@ def assert_same(one: BatchRun, other: BatchRun) -> None:
         assert np.abs(first - second).max() <= bound * max(1.0, float(np.abs(second).max())), name
 
 
-@pytest.mark.parametrize("settings", KEPT_UP.values(), ids=KEPT_UP.keys())
+@pytest.mark.parametrize(
+    "settings",
+    [
+        pytest.param(settings, id=name, marks=pytest.mark.slow if k % 3 else [])
+        for k, (name, settings) in enumerate(KEPT_UP.items())
+    ],
+)
 def test_lockstep_gives_the_loops_own_states(turn: tuple[StandIn, Reference], settings: LoopSettings) -> None:
     together, alone = both(turn[1], settings)
     for one, other in zip(together, alone, strict=True):

@@ -142,6 +142,7 @@ def _jacobian(orbit: SustainedOrbit, time: float) -> Array:
     return np.array(orbit.linear._jacobians(orbit.state(time), orbit.input(time), orbit.parameters)[0])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("which", [0, 7])
 def test_section_maps_are_what_differences_of_flights_to_the_next_section_give(which: int) -> None:
     orbit = sustained("down-up", 0.2)

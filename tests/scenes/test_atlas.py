@@ -136,6 +136,7 @@ def test_each_tube_is_cut_once(model, monkeypatch):
     assert len(cut) == len(set(cut)) == 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "pair", "energy", "hits"),
     [

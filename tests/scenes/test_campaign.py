@@ -237,6 +237,7 @@ def test_a_killed_dask_worker_changes_nothing_in_the_table(
     assert killed_cluster(turn, tmp_path / "cluster.parquet", runs=24, batch=4) == undisturbed
 
 
+@pytest.mark.slow
 def test_threads_of_one_worker_do_not_disturb_each_other(turn: Itinerary, undisturbed: list[dict[str, Any]]) -> None:
     archive = make_plan(turn).file.read_bytes()
     (case,) = cases_of(turn, fixed=HARD, over={})

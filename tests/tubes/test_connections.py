@@ -73,6 +73,7 @@ def flown_by_scipy(system, state, seconds):
     ).y[:, -1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("key", CONNECTIONS, ids=str)
 def test_windings_are_those_of_an_independent_flight(found, key):
     system = load_model("lab").system

@@ -37,6 +37,7 @@ def exponents(system, orbit, rounds=3):
     return growth
 
 
+@pytest.mark.slow
 def test_random_closed_walks_become_periodic_orbits(edges):
     solver, classifier = WalkSolver(edges.connections), WalkClassifier(edges.system, edges.connections)
     for asked in drawn_requests(edges, 10, lengths=(1, 8), extra=(0, 4), seed=7, periodic=True):

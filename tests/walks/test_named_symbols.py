@@ -53,6 +53,7 @@ def found(system, aligned):
     return walk_edges(system, -0.07, aligned[0].name, "down-up +")
 
 
+@pytest.mark.slow
 def test_every_connection_of_another_section_can_stand_in_a_walk(aligned, found):
     assert aligned
     assert all(":aligned@" in c.name for c in aligned)
@@ -136,6 +137,7 @@ def test_rotating_orbits_are_vertices_by_name(system):
     assert rotating_names(load_model("three-body").system) == []
 
 
+@pytest.mark.slow
 def test_walks_turn_at_a_rotating_orbit_as_often_as_asked(system):
     texts = ("down-up > outer-rotating", "outer-rotating > down-up")
     found = walk_edges(system, LOW, *texts)

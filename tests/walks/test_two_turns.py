@@ -71,6 +71,7 @@ def spiral(turn, manifold, section):
     return Cut(section, 2, tuple(pieces), (), 2 * count, True, "beside one turn")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", range(4))
 def test_every_pair_of_turns_is_found_again_among_second_hits(turns, first):
     # Only one branch of a tube is searched where a symmetry mirrors the other.
