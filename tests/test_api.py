@@ -77,7 +77,9 @@ def test_a_plan_of_a_walk_is_that_of_the_file_it_writes(example: dict[str, Any])
     assert itinerary_from(plan.itinerary.text, "walk", plan.itinerary.model) == plan.itinerary
     again = dp.open_plan(plan.file)
     assert again.itinerary.parts == plan.itinerary.parts
-    assert again.document()["reference"] == plan.document()["reference"]
+    # Another process may have solved the same plan meanwhile, and kept it in the same place.
+    timeless = [{**p.document()["reference"], "solve_seconds": None} for p in (again, plan)]
+    assert timeless[0] == timeless[1]
     assert dp.run(again, mismatch=0.02, seed=3).document() == {
         **example["run"].document(),
         "real_time_factor": pytest.approx(0, abs=1e6),
