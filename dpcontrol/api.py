@@ -112,7 +112,8 @@ def graph(model: Model | System, *, energy: float, symbols: Sequence[str] = (), 
     Raises:
         InputError: no saddle has an orbit at this energy, or a symbol names what there is not.
     """
-    from dpcontrol.walks.edges import find_edges, parse_walk
+    from dpcontrol.walks.edges import find_edges
+    from dpcontrol.walks.symbols import parse_walk
     from dpcontrol.walks.walks import vertex_names
 
     system = _system(model)

@@ -133,7 +133,8 @@ def walk_command(
     """
     from dpcontrol.scenes.model import load_model
     from dpcontrol.scenes.walks import drawn_requests, request
-    from dpcontrol.walks.edges import find_edges, parse_walk
+    from dpcontrol.walks.edges import find_edges
+    from dpcontrol.walks.symbols import parse_walk
     from dpcontrol.walks.walks import resolve, vertex_names, ways
     from dpcontrol.walks.walks import through as shortest
 

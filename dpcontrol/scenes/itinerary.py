@@ -41,7 +41,7 @@ from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.scenes.model import Model, find, load_model, quoted
 from dpcontrol.scenes.run_options import RunOptions
-from dpcontrol.walks.edges import expanded, parse_walk
+from dpcontrol.walks.symbols import expanded, parse_walk
 
 
 @dataclass(frozen=True)

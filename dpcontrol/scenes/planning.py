@@ -22,8 +22,9 @@ from dpcontrol.scenes.pieces import (
     walk_goal,
 )
 from dpcontrol.tubes.connection import Connection
-from dpcontrol.walks.edges import find_edges, parse_walk
+from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
+from dpcontrol.walks.symbols import parse_walk
 from dpcontrol.walks.walks import resolve
 
 Array = NDArray[np.float64]

@@ -12,8 +12,9 @@ from dpcontrol.dynamics.extended import Exact, digits
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import picked, plain, write_archive
 from dpcontrol.shooting.extended import ExtendedOrbit, refine
-from dpcontrol.walks.edges import Edges, composed
+from dpcontrol.walks.edges import Edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver, check_stops
+from dpcontrol.walks.symbols import composed
 from dpcontrol.walks.walks import Walk, random_walk
 
 FORMAT = 1

@@ -29,8 +29,9 @@ from dpcontrol.shooting.equations import ShootingOrbit
 from dpcontrol.tubes.connection import Connection, approach, connection_sense
 from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.atlas import walks
-from dpcontrol.walks.edges import Edges, Symbol, choose, composed, is_rotating, parse_walk, rotating_names
+from dpcontrol.walks.edges import Edges, is_rotating, rotating_names
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
+from dpcontrol.walks.symbols import Symbol, choose, composed, parse_walk
 
 Array = NDArray[np.float64]
 

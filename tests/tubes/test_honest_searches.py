@@ -9,7 +9,8 @@ from dpcontrol.bifurcations.bifurcations import find_bifurcations
 from dpcontrol.bifurcations.sweep import SweepSettings
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections, orbits_between
-from dpcontrol.walks.edges import choose, find_edges, parse_symbol
+from dpcontrol.walks.edges import find_edges
+from dpcontrol.walks.symbols import choose, parse_symbol
 
 ON_MIRROR = 1e-8  # rad
 STATE = 1e-7  # scaled

@@ -12,8 +12,8 @@ from dpcontrol.orbits.rotating import rotating_orbits
 from dpcontrol.scenes.model import load_model
 from dpcontrol.shooting.extended import RefinementSettings, refine
 from dpcontrol.tubes.connections import find_connections, find_lap_connections, orbits_between
-from dpcontrol.walks.edges import choose, parse_symbol
 from dpcontrol.walks.shadowing import ShadowingSettings, shadow
+from dpcontrol.walks.symbols import choose, parse_symbol
 
 RESIDUAL = 1e-20  # the bar; what is reached is about 2e-32
 AGREES = 1e-10  # with the double nodes; what is reached is about 3e-14

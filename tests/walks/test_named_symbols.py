@@ -7,17 +7,9 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.walks.edges import (
-    choose,
-    expanded,
-    find_edges,
-    parse_symbol,
-    parse_walk,
-    rotating_connections,
-    rotating_named,
-    rotating_names,
-)
+from dpcontrol.walks.edges import find_edges, rotating_connections, rotating_named, rotating_names
 from dpcontrol.walks.shadowing import shadow
+from dpcontrol.walks.symbols import choose, expanded, parse_symbol, parse_walk
 from dpcontrol.walks.walks import resolve, through, vertex_names, ways
 
 LOW = -0.06985  # J: the outer arm's fastest rotating orbit has λ = -2.74

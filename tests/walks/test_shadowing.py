@@ -9,8 +9,8 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.scenes.model import load_model
 from dpcontrol.shooting.newton import NewtonSettings, solve_shooting
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.walks.edges import choose, parse_symbol, parse_walk
 from dpcontrol.walks.shadowing import ShadowingSettings, described, first_guess, phase_gap, shadow
+from dpcontrol.walks.symbols import choose, parse_symbol, parse_walk
 
 SADDLES = ("down-up", "up-down")
 RESIDUAL = 1e-11

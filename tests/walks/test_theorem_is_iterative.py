@@ -8,8 +8,8 @@ from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.scenes.model import load_model
 from dpcontrol.shooting.newton import NewtonSettings
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.walks.edges import choose, components, composed, parse_symbol
 from dpcontrol.walks.shadowing import ShadowingSettings, shadow
+from dpcontrol.walks.symbols import choose, components, composed, parse_symbol
 from dpcontrol.walks.walks import as_connection
 
 SAME_ORBIT = 1e-10  # rad, rad/s; two solutions of one orbit with gaps of 1e-12 and a condition number of 1e3
