@@ -56,6 +56,7 @@ def test_true_ratios_and_zeros_lie_inside_the_95_percent_region(ten_runs) -> Non
     assert np.mean(inside) >= COVERED
 
 
+@pytest.mark.slow
 def test_standard_errors_are_no_larger_than_errors_call_for(ten_runs) -> None:
     # A region that holds everything says nothing: over all components the errors' mean square is near one.
     squares = [((found.values - truth) / found.errors) ** 2 for found, truth in ten_runs]
@@ -83,6 +84,7 @@ def test_a_third_of_the_motion_leaves_friction_less_well_known_and_says_so(ten_r
     assert np.abs((few.values - truth) / few.errors).max() < 4
 
 
+@pytest.mark.slow
 def test_that_only_ratios_are_known_is_said_plainly(ten_runs) -> None:
     found, _ = ten_runs[0]
     assert found.undetermined[0].startswith("M12 itself")
@@ -141,6 +143,7 @@ def test_the_rigs_friction_needs_coulomb_and_the_airs_drag(rig: Identification) 
     assert rig.arms.quadratic[1] > 10 * rig.errors[rig.names.index("quadratic_2/M12")] * rig.arms.base()[1]
 
 
+@pytest.mark.slow
 def test_a_standard_error_that_took_samples_as_independent_would_be_far_too_small(rig: Identification) -> None:
     assert correlation_time(rig.residuals) > 30
 
