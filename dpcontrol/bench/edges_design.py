@@ -243,7 +243,7 @@ def seeds_chart(quick: bool, progress: Progress) -> EdgeChart:
             "Rounding over the distance hides where tubes meet; too far, seeds leave the manifold by the square of "
             "their distance.",
         ),
-        chosen="Seeds 1e-4 from the orbit: some ninety times from the nearer border where that is worst.",
+        chosen="Seeds 1e-4 from the orbit: at least ninety times from the nearer border where that is worst.",
     )  # fmt: skip
 
 
