@@ -34,8 +34,7 @@ def figures_command(*, names: tuple[str, ...], out: Path) -> Answer:
     kept by content.
     """
     from dpcontrol.foundation.files import picked
-    from dpcontrol.review.figures.page import Gallery
-    from dpcontrol.review.figures.registry import CAPTIONS, draw_figures
+    from dpcontrol.review.figures import CAPTIONS, Gallery, draw_figures
     from dpcontrol.scenes.atlas import AtlasSettings, make_atlas, make_branches
     from dpcontrol.scenes.model import load_model
 

@@ -10,10 +10,17 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.review.atlas import draw_atlas, write_atlas_recording
-from dpcontrol.review.figures.connections import FLIGHT, colours, connections_of, kind_of, one_of_each, stable_direction
-from dpcontrol.review.figures.page import Gallery
-from dpcontrol.review.figures.registry import FIGURES, draw_figures
+from dpcontrol.review.atlas import (
+    FLIGHT,
+    colours,
+    connections_of,
+    draw_atlas,
+    kind_of,
+    one_of_each,
+    stable_direction,
+    write_atlas_recording,
+)
+from dpcontrol.review.figures import FIGURES, Gallery, draw_figures
 from dpcontrol.review.page import wrapped_runs
 from dpcontrol.review.picture import viewer_program, write_atlas_picture
 from dpcontrol.review.style import in_pi

@@ -1,8 +1,16 @@
-"""Figures of what an energy allows: Hill's regions, families of orbits, the connection graph, colour wheels, branches.
+"""The paper's computational figures: pages with their words, what they are drawn from, and drawing them by name.
 
-A colour wheel shows where each point inside a tube's cut goes at every return to the section. Branches are connections
-against energy: where each crosses its section, is born, splits, or grazes it.
+The lab pendulum's tubes, its homoclinic connections of one and more turns and its heteroclinic ones, and the first
+connection between L1 and L2 of three bodies. Hill's regions, families of orbits, the connection graph, and colour
+wheels: where each point inside a tube's cut goes at every return to the section. Branches are connections against
+energy: where each crosses its section, is born, splits, or grazes it.
 """
+
+import json
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,18 +22,343 @@ from matplotlib.patches import Circle, FancyArrowPatch
 from numpy.typing import NDArray
 
 from dpcontrol.bifurcations.bifurcations import BranchDiagram
-from dpcontrol.foundation.progress import part_of
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import whole_file, write_whole
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.family import lyapunov_family
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.orbits.symmetric_shooting import equilibria
 from dpcontrol.review import style
-from dpcontrol.review.figures.page import Gallery, Page
+from dpcontrol.review.atlas import (
+    colours,
+    connections_of,
+    draw_angles,
+    draw_cuts,
+    draw_row,
+    draw_space,
+    kind_of,
+    one_of_each,
+)
 from dpcontrol.review.orbits import draw_families
 from dpcontrol.review.page import angle_axis, new_figure, quiet
 from dpcontrol.tubes.cut import tube_cut
 from dpcontrol.tubes.interior import InteriorSettings, Outline, Returns, TubeInterior, tube_interior
-from dpcontrol.walks.atlas import Atlas, walks
+from dpcontrol.walks.atlas import Atlas, AtlasConnection, walks
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Gallery:
+    """What figures are drawn from; each figure asks for what it needs.
+
+    system: of a model by name. atlas: of a model, an energy in J and hits (None: the first that there are).
+    branches: of a model, a source and a target, with what to report to: their connections against energy.
+    progress: where the figure being drawn reports how far it is.
+    """
+
+    system: Callable[[str], System]
+    atlas: Callable[[str, float, tuple[int, int] | None], Atlas]
+    branches: Callable[[str, str, str, Progress], BranchDiagram]
+    progress: Progress = no_progress
+
+
+@dataclass(frozen=True)
+class Page:
+    """A figure with its words: what it shows, and what differs from the paper's and why."""
+
+    figure: Figure
+    caption: str
+    differs: str
+
+
+ENERGY = -0.07
+SADDLE = "down-up"
+
+
+def tubes_page(gallery: Gallery) -> Page:
+    """Draw the tubes of Down-Up at -0.07 J up to the section, and their cuts."""
+    atlas = gallery.atlas("lab", ENERGY, (1, 1))
+    kind = kind_of(atlas, SADDLE, SADDLE)
+    assert kind is not None
+    figure = new_figure(13.5, 5.8, f"The tubes of the Lyapunov orbit about Down-Up at {ENERGY:g} J, and their cuts")
+    space = figure.add_axes((0.06, -0.03, 0.5, 0.98), projection="3d")
+    draw_space(space, atlas, hit_of=lambda cut: 1 if cut.section.name == kind.section else None, only=SADDLE,
+               one_colour=style.INK)  # fmt: skip
+    space.legend(
+        handles=[
+            Line2D([], [], color=style.UNSTABLE, label="unstable tube, forward branch"),
+            Line2D([], [], color=style.PALE_UNSTABLE, label="unstable tube, backward branch"),
+            Line2D([], [], color=style.STABLE, label="stable tube, forward branch"),
+            Line2D([], [], color=style.PALE_STABLE, label="stable tube, backward branch"),
+            Line2D([], [], color=style.INK, linewidth=2.5, label="Lyapunov orbit"),
+            Line2D([], [], color=style.CUT, linewidth=2, label="cut on θ₂ = 2πk"),
+        ],
+        fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(-0.22, 0.97),
+    )  # fmt: skip
+    axes = figure.add_axes((0.62, 0.1, 0.37, 0.75))
+    draw_cuts(axes, atlas, kind)
+    return Page(
+        figure,
+        f"Left: trajectories that leave the Lyapunov orbit about Down-Up at {ENERGY:g} J (red) and that come to it "
+        "(green) form tubes; the two shades are the tube's two branches, on which the outer arm turns one way or the "
+        "other. They are drawn in the angles and the inner arm's rate as far as the section on which the outer arm "
+        "hangs straight down. Right: on that section each tube is a closed curve, q the inner arm's angle, p its "
+        f"momentum over p₀. Solid curves are crossed with the outer arm's angle rising, dashed ones with it falling; "
+        f"where two of one kind meet lie the {kind.count} homoclinic connections, both senses together.",
+        f"The energy is that of the homoclinic connections, {ENERGY:g} J; the paper need not have drawn its tubes at "
+        "the same. Both branches of both tubes are drawn, and the section's coordinates are canonical, so that areas "
+        "on it are those that the flow keeps. Parameters are the rig's identified ones, which reproduce the paper's "
+        "pictures; those it prints do not.",
+    )
+
+
+_MOST = 5
+
+
+def draw_low(gallery: Gallery) -> Page:
+    """Draw Down-Up's homoclinics at -0.07 J."""
+    atlas = gallery.atlas("lab", -0.07, (1, 1))
+    return _page(
+        atlas,
+        ["down-up"],
+        "Below the energy of Up-Down only the outer arm can turn over.",
+        "The search finds its own intersections, without windows set by hand: in each sense two symmetric connections "
+        "and a mirror pair, all counted on the torus of angles. Section coordinates are canonical, angles at the "
+        "crossings are measured in them.",
+    )
+
+
+def draw_high(gallery: Gallery) -> Page:
+    """Draw both saddles' homoclinics at 0.2 J."""
+    atlas = gallery.atlas("lab", 0.2, (1, 1))
+    return _page(
+        atlas,
+        ["down-up", "up-down"],
+        "At this energy both saddles have orbits: the outer arm turns about Down-Up, the inner arm about Up-Down.",
+        "Counts are of first hits on these sections, both senses and mirror images included; cuts that graze the "
+        "section are open there, and crossings beyond their ends belong to later hits. A count at a section is not the "
+        "number of connections.",
+    )
+
+
+def _page(atlas: Atlas, saddles: list[str], lead: str, differs: str) -> Page:
+    tall = 0.7 + 4.3 * len(saddles)
+    figure = new_figure(14, tall, f"Homoclinic connections at {atlas.energy:g} J (first hits)")
+    grid = figure.add_gridspec(
+        len(saddles), 1, left=0.05, right=0.99, top=1 - 0.95 / tall, bottom=0.5 / tall, hspace=0.32
+    )
+    words = []
+    for row, saddle in enumerate(saddles):
+        kind = kind_of(atlas, saddle, saddle)
+        assert kind is not None
+        connections = atlas.between(saddle, saddle)
+        kept = one_of_each(connections)[:_MOST]
+        # Where the outer arm turns flights are tall, where the inner one does they are wide.
+        flat = not kept[0].winding[1]
+        draw_row(figure, grid[row, 0], atlas, kind, kept, numbers=numbered(connections, kept), flat=flat)
+        symmetric = sum(c.symmetric for c in connections)
+        word = "closed" if kind.complete else "open in places"
+        words.append(
+            f"{saddle}: {kind.count} connections ({symmetric} symmetric, {kind.count - symmetric} in mirror pairs), "
+            f"largest residual {max(c.residual for c in connections):.0e}, cuts {word}"
+        )
+    return Page(
+        figure,
+        f"{lead} Left: the cuts of the unstable (red) and stable (green) tube; dots of one colour are one connection "
+        "and its mirror images, and carry its number. Right: one flight of each colour, of positive sense, in the "
+        "plane of the angles (thick and pale: the orbits it leaves and joins; dot: where it passes the section), with "
+        f"the angle at which the cuts meet. {'; '.join(words)}.",
+        differs,
+    )
+
+
+def numbered(connections: tuple[AtlasConnection, ...], kept: list[AtlasConnection]) -> dict[str, str]:
+    """Return the number of each connection by name: that of the kept one of its colour."""
+    look = colours(connections)
+    number = {look[c.name]: str(k + 1) for k, c in enumerate(kept)}
+    return {c.name: number[look[c.name]] for c in connections if look[c.name] in number and np.isfinite(c.point[1])}
+
+
+HETEROCLINIC_ENERGY = 0.2
+PAIRS = (("down-up", "up-down"), ("up-down", "down-up"))
+
+
+def heteroclinics_page(gallery: Gallery) -> Page:
+    """Draw the connections from Down-Up to Up-Down and back at 0.2 J."""
+    atlas = gallery.atlas("lab", HETEROCLINIC_ENERGY, (1, 1))
+    figure = new_figure(
+        14, 9.2, f"Heteroclinic connections between Down-Up and Up-Down at {HETEROCLINIC_ENERGY:g} J (first hits)"
+    )
+    grid = figure.add_gridspec(2, 1, left=0.05, right=0.99, top=0.89, bottom=0.06, hspace=0.32)
+    counts = []
+    for row, (source, target) in enumerate(PAIRS):
+        kind = kind_of(atlas, source, target)
+        assert kind is not None
+        shown = atlas.between(source, target)[:4]
+        numbers = {c.name: "abcdefgh"[4 * row + k] for k, c in enumerate(shown)}
+        draw_row(figure, grid[row, 0], atlas, kind, shown, numbers=numbers, share=1.75)
+        counts.append(f"{kind.count} from {source} to {target}")
+    return Page(
+        figure,
+        "On the section both arms are aligned, θ₁ = θ₂ + 2πk. Left: where the unstable tube (red) of the orbit that is "
+        "left meets the stable tube (green) of the orbit that is joined. Right: the flights in the plane of the "
+        "angles, from the source's named position; pale teal is the orbit about Down-Up, pale violet that about "
+        f"Up-Down. {' and '.join(counts)}; those in one direction are those in the other, run backward in time.",
+        'The paper\'s heteroclinics "at H = -0.07" cannot exist, since Up-Down has no orbit below its energy of '
+        "0.1754 J. Here both directions are drawn, and each connection with its reflection; the unstable tube's cut is "
+        "open where its trajectories graze the section.",
+    )
+
+
+_SHOWN = 3
+_WORDS = {2: ("Double", "second", "twice", "two"), 3: ("Triple", "third", "three times", "three")}
+
+
+def draw_double(gallery: Gallery) -> Page:
+    """Draw connections of Down-Up at -0.07 J with winding [0, 2], and how they go."""
+    return _draw(gallery, 2)
+
+
+def draw_triple(gallery: Gallery) -> Page:
+    """Draw connections of Down-Up at -0.07 J with winding [0, 3], and how they go."""
+    return _draw(gallery, 3)
+
+
+def _draw(gallery: Gallery, turns: int) -> Page:
+    # A flight that turns the outer arm twice passes it hanging twice: the unstable tube's second time is the last.
+    hits = (turns, 1)
+    title, ordinal, times, number = _WORDS[turns]
+    atlas = gallery.atlas("lab", ENERGY, hits)
+    kind = kind_of(atlas, SADDLE, SADDLE)
+    assert kind is not None
+    connections = atlas.between(SADDLE, SADDLE)
+    repeated = [c for c in connections if tuple(map(abs, c.winding)) == (0, turns) and c.sense > 0]
+    # Time reversal moves the section to the other passage, so images of one flight are recognised by its length.
+    lengths: dict[float, AtlasConnection] = {}
+    for c in sorted(repeated, key=lambda c: (c.time_in + c.time_out, c.name)):
+        lengths.setdefault(round(c.time_in + c.time_out, 4), c)
+    kept = list(lengths.values())[:_SHOWN] or [c for c in connections if c.sense > 0][:_SHOWN]
+    figure = new_figure(14, 8.2, f"{title} homoclinic connections of Down-Up at {ENERGY:g} J (hits {list(hits)})")
+    grid = figure.add_gridspec(2, 1, left=0.05, right=0.99, top=0.84, bottom=0.09, hspace=0.3, height_ratios=[1.5, 1])
+    names = {c.name: "abc"[k] for k, c in enumerate(kept)}
+    draw_row(figure, grid[0, 0], atlas, kind, kept, numbers=names, marked=tuple(kept))
+    below = grid[1, 0].subgridspec(1, max(len(kept), 1), wspace=0.15)
+    for k, c in enumerate(kept):
+        panel = figure.add_subplot(below[0, k])
+        draw_angles(panel, atlas, c)
+        panel.set_title(f"{names[c.name]}: θ₁ blue, θ₂ orange, against time (s)", fontsize=8.5, loc="left")
+    windings = {tuple(int(v) for v in np.abs(c.winding)) for c in connections}
+    counts = ", ".join(
+        f"{sum(tuple(map(abs, c.winding)) == t for c in connections)} of winding ±{list(t)}" for t in sorted(windings)
+    )
+    resolved = all(atlas.cut(SADDLE, kind.section, hit).resolved for hit in hits)
+    scattered = (
+        ""
+        if resolved
+        else (
+            " Trajectories scatter before that crossing and the cut is drawn as far as it could be resolved: more "
+            "connections than these exist."
+        )
+    )
+    return Page(
+        figure,
+        f"Above, left: the cuts of the unstable tube at its {ordinal} crossing of θ₂ = 2πk and of the stable tube at "
+        "its first one back, with the connections shown at right: their flights in the plane of the angles, in which "
+        f"the outer arm turns {times} before the arms settle about Down-Up again, {number} turns on (dot: the section "
+        "at time zero). "
+        "Below: both angles against time; dotted lines mark where the flight leaves one orbit and joins the other. "
+        f"{'In all' if resolved else 'At least'} {len(connections)} connections were found at these hits: {counts}; "
+        "those of smaller winding turn there and back. The cut is in pieces: part of the tube has been torn apart by "
+        f"passing near the orbit again.{scattered}",
+        "The paper cuts them on θ₂ = 4π and 6π; here the section is that of the single ones, θ₂ = 2πk, at later hits, "
+        "so that one section shows how single, double and triple turns follow from each other. On θ₁ = θ₂ `dpcontrol "
+        "connect --section aligned` lists them.",
+    )
+
+
+THREE_BODY_ENERGY = -1.5175
+
+
+def three_body_page(gallery: Gallery) -> Page:
+    """Draw L1's and L2's Lyapunov orbits, their tubes to x = 1 - μ, and the first connection from L1 to L2."""
+    atlas, system = gallery.atlas("three-body", THREE_BODY_ENERGY, None), gallery.system("three-body")
+    kind = kind_of(atlas, "L1", "L2")
+    assert kind is not None
+    mu = float(system.parameters[0])
+    figure = new_figure(
+        14, 5.6, f"Three bodies: orbits about L1 and L2 at energy {THREE_BODY_ENERGY:g}, tubes, first connection"
+    )
+    plane = figure.add_axes((0.045, 0.1, 0.36, 0.76))
+    _forbidden(plane, gallery)
+    _tubes(plane, atlas, kind.section, kind.hits[0])
+    _bodies(plane, atlas, mu)
+    plane.legend(
+        handles=[
+            Line2D([], [], color=style.UNSTABLE, label="unstable tube of L1"),
+            Line2D([], [], color=style.STABLE, label="stable tube of L2"),
+        ],
+        fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=2, borderaxespad=0.2,
+    )  # fmt: skip
+    cuts = figure.add_axes((0.46, 0.1, 0.22, 0.76))
+    draw_cuts(cuts, atlas, kind, numbers={c.name: "ab"[k] for k, c in enumerate(connections_of(atlas, kind)[:2])},
+              legend=False)  # fmt: skip
+    cuts.set_title(f"cuts on {kind.section.replace('mu', 'μ')}, hits {list(kind.hits)}", fontsize=10, loc="left")
+    flight = figure.add_axes((0.72, 0.1, 0.27, 0.76))
+    _forbidden(flight, gallery)
+    connections = connections_of(atlas, kind)
+    look = colours(connections)
+    for c in connections[:1]:
+        flight.plot(c.states[:, 0], c.states[:, 1], color=look[c.name], linewidth=1.1, zorder=3)
+    _bodies(flight, atlas, mu)
+    flight.set_title("a  from L1's orbit to L2's" if connections else "none found", fontsize=10, loc="left")
+    return Page(
+        figure,
+        "The planar circular restricted three-body problem in the rotating frame, mass ratio "
+        f"{mu:g}, near the smaller primary (dot). Grey: out of reach at this energy. Left: Lyapunov orbits about L1 "
+        f"(teal) and L2 (violet), the unstable tube of L1 and the stable tube of L2 up to their crossing number "
+        f"{kind.hits[0]} of the line x = 1 - μ. Middle: the cuts there, with the {kind.count} connections found. "
+        "Right: the first of them, whole.",
+        f"Both tubes pass the line once before they can meet: hits {list(kind.hits)} are the first at which there are "
+        "connections from L1 to L2. The code is that of the pendulum; the energy's constant is that of the paper's "
+        "appendix. Cuts are open where trajectories of the tube pass close to the smaller primary and are scattered.",
+    )
+
+
+def _forbidden(axes: Axes, gallery: Gallery) -> None:
+    system = gallery.system("three-body")
+    x, y = np.meshgrid(np.linspace(0.88, 1.12, 240), np.linspace(-0.12, 0.12, 240))
+    # At rest in the rotating frame the energy is the effective potential.
+    states = np.stack([x, y, 0 * x, 0 * x], axis=-1).reshape(-1, 4)
+    potential = system.numeric.hamiltonian(states).reshape(x.shape)
+    axes.contourf(x, y, potential, levels=[THREE_BODY_ENERGY, 1e9], colors=["#c4c9cf"])
+    quiet(axes)
+    axes.grid(False)
+    axes.set_xlim(0.89, 1.11)
+    axes.set_ylim(-0.11, 0.11)
+    axes.set_aspect("equal")
+    axes.set_xlabel("x", fontsize=9)
+    axes.set_ylabel("y", fontsize=9, labelpad=1)
+
+
+def _tubes(axes: Axes, atlas: Atlas, section: str, hit: int) -> None:
+    for saddle, colour in (("L1", style.UNSTABLE), ("L2", style.STABLE)):
+        cut = atlas.cut(saddle, section, hit)
+        for strand in cut.strands:
+            states = atlas.turned(strand, saddle) if colour == style.STABLE else strand
+            axes.plot(states[:, 0], states[:, 1], color=colour, linewidth=0.45, alpha=0.75)
+
+
+def _bodies(axes: Axes, atlas: Atlas, mu: float) -> None:
+    for orbit in atlas.orbits:
+        closed = np.vstack([orbit.samples, orbit.samples[:1]])
+        axes.plot(closed[:, 0], closed[:, 1], color=style.saddle_colour(orbit.saddle), linewidth=2.4, zorder=5)
+        axes.annotate(orbit.saddle, closed[:, :2].max(axis=0), fontsize=9, color=style.saddle_colour(orbit.saddle))
+    axes.plot(1 - mu, 0, "o", color=style.INK, markersize=5, zorder=6)
+    axes.axvline(1 - mu, color=style.MARK, linewidth=0.8, linestyle=(0, (2, 2)))
+
 
 ENERGIES = (-0.3, -0.07, 0.2, 0.55)
 _GRID = 241
@@ -190,9 +523,6 @@ def _loop(axes: Axes, x: float, y: float, sign: int, size: float, *, dashed: boo
                   arrowprops={"arrowstyle": "-|>", "color": colour, "mutation_scale": 10})  # fmt: skip
 
 
-Array = NDArray[np.float64]
-
-
 def draw_interior(interior: TubeInterior) -> Figure:
     """Return the figure: the start and its forward returns above, its backward returns below."""
     returns = interior.forward.arrived.shape[1]
@@ -291,10 +621,6 @@ def _title(run: Returns, k: int, name: str) -> str:
     return text + (f", {missing} do not return" if missing else "")
 
 
-ENERGY = -0.07
-SADDLE = "down-up"
-
-
 def wheels_page(gallery: Gallery) -> Page:
     """Draw two returns each way of the inside of Down-Up's unstable tube at -0.07 J."""
     system = gallery.system("lab")
@@ -315,7 +641,7 @@ def wheels_page(gallery: Gallery) -> Page:
 KINDS = (("down-up", "down-up"), ("up-down", "up-down"), ("down-up", "up-down"))
 MARKS = {"saddle-node": "o", "pitchfork": "^", "section-artefact": "D"}
 _BETWEEN, _PAIR = "#c2185b", "#7c858e"
-_WORDS = {
+_EVENTS = {
     "saddle-node": "saddle-node: two are born",
     "pitchfork": "pitchfork: one sheds a mirror pair",
     "section-artefact": "artefact: the section is grazed, none is born",
@@ -354,7 +680,7 @@ def branches_page(gallery: Gallery) -> Page:
         Line2D([], [], color=_PAIR, lw=1.2, label="one of a mirror pair"),
         Line2D([], [], color=_BETWEEN, lw=1.1, label="between different saddles"),
         *(
-            Line2D([], [], color=style.INK, marker=MARKS[kind], lw=0, markersize=6, mfc="white", label=_WORDS[kind])
+            Line2D([], [], color=style.INK, marker=MARKS[kind], lw=0, markersize=6, mfc="white", label=_EVENTS[kind])
             for kind in MARKS
         ),
     ]
@@ -455,3 +781,71 @@ def _differs(diagrams: list[BranchDiagram]) -> str:
         f"{onset:.6f} J, and none below it. Counts are of both senses and of all images on the torus. Parameters are "
         "the rig's identified ones; with those printed in the text all these energies differ."
     )
+
+
+FIGURES: dict[str, Callable[[Gallery], Page]] = {
+    "energy-landscape": landscape_page,
+    "families": families_page,
+    "tubes": tubes_page,
+    "homoclinics-low": draw_low,
+    "homoclinics-high": draw_high,
+    "heteroclinics": heteroclinics_page,
+    "branches": branches_page,
+    "graph": graph_page,
+    "double-homoclinics": draw_double,
+    "triple-homoclinics": draw_triple,
+    "colour-wheels": wheels_page,
+    "three-body": three_body_page,
+}
+"""In the order of the paper."""
+CAPTIONS = "captions.json"
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A figure that was drawn: its file, its words, the seconds it took with all that it was computed from."""
+
+    name: str
+    file: Path
+    caption: str
+    differs: str
+    seconds: float
+
+
+def draw_figures(
+    names: Sequence[str], gallery: Gallery, folder: Path, *, progress: Progress = no_progress
+) -> tuple[Drawn, ...]:
+    """Draw figures (all where `names` is empty) to NAME.png in `folder`, and their words to captions.json there.
+
+    Words of figures drawn there before are kept.
+
+    Raises:
+        InputError: an unknown name, or a folder that cannot be written to.
+    """
+    for name in names:
+        if name not in FIGURES:
+            raise InputError(f"there is no figure {name!r}; choose from {', '.join(FIGURES)}")
+    chosen = list(dict.fromkeys(names)) or list(FIGURES)
+    drawn = []
+    for k, name in enumerate(chosen):
+        progress(name, k / len(chosen))
+        began = time.perf_counter()
+        part = part_of(progress, k / len(chosen), (k + 1) / len(chosen))
+        page = FIGURES[name](replace(gallery, progress=part))
+        file = Path(folder) / f"{name}.png"
+        with whole_file(file, suffix=".png") as temporary:
+            page.figure.savefig(temporary, format="png")
+        drawn.append(Drawn(name, file, page.caption, page.differs, time.perf_counter() - began))
+    _write_captions(Path(folder) / CAPTIONS, drawn)
+    return tuple(drawn)
+
+
+def _write_captions(file: Path, drawn: Sequence[Drawn]) -> None:
+    try:
+        known = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        known = {}
+    words = known if isinstance(known, dict) else {}
+    words |= {d.name: {"file": d.file.name, "caption": d.caption, "differs": d.differs} for d in drawn}
+    ordered = {name: words[name] for name in FIGURES if name in words}
+    write_whole(file, json.dumps(ordered, indent=1, ensure_ascii=False) + "\n")

@@ -1,1 +1,0 @@
-"""The paper's computational figures, redrawn and listed by name in `registry`."""
