@@ -17,14 +17,19 @@ from numpy.typing import NDArray
 from dpcontrol.bench.chart import Missing, Panel, Point, PrecisionChart
 from dpcontrol.bench.estimation import noise_of
 from dpcontrol.bench.measure import Compared, Judged, timed_in_turns
-from dpcontrol.control.adaptive import AdaptiveSettings, adaptive_controller
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import Action, Controller, SampledModel
 from dpcontrol.control.lqr import HoldSettings, hold_controller
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings, ogy_controller
 from dpcontrol.control.periodic import orbit_controller
-from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings, tracking_controller
+from dpcontrol.control.tracking import (
+    AdaptiveSettings,
+    FeedforwardSettings,
+    TvlqrSettings,
+    adaptive_controller,
+    tracking_controller,
+)
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.loop.batch import BatchRun, can_batch, run_batch

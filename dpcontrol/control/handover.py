@@ -12,11 +12,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.interface import Action, Session
+from dpcontrol.control.interface import Action, Session, whole_turns
 from dpcontrol.control.lqr import HoldController
 from dpcontrol.control.ogy import OgyController, OgySession
 from dpcontrol.control.periodic import OrbitController, OrbitSession
-from dpcontrol.control.phase import whole_turns
 from dpcontrol.control.tracking import PhaseController, TrackingController
 from dpcontrol.foundation.errors import GoalMissed, InputError
 

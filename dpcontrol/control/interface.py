@@ -1,15 +1,14 @@
-"""What loop, estimators and controllers share: their interfaces, and the model between two ticks.
+"""What loop, estimators and controllers share: interfaces, the model between two ticks, sums for one run or many.
 
-What the loop asks of an estimator and of a controller; the same objects serve a simulated and a real bench.
-
-The model between two ticks: one step of the equations with the input held, and its Jacobians.
+The model between two ticks is one step of the equations with the input held, and its Jacobians.
 
     x_{k+1} = F(x_k, u_k),   A = ∂F/∂x,   B = ∂F/∂u        (classical Runge-Kutta, order 4)
 
 The casadi function is called through its buffers, without a copy: 2 µs a step in place of 16 µs.
 """
 
-from collections.abc import Iterable, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Sequence
 from enum import IntEnum
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
 
 Array = NDArray[np.float64]
 Present = NDArray[np.bool_] | None
@@ -42,6 +42,57 @@ class Mode(IntEnum):
     """Ended as planned: the command is zero."""
     ABORTED = 6
     """Stopped by the supervisor: a limit was passed or the estimate was lost."""
+
+
+def clip_number(value: float, low: float, high: float) -> float:
+    """Return a number within two bounds, quicker than min and max do."""
+    return high if value > high else low if value < low else value
+
+
+def clip_lanes(value: Array, low: Array | float, high: Array | float) -> Array:
+    """Return the numbers (S,) of many runs within two bounds."""
+    return np.minimum(np.maximum(value, low), high)
+
+
+class Lanes(NamedTuple):
+    """Arithmetic for one run on plain floats, or for S runs in lockstep on arrays (S,): `ONE` and `MANY`.
+
+    Short arrays take numpy ten times as long as floats take Python, so what both do is written once over these.
+    clip; nearest and below: whole numbers; dot: of (N,), or of rows (S, N); column: (S,) as (S, 1).
+    """
+
+    clip: Callable[[Any, Any, Any], Any]
+    nearest: Callable[[Any], Any]
+    below: Callable[[Any], Any]
+    dot: Callable[[Array, Array], Any]
+    column: Callable[[Any], Any]
+
+
+ONE = Lanes(clip_number, round, int, lambda a, b: float(a.dot(b)), lambda value: value)
+MANY = Lanes(
+    clip_lanes,
+    lambda values: np.rint(values).astype(int),
+    lambda values: values.astype(int),
+    lambda a, b: (a * b).sum(1),
+    lambda values: values[:, None],
+)
+
+
+def whole_turns(angles: Array) -> Array:
+    """Return the angles' nearest multiples of 2π, in rad, same shape."""
+    return np.rint(angles / (2 * np.pi)) * (2 * np.pi)
+
+
+def pendulum_scale(arms: int) -> Array:
+    """Return the scale (2n,) of the pendulum's state: distances leave the cart out, no phase depends on it."""
+    return np.array([ANGLE_SCALE] * arms + [RATE_SCALE] * arms)
+
+
+def interpolated(states: Array, place: Any, lanes: Lanes) -> Array:
+    """Return the states (N,) or (S, N) of a table (K, N) at a place or places (S,) between its rows; clipped."""
+    k = lanes.clip(lanes.below(place), 0, len(states) - 2)
+    before = states[k]
+    return before + lanes.column(lanes.clip(place - k, 0.0, 1.0)) * (states[k + 1] - before)
 
 
 class Estimate(NamedTuple):
@@ -131,7 +182,10 @@ class Session(Protocol):
 
 
 class ManySession(Protocol):
-    """A controller during many runs in lockstep; what it gives for one run is what its `Session` gives, to the bit."""
+    """A controller during many runs in lockstep; what it gives for one run is what its `Session` gives.
+
+    A controller that can has `begin_many(count)`, which returns one.
+    """
 
     def commands(self, tick: int, states: Array, extras: Array) -> tuple[float | Array, Array, Array]:
         """Return feedforward (a number or (S,)) and feedback (S,) in m/s², and the reference (N,) of this tick.
@@ -139,6 +193,27 @@ class ManySession(Protocol):
         states (N, S): those expected at the tick; extras (E, S).
         """
         ...
+
+
+class ClockedSession(ABC):
+    """A session whose place on its path is its own, of one run or (S,) of as many in lockstep."""
+
+    mode = Mode.HOLDING
+    lanes: Lanes
+
+    @abstractmethod
+    def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
+        """Return feedforward and feedback in m/s², and the reference, at `tick` for the state (N,) or states (S, N)."""
+
+    def command(self, tick: int, state: Array, extra: Array) -> Action:
+        """Return what to do in the period from `tick` at `state` (N,)."""
+        forward, feedback, wanted = self.steer(tick, state)
+        return Action(float(forward), float(feedback), wanted, self.mode)
+
+    def commands(self, tick: int, states: Array, extras: Array | None = None) -> tuple[Array, Array, Array]:
+        """Return feedforwards (S,), feedbacks (S,) in m/s² and references (N, S) for `states` (N, S) at `tick`."""
+        forward, feedback, wanted = self.steer(tick, states.T)
+        return forward, feedback, wanted.T
 
 
 class Controller(Protocol):

@@ -15,8 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpcontrol.control.interface import Action, Mode, SampledModel
-from dpcontrol.control.phase import whole_turns
+from dpcontrol.control.interface import Action, Mode, SampledModel, pendulum_scale, whole_turns
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.references.problem import ANGLE_SCALE, CART_VELOCITY_SCALE, RATE_SCALE
@@ -110,7 +109,7 @@ class HoldController:
         n = (len(state) - 2) // 2
         away = np.asarray(state[: 2 * n] - self.state[: 2 * n])
         away[:n] -= whole_turns(away[:n])
-        return float(np.abs(away / ([ANGLE_SCALE] * n + [RATE_SCALE] * n)).max())
+        return float(np.abs(away / pendulum_scale(n)).max())
 
 
 class HoldSession:

@@ -24,16 +24,18 @@ Source: Anderson & Moore, Optimal Control: Linear Quadratic Methods, sections 3.
 Wittenmark, Adaptive Control, section 2.2, for the least squares.
 """
 
+from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.interface import Action, Mode, SampledModel
+from dpcontrol.control.interface import MANY, ONE, Action, ClockedSession, Mode, SampledModel
 from dpcontrol.control.lqr import QuadraticWeights
-from dpcontrol.control.periodic import check_orbit, periodic_gains
-from dpcontrol.control.phase import PhaseTable, phase_table
+from dpcontrol.control.periodic import PhaseTable, check_orbit, periodic_gains, phase_table
 from dpcontrol.control.tracking import riccati_gains
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
@@ -202,7 +204,7 @@ def disturbance_shifts(
         costs[count] = costs[0]
         for j in range(count - 1, -1, -1):
             a, b = matrices[j], responses[j]
-            _, costs[j] = riccati_gains(a[None], b[None], weights=weights, effort=effort, terminal=costs[j + 1])
+            *_, costs[j] = riccati_gains(a[None], b[None], weights=weights, effort=effort, terminal=costs[j + 1])
             v = costs[j + 1] @ disturbances[j] + g
             shifts[j] = b @ v / (effort + b @ costs[j + 1] @ b)
             g = (a - np.outer(b, gains[j])).T @ v
@@ -276,7 +278,7 @@ class OgyController:
         """Return the state (N,) from which it starts: the orbit at its first section, so that a pulse comes at once."""
         return self.states[0]
 
-    @property
+    @cached_property
     def window(self) -> float:
         """Return by how many seconds a crossing may be off its time."""
         return min(self.duration / 2, _EARLY * self.table.period)
@@ -285,9 +287,9 @@ class OgyController:
         """Return a fresh session for one run."""
         return OgySession(self)
 
-    def begin_runs(self, count: int) -> "OgyRuns":
+    def begin_many(self, count: int) -> "OgySession":
         """Return what answers `commands` for `count` runs, each with a clock and so with a reference of its own."""
-        return OgyRuns(self, count)
+        return OgySession(self, count)
 
     def join(self, tick: int, state: Array) -> "OgySession":
         """Return a session that starts at `tick` from `state` (N,), at the nearest phase and on its turns."""
@@ -297,183 +299,149 @@ class OgyController:
 
     def distance(self, state: Array) -> float:
         """Return the scaled distance of the pendulum's `state` (N,) from the orbit, modulo turns."""
-        return float(self.table.nearest(state)[1])
+        return self.table.distance(state)
 
 
-class OgySession:
-    """The section crossed last, the time since, the pulse under way; and what was learnt about the plant."""
+class OgySession(ClockedSession):
+    """The section crossed last, the time since, the pulse under way; and what was learnt about the plant.
 
-    def __init__(self, controller: OgyController) -> None:
-        self._law = controller
+    With `count`, of as many runs in lockstep, all from the first state and at every tick of the loop: each of these is
+    an array (S,) then, for runs cross their sections at different ticks.
+    """
+
+    _section: Any
+    _elapsed: Any
+    _pulse: Any
+    _foreseen: Array
+    _flying: Any
+    _lift: Array
+    _guess: Array
+    _covariance: Array
+    crossings: Any
+    missed: Any
+
+    def __init__(self, controller: OgyController, count: int | None = None) -> None:
+        self._law = law = controller
+        self.lanes = ONE if count is None else MANY
+        self.orbit_period = law.table.period
+        """s"""
         self._tick = 0
-        self._lift = np.zeros(len(controller.first_state))
+        self._lost: tuple[int, float] | None = None
         # As if the last section had just been left behind: the first is crossed at once.
-        self._section = len(controller.times) - 1
-        self._elapsed = controller.duration
-        self._pulse = 0.0
-        self._sent = 0.0
-        self._foreseen: Array | None = None
-        if controller.learning is not None:
-            self._guess = np.zeros(len(controller.learning.prior))
-            self._covariance = controller.learning.prior
-        self.crossings = 0
+        own: dict[str, Any] = {"_section": len(law.times) - 1, "_elapsed": law.duration, "_pulse": 0.0}
+        # What the model foresees since that section, and whether it still stands.
+        own |= {"_foreseen": np.zeros(len(law.first_state)), "_flying": False, "_lift": np.zeros(len(law.first_state))}
+        if law.learning is not None:
+            own |= {"_guess": np.zeros(len(law.learning.prior)), "_covariance": law.learning.prior}
+        # How often a section was crossed, and how often not in time.
+        own |= {"crossings": 0, "missed": 0}
+        self._own = tuple(own)
+        for name, value in own.items():
+            setattr(self, name, value if count is None else np.array([value] * count))
+        self._sent: Any = 0.0
+        self._step = law.model.step if count is None else _many_steps(law.model, count)
 
     @property
-    def time(self) -> float:
+    def time(self) -> Any:
         """Return the time on the orbit's clock in s."""
-        return (float(self._law.times[self._section]) + self._elapsed) % self._law.table.period
-
-    @property
-    def orbit_period(self) -> float:
-        """Return the orbit's period in s."""
-        return self._law.table.period
+        return (self._law.times[self._section] + self._elapsed) % self.orbit_period
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
         """Return what to do in the period from `tick` at `state` (N,)."""
-        law, event = self._law, ""
-        period = law.model.period
-        passed = tick - self._tick
-        self._elapsed += passed * period
-        self._tick = tick
-        x = state - self._lift
-        if self._foreseen is not None:
-            self._foreseen = law.model.step(self._foreseen, self._sent) if passed == 1 else None
-        if self._elapsed > law.duration - law.window:
-            ahead = self._section + 1 if self._section + 1 < len(law.times) else 0
-            late = float((x - law.states[ahead]).dot(law.normals[ahead]))
-            if late >= 0.0:
-                self._cross(ahead, min(late, law.window), x)
-            elif self._elapsed > law.duration + law.window:
-                event = f"section {ahead + 1} was not crossed: " + self.resynchronise(tick, state)
-        clock = float(law.times[self._section]) + self._elapsed
-        middle = self._elapsed + period / 2
-        feedback = 0.0
-        if self._pulse and middle < law.duration:
-            feedback = self._pulse * float(np.sin(np.pi * middle / law.duration))
-        feedforward = law.table.input(clock + period / 2)
-        self._sent = feedforward + feedback
-        mode = Mode.PULSING if feedback else Mode.HOLDING
-        return Action(feedforward, feedback, law.table.state(clock) + self._lift, mode, event)
+        self._lost = None
+        action = super().command(tick, state, extra)
+        if self._lost is not None:
+            section, moved = self._lost
+            event = f"section {section + 1} was not crossed: clock of the orbit moved by {moved:+.4f} s"
+            action = action._replace(event=event)
+        return action._replace(mode=Mode.PULSING) if action.feedback else action
 
-    def _cross(self, section: int, late: float, x: Array) -> None:
-        law = self._law
-        if law.learning is not None and self._foreseen is not None:
-            n = len(x) - 2
-            surprise = law.projections[section].dot(x[:n] - self._foreseen[:n])
-            self._guess, self._covariance = law.learning.updated(self._section, self._guess, self._covariance, surprise)
-        self._section, self._elapsed, self._foreseen = section, late, x
-        away = x - law.table.state(float(law.times[section]) + late)
-        pulse = -float(law.gains[section].dot(away))
-        if law.learning is not None:
-            pulse -= float(law.learning.shifts[section].dot(self._guess))
-        self._pulse = min(max(pulse, -law.pulse_limit), law.pulse_limit)
-        self.crossings += 1
+    def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
+        """Return feedforward and feedback in m/s², and the reference, at `tick` for the state (N,) or states (S, N)."""
+        law, lanes, period, passed = self._law, self.lanes, self._law.model.period, tick - self._tick
+        self._elapsed = self._elapsed + passed * period
+        self._tick = tick
+        if law.learning is not None and passed:
+            self._foreseen = self._step(self._foreseen, self._sent)
+            self._flying = self._flying & (passed == 1)
+        x = states - self._lift
+        near = self._elapsed > law.duration - law.window
+        if lanes is MANY or near:
+            ahead = (self._section + 1) % len(law.times)
+            late = lanes.dot(x - law.states[ahead], law.normals[ahead])
+            overdue = (late < 0.0) & (self._elapsed > law.duration + law.window)
+            self._where(near & (late >= 0.0), OgySession._cross, ahead, late, x)
+            self._where(overdue, OgySession._lose, ahead, states)
+        clock, middle = law.times[self._section] + self._elapsed, self._elapsed + period / 2
+        # Plus zero: none is minus zero.
+        feedback = self._pulse * (middle < law.duration) * np.sin(np.pi * middle / law.duration) + 0.0
+        feedforward = law.table.input(clock + period / 2, lanes)
+        self._sent = feedforward + feedback
+        return feedforward, feedback, law.table.state(clock, lanes) + self._lift
+
+    def _where(self, holds: Any, change: Callable[..., None], *given: Any) -> None:
+        """Make a change to this run if `holds`, or to those runs of many for which it does."""
+        if self.lanes is ONE:
+            if holds:
+                change(self, *given)
+        elif len(runs := np.flatnonzero(holds)):
+            part = copy(self)
+            for name in self._own:
+                setattr(part, name, getattr(self, name)[runs])
+            change(part, *(value[runs] for value in given))
+            for name in self._own:
+                getattr(self, name)[runs] = getattr(part, name)
+
+    def _cross(self, section: Any, late: Any, x: Array) -> None:
+        law, lanes, learning = self._law, self.lanes, self._law.learning
+        late = lanes.clip(late, 0.0, law.window)
+        if learning is not None:
+            away = (x - self._foreseen)[..., :-2, None]
+            surprise = (law.projections[section] @ away)[..., 0]
+            guess, covariance = learning.updated(self._section, self._guess, self._covariance, surprise)
+            taught = np.asarray(self._flying)[..., None]
+            self._guess = np.where(taught, guess, self._guess)
+            self._covariance = np.where(taught[..., None], covariance, self._covariance)
+        self._section, self._elapsed, self._foreseen, self._flying = section, late, x, True
+        pulse = -lanes.dot(law.gains[section], x - law.table.state(law.times[section] + late, lanes))
+        if learning is not None:
+            pulse = pulse - lanes.dot(learning.shifts[section], self._guess)
+        self._pulse = lanes.clip(pulse, -law.pulse_limit, law.pulse_limit)
+        self.crossings = self.crossings + 1
+
+    def _lose(self, section: Any, states: Array) -> None:
+        self._lost = section, self._found(states)
+        self.missed = self.missed + 1
+
+    def _found(self, states: Array) -> Any:
+        """Move the clock to the phase nearest to the state (N,) or states (S, N); return by how many s."""
+        law, expected = self._law, self.time
+        time, _, self._lift = law.table.nearest(states)
+        since = np.mod(time[..., None] - law.times, self.orbit_period)
+        self._section, self._elapsed = np.argmin(since, axis=-1), since.min(-1)
+        self._pulse, self._flying = 0.0, False
+        return law.table.shift(time, expected)
 
     def resynchronise(self, tick: int, state: Array) -> str:
         """Move the clock to the phase nearest to `state` (N,); say by how much. The next crossing starts a pulse."""
-        law = self._law
-        expected = self.time + (tick - self._tick) * law.model.period
-        time, _, turns = law.table.nearest(state)
-        since = np.mod(float(time) - law.times, law.table.period)
-        self._section = int(np.argmin(since))
-        self._elapsed, self._tick, self._pulse = float(since[self._section]), tick, 0.0
-        self._lift = np.concatenate([turns, np.zeros(len(state) - len(turns))])
-        self._foreseen = None
-        half = law.table.period / 2
-        return f"clock of the orbit moved by {(float(time) - expected + half) % (2 * half) - half:+.4f} s"
-
-
-class OgyRuns:
-    """`OgySession`'s arithmetic for `count` runs in lockstep, all from the first state and at every tick of the loop.
-
-    Runs cross their sections at different ticks, so that each has a clock of its own.
-    """
-
-    def __init__(self, controller: OgyController, count: int) -> None:
-        self._law = controller
-        self._tick = 0
-        self._lift = np.zeros((count, len(controller.first_state)))
-        self._section = np.full(count, len(controller.times) - 1)
-        self._elapsed = np.full(count, controller.duration)
-        self._pulse, self._sent = np.zeros(count), np.zeros(count)
-        self._foreseen = np.zeros((count, len(controller.first_state)))
-        self._flying = np.zeros(count, dtype=bool)
-        if controller.learning is not None:
-            self._guess = np.zeros((count, len(controller.learning.prior)))
-            self._covariance = np.tile(controller.learning.prior, (count, 1, 1))
-            self._prepare(count)
-        self.missed = np.zeros(count, dtype=int)
-        """How often a run did not cross the section it came from."""
-        self.cut = np.zeros(count, dtype=int)
-        """How many of a run's pulses were cut at the limit."""
-
-    def _prepare(self, count: int) -> None:
-        model = self._law.model
-        function = model.equations.discrete_step(model.period)
-        names = function.name_in()
-        self._step = Compiled(function.factory("plain", names, [function.name_out(0)]))
-        self._slices = [self._step.slices[name] for name in names]
-        self._inputs = np.zeros((self._step.size_in, count))
-        self._inputs[self._slices[2]] = model.parameters[:, None]
-
-    def commands(self, tick: int, states: Array, extras: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return feedforwards (S,), feedbacks (S,) in m/s² and references (N, S) for `states` (N, S) at `tick`."""
-        law = self._law
-        period = law.model.period
-        passed = tick - self._tick
-        self._elapsed += passed * period
+        self._elapsed = self._elapsed + (tick - self._tick) * self._law.model.period
         self._tick = tick
-        x = states.T - self._lift
-        if law.learning is not None and passed == 1:
-            self._inputs[self._slices[0]], self._inputs[self._slices[1]] = self._foreseen.T, self._sent
-            self._foreseen = self._step(self._inputs, np.empty(states.shape)).T
-        elif passed:
-            self._flying[:] = False
-        ahead = (self._section + 1) % len(law.times)
-        late = ((x - law.states[ahead]) * law.normals[ahead]).sum(1)
-        near = self._elapsed > law.duration - law.window
-        crossing = np.flatnonzero(near & (late >= 0.0))
-        if len(crossing):
-            self._cross(crossing, ahead[crossing], np.minimum(late[crossing], law.window), x[crossing])
-        missed = np.flatnonzero(near & (late < 0.0) & (self._elapsed > law.duration + law.window))
-        if len(missed):
-            self._resynchronise(missed, states[:, missed].T)
-        clock = law.times[self._section] + self._elapsed
-        middle = self._elapsed + period / 2
-        feedback = np.where(middle < law.duration, self._pulse * np.sin(np.pi * middle / law.duration), 0.0)
-        table = law.table
-        entries = np.rint(np.mod(clock + period / 2, table.period) / table.step).astype(int)
-        feedforward = table.inputs[entries]
-        self._sent = feedforward + feedback
-        return feedforward, feedback, (table.states_at(clock) + self._lift).T
+        return f"clock of the orbit moved by {self._found(state):+.4f} s"
 
-    def _cross(self, runs: NDArray[np.intp], section: NDArray[np.intp], late: Array, x: Array) -> None:
-        law = self._law
-        if law.learning is not None:
-            taught = self._flying[runs]
-            who, n = runs[taught], x.shape[1] - 2
-            away = (x[taught] - self._foreseen[who])[:, :n]
-            surprise = (law.projections[section[taught]] @ away[..., None])[..., 0]
-            self._guess[who], self._covariance[who] = law.learning.updated(
-                self._section[who], self._guess[who], self._covariance[who], surprise
-            )
-        self._section[runs], self._elapsed[runs] = section, late
-        self._foreseen[runs], self._flying[runs] = x, True
-        pulse = -(law.gains[section] * (x - law.table.states_at(law.times[section] + late))).sum(1)
-        if law.learning is not None:
-            pulse -= (law.learning.shifts[section] * self._guess[runs]).sum(1)
-        self._pulse[runs] = np.clip(pulse, -law.pulse_limit, law.pulse_limit)
-        self.cut[runs] += np.abs(pulse) > law.pulse_limit
 
-    def _resynchronise(self, runs: NDArray[np.intp], states: Array) -> None:
-        law = self._law
-        times, _, turns = law.table.nearest(states)
-        since = np.mod(times[:, None] - law.times, law.table.period)
-        self._section[runs] = np.argmin(since, axis=1)
-        self._elapsed[runs] = since.min(1)
-        self._pulse[runs], self._flying[runs] = 0.0, False
-        self._lift[runs, : turns.shape[1]] = turns
-        self.missed[runs] += 1
+def _many_steps(model: SampledModel, count: int) -> Callable[[Array, Array], Array]:
+    """Return what takes states (S, N) and commands (S,) a period on."""
+    function = model.equations.discrete_step(model.period)
+    step = Compiled(function.factory("plain", function.name_in(), [function.name_out(0)]))
+    states_at, commands_at, parameters_at = (step.slices[name] for name in function.name_in())
+    inputs = np.zeros((step.size_in, count))
+    inputs[parameters_at] = model.parameters[:, None]
+
+    def flown(states: Array, commands: Array) -> Array:
+        inputs[states_at], inputs[commands_at] = states.T, commands
+        return step(inputs, np.empty(states.T.shape)).T
+
+    return flown
 
 
 def ogy_controller(

@@ -1,28 +1,115 @@
-"""Linear-quadratic feedback that repeats itself: gains of a periodic system, and an orbit held by them tick by tick.
+"""Orbits as controllers see them: where on one a state is, and linear-quadratic feedback that repeats itself.
+
+The phase nearest to a state, modulo whole turns of the arms, the cart left out for its position depends on no phase:
+
+    τ = argmin |D⁻¹ (x - x*(τ))|,      D: the scale of the pendulum's state
+
+A table of one period is searched, and the best entry moved along by lateness = (x - x*) · D⁻² ẋ* / |D⁻¹ ẋ*|².
+
+Gains of a periodic system, and an orbit held by them tick by tick:
 
     minimise Σ_k ξ_kᵀ Q ξ_k + r p_k²,    ξ_{k+1} = A_k ξ_k + B_k p_k,    A_{k+m} = A_k, B_{k+m} = B_k
 
 The backward Riccati recursion is run over period after period until its gains repeat themselves. On an orbit, the
 time of the motion is either the clock's since the start, or corrected at every tick to that of the nearest phase.
-Source: Bittanti, Laub & Willems (eds.), The Riccati Equation, chapter 6; Hauser & Hindman (1995) for the phase.
+Sources: Bittanti, Laub & Willems (eds.), The Riccati Equation, chapter 6; Hauser & Hindman, Manoeuvre regulation from
+trajectory tracking, NOLCOS (1995), section 3, for the phase.
 """
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from dpcontrol.control.interface import Action, Mode, SampledModel
-from dpcontrol.control.phase import PhaseTable, phase_table
+from dpcontrol.control.interface import (
+    MANY,
+    ONE,
+    ClockedSession,
+    Lanes,
+    SampledModel,
+    interpolated,
+    pendulum_scale,
+    whole_turns,
+)
 from dpcontrol.control.tracking import TvlqrSettings, riccati_gains
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
 
 if TYPE_CHECKING:
     from dpcontrol.references.sustained import SustainedOrbit
 
 Array = NDArray[np.float64]
+
+ENTRIES = 2048
+"""Entries of a period: between two of them a straight line errs by 1e-5 rad at the lab's largest accelerations."""
+COARSE = 8
+"""Every k-th entry is searched before the best one is moved along the orbit."""
+
+
+@dataclass(frozen=True, eq=False)
+class PhaseTable:
+    """One period in s of a motion: states (M+1, N) and inputs (M+1,) m/s² at even times, the last as at time zero."""
+
+    period: float
+    states: Array
+    inputs: Array
+
+    @property
+    def step(self) -> float:
+        """Return the time between two entries in s."""
+        return self.period / (len(self.states) - 1)
+
+    def state(self, time: Any, lanes: Lanes = ONE) -> Array:
+        """Return the state (N,) at a time in s, or the states (S, N) at times (S,), counted modulo the period."""
+        return interpolated(self.states, time % self.period / self.step, lanes)
+
+    def input(self, time: Any, lanes: Lanes = ONE) -> Any:
+        """Return the input in m/s² of the entry next to a time in s, or inputs (S,), counted modulo the period."""
+        return self.inputs[lanes.nearest(time % self.period / self.step)]
+
+    def shift(self, time: float, expected: float) -> float:
+        """Return by how many seconds a time is later than was expected, by half a period at most."""
+        half = self.period / 2
+        return (time - expected + half) % (2 * half) - half
+
+    def distance(self, state: Array) -> float:
+        """Return the scaled distance of the pendulum's `state` (N,) from the orbit, modulo turns."""
+        return float(self.nearest(state)[1])
+
+    def nearest(self, states: ArrayLike) -> tuple[Array, Array, Array]:
+        """Return times (…) in s, scaled distances (…) and whole turns (…, N) in rad of the phases nearest to (…, N).
+
+        The distance is the pendulum's only: its largest component, angles by π and rates by 10 rad/s.
+        """
+        x = np.asarray(states, dtype=float)
+        size = x.shape[-1] - 2
+        n, flat, scale = size // 2, x.reshape(-1, x.shape[-1])[:, :size], pendulum_scale(size // 2)
+        away = flat[:, None, :] - self.states[None, :-1:COARSE, :size]
+        away[..., :n] -= whole_turns(away[..., :n])
+        best = np.argmin(np.square(away / scale).sum(-1), axis=1)
+        rate = self.rates(best * COARSE)
+        late = (away[np.arange(len(flat)), best] * rate / scale**2).sum(1) / np.square(rate / scale).sum(1)
+        late = np.clip(late, -COARSE * self.step, COARSE * self.step)
+        times = np.mod(best * COARSE * self.step + late, self.period)
+        apart = flat - self.state(times, MANY)[:, :size]
+        turns = np.zeros((len(flat), size + 2))
+        turns[:, :n] = whole_turns(apart[:, :n])
+        distance = np.abs((apart - turns[:, :size]) / scale).max(1)
+        return times.reshape(x.shape[:-1]), distance.reshape(x.shape[:-1]), turns.reshape(x.shape)
+
+    def rates(self, index: NDArray[np.intp]) -> Array:
+        """Return the pendulum's rates of change (K, 2n) at entries (K,), by central differences."""
+        count, n = len(self.states) - 1, self.states.shape[1] - 2
+        return (self.states[(index + 1) % count, :n] - self.states[(index - 1) % count, :n]) / (2 * self.step)
+
+
+def phase_table(orbit: "SustainedOrbit", *, entries: int = ENTRIES) -> PhaseTable:
+    """Return one period of a sustained orbit."""
+    times = np.arange(entries + 1) / entries * orbit.period
+    states = orbit.state(times)
+    states[-1] = states[0]
+    return PhaseTable(orbit.period, states, orbit.input(times))
+
 
 _MOST_STEPS = 200_000
 _SETTLED = 1e-9
@@ -38,7 +125,7 @@ def periodic_gains(matrices: Array, responses: Array, *, weights: Array, effort:
     cost = np.diag(weights)
     before = np.full_like(responses, np.inf)
     for _ in range(max(_MOST_STEPS // m, 3)):
-        gains, cost = riccati_gains(matrices, responses, weights=weights, effort=effort, terminal=cost)
+        gains, _, cost = riccati_gains(matrices, responses, weights=weights, effort=effort, terminal=cost)
         if not np.isfinite(gains).all():
             break
         if np.abs(gains - before).max() <= _SETTLED * np.abs(gains).max():
@@ -89,91 +176,55 @@ class OrbitController:
         """Return a fresh session for one run."""
         return OrbitSession(self, 0, 0.0, np.zeros(len(self.first_state)))
 
-    def begin_runs(self, count: int) -> "OrbitRuns":
+    def begin_many(self, count: int) -> "OrbitSession":
         """Return what answers `commands` for `count` runs, each with a clock and so with a reference of its own."""
-        return OrbitRuns(self, count)
+        return OrbitSession(self, 0, np.zeros(count), np.zeros(len(self.first_state)), MANY)
 
     def join(self, tick: int, state: Array) -> "OrbitSession":
         """Return a session that starts at `tick` from `state` (N,), at the nearest phase and on its turns."""
         time, _, turns = self.table.nearest(state)
-        lift = np.zeros(len(state))
-        lift[: len(turns)] = turns
-        return OrbitSession(self, tick, float(time), lift)
+        return OrbitSession(self, tick, float(time), turns)
 
     def distance(self, state: Array) -> float:
         """Return the scaled distance of the pendulum's `state` (N,) from the orbit, modulo turns."""
-        return float(self.table.nearest(state)[1])
+        return self.table.distance(state)
 
 
-class OrbitSession:
-    """An orbit's clock during one run; lift (N,): whole turns of the arms by which the run is away from the table."""
+class OrbitSession(ClockedSession):
+    """An orbit's clock, or clocks (S,); lift (N,): whole turns of the arms by which a run is away from the table."""
 
-    def __init__(self, controller: OrbitController, tick: int, time: float, lift: Array) -> None:
-        self._law = controller
-        self._tick = tick
-        self._time = time
-        self._lift = lift
-
-    @property
-    def orbit_period(self) -> float:
-        """Return the orbit's period in s."""
-        return self._law.table.period
+    def __init__(self, law: OrbitController, tick: int, time: Any, lift: Array, lanes: Lanes = ONE) -> None:
+        self._law, self.lanes = law, lanes
+        self._tick, self._time, self._lift = tick, time, lift
+        self.orbit_period = law.table.period
+        """s"""
 
     @property
     def time(self) -> float:
         """Return the time on the orbit's clock in s."""
         return self._time % self.orbit_period
 
-    def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return what to do in the period from `tick` at `state` (N,)."""
-        law = self._law
-        table = law.table
-        self._time += (tick - self._tick) * law.period
+    def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
+        """Return feedforward and feedback in m/s², and the reference, at `tick` for the state (N,) or states (S, N)."""
+        law, lanes, x = self._law, self.lanes, states - self._lift
+        table, count = law.table, len(law.gains)
+        time = self._time + (tick - self._tick) * law.period
         self._tick = tick
-        x = state - self._lift
-        count = len(law.gains)
         if law.by_phase:
-            k = round(self._time / table.step) % count
+            late = lanes.dot(x - table.state(time, lanes), law.normals[lanes.nearest(time / table.step) % count])
             # Half a tick forth and back at most: the clock glides, whatever the estimate does.
-            late = float((x - table.state(self._time)).dot(law.normals[k]))
-            self._time += min(max(late, -law.period / 2), law.period / 2)
-        k = round(self._time / table.step) % count
-        wanted = table.state(self._time)
-        feedback = float(law.gains[k].dot(wanted - x))
-        return Action(float(law.feedforward[k]), feedback, wanted + self._lift, Mode.HOLDING)
+            time = time + lanes.clip(late, -law.period / 2, law.period / 2)
+        self._time = time
+        k = lanes.nearest(time / table.step) % count
+        wanted = table.state(time, lanes)
+        return law.feedforward[k], lanes.dot(law.gains[k], wanted - x), wanted + self._lift
 
     def resynchronise(self, tick: int, state: Array) -> str:
         """Move the clock to the phase nearest to `state` (N,); say by how much."""
-        time, _, turns = self._law.table.nearest(state)
-        expected = self._time + (tick - self._tick) * self._law.period
-        half = self._law.table.period / 2
-        moved = (float(time) - expected + half) % (2 * half) - half
+        law, expected = self._law, self._time + (tick - self._tick) * self._law.period
+        time, _, self._lift = law.table.nearest(state)
         self._tick, self._time = tick, float(time)
-        self._lift = np.concatenate([turns, np.zeros(len(state) - len(turns))])
-        return f"clock of the orbit moved by {moved:+.4f} s"
-
-
-class OrbitRuns:
-    """`count` sessions of one controller in lockstep, all from its first state."""
-
-    def __init__(self, controller: OrbitController, count: int) -> None:
-        self._law = controller
-        self._tick = 0
-        self._times = np.zeros(count)
-
-    def commands(self, tick: int, states: Array, extras: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return feedforwards (S,), feedbacks (S,) in m/s² and references (N, S) for `states` (N, S) at `tick`."""
-        law, table, x = self._law, self._law.table, states.T
-        self._times += (tick - self._tick) * law.period
-        self._tick = tick
-        count = len(law.gains)
-        if law.by_phase:
-            k = np.rint(self._times / table.step).astype(int) % count
-            late = ((x - table.states_at(self._times)) * law.normals[k]).sum(1)
-            self._times += np.clip(late, -law.period / 2, law.period / 2)
-        k = np.rint(self._times / table.step).astype(int) % count
-        wanted = table.states_at(self._times)
-        return law.feedforward[k], (law.gains[k] * (wanted - x)).sum(1), wanted.T
+        return f"clock of the orbit moved by {law.table.shift(self._time, expected):+.4f} s"
 
 
 def orbit_controller(
@@ -195,11 +246,10 @@ def orbit_controller(
     ticks = SampledModel(model.equations, model.parameters, period=table.step)
     a, b = ticks.linearised(table.states[:-1], feedforward)
     gains = periodic_gains(a, b, weights=weights, effort=effort)
-    n = 2 * model.arms
-    rates = np.zeros_like(table.states[:-1])
-    rates[:, :n] = (np.roll(table.states[:-1, :n], -1, 0) - np.roll(table.states[:-1, :n], 1, 0)) / (2 * table.step)
-    normals = rates / np.array([ANGLE_SCALE**2] * model.arms + [RATE_SCALE**2] * model.arms + [1.0, 1.0])
-    normals /= (normals * rates).sum(1)[:, None]
+    rates = table.rates(np.arange(count))
+    across = rates / pendulum_scale(model.arms) ** 2
+    normals = np.zeros_like(gains)
+    normals[:, : 2 * model.arms] = across / (across * rates).sum(1)[:, None]
     return OrbitController(
         kind=settings.kind,
         table=table,

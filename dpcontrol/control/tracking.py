@@ -1,10 +1,22 @@
-"""Controllers that follow a reference: its input alone, or with time-varying linear-quadratic feedback.
+"""Controllers that follow a reference: its input alone, with time-varying linear-quadratic feedback, or adaptively.
 
     minimise Σ_k e_kᵀ Q e_k + r v_k² + e_Nᵀ P e_N,      e_{k+1} = A_k e_k + B_k v_k
     K_k = (r + B_kᵀ P_{k+1} B_k)⁻¹ B_kᵀ P_{k+1} A_k,     u_k = u*(t_k) + K_k (x*(t_k) - x̂_k)
 
 e: the state's distance from the reference x*, v: the input's from u*, A and B along the reference.
 Source: Anderson & Moore, Optimal Control: Linear Quadratic Methods, sections 2.4 and 4.1.
+
+The adaptive law counts on what the estimator finds wrong with the model: one gain more for each extra quantity w.
+
+    e_{k+1} = A_k e_k + B_k v_k + E_k w_k,   w_{k+1} = D w_k,      v_k = -K_k e_k - F_k w_k
+    F_k = (r + B_kᵀ P_{k+1} B_k)⁻¹ B_kᵀ (P_{k+1} E_k + N_{k+1} D)
+    N_k = (A_k - B_k K_k)ᵀ (P_{k+1} E_k + N_{k+1} D),     N_K = 0
+
+w: above all the relative errors of the model's parameters. N carries back from the reference's end what they will do
+along all that remains, so the feedback leans against a wrong mass before it is felt; without w it is TVLQR. To first
+order in w. The symmetric share 2 (p - p₀)/(p + p₀) stands for a parameter's relative error: it agrees with it to first
+order, and to second with the logarithm, in which the equations know no overall scale.
+Source: Anderson & Moore, section 10.3; Åström & Wittenmark, Adaptive Control, section 1.4 (certainty equivalence).
 
 Following a reference by phase: the clock goes on with time and is corrected to the phase nearest to the state.
 
@@ -15,19 +27,33 @@ stands still the clock goes on with time alone.
 Source: Hauser & Hindman, Manoeuvre regulation from trajectory tracking, NOLCOS (1995), section 3.
 """
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.interface import Action, Mode, SampledModel, Session
+from dpcontrol.control.ekf import FilterEquations
+from dpcontrol.control.estimator_settings import Augment, FilterSettings, extra_names
+from dpcontrol.control.interface import (
+    MANY,
+    ONE,
+    Action,
+    ClockedSession,
+    Lanes,
+    Mode,
+    SampledModel,
+    Session,
+    interpolated,
+    pendulum_scale,
+)
 from dpcontrol.control.lqr import ClosingWeights
+from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import setting
-from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
 from dpcontrol.references.reference import Reference
 
 Array = NDArray[np.float64]
@@ -97,31 +123,24 @@ class PhaseController(ReferenceController):
         """Return a session for one run."""
         return PhaseSession(self)
 
-    def begin_runs(self, count: int) -> "PhaseRuns":
+    def begin_many(self, count: int) -> "PhaseSession":
         """Return what answers `commands` for `count` runs, each with a clock and so with a reference of its own."""
-        return PhaseRuns(self, count)
+        return PhaseSession(self, place=np.zeros(count), lanes=MANY)
 
     def join(self, tick: int, state: Array) -> "PhaseSession":
         """Return a session that starts at `tick` where the reference is nearest to `state` (N,), on the same turns."""
         return PhaseSession(self, tick=tick, place=self.nearest(state))
 
-    def at(self, places: Array) -> Array:
-        """Return reference states (…, N) at places (…) in ticks."""
-        states = self.reference_states
-        k = np.clip(places.astype(int), 0, len(states) - 2)
-        share = np.clip(places - k, 0.0, 1.0)[..., None]
-        return states[k] + share * (states[k + 1] - states[k])
-
     def nearest(self, state: Array) -> int:
         """Return the tick at which the pendulum's reference is nearest to `state` (N,)."""
-        scale = _scale(len(state))
+        scale = pendulum_scale(len(state) // 2 - 1)
         away = (self.reference_states[:, : len(scale)] - state[: len(scale)]) / scale
         return int(np.argmin(np.square(away).sum(1)))
 
 
 def phase_controller(kind: str, *, states: Array, feedforward: Array, gains: Array, period: float) -> PhaseController:
     """Return the controller for feedforward (K,), gains (K, N) and reference states (K+1, N), `period` s apart."""
-    scale = _scale(states.shape[1])
+    scale = pendulum_scale(states.shape[1] // 2 - 1)
     rates = np.gradient(states[:, : len(scale)], axis=0) / scale
     normals = np.zeros_like(states)
     normals[:, : len(scale)] = rates / scale / (np.square(rates).sum(1) + (STANDSTILL * period) ** 2)[:, None]
@@ -129,68 +148,32 @@ def phase_controller(kind: str, *, states: Array, feedforward: Array, gains: Arr
     return PhaseController(kind, states, feedforward, gains, text, normals)
 
 
-def _scale(dimension: int) -> Array:
-    arms = (dimension - 2) // 2
-    return np.array([ANGLE_SCALE] * arms + [RATE_SCALE] * arms)
+class PhaseSession(ClockedSession):
+    """One run of a law, or many: from the reference's tick `place`, or ticks (S,), at the loop's `tick`."""
 
+    mode = Mode.TRACKING
 
-class PhaseRuns:
-    """The clocks of `count` runs of one law, from the reference's tick `place` at the loop's `tick`."""
+    def __init__(self, law: PhaseController, *, tick: int = 0, place: Any = 0.0, lanes: Lanes = ONE) -> None:
+        self._law, self.lanes = law, lanes
+        self._tick, self.place = tick, place
 
-    def __init__(self, law: PhaseController, count: int, *, tick: int = 0, place: float = 0.0) -> None:
-        self._law = law
+    def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
+        """Return feedforward and feedback in m/s², and the reference, at `tick` for the state (N,) or states (S, N)."""
+        law, lanes, last = self._law, self.lanes, len(self._law.feedforward)
+        place = self.place + max(tick - self._tick, 0)
         self._tick = tick
-        self._places = np.full(count, float(place))
-
-    def commands(self, tick: int, states: Array, extras: Array | None = None) -> tuple[Array, Array, Array]:
-        """Return feedforwards (S,), feedbacks (S,) in m/s² and references (N, S) for `states` (N, S) at `tick`."""
-        law, x, last = self._law, states.T, len(self._law.feedforward)
-        self._places += max(tick - self._tick, 0)
-        self._tick = tick
-        k = np.clip(np.rint(self._places).astype(int), 0, last)
-        late = ((x - law.at(self._places)) * law.normals[k]).sum(1)
-        self._places += np.clip(late, -MOST, MOST)
-        wanted = law.at(self._places)
-        j = np.clip(np.rint(self._places).astype(int), 0, last - 1)
-        return law.feedforward[j], (law.gains[j] * (wanted - x)).sum(1), wanted.T
-
-
-class PhaseSession:
-    """One run of a law: from the reference's tick `place` at the loop's `tick`."""
-
-    def __init__(self, law: PhaseController, *, tick: int = 0, place: float = 0.0) -> None:
-        self._law = law
-        self._tick, self._place = tick, place
-
-    @property
-    def place(self) -> float:
-        """Return the tick of the reference at which the clock stands."""
-        return self._place
-
-    def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return what to do in the period from `tick` at `state` (N,)."""
-        law, last = self._law, len(self._law.feedforward)
-        self._place += max(tick - self._tick, 0)
-        self._tick = tick
-        k = min(max(round(self._place), 0), last)
-        late = float(law.normals[k].dot(state - self._at(self._place)))
-        self._place += min(max(late, -MOST), MOST)
-        wanted = self._at(self._place)
-        j = min(max(round(self._place), 0), last - 1)
-        feedback = float(law.gains[j].dot(wanted - state))
-        return Action(float(law.feedforward[j]), feedback, wanted, Mode.TRACKING)
-
-    def _at(self, place: float) -> Array:
-        states = self._law.reference_states
-        k = min(max(int(place), 0), len(states) - 2)
-        share = min(max(place - k, 0.0), 1.0)
-        return states[k] + share * (states[k + 1] - states[k])
+        k = lanes.clip(lanes.nearest(place), 0, last)
+        late = lanes.dot(law.normals[k], states - interpolated(law.reference_states, place, lanes))
+        self.place = place = place + lanes.clip(late, -MOST, MOST)
+        wanted = interpolated(law.reference_states, place, lanes)
+        j = lanes.clip(lanes.nearest(place), 0, last - 1)
+        return law.feedforward[j], lanes.dot(law.gains[j], wanted - states), wanted
 
     def resynchronise(self, tick: int, state: Array) -> str:
         """Move the clock to the phase nearest to `state` (N,); say by how much."""
-        expected = self._place + tick - self._tick
-        self._tick, self._place = tick, float(self._law.nearest(state))
-        return f"clock of the reference moved by {self._place - expected:+.0f} ticks"
+        expected = self.place + tick - self._tick
+        self._tick, self.place = tick, float(self._law.nearest(state))
+        return f"clock of the reference moved by {self.place - expected:+.0f} ticks"
 
 
 @dataclass(frozen=True)
@@ -266,6 +249,99 @@ class TrackingSession(TimedSession):
         return Action(forward, feedback, wanted, Mode.TRACKING)
 
 
+@dataclass(frozen=True)
+class AdaptiveSettings(ClosingWeights):
+    """Weights as of "tvlqr", heavier by default: what is known of the model needs no feedback, so there is room.
+
+    trust: the greatest share by which a parameter is taken to be wrong; masses and lengths that are off by a fifth make
+    base parameters off by 0.39 at most.
+    """
+
+    kind: str = "adaptive"
+    angle: float = 30_000.0
+    rate: float = 3000.0
+    position: float = 300.0
+    closing: float = 30.0
+    trust: float = setting(0.4, least=0, most=1.9)
+
+
+@dataclass(frozen=True, eq=False)
+class AdaptiveController(TimedController):
+    """Gains by time on the state and, (K, E), on the extras.
+
+    shares (E,): which extras are relative errors of parameters; names: of all; trust: of shares, see the settings.
+    """
+
+    extra_gains: Array
+    names: tuple[str, ...]
+    shares: NDArray[np.bool_]
+    trust: float
+
+    def believed(self, extras: Array) -> Array:
+        """Return what the gains act on for extras (E,) or (E, S): shares made symmetric and bounded by the trust."""
+        out = np.array(extras, dtype=float)
+        found = np.maximum(out[self.shares], -1.0)
+        out[self.shares] = np.clip(found / (1 + found / 2), -self.trust, self.trust)
+        return out
+
+    def commands(self, tick: int, states: Array, extras: Array) -> tuple[float, Array, Array]:
+        """Return feedforward m/s², feedbacks (S,) m/s² and the reference (N,) for states (N, S), extras (E, S).
+
+        The products are added up in the order of state and extras, as for one run: both agree to the last bit.
+        """
+        k = min(tick, self.ticks - 1)
+        wanted = self.reference_states[min(tick, self.ticks)]
+        by_state = self.gains[k][:, None] * (self.reference_states[k][:, None] - states)
+        by_extra = -self.extra_gains[k][:, None] * self.believed(extras)
+        return float(self.feedforward[k]), np.add.reduce(np.concatenate([by_state, by_extra]), axis=0), wanted
+
+    def join(self, tick: int, state: Array) -> "AdaptiveSession":
+        """Return a session whose start is at `tick`."""
+        return AdaptiveSession(self, tick)
+
+
+class AdaptiveSession(TimedSession):
+    """An adaptive controller during one run."""
+
+    def __init__(self, controller: AdaptiveController, start: int = 0) -> None:
+        super().__init__(start)
+        self._controller = controller
+        self._feedforward = controller.feedforward.tolist()
+        self._last = len(self._feedforward) - 1
+        self._shares = controller.shares.tolist()
+        self._doubted = False
+
+    def command(self, tick: int, state: Array, extra: Array) -> Action:
+        """Return what to do in the period from `tick`; an event when the model is first found wrong beyond trust."""
+        law, tick = self._controller, max(tick - self._start, 0)
+        k = tick if tick < self._last else self._last
+        wanted = law.reference_states[tick if tick <= self._last else self._last + 1]
+        feedback, trust, beyond = 0.0, law.trust, -1
+        for product in (law.gains[k] * (law.reference_states[k] - state)).tolist():
+            feedback += product
+        # Python's own numbers: for so few, arrays take three times as long.
+        found = extra.tolist()
+        for i, gain in enumerate(law.extra_gains[k].tolist()):
+            value = found[i]
+            if self._shares[i]:
+                value = max(value, -1.0)
+                value = value / (1 + value / 2)
+                if abs(value) > trust:
+                    value, beyond = math.copysign(trust, value), i
+            feedback -= gain * value
+        event = "" if beyond < 0 or self._doubted else self._doubt(beyond, found[beyond])
+        return Action(self._feedforward[k], feedback, wanted, Mode.TRACKING, event)
+
+    def _doubt(self, which: int, share: float) -> str:
+        """Return a sentence on a parameter that is found wrong by more than the trust."""
+        self._doubted = True
+        law = self._controller
+        return (
+            f"model doubted: {law.names[which]} is found to be off by {share:+.0%}, more than first order carries "
+            f"(trust {law.trust:g}); identify the arms, or expect the reference to be lost"
+        )
+
+
 def terminal_cost(state_jacobian: Array, input_jacobian: Array, *, weights: Array, effort: float) -> Array:
     """Return P (N, N) of the discrete algebraic Riccati equation with A (N, N), B (N,), Q's diagonal (N,), r.
 
@@ -286,14 +362,23 @@ def terminal_cost(state_jacobian: Array, input_jacobian: Array, *, weights: Arra
 
 
 def riccati_gains(
-    state_jacobians: Array, input_jacobians: Array, *, weights: Array, effort: float, terminal: Array
-) -> tuple[Array, Array]:
-    """Return gains (K, N) of the backward recursion over A (K, N, N), B (K, N) from P (N, N) = `terminal`, and P_0.
+    state_jacobians: Array,
+    input_jacobians: Array,
+    *,
+    weights: Array,
+    effort: float,
+    terminal: Array,
+    extras: tuple[Array, Array] | None = None,
+) -> tuple[Array, Array, Array]:
+    """Return gains on the state (K, N) and on the extras (K, E) of the backward recursion, and P_0.
 
-    weights: Q's diagonal, (N,) or one for each tick (K, N).
+    jacobians: A (K, N, N) and B (K, N); weights: Q's diagonal, (N,) or one for each tick (K, N); terminal (N, N): P at
+    the end. extras: E (K, N, E) and D (E,), the share of each extra left after a period; without them E = 0.
     """
     gains = np.empty_like(input_jacobians)
-    cost = terminal
+    effects, kept = extras or (np.empty((len(gains), gains.shape[1], 0)), np.empty(0))
+    extra_gains = np.empty((len(gains), len(kept)))
+    cost, carried = terminal, np.zeros(effects.shape[1:])
     changing = weights.ndim > 1
     state_cost = np.diag(weights[-1] if changing else weights)
     diagonal = np.einsum("ii->i", state_cost)
@@ -301,15 +386,19 @@ def riccati_gains(
     for k in range(len(gains) - 1, -1, -1):
         a, b = state_jacobians[k], input_jacobians[k]
         weighted = b @ cost
-        gain = (weighted @ a) / (effort + weighted @ b)
-        gains[k] = gain
+        curvature = effort + weighted @ b
+        gains[k] = gain = (weighted @ a) / curvature
         closed = a - b[:, None] * gain
+        if extras:
+            push = cost @ effects[k] + carried * kept
+            extra_gains[k] = (b @ push) / curvature
+            carried = closed.T @ push
         if changing:
             diagonal[:] = weights[k]
         # The symmetric form keeps P positive (Joseph): thousands of steps would lose it otherwise.
         cost = state_cost + effort * (gain[:, None] * gain) + closed.T @ cost @ closed
         cost = (cost + cost.T) / 2
-    return gains, cost
+    return gains, extra_gains, cost
 
 
 def tracking_controller(
@@ -343,7 +432,7 @@ def tracking_controller(
     a, b = model.linearised(states[:-1], feedforward)
     terminal = terminal_cost(a[-1], b[-1], weights=diagonal, effort=effort)
     weights = settings.along(model.arms, model.period, count=count)
-    gains, _ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
+    gains, *_ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
     if not np.isfinite(gains).all():
         raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
     if settings.schedule == "phase":
@@ -354,3 +443,55 @@ def tracking_controller(
 def tick_count(reference: Reference, period: float) -> int:
     """Return the number of periods that cover the reference."""
     return max(int(np.ceil(reference.duration / period - 1e-6)), 1)
+
+
+def extra_jacobians(
+    model: SampledModel, augment: tuple[Augment, ...], states: Array, commands: Array, process: Array
+) -> tuple[Array, Array]:
+    """Return E (K, N, E) and D (E,) at states (K, N) and commands (K,), from the estimator's own prediction."""
+    equations = FilterEquations(model.equations, model.period, augment)
+    size, n, count = equations.dimension, model.dimension, len(states)
+    program = Compiled(equations.prediction(with_jacobian=True))
+    inputs = np.zeros((program.size_in, count))
+    inputs[:n] = states.T
+    for name, value in (("command", commands), ("parameters", model.parameters), ("process", process)):
+        inputs[program.slices[name]] = value if name == "command" else value[:, None]
+    out = program(inputs, np.empty((program.size_out, count)))
+    jacobian = out[size : size + size * size].reshape(size, size, count)
+    # casadi writes column by column: the first index is the column.
+    return jacobian[n:, :n].transpose(2, 1, 0).copy(), jacobian[range(n, size), range(n, size), 0].copy()
+
+
+def adaptive_controller(
+    reference: Reference, model: SampledModel, settings: AdaptiveSettings, *, estimator: FilterSettings
+) -> AdaptiveController:
+    """Return the controller for `reference` at the model's period, for what `estimator` estimates besides the state.
+
+    Raises:
+        InputError: the reference did not converge or has another number of states than the model, or the estimator
+            does not estimate the parameters.
+        GoalMissed: the reference's end cannot be stabilised.
+    """
+    if Augment.PARAMETERS not in estimator.augments:
+        raise InputError(
+            f"controller: kind = {settings.kind!r} needs to know what is wrong with the model, and the estimator has "
+            f'augment = {list(estimator.augment)!r}: add "parameters", and "friction" as well'
+        )
+    plain = tracking_controller(reference, model, FeedforwardSettings())
+    states, commands = plain.reference_states, plain.feedforward
+    a, b = model.linearised(states[:-1], commands)
+    process = estimator.process(model.arms, model.period)
+    e, kept = extra_jacobians(model, estimator.augments, states[:-1], commands, process)
+    diagonal, effort = settings.weights(model.arms, model.period)
+    weights = settings.along(model.arms, model.period, count=len(b))
+    terminal = terminal_cost(a[-1], b[-1], weights=diagonal, effort=effort)
+    gains, extra_gains, *_ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal, extras=(e, kept))
+    if not (np.isfinite(gains).all() and np.isfinite(extra_gains).all()):
+        raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
+    names = extra_names(model.arms, estimator.augments)
+    shares = np.array([name.startswith(("M", "S")) for name in names])
+    return AdaptiveController(
+        settings.kind, states, commands, gains,
+        f"gains for {len(commands)} ticks, on the state and on {', '.join(names)}",
+        extra_gains, names, shares, settings.trust,
+    )  # fmt: skip

@@ -436,7 +436,7 @@ def can_batch(settings: LoopSettings, controller: Controller | None = None) -> b
 
 def _many(controller: Controller) -> Any:
     """Return what begins a session for many runs: of one clock, or each of its own; None where there is none."""
-    return getattr(controller, "begin_many", None) or getattr(controller, "begin_runs", None)
+    return getattr(controller, "begin_many", None)
 
 
 def run_batch(

@@ -13,14 +13,19 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from dpcontrol.control.adaptive import AdaptiveSettings, adaptive_controller
 from dpcontrol.control.estimator_settings import FilterSettings
 from dpcontrol.control.handover import Fly, Keep, Keeper, NearestKeeper, Program, Segment, program
 from dpcontrol.control.interface import Controller, SampledModel
 from dpcontrol.control.lqr import HoldSettings, hold_controller
 from dpcontrol.control.ogy import ClassicOgySettings, OgyController, OgySettings, ogy_controller
 from dpcontrol.control.periodic import OrbitController, orbit_controller
-from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings, tracking_controller
+from dpcontrol.control.tracking import (
+    AdaptiveSettings,
+    FeedforwardSettings,
+    TvlqrSettings,
+    adaptive_controller,
+    tracking_controller,
+)
 from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.orbits.symmetric_shooting import equilibria

@@ -19,7 +19,6 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from dpcontrol.control.adaptive import AdaptiveSettings
 from dpcontrol.control.estimation import ESTIMATORS
 from dpcontrol.control.estimator_settings import (
     AdaptiveEkfSettings,
@@ -28,7 +27,7 @@ from dpcontrol.control.estimator_settings import (
 )
 from dpcontrol.control.lqr import HoldSettings
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
-from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings
+from dpcontrol.control.tracking import AdaptiveSettings, FeedforwardSettings, TvlqrSettings
 from dpcontrol.dynamics.chain import Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Table, parse_toml, read_toml, suggest

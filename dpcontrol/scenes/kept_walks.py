@@ -19,7 +19,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.phase import whole_turns
+from dpcontrol.control.interface import whole_turns
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit

@@ -5,16 +5,17 @@ import pytest
 from scipy.integrate import solve_ivp
 from shadowing_stand_in import LAB, StandIn
 
-from dpcontrol.control.adaptive import (
-    AdaptiveController,
-    AdaptiveSettings,
-    adaptive_controller,
-    extra_jacobians,
-    preview_gains,
-)
 from dpcontrol.control.estimator_settings import Augment, EkfSettings
 from dpcontrol.control.interface import SampledModel
-from dpcontrol.control.tracking import TvlqrSettings, tracking_controller
+from dpcontrol.control.tracking import (
+    AdaptiveController,
+    AdaptiveSettings,
+    TvlqrSettings,
+    adaptive_controller,
+    extra_jacobians,
+    riccati_gains,
+    tracking_controller,
+)
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.batch import run_batch
@@ -54,7 +55,7 @@ def test_gains_minimise_the_cost_with_the_extras_foreseen() -> None:
     b, e = random.standard_normal((steps, n)), random.standard_normal((steps, n, extras))
     kept, terminal = np.array([1.0, 0.6]), np.diag([3.0, 2.0, 1.0])
     weights = random.uniform(0.5, 2.0, (steps, n))
-    gains, extra_gains = preview_gains((a, b, e, kept), weights=weights, effort=effort, terminal=terminal)
+    gains, extra_gains, _ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal, extras=(e, kept))
     start, extra = np.array([1.0, -0.5, 0.3]), np.array([0.7, -1.1])
     # The same problem as one least-squares problem in all inputs, with every disturbance to come known.
     free, forced = [start], [np.zeros((n, steps))]

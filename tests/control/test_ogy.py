@@ -18,8 +18,13 @@ from dpcontrol.control.ogy import (
     parameter_directions,
     sensitivities,
 )
-from dpcontrol.control.periodic import OrbitController, closed_multipliers, orbit_controller, periodic_gains
-from dpcontrol.control.phase import phase_table
+from dpcontrol.control.periodic import (
+    OrbitController,
+    closed_multipliers,
+    orbit_controller,
+    periodic_gains,
+    phase_table,
+)
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
@@ -232,7 +237,7 @@ def test_many_runs_do_what_each_does_alone() -> None:
             sent.append(action.feedforward + action.feedback)
             state = plant.step(state, sent[-1])
         alone.append(sent)
-    together = controller.begin_runs(3)
+    together = controller.begin_many(3)
     states = np.array([started(controller, seed) for seed in range(3)]).T
     wanted = states
     for k in range(ticks):
@@ -247,7 +252,7 @@ def test_many_runs_do_what_each_does_alone() -> None:
 @pytest.mark.parametrize("schedule", ["time", "phase"])
 def test_many_runs_at_every_tick_do_what_each_does_alone(schedule: str) -> None:
     controller = tvlqr(schedule)
-    together, alone = controller.begin_runs(3), [controller.begin() for _ in range(3)]
+    together, alone = controller.begin_many(3), [controller.begin() for _ in range(3)]
     kicks = np.random.default_rng(0).normal(0, 0.02, (3, 6))
     for k in range(900):
         states = orbit().state(k * 1e-3) + kicks

@@ -53,7 +53,7 @@ def test_gains_far_from_the_end_are_the_stationary_ones() -> None:
     cost = solve_discrete_are(A, B[:, None], np.diag(WEIGHTS), np.array([[EFFORT]]))
     stationary = (B @ cost @ A) / (EFFORT + B @ cost @ B)
     many = 400
-    gains, _ = riccati_gains(
+    gains, *_ = riccati_gains(
         np.tile(A, (many, 1, 1)), np.tile(B, (many, 1)), weights=WEIGHTS, effort=EFFORT, terminal=np.eye(3)
     )
     assert gains[0] == pytest.approx(stationary, rel=SOLVED)
@@ -64,7 +64,7 @@ def test_gains_of_a_short_varying_horizon_minimise_the_cost() -> None:
     steps, terminal = 6, np.diag([3.0, 2.0, 1.0])
     a = A + 0.1 * random.standard_normal((steps, 3, 3))
     b = B + 0.1 * random.standard_normal((steps, 3))
-    gains, _ = riccati_gains(a, b, weights=WEIGHTS, effort=EFFORT, terminal=terminal)
+    gains, *_ = riccati_gains(a, b, weights=WEIGHTS, effort=EFFORT, terminal=terminal)
     start = np.array([1.0, -0.5, 0.3])
     # The same problem as one least-squares problem in all inputs.
     free, forced = [start], [np.zeros((3, steps))]
@@ -173,7 +173,7 @@ def test_by_phase_the_clock_is_found_anew_and_many_runs_agree_with_one(
     assert controller.join(5, turn[1].state(0.3)).command(5, turn[1].state(0.3), np.zeros(0)).feedback < 1e-6
     random = np.random.default_rng(0)
     starts = turn[1].state(0.0)[:, None] + random.normal(0, 0.02, (6, 4))
-    many, ones = controller.begin_runs(4), [controller.begin() for _ in range(4)]
+    many, ones = controller.begin_many(4), [controller.begin() for _ in range(4)]
     for k in range(50):
         states = starts + turn[1].state(k * 2e-3)[:, None] - turn[1].state(0.0)[:, None]
         forward, back, wanted = many.commands(k, states, np.zeros((0, 4)))
