@@ -6,10 +6,8 @@ from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING
 
-import click
-
 from dpcontrol.bench.chart import CHARTS, GROUPS
-from dpcontrol.cli.verbs import OUTPUT, Answer, TextTable, option, verb
+from dpcontrol.cli.verbs import FOLDER, OUTPUT, Answer, TextTable, argument, option, verb
 from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -17,16 +15,13 @@ if TYPE_CHECKING:
 
 
 @verb("figures", example="dpcontrol figures tubes heteroclinics --out pictures")
-@click.argument("names", nargs=-1, metavar="[NAME]...")
-@option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    default=Path("figures"),
-    show_default=True,
-    group=OUTPUT,
-    help="Folder for the pictures and captions.json.",
-)
-def figures_command(*, names: tuple[str, ...], out: Path) -> Answer:
+def figures_command(
+    *,
+    names: tuple[str, ...] = argument(metavar="[NAME]...", required=False),
+    out: Path = option(
+        type=FOLDER, default=Path("figures"), group=OUTPUT, help="Folder for the pictures and captions.json."
+    ),
+) -> Answer:
     """Draw the paper's computational figures from atlases: each a PNG with a caption and what differs from the paper.
 
     Names: energy-landscape, families, tubes, homoclinics-low, homoclinics-high, heteroclinics, branches, graph,
@@ -85,23 +80,18 @@ slower, and errs by.
 
 
 @verb("bench", help=_HELP, example="dpcontrol bench propagation --quick --out charts")
-@click.argument("names", nargs=-1, metavar="[CHART]...")
-@click.option("--quick", is_flag=True, help="Less of the same work: all charts in three minutes.")
-@click.option(
-    "--against",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="Folder of an earlier drawing, to compare fronts and defaults with.",
-)
-@click.option("--strict", is_flag=True, help="Exit with 1 where a chart has a complaint.")
-@option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    default=Path("charts"),
-    show_default=True,
-    group=OUTPUT,
-    help="Folder for each chart's NAME.png and NAME.json.",
-)
-def bench_command(*, names: tuple[str, ...], quick: bool, against: Path | None, strict: bool, out: Path) -> Answer:
+def bench_command(
+    *,
+    names: tuple[str, ...] = argument(metavar="[CHART]...", required=False),
+    quick: bool = option(help="Less of the same work: all charts in three minutes."),
+    against: Path | None = option(
+        type=FOLDER, help="Folder of an earlier drawing, to compare fronts and defaults with."
+    ),
+    strict: bool = option(help="Exit with 1 where a chart has a complaint."),
+    out: Path = option(
+        type=FOLDER, default=Path("charts"), group=OUTPUT, help="Folder for each chart's NAME.png and NAME.json."
+    ),
+) -> Answer:
     """Draw the charts, print their fronts and borders."""
     from dpcontrol.bench.chart import PrecisionChart, check_names
     from dpcontrol.bench.run import changes, draw_charts, earlier_panels, losses

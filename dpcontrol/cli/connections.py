@@ -9,16 +9,18 @@ from typing import TYPE_CHECKING
 import click
 
 from dpcontrol.cli.verbs import (
+    ENERGY,
+    JOINING,
+    LEAVING,
     Answer,
+    Precision,
     TextTable,
-    exact_energy_option,
+    argument,
     extended_text,
     file_option,
     hits_option,
     multiplier_text,
     option,
-    precision_option,
-    saddle_options,
     verb,
 )
 from dpcontrol.foundation.errors import GoalMissed, InputError
@@ -32,51 +34,37 @@ if TYPE_CHECKING:
     from dpcontrol.walks.atlas import Atlas
 
 SEARCH, RESULT = "Search", "Result"
+THOROUGH = 'Go on where a search says "at least": 20,000 trajectories a tube and more where they part, up to a minute'
 SHOWN = 8
 """Open ends of cuts that are printed for people: tubes that scatter have hundreds."""
 
 
 @verb("connect", example="dpcontrol connect lab --from down-up --to up-down --energy 0.2")
-@click.argument("model")
-@saddle_options
-@exact_energy_option
-@hits_option("1, or what --name says", group=SEARCH)
-@option(
-    "--section",
-    "section_name",
-    metavar="NAME",
-    group=SEARCH,
-    help="Search on this section: outer-down (θ₂ = 2πk), inner-down (θ₁ = 2πk), aligned (θ₁ = θ₂ + 2πk); three-body: "
-    "opposite, between. [default: the saddles' own]",
-)
-@option(
-    "--longest",
-    type=click.FloatRange(min=0, min_open=True),
-    metavar="PERIODS",
-    group=SEARCH,
-    help="Time that trajectories are given to the section, in periods of their orbit. Tubes that scatter are "
-    "resolved when it is short. [default: the model's, 12 for pendulums]",
-)
-@option(
-    "--thorough",
-    is_flag=True,
-    group=SEARCH,
-    help='Go on where the search says "at least": 20,000 trajectories a tube and more where they part, up to a minute.',
-)
-@option("--name", group=RESULT, help="Show this connection only; names are those that the verb lists.")
-@precision_option("refine the connection named by --name in 113-bit arithmetic.", group=RESULT)
 def connect_command(
     *,
-    model: str,
-    source: str,
-    target: str,
-    energy: Decimal,
-    hits: tuple[int, int] | None,
-    section_name: str | None,
-    longest: float | None,
-    thorough: bool,
-    name: str | None,
-    precision: str,
+    model: str = argument(),
+    source: str = LEAVING,
+    target: str = JOINING,
+    energy: Decimal = ENERGY,
+    hits: tuple[int, int] | None = hits_option("1, or what --name says", group=SEARCH),
+    section: str | None = option(
+        metavar="NAME",
+        group=SEARCH,
+        help="Search on this section: outer-down (θ₂ = 2πk), inner-down (θ₁ = 2πk), aligned (θ₁ = θ₂ + 2πk); "
+        "three-body: opposite, between. [default: the saddles' own]",
+    ),
+    longest: float | None = option(
+        type=click.FloatRange(min=0, min_open=True),
+        metavar="PERIODS",
+        group=SEARCH,
+        help="Time that trajectories are given to the section, in periods of their orbit. Tubes that scatter are "
+        "resolved when it is short. [default: the model's, 12 for pendulums]",
+    ),
+    thorough: bool = option(group=SEARCH, help=f"{THOROUGH}."),
+    name: str | None = option(group=RESULT, help="Show this connection only; names are those that the verb lists."),
+    precision: Precision = option(
+        default="double", group=RESULT, help="extended: refine the connection named by --name in 113-bit arithmetic."
+    ),
 ) -> Answer:
     """Find every connection between the Lyapunov orbits of two saddles (or one) that meets their section at given hits.
 
@@ -99,7 +87,7 @@ def connect_command(
     search = api.connections(
         *orbits,
         hits=hits or named_hits,
-        section=section_name or named_section,
+        section=section or named_section,
         longest=longest,
         thorough=thorough,
         progress=True,
@@ -182,15 +170,14 @@ def _extended(model: "Model", connection: "Connection", energy: Decimal) -> Answ
 
 
 @verb("bifurcations", example="dpcontrol bifurcations lab --from down-up --to down-up --energies -0.11 -0.09")
-@click.argument("model")
-@saddle_options
-@click.option("--energies", required=True, type=float, nargs=2, metavar="LO HI", help="Range of energies in J.")
-@click.option(
-    "--hits", default=1, show_default=True, type=click.IntRange(1), help="How often the connections cross the section."
-)
-@click.option("--samples", default=24, show_default=True, type=click.IntRange(2), help="Energies searched at first.")
 def bifurcations_command(
-    *, model: str, source: str, target: str, energies: tuple[float, float], hits: int, samples: int
+    *,
+    model: str = argument(),
+    source: str = LEAVING,
+    target: str = JOINING,
+    energies: tuple[float, float] = option(metavar="LO HI", help="Range of energies in J."),
+    hits: int = option(type=click.IntRange(1), default=1, help="How often the connections cross the section."),
+    samples: int = option(type=click.IntRange(2), default=24, help="Energies searched at first."),
 ) -> Answer:
     """Find the energies at which connections appear, vanish or split, and those at which they only seem to.
 
@@ -229,19 +216,14 @@ def _bifurcations_text(found: "BifurcationSearch") -> Iterator[str | TextTable]:
 
 
 @verb("atlas", example="dpcontrol atlas lab --energy 0.2", note="then: dpcontrol review FILE")
-@click.argument("model")
-@click.option("--energy", required=True, type=float, help="Energy in J, zero at the pivot's height.")
-@hits_option("for each kind the first at which they meet, up to 2")
-@click.option(
-    "--thorough",
-    is_flag=True,
-    help='Go on where a search says "at least": 20,000 trajectories a tube and more where they part, up to a minute '
-    "for each kind of connection.",
-)
-@click.option("--fresh", is_flag=True, help="Compute anew even if the atlas is cached.")
-@file_option("--out", suffix=".npz", help="Also write the atlas to this .npz.")
 def atlas_command(
-    *, model: str, energy: float, hits: tuple[int, int] | None, thorough: bool, fresh: bool, out: Path | None
+    *,
+    model: str = argument(),
+    energy: float = ENERGY,
+    hits: tuple[int, int] | None = hits_option("for each kind the first at which they meet, up to 2"),
+    thorough: bool = option(help=f"{THOROUGH} for each kind of connection."),
+    fresh: bool = option(help="Compute anew even if the atlas is cached."),
+    out: Path | None = file_option(suffix=".npz", help="Also write the atlas to this .npz."),
 ) -> Answer:
     """Compute all of one energy: every Lyapunov orbit, their tubes, every connection between them, rotating orbits.
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dpcontrol.cli.verbs import Answer, TextTable, drawn_to, file_option, multiplier_text, option, verb
+from dpcontrol.cli.verbs import Answer, TextTable, argument, drawn_to, file_option, multiplier_text, option, verb
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import progress_bar
 
@@ -24,43 +24,26 @@ Range = tuple[float, float]
 
 
 @verb("orbit", example="dpcontrol orbit lab --saddle down-up --energy -0.07")
-@click.argument("model")
-@option("--saddle", group=KIND, help="Saddle that the orbit surrounds, inner arm first: down-up, up-down.")
-@option("--family", default=0, show_default=True, group=KIND, help="Which of the saddle's families, slowest first.")
-@option(
-    "--rotating",
-    type=click.Choice(["inner", "outer"]),
-    group=KIND,
-    help="Orbits that turn this arm over and over, instead.",
-)
-@option(
-    "--sustained",
-    is_flag=True,
-    group=KIND,
-    help="The orbit that friction and cart sustain with the least effort, instead.",
-)
-@option(
-    "--sections",
-    type=click.IntRange(1, 1000),
-    default=4,
-    show_default=True,
-    group=KIND,
-    help="For --sustained: how often in a period the input's clock is reset.",
-)
-@click.option("--energy", type=float, help="Energy in J, zero at the pivot's height.")
-@click.option("--energies", type=float, nargs=2, metavar="LO HI", help="Follow the family between two energies in J.")
-@file_option("--picture", suffix=".png", help="Draw the family, or the sustained orbit, to this PNG.")
 def orbit_command(
     *,
-    model: str,
-    saddle: str | None,
-    family: int,
-    rotating: str | None,
-    sustained: bool,
-    sections: int,
-    energy: float | None,
-    energies: Range | None,
-    picture: Path | None,
+    model: str = argument(),
+    saddle: str | None = option(group=KIND, help="Saddle that the orbit surrounds, inner arm first: down-up, up-down."),
+    family: int = option(default=0, group=KIND, help="Which of the saddle's families, slowest first."),
+    rotating: str | None = option(
+        type=click.Choice(["inner", "outer"]), group=KIND, help="Orbits that turn this arm over and over, instead."
+    ),
+    sustained: bool = option(
+        group=KIND, help="The orbit that friction and cart sustain with the least effort, instead."
+    ),
+    sections: int = option(
+        type=click.IntRange(1, 1000),
+        default=4,
+        group=KIND,
+        help="For --sustained: how often in a period the input's clock is reset.",
+    ),
+    energy: float | None = option(help="Energy in J, zero at the pivot's height."),
+    energies: Range | None = option(metavar="LO HI", help="Follow the family between two energies in J."),
+    picture: Path | None = file_option(suffix=".png", help="Draw the family, or the sustained orbit, to this PNG."),
 ) -> Answer:
     """Compute the Lyapunov orbit about a saddle at an energy, or its family, with Floquet multipliers.
 

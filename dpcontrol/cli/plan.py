@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.verbs import Answer, TextTable, drawn_to, file_option, verb
+from dpcontrol.cli.verbs import Answer, TextTable, argument, drawn_to, file_option, option, verb
 from dpcontrol.foundation.errors import InputError
 
 if TYPE_CHECKING:
@@ -15,10 +15,12 @@ if TYPE_CHECKING:
 
 
 @verb("plan", example="dpcontrol plan outer-turn", note="ITINERARY is a name (in ./itineraries or shipped) or a path.")
-@click.argument("itinerary")
-@click.option("--fresh", is_flag=True, help="Plan anew even if the plan is cached.")
-@file_option("--out", suffix=".npz", help="Also write the reference to this .npz.")
-def plan_command(*, itinerary: str, fresh: bool, out: Path | None) -> Answer:
+def plan_command(
+    *,
+    itinerary: str = argument(),
+    fresh: bool = option(help="Plan anew even if the plan is cached."),
+    out: Path | None = file_option(suffix=".npz", help="Also write the reference to this .npz."),
+) -> Answer:
     """Plan an itinerary: connections, shadowing orbit, and the reference with friction and cart.
 
     Plans are kept by content: the same itinerary is planned once.
@@ -61,9 +63,9 @@ _ORIGIN = ("program", "code", "scene_hash", "model_hash")
 
 
 @verb("reference", example="dpcontrol plan cross --out cross.npz; dpcontrol reference cross.npz")
-@click.argument("file", type=click.Path(path_type=Path))
-@file_option("--picture", suffix=".png", help="Draw it to this PNG.")
-def reference_command(*, file: Path, picture: Path | None) -> Answer:
+def reference_command(
+    *, file: Path = argument(), picture: Path | None = file_option(suffix=".png", help="Draw it to this PNG.")
+) -> Answer:
     """Show a reference: what it does, its use of the cart's limits, its effort, mesh and error, what it was made from.
 
     FILE is a .npz as `dpcontrol plan --out` writes it; its layout is documented in dpcontrol.references.reference, and

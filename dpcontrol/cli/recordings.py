@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.verbs import Answer, TextTable, drawn_to, file_option, option, verb
+from dpcontrol.cli.verbs import Answer, TextTable, argument, drawn_to, file_option, option, verb
 from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -19,29 +19,20 @@ SIMULATED = "With --simulated"
 
 
 @verb("import", example="dpcontrol import swing.csv --mapping my-rig.toml --repair nan,gaps")
-@click.argument("file", required=False, type=click.Path(path_type=Path))
-@click.option("--mapping", help="Meaning of the columns: a name or a TOML file [.mat: by its contents; else table].")
-@click.option("--repair", default="", help="What may be mended, with commas: nan,time,gaps,wrap,spikes,sampling.")
-@option(
-    "--simulated",
-    metavar="MODEL",
-    group=SIMULATED,
-    help="In place of a file: free swings of this model, as encoders show them.",
-)
-@option("--swings", default=9, show_default=True, group=SIMULATED, help="Number of swings.")
-@option("--seconds", default=2.667, show_default=True, group=SIMULATED, help="Length of each swing, s.")
-@option("--seed", default=0, show_default=True, group=SIMULATED, help="Seed of the starts and the encoders' zeros.")
-@file_option("--out", help="Log to write [logs/NAME.mcap].")
 def import_command(
     *,
-    file: Path | None,
-    mapping: str | None,
-    repair: str,
-    simulated: str | None,
-    swings: int,
-    seconds: float,
-    seed: int,
-    out: Path | None,
+    file: Path | None = argument(),
+    mapping: str | None = option(
+        help="Meaning of the columns: a name or a TOML file [.mat: by its contents; else table]."
+    ),
+    repair: str = option(default="", help="What may be mended, with commas: nan,time,gaps,wrap,spikes,sampling."),
+    simulated: str | None = option(
+        metavar="MODEL", group=SIMULATED, help="In place of a file: free swings of this model, as encoders show them."
+    ),
+    swings: int = option(default=9, group=SIMULATED, help="Number of swings."),
+    seconds: float = option(default=2.667, group=SIMULATED, help="Length of each swing, s."),
+    seed: int = option(default=0, group=SIMULATED, help="Seed of the starts and the encoders' zeros."),
+    out: Path | None = file_option(help="Log to write [logs/NAME.mcap]."),
 ) -> Answer:
     """Import a recording of the bench, MATLAB, CSV or Parquet, as a log.
 
@@ -91,14 +82,16 @@ def _import_text(recording: "Recording", document: dict[str, Any]) -> Iterator[s
 
 
 @verb("identify", example="dpcontrol identify logs/lab_free_swing.mcap --model lab --out models/rig.toml")
-@click.argument("logs", nargs=-1, type=click.Path(path_type=Path))
-@click.option("--model", default="lab", show_default=True, help="Model to start from: a name or a TOML file.")
-@click.option("--zeros/--no-zeros", default=None, help="Fit the encoders' zeros or not [by the segments left out].")
-@click.option("--design", is_flag=True, help="Instead, report which swings would tell most about the model.")
-@file_option("--out", suffix=".toml", help="Model to write [models/NAME.toml].")
-@file_option("--picture", suffix=".png", help="Draw the result to this PNG.")
 def identify_command(
-    *, logs: tuple[Path, ...], model: str, zeros: bool | None, design: bool, out: Path | None, picture: Path | None
+    *,
+    logs: tuple[Path, ...] = argument(required=False),
+    model: str = option(default="lab", help="Model to start from: a name or a TOML file."),
+    zeros: bool | None = option(
+        "--zeros/--no-zeros", help="Fit the encoders' zeros or not [by the segments left out]."
+    ),
+    design: bool = option(help="Instead, report which swings would tell most about the model."),
+    out: Path | None = file_option(suffix=".toml", help="Model to write [models/NAME.toml]."),
+    picture: Path | None = file_option(suffix=".png", help="Draw the result to this PNG."),
 ) -> Answer:
     """Identify a model from LOGS that `dpcontrol import` wrote: inertia ratios, friction laws, encoder zeros.
 
@@ -188,26 +181,17 @@ ESTIMATOR = "Estimator"
 
 
 @verb("replay", example="dpcontrol replay logs/lab_free_swing.mcap --model lab --estimator ukf")
-@click.argument("log", type=click.Path(path_type=Path))
-@click.option("--model", default="lab", show_default=True, help="Model that predicts: a name or a path.")
-@click.option("--ahead", default=100, show_default=True, help="Samples ahead of the estimate for the n-step error.")
-@click.option("--span", type=float, help="Longest stretch predicted in one piece, s [5; 0.5 if the cart moved].")
-@option("--estimator", default="ekf", show_default=True, group=ESTIMATOR, help="Kind of estimator: ekf, ukf.")
-@option("--counts", default=40_000, show_default=True, group=ESTIMATOR, help="Encoder counts per turn: assumed noise.")
-@option("--mean-over", type=float, group=ESTIMATOR, help="Length of its means, s [0.015; 0 if the cart moved].")
-@option("--model-error", default=0.003, show_default=True, group=ESTIMATOR, help="Relative error of the accelerations.")
-@file_option("--out", help="Log to write [logs/NAME-replay.mcap].")
 def replay_command(
     *,
-    log: Path,
-    model: str,
-    ahead: int,
-    span: float | None,
-    estimator: str,
-    counts: int,
-    mean_over: float | None,
-    model_error: float,
-    out: Path | None,
+    log: Path = argument(),
+    model: str = option(default="lab", help="Model that predicts: a name or a path."),
+    ahead: int = option(default=100, help="Samples ahead of the estimate for the n-step error."),
+    span: float | None = option(help="Longest stretch predicted in one piece, s [5; 0.5 if the cart moved]."),
+    estimator: str = option(default="ekf", group=ESTIMATOR, help="Kind of estimator: ekf, ukf."),
+    counts: int = option(default=40_000, group=ESTIMATOR, help="Encoder counts per turn: assumed noise."),
+    mean_over: float | None = option(group=ESTIMATOR, help="Length of its means, s [0.015; 0 if the cart moved]."),
+    model_error: float = option(default=0.003, group=ESTIMATOR, help="Relative error of the accelerations."),
+    out: Path | None = file_option(help="Log to write [logs/NAME-replay.mcap]."),
 ) -> Answer:
     """Predict a recording by a model, run an estimator over its angles, and write both beside what was measured.
 

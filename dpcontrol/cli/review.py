@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.verbs import Answer, TextTable, file_option, verb
+from dpcontrol.cli.verbs import Answer, TextTable, argument, file_option, option, verb
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import progress_bar
 
@@ -20,8 +20,7 @@ if TYPE_CHECKING:
 
 
 @verb("score", example="dpcontrol score logs/outer-turn-0.mcap")
-@click.argument("logs", nargs=-1, required=True, type=click.Path(path_type=Path))
-def score_command(*, logs: tuple[Path, ...]) -> Answer:
+def score_command(*, logs: tuple[Path, ...] = argument()) -> Answer:
     """Score logged runs: symbols done, wraps, limits, tracking, consistency of the estimator.
 
     With --json, one log gives one object, several give {"runs": [...]}. Exits with 1 if a run is not completed.
@@ -57,11 +56,13 @@ def shortfall(verdict: "Score") -> str:
 
 
 @verb("review", example="dpcontrol review logs/outer-turn-0.mcap --picture outer-turn.png")
-@click.argument("files", metavar="LOG...|ATLAS|REFERENCE", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--align", default=1, show_default=True, metavar="N", help="Symbol at which several logs are aligned.")
-@file_option("--save", suffix=".rrd", help="Save a Rerun recording (.rrd).")
-@file_option("--picture", suffix=".png", help="Save a picture (.png).")
-def review_command(*, files: tuple[Path, ...], align: int, save: Path | None, picture: Path | None) -> Answer:
+def review_command(
+    *,
+    files: tuple[Path, ...] = argument(metavar="LOG...|ATLAS|REFERENCE"),
+    align: int = option(default=1, metavar="N", help="Symbol at which several logs are aligned."),
+    save: Path | None = file_option(suffix=".rrd", help="Save a Rerun recording (.rrd)."),
+    picture: Path | None = file_option(suffix=".png", help="Save a picture (.png)."),
+) -> Answer:
     """Open a log in the Rerun viewer: arms with the reference's ghost, the itinerary as asked and as done, angles,
     rates, command, errors, energy, phase planes with the tubes used. A recording from the bench opens as well.
 
@@ -152,9 +153,13 @@ def _comparison_writers(files: tuple[Path, ...], symbol: int) -> tuple[Callable,
 
 
 @verb("report", example="dpcontrol report logs/outer-turn-0.mcap --picture outer-turn.pdf")
-@click.argument("file", metavar="LOG|CAMPAIGN.parquet", type=click.Path(path_type=Path))
-@file_option("--picture", suffix=(".png", ".pdf"), help="Page to write [beside FILE, as NAME-report.png].")
-def report_command(*, file: Path, picture: Path | None) -> Answer:
+def report_command(
+    *,
+    file: Path = argument(metavar="LOG|CAMPAIGN.parquet"),
+    picture: Path | None = file_option(
+        suffix=(".png", ".pdf"), help="Page to write [beside FILE, as NAME-report.png]."
+    ),
+) -> Answer:
     """Write one page on a log or on a campaign, for those who do not open a viewer; matplotlib draws it.
 
     Of a log: the itinerary as asked and as done, a film, angles, rates, cart, command, errors, energy, phase planes.
@@ -208,8 +213,7 @@ _LONG = 200
 
 
 @verb("info", example="dpcontrol info logs/outer-turn-0.mcap")
-@click.argument("log", type=click.Path(path_type=Path))
-def info_command(*, log: Path) -> Answer:
+def info_command(*, log: Path = argument()) -> Answer:
     """Show what is in a log: topics, types, units, rates, counts, duration, metadata, attachments.
 
     All checksums are compared; a log that is cut or damaged is rejected with advice on what to do about it.
@@ -241,13 +245,14 @@ def _info_text(summary: "LogSummary") -> Iterator[str | TextTable]:
 
 
 @verb("recover", example="dpcontrol recover logs/outer-turn-0.mcap.partial")
-@click.argument("log", type=click.Path(path_type=Path))
-@file_option(
-    "--out",
-    suffix=".mcap",
-    help="Log to write [NAME.mcap for NAME.mcap.partial where that is free, else NAME-recovered.mcap].",
-)
-def recover_command(*, log: Path, out: Path | None) -> Answer:
+def recover_command(
+    *,
+    log: Path = argument(),
+    out: Path | None = file_option(
+        suffix=".mcap",
+        help="Log to write [NAME.mcap for NAME.mcap.partial where that is free, else NAME-recovered.mcap].",
+    ),
+) -> Answer:
     """Rebuild a log that a killed run left, that was cut or that is damaged, and report what is lost.
 
     What is sound is copied bit for bit, put in order and read back; nothing is made up, and the old file is kept.

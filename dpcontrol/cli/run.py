@@ -1,17 +1,17 @@
 """The verbs that run the loop, and the options that override a scene's run settings: run, rig, campaign."""
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 from click.core import ParameterSource
 
 from dpcontrol.cli.review import score_text, shortfall
-from dpcontrol.cli.verbs import Answer, TextTable, file_option, option, show, verb
+from dpcontrol.cli.verbs import FILE, Answer, Option, Several, TextTable, argument, file_option, option, show, verb
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import part_of, progress_bar
 from dpcontrol.foundation.settings import suggest
@@ -27,12 +27,12 @@ KINDS: dict[str, type] = {
 """Type of every run setting that can be given on the command line."""
 
 
-def run_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add `--mismatch`, `--lag` and the like to a verb, by part of the bench; those not given arrive as None."""
-    for f in reversed(fields(RunOptions)):
-        flag = f"--{f.name.replace('_', '-')}"
-        function = option(flag, f.name, type=KINDS[f.name], default=None, **f.metadata)(function)
-    return function
+def run_settings() -> Any:
+    """Declare `--mismatch`, `--lag` and the like, by part of the bench, as one parameter, a RunOptions."""
+    flags = {f.name: f"--{f.name.replace('_', '-')}" for f in fields(RunOptions)}
+    return Several(
+        [Option([flags[f.name], f.name], type=KINDS[f.name], **f.metadata) for f in fields(RunOptions)], RunOptions
+    )
 
 
 BENCH = "Bench"
@@ -40,34 +40,23 @@ _WITH_FROM = ("source", "out", "as_json")
 
 
 @verb("run", example="dpcontrol run outer-turn --seed 3 --mismatch 0.05")
-@click.argument("itinerary", required=False)
-@click.option(
-    "--from",
-    "source",
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Log to repeat, from its attachments alone; exits with 1 if a message differs.",
-)
-@click.option("--seed", default=0, show_default=True, help="Seed of all that is random.")
-@option(
-    "--rig",
-    "address",
-    metavar="ADDRESS",
-    group=BENCH,
-    help="Run in real time on the bench at udp://HOST:PORT (see `dpcontrol rig`), or, with udp alone, on one started "
-    "for the run.",
-)
-@option("--real-time", is_flag=True, group=BENCH, help="With --rig: ask for priority over all ordinary work.")
-@run_options
-@file_option("--out", help="Log to write [logs/NAME-SEED.mcap].")
 def run_command(
     *,
-    itinerary: str | None,
-    source: Path | None,
-    seed: int,
-    address: str | None,
-    real_time: bool,
-    out: Path | None,
-    **overrides: Any,
+    itinerary: str | None = argument(),
+    source: Path | None = option(
+        "--from", type=FILE, help="Log to repeat, from its attachments alone; exits with 1 if a message differs."
+    ),
+    seed: int = option(default=0, help="Seed of all that is random."),
+    address: str | None = option(
+        "--rig",
+        metavar="ADDRESS",
+        group=BENCH,
+        help="Run in real time on the bench at udp://HOST:PORT (see `dpcontrol rig`), or, with udp alone, on one "
+        "started for the run.",
+    ),
+    real_time: bool = option(group=BENCH, help="With --rig: ask for priority over all ordinary work."),
+    settings: RunOptions = run_settings(),
+    out: Path | None = file_option(help="Log to write [logs/NAME-SEED.mcap]."),
 ) -> Answer:
     """Run an itinerary in closed loop on the simulated bench, or on a rig, and write its log.
 
@@ -84,9 +73,8 @@ def run_command(
     from dpcontrol.scenes.levels import run_remarks
     from dpcontrol.scenes.plan import make_plan
     from dpcontrol.scenes.run import default_log, run_plan
-    from dpcontrol.scenes.run_options import RunOptions
 
-    scene = load_itinerary(itinerary).with_run(RunOptions(**overrides), seed=seed)
+    scene = load_itinerary(itinerary).with_run(settings, seed=seed)
     out = out or default_log(scene)
     with progress_bar("run") as progress:
         plan = make_plan(scene, progress=progress)
@@ -135,15 +123,15 @@ SERVER = "Server"
 
 
 @verb("rig", example="dpcontrol rig outer-turn --port 47000 --mismatch 0.05")
-@click.argument("itinerary")
-@click.option("--seed", default=0, show_default=True, help="Seed of all that is random on the bench.")
-@option("--host", default="127.0.0.1", show_default=True, group=SERVER, help="Address of this computer to listen at.")
-@option("--port", type=click.IntRange(0, 65535), default=0, show_default=True, group=SERVER, help="Port; 0: any free.")
-@option("--runs", type=click.IntRange(0), default=0, show_default=True, group=SERVER, help="Runs to serve; 0: no end.")
-@option("--real-time", is_flag=True, group=SERVER, help="Ask the system for priority over all ordinary work.")
-@run_options
 def rig_command(
-    *, itinerary: str, seed: int, host: str, port: int, runs: int, real_time: bool, **overrides: Any
+    *,
+    itinerary: str = argument(),
+    seed: int = option(default=0, help="Seed of all that is random on the bench."),
+    host: str = option(default="127.0.0.1", group=SERVER, help="Address of this computer to listen at."),
+    port: int = option(type=click.IntRange(0, 65535), default=0, group=SERVER, help="Port; 0: any free."),
+    runs: int = option(type=click.IntRange(0), default=0, group=SERVER, help="Runs to serve; 0: no end."),
+    real_time: bool = option(group=SERVER, help="Ask the system for priority over all ordinary work."),
+    settings: RunOptions = run_settings(),
 ) -> None:
     """Start an example bench: the itinerary's arms and cart, simulated in real time, reached over UDP.
 
@@ -154,20 +142,19 @@ def rig_command(
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.plan import make_plan
     from dpcontrol.scenes.run import bench_recipe
-    from dpcontrol.scenes.run_options import RunOptions
 
-    scene = load_itinerary(itinerary).with_run(RunOptions(**overrides), seed=seed)
+    scene = load_itinerary(itinerary).with_run(settings, seed=seed)
     with progress_bar("rig") as progress:
         plan = make_plan(scene, progress=progress)
     recipe = bench_recipe(plan)
     recipe.rehearse()
-    arms, settings = recipe.parameters.count, BenchServerSettings(real_time=real_time)
+    arms, server = recipe.parameters.count, BenchServerSettings(real_time=real_time)
 
     def say(text: str) -> None:
         click.echo(f"dpcontrol: {text}", err=True)
 
     with (
-        UdpBench(recipe.rig, arms=arms, ticks=recipe.ticks, host=host, port=port, settings=settings, say=say) as bench,
+        UdpBench(recipe.rig, arms=arms, ticks=recipe.ticks, host=host, port=port, settings=server, say=say) as bench,
         suppress(KeyboardInterrupt),
     ):
         address = f"udp://{bench.address[0]}:{bench.address[1]}"
@@ -205,36 +192,28 @@ class _Values(click.ParamType):
 
 
 @verb("campaign", example="dpcontrol campaign outer-turn --runs 200 --mismatch 0.05 --lag 0.005")
-@click.argument("itinerary")
-@click.option("--runs", type=click.IntRange(min=1), help="Seeds for each case [100; with --standard 8].")
-@click.option("--seed-from", type=click.IntRange(min=0), default=0, show_default=True, help="First seed.")
-@click.option("--over", type=_Values(), multiple=True, help="Vary a run setting: one case for each value.")
-@click.option("--standard", is_flag=True, help="The robustness score: nine kinds of trouble, 21 levels each.")
-@option(
-    "--path",
-    "how",
-    type=click.Choice(["compiled", "ticks"]),
-    default="compiled",
-    show_default=True,
-    group=WORK,
-    help="Many seeds in lockstep, or the loop itself.",
-)
-@option("--workers", type=click.IntRange(min=0), default=0, group=WORK, help="Processes [one for each processor].")
-@option("--scheduler", default="", metavar="ADDRESS", group=WORK, help="Run on this Dask cluster, as tcp://host:8786.")
-@run_options
-@file_option("--out", suffix=".parquet", help="Table to write [logs/NAME.parquet].")
 def campaign_command(
     *,
-    itinerary: str,
-    runs: int | None,
-    seed_from: int,
-    over: Sequence[tuple[str, list[Any]]],
-    standard: bool,
-    how: str,
-    workers: int,
-    scheduler: str,
-    out: Path | None,
-    **overrides: Any,
+    itinerary: str = argument(),
+    runs: int | None = option(type=click.IntRange(min=1), help="Seeds for each case [100; with --standard 8]."),
+    seed_from: int = option(type=click.IntRange(min=0), default=0, help="First seed."),
+    over: tuple[Any, ...] = option(type=_Values(), help="Vary a run setting: one case for each value."),
+    standard: bool = option(help="The robustness score: nine kinds of trouble, 21 levels each."),
+    how: Literal["compiled", "ticks"] = option(
+        "--path", default="compiled", group=WORK, help="Many seeds in lockstep, or the loop itself."
+    ),
+    workers: int = option(
+        type=click.IntRange(min=0),
+        default=0,
+        show_default=False,
+        group=WORK,
+        help="Processes [one for each processor].",
+    ),
+    scheduler: str = option(
+        default="", metavar="ADDRESS", group=WORK, help="Run on this Dask cluster, as tcp://host:8786."
+    ),
+    fixed: RunOptions = run_settings(),
+    out: Path | None = file_option(suffix=".parquet", help="Table to write [logs/NAME.parquet]."),
 ) -> Answer:
     """Run an itinerary with many seeds and report how often it is completed.
 
@@ -245,7 +224,6 @@ def campaign_command(
     from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.plan import make_plan
-    from dpcontrol.scenes.run_options import RunOptions
     from dpcontrol.scenes.standard import standard_cases, standard_scores
 
     scene = load_itinerary(itinerary)
@@ -262,13 +240,12 @@ def campaign_command(
     if len(varied) != len(over):
         raise InputError("--over: the same setting is given twice; list its values in one, separated by commas")
     if standard:
-        own = overrides.pop("controller") or scene.loop.controller.kind
-        controllers = varied.pop("controller", [own])
+        controllers = varied.pop("controller", [fixed.controller or scene.loop.controller.kind])
         if varied:
             raise InputError(f"--over {next(iter(varied))}: with --standard only controllers can be varied")
-        cases = standard_cases(scene, fixed=RunOptions(**overrides), controllers=controllers)
+        cases = standard_cases(scene, fixed=fixed, controllers=controllers)
     else:
-        cases = cases_of(scene, fixed=RunOptions(**overrides), over=varied)
+        cases = cases_of(scene, fixed=fixed, over=varied)
     file = out or Path("logs") / f"{scene.name}.parquet"
     with progress_bar("campaign") as progress:
         plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05))

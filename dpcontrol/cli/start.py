@@ -5,10 +5,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import click
-
 from dpcontrol.cli.review import score_text, shortfall
-from dpcontrol.cli.verbs import OUTPUT, Answer, TextTable, option, verb
+from dpcontrol.cli.verbs import FOLDER, OUTPUT, Answer, TextTable, argument, option, verb
 from dpcontrol.foundation.progress import part_of, progress_bar
 
 if TYPE_CHECKING:
@@ -17,17 +15,12 @@ if TYPE_CHECKING:
 
 
 @verb("demo", example="dpcontrol demo --itinerary cross")
-@click.option("--itinerary", default="outer-turn", show_default=True, help="Itinerary to show.")
-@click.option("--seed", default=0, show_default=True, help="Seed of the plant's parameters and the initial error.")
-@option(
-    "--folder",
-    type=click.Path(file_okay=False, path_type=Path),
-    default=Path("logs"),
-    show_default=True,
-    group=OUTPUT,
-    help="Where log, recording and picture go.",
-)
-def demo_command(*, itinerary: str, seed: int, folder: Path) -> Answer:
+def demo_command(
+    *,
+    itinerary: str = option(default="outer-turn", help="Itinerary to show."),
+    seed: int = option(default=0, help="Seed of the plant's parameters and the initial error."),
+    folder: Path = option(type=FOLDER, default=Path("logs"), group=OUTPUT, help="Where log, recording and picture go."),
+) -> Answer:
     """Plan, run, score and picture one itinerary: a full turn of the outer arm at no cost of energy.
 
     Everything is computed here and now: the Lyapunov orbit, its tube, the connections, the reference with friction
@@ -76,13 +69,8 @@ def demo_command(*, itinerary: str, seed: int, folder: Path) -> Answer:
     return Answer(document, lines, shortfall(verdict))
 
 
-@verb(
-    "model",
-    example="dpcontrol model lab",
-    note="MODEL is a name (./models, then those shipped) or a path.",
-)
-@click.argument("model")
-def model_command(*, model: str) -> Answer:
+@verb("model", example="dpcontrol model lab", note="MODEL is a name (./models, then those shipped) or a path.")
+def model_command(*, model: str = argument()) -> Answer:
     """Show a model's parameters with units, and its equilibria (frictionless, pivot at rest)."""
     from dpcontrol.foundation.files import picked
     from dpcontrol.orbits.symmetric_shooting import equilibria

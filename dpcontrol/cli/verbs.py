@@ -1,26 +1,23 @@
-"""What verbs share: their options by group, their answer as text or as JSON on stdout.
+"""What verbs share: their options as parameters of a function, its answer as text or as JSON on stdout.
 
 @verb("score", example="dpcontrol score logs/outer-turn-0.mcap")
-@click.argument("logs", nargs=-1, type=click.Path(path_type=Path))
-def command(*, logs: tuple[Path, ...]) -> Answer:
+def score_command(*, logs: tuple[Path, ...] = argument(), seed: int = option(default=0, help="…")) -> Answer:
     return Answer(document, lines, missed="")
 """
 
+import inspect
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import wraps
+from decimal import Decimal, InvalidOperation
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from types import UnionType
+from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 import click
 
 from dpcontrol.foundation.errors import GoalMissed, InputError
 
-if TYPE_CHECKING:
-    from decimal import Decimal
-
-ENERGY = "Energy in J, zero at the pivot's height."
 OUTPUT = "Output"
 """Group of the options that say where results go."""
 _SHOWN = "dpcontrol.shown"
@@ -78,18 +75,67 @@ class Command(click.Command):
                 formatter.write_dl(records)
 
 
-def option(*names: str, **settings: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return the decorator of an option; `group` is the heading under which help lists it."""
-    return click.option(*names, cls=Option, **settings)
+class _Declared(NamedTuple):
+    kind: type[click.Parameter]
+    names: tuple[str, ...]
+    settings: dict[str, Any]
 
 
-def file_option(
-    *names: str, suffix: str | tuple[str, ...] = (), help: str
-) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return the decorator of an option that names a file to write, which ends in (one of) `suffix` where given."""
-    suffixes = (suffix,) if isinstance(suffix, str) else suffix
-    kind = click.Path(dir_okay=False, path_type=Path)
-    return option(*names, type=kind, group=OUTPUT, suffixes=suffixes, help=help)
+class Several(NamedTuple):
+    """Options that make one parameter of a verb."""
+
+    options: Sequence[Option]
+    make: Callable[..., Any]
+
+
+def argument(**settings: Any) -> Any:
+    """Declare a verb's parameter as an argument, by its annotation: required unless that allows None."""
+    return _Declared(click.Argument, (), settings)
+
+
+def option(*names: str, help: str, default: Any = None, **settings: Any) -> Any:
+    """Declare a verb's parameter as an option, --its-name unless others are given; help lists it under its `group`.
+
+    The annotation is its type. Where there is no default it is required, unless it is a flag, a tuple of any length or
+    may be None.
+    """
+    return _Declared(Option, names, {"help": help, "default": default, **settings})
+
+
+FILE, FOLDER = click.Path(dir_okay=False, path_type=Path), click.Path(file_okay=False, path_type=Path)
+
+
+def file_option(*, suffix: str | tuple[str, ...] = (), help: str) -> Any:
+    """Declare a parameter as an option that names a file to write, which ends in (one of) `suffix` where given."""
+    return option(type=FILE, group=OUTPUT, suffixes=(suffix,) if isinstance(suffix, str) else suffix, help=help)
+
+
+def _parameter(name: str, annotation: Any, declared: _Declared) -> click.Parameter:
+    """Return click's parameter for one of a function."""
+    kind, names, settings = declared.kind, declared.names, dict(declared.settings)
+    choices = get_args(annotation) if isinstance(annotation, UnionType) else (annotation,)
+    (held,) = (one for one in choices if one is not type(None))
+    parts = get_args(held) if get_origin(held) is tuple else ()
+    several, default = parts[-1:] == (...,), settings.get("default")
+    settings.setdefault("type", _click_type(parts[0] if several else held))
+    if kind is click.Argument:
+        settings.setdefault("required", type(None) not in choices)
+        return click.Argument([name], nargs=-1 if several else 1, **settings)
+    flag = held is bool
+    settings.setdefault("required", default is None and len(choices) == 1 and not several and not flag)
+    settings.setdefault("multiple", several)
+    settings.setdefault("show_default", default is not None and default != "" and not flag)
+    if flag:
+        settings |= {"is_flag": True, "type": None, "default": None if len(choices) > 1 else False}
+    return Option([*(names or [f"--{name.replace('_', '-')}"]), name], **settings)
+
+
+def _click_type(held: Any) -> Any:
+    if get_origin(held) is Literal:
+        return click.Choice(get_args(held))
+    if get_origin(held) is tuple:
+        return get_args(held)
+    return {Path: click.Path(path_type=Path), Decimal: DecimalNumber()}.get(held, held)
 
 
 def verb(
@@ -101,27 +147,34 @@ def verb(
     """
 
     def decorate(function: Callable[..., Answer | None]) -> click.Command:
-        @wraps(function)
-        def run(*, as_json: bool, **options: Any) -> None:
-            context = click.get_current_context()
+        parameters = inspect.signature(function).parameters.values()
+        groups = {one.name: one.default for one in parameters if isinstance(one.default, Several)}
+        params: list[click.Parameter] = []
+        for one in parameters:
+            grouped = one.name in groups
+            params += one.default.options if grouped else [_parameter(one.name, one.annotation, one.default)]
+        params.append(
+            Option(["--json", "as_json"], is_flag=True, group=OUTPUT, help="Print one JSON document on stdout.")
+        )
+
+        def run(*, as_json: bool, **given: Any) -> None:
             try:
-                for param in context.command.params:
+                for param in params:
                     if isinstance(param, Option):
-                        param.check(options.get(str(param.name)))
-                answer = function(**options)
+                        param.check(given.get(str(param.name)))
+                for name, group in groups.items():
+                    given[name] = group.make(**{str(one.name): given.pop(str(one.name)) for one in group.options})
+                answer = function(**given)
             except (InputError, GoalMissed) as error:
-                if as_json and _SHOWN not in context.meta:
+                if as_json and _SHOWN not in click.get_current_context().meta:
                     _print_json({"status": str(error), "error": isinstance(error, InputError)})
                 raise
             if answer is not None:
                 show(answer)
 
-        json_option = Option(
-            ["--json", "as_json"], is_flag=True, group=OUTPUT, help="Print one JSON document on stdout."
-        )
-        run.__dict__.setdefault("__click_params__", []).insert(0, json_option)
+        text = help or inspect.cleandoc(function.__doc__ or "")
         epilog = f"Example:  {example}" + (f"      {note}" if note else "")
-        return click.command(name, cls=Command, help=help, epilog=epilog)(run)
+        return Command(name, callback=run, params=params, help=text, epilog=epilog)
 
     return decorate
 
@@ -201,35 +254,21 @@ class DecimalNumber(click.ParamType):
 
     name = "number"
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> "Decimal":
-        from decimal import Decimal, InvalidOperation
-
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Decimal:
         try:
             return Decimal(value)
         except InvalidOperation:
             self.fail(f"{value!r} is not a number.", param, ctx)
 
 
-def exact_energy_option(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the energy, kept as the decimal that was typed."""
-    return click.option("--energy", required=True, type=DecimalNumber(), help=ENERGY)(function)
+ENERGY = option(help="Energy in J, zero at the pivot's height.")
+LEAVING = option("--from", help="Saddle whose orbit connections leave.")
+JOINING = option("--to", help="Saddle whose orbit they join.")
+"""Options of several verbs: the energy, and the saddles between which connections are sought."""
+Precision = Literal["double", "extended"]
 
 
-def saddle_options(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Add the saddles between which connections are sought, as source and target."""
-    function = click.option("--to", "target", required=True, help="Saddle whose orbit they join.")(function)
-    return click.option("--from", "source", required=True, help="Saddle whose orbit connections leave.")(function)
-
-
-def hits_option(default: str, *, group: str = "") -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return the decorator of the option for crossings of the section; default: what holds without it, in words."""
+def hits_option(default: str, *, group: str = "") -> Any:
+    """Declare the option for crossings of the section; default: what holds without it, in words."""
     text = "Which crossings of the section count: the k-th of both tubes, or N,M for the unstable and the stable one."
-    return option("--hits", type=Hits(), group=group, help=f"{text} [default: {default}]")
-
-
-def precision_option(extended: str, *, group: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Return the decorator of the option for the precision; extended: what extended precision does."""
-    kinds = click.Choice(["double", "extended"])
-    return option(
-        "--precision", type=kinds, default="double", show_default=True, group=group, help=f"extended: {extended}"
-    )
+    return option(type=Hits(), group=group, help=f"{text} [default: {default}]")

@@ -9,16 +9,18 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from dpcontrol.cli.verbs import (
+    ENERGY,
+    FOLDER,
     OUTPUT,
     Answer,
     Hits,
+    Precision,
     TextTable,
+    argument,
     drawn_to,
-    exact_energy_option,
     extended_text,
     file_option,
     option,
-    precision_option,
     verb,
 )
 from dpcontrol.foundation.errors import InputError
@@ -51,74 +53,44 @@ class _Wraps(click.ParamType):
 
 
 @verb("walk", example='dpcontrol walk lab --energy 0.2 -s "down-up +" -s "down-up > up-down" --solve')
-@click.argument("model")
-@exact_energy_option
-@click.option("--hits", type=Hits(), default="1", show_default=True, help="Last crossings of the sections that count.")
-@option(
-    "-s",
-    "--symbol",
-    "symbols",
-    multiple=True,
-    group=WALKS,
-    help="A symbol of one walk, in order: as in an itinerary; also to and from rotating orbits.",
-)
-@option("--through", multiple=True, metavar="SADDLE", group=WALKS, help="A stop of the shortest walk through stops.")
-@option("--length", type=click.IntRange(1), group=WALKS, help="List all walks of this many symbols.")
-@option("--from", "source", group=WALKS, help="With --length: only walks from this saddle.")
-@option("--to", "target", group=WALKS, help="With --length: only walks to this saddle.")
-@option("--random", "count", type=click.IntRange(1), group=WALKS, help="Draw this many walks.")
-@option("--lengths", type=(int, int), default=(1, 8), show_default=True, group=WALKS, help="Symbols of a drawn walk.")
-@option("--seed", type=click.IntRange(0), default=0, show_default=True, group=WALKS, help="Seed of drawn walks.")
-@option("--periodic", is_flag=True, group=WALKS, help="Walks that close: periodic orbits, with one more stop.")
-@option(
-    "--wraps",
-    type=_Wraps(),
-    group=WRAPS,
-    help="Wraps at the stops of -s or --through.  [default: the least that suffice]",
-)
-@option(
-    "--extra-wraps",
-    type=(int, int),
-    default=(0, 0),
-    show_default=True,
-    group=WRAPS,
-    help="Wraps beyond the least that suffice at each stop: drawn from this range.",
-)
-@option("--lead-in", type=click.IntRange(0), default=2, show_default=True, group=WRAPS, help="Wobbles before the walk.")
-@option("--lead-out", type=click.IntRange(0), default=2, show_default=True, group=WRAPS, help="Wobbles after it.")
-@option("--solve", is_flag=True, group=ORBITS, help="Find the orbit of each walk.")
-@precision_option(
-    f"refine the orbits of up to {REFINED} walks in 113-bit arithmetic; seconds for each symbol.", group=ORBITS
-)
-@option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    group=OUTPUT,
-    help="Write each orbit to this folder (.npz).",
-)
-@file_option("--picture", suffix=".png", help="Draw the walk's orbit to this PNG.")
 def walk_command(
     *,
-    model: str,
-    energy: Decimal,
-    hits: tuple[int, int],
-    symbols: tuple[str, ...],
-    through: tuple[str, ...],
-    length: int | None,
-    source: str | None,
-    target: str | None,
-    count: int | None,
-    lengths: tuple[int, int],
-    seed: int,
-    periodic: bool,
-    wraps: tuple[int, ...] | None,
-    extra_wraps: tuple[int, int],
-    lead_in: int,
-    lead_out: int,
-    solve: bool,
-    precision: str,
-    out: Path | None,
-    picture: Path | None,
+    model: str = argument(),
+    energy: Decimal = ENERGY,
+    hits: tuple[int, int] = option(type=Hits(), default="1", help="Last crossings of the sections that count."),
+    symbols: tuple[str, ...] = option(
+        "-s",
+        "--symbol",
+        group=WALKS,
+        help="A symbol of one walk, in order: as in an itinerary; also to and from rotating orbits.",
+    ),
+    through: tuple[str, ...] = option(metavar="SADDLE", group=WALKS, help="A stop of the shortest walk through stops."),
+    length: int | None = option(type=click.IntRange(1), group=WALKS, help="List all walks of this many symbols."),
+    source: str | None = option("--from", group=WALKS, help="With --length: only walks from this saddle."),
+    target: str | None = option("--to", group=WALKS, help="With --length: only walks to this saddle."),
+    count: int | None = option("--random", type=click.IntRange(1), group=WALKS, help="Draw this many walks."),
+    lengths: tuple[int, int] = option(default=(1, 8), group=WALKS, help="Symbols of a drawn walk."),
+    seed: int = option(type=click.IntRange(0), default=0, group=WALKS, help="Seed of drawn walks."),
+    periodic: bool = option(group=WALKS, help="Walks that close: periodic orbits, with one more stop."),
+    wraps: tuple[int, ...] | None = option(
+        type=_Wraps(),
+        multiple=False,
+        group=WRAPS,
+        help="Wraps at the stops of -s or --through.  [default: the least that suffice]",
+    ),
+    extra_wraps: tuple[int, int] = option(
+        default=(0, 0), group=WRAPS, help="Wraps beyond the least that suffice at each stop: drawn from this range."
+    ),
+    lead_in: int = option(type=click.IntRange(0), default=2, group=WRAPS, help="Wobbles before the walk."),
+    lead_out: int = option(type=click.IntRange(0), default=2, group=WRAPS, help="Wobbles after it."),
+    solve: bool = option(group=ORBITS, help="Find the orbit of each walk."),
+    precision: Precision = option(
+        default="double",
+        group=ORBITS,
+        help=f"extended: refine the orbits of up to {REFINED} walks in 113-bit arithmetic; seconds for each symbol.",
+    ),
+    out: Path | None = option(type=FOLDER, group=OUTPUT, help="Write each orbit to this folder (.npz)."),
+    picture: Path | None = file_option(suffix=".png", help="Draw the walk's orbit to this PNG."),
 ) -> Answer:
     """List, count and make walks on the connection graph of an energy, and the orbits that follow them.
 
