@@ -1,21 +1,46 @@
-"""What makes a plan: the reference of an itinerary, with the notes and arrays that go with it."""
+"""What makes a plan: the reference of an itinerary, with the notes and arrays that go with it.
+
+A walk whose stops are kept: flights along connections between sustained orbits, and whole periods of these.
+
+    orbit · orbit · …  flight  orbit · orbit · …  flight  … orbit
+
+Every flight is solved on its own, from phase 0 of one sustained orbit to phase 0 of the next, cart included, so that a
+stay of any length costs nothing more. A stop with too few wraps for a whole period between two flights is flown
+through: its symbols share one flight. The reference says where stays and flights are (notes, `program`), for the
+controllers that hand over to each other.
+
+Itineraries that go nowhere: one equilibrium held, or one periodic orbit kept, for so many seconds.
+
+The orbit is the one that friction and cart sustain (`references.sustained`), repeated for whole periods.
+"""
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.control.interface import whole_turns
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.references.notes import PlanNotes
-from dpcontrol.references.reference import Reference, joined
-from dpcontrol.scenes.itinerary import HoldPart, Itinerary, WalkPart
-from dpcontrol.scenes.kept_walks import plan_kept, plan_stay
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
+from dpcontrol.references.find import find_reference
+from dpcontrol.references.method import method_named
+from dpcontrol.references.notes import OrbitNote, PlanNotes, SegmentNote, StayNote, StopNote
+from dpcontrol.references.problem import EndConditions
+from dpcontrol.references.reference import Reference, joined, still
+from dpcontrol.references.sustained import SustainedOrbit, SustainedSettings, sustained_orbit
+from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart
 from dpcontrol.scenes.pieces import (
     REST,
     REST_AFTER,
     REST_BEFORE,
+    STILL,
     Goal,
+    SolvedPiece,
+    cart_problem,
+    notes_of,
     notes_of_pieces,
     solve_pieces,
     stay_goal,
@@ -23,7 +48,7 @@ from dpcontrol.scenes.pieces import (
 )
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.walks.edges import find_edges
-from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver
+from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver, phase_gap
 from dpcontrol.walks.symbols import parse_walk
 from dpcontrol.walks.walks import resolve
 
@@ -100,3 +125,230 @@ def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tu
     if edges.absent:
         raise GoalMissed("; ".join(reason for _, reason in edges.absent))
     return resolve(part.walk, edges), WalkSolver(edges.known)
+
+
+_SAMPLES = 401
+"""Of each sustained orbit, for score and review."""
+
+
+@dataclass(frozen=True)
+class _Flight:
+    """What one flight follows, and the wraps at the stop before it; None before the first."""
+
+    goal: Goal
+    orbit: ShadowingOrbit
+    wraps: int | None
+
+    @property
+    def ends(self) -> tuple[LyapunovOrbit, LyapunovOrbit]:
+        """Return the orbits that it leaves and joins."""
+        return self.orbit.connections[0].source, self.orbit.connections[-1].target
+
+    @property
+    def early(self) -> float:
+        """Return the periods from its start to where its first connection leaves the orbit."""
+        first = self.orbit.connections[0]
+        return (float(self.orbit.symbol_times[0]) - self.goal.begin - first.time_out) / first.source.period
+
+    @property
+    def late(self) -> float:
+        """Return the periods from where its last connection joins the orbit to its end."""
+        last, end = self.orbit.connections[-1], self.goal.begin + self.goal.seconds
+        return (end - float(self.orbit.symbol_times[-1]) - last.time_in) / last.target.period
+
+
+def plan_kept(
+    itinerary: Itinerary,
+    part: WalkPart,
+    chain: Sequence[Connection],
+    solver: WalkSolver,
+    *,
+    progress: Progress = no_progress,
+) -> tuple[Reference, PlanNotes, dict[str, Array]]:
+    """Return the reference of a walk of these connections with its stops kept, its notes and the arrays with them.
+
+    Raises:
+        GoalMissed: a sustained orbit, or a flight's shadowing orbit or reference, was not found.
+    """
+    orbits = _sustained(itinerary, chain)
+    flights = _flights(part, chain, solver)
+    pieces: list[SolvedPiece] = []
+    for k, flight in enumerate(flights):
+        here = part_of(progress, k / len(flights), (k + 1) / len(flights))
+        lift = np.zeros(len(flight.goal.first))
+        if pieces:
+            lift = pieces[-1].lift + flights[k - 1].goal.last - flight.goal.first
+        pieces.append(_flown(itinerary, flight, orbits, lift, here))
+    return _assembled(itinerary, part, flights, pieces, orbits)
+
+
+def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, SustainedOrbit]:
+    """Return the sustained orbits of a walk by saddle, with the intervals of the itinerary's own method."""
+    # The cheapest orbit, not the nearest to the Lyapunov orbit.
+    sought = replace(itinerary.reference, pendulum_weight=0.0, cart_weight=1.0)
+    settings = SustainedSettings(limits=itinerary.limits, reference=sought)
+    orbits: dict[str, SustainedOrbit] = {}
+    for lyapunov in (chain[0].source, *(connection.target for connection in chain)):
+        if lyapunov.saddle not in orbits:
+            found = sustained_orbit(lyapunov, itinerary.model.arms, settings=settings)
+            if not found.converged:
+                where = f"about {lyapunov.saddle} at {lyapunov.energy:g} J"
+                raise GoalMissed(f"the sustained orbit {where}, which is to be kept: {found.status}")
+            orbits[lyapunov.saddle] = found
+    return orbits
+
+
+def _flights(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver) -> list[_Flight]:
+    """Return the walk's flights: one for each symbol, fewer where a stop has no room to stay."""
+    single = [_flight(part, chain, solver, k, k + 1) for k in range(len(chain))]
+    cuts = [k + 1 for k, (before, after) in enumerate(pairwise(single)) if _periods(before, after) >= 1]
+    spans = pairwise([0, *cuts, len(chain)])
+    return [single[i] if j == i + 1 else _flight(part, chain, solver, i, j) for i, j in spans]
+
+
+def _flight(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver, first: int, last: int) -> _Flight:
+    """Return the flight of the symbols from `first` to before `last`."""
+    orbit = solver.solve(chain[first:last], part.wraps[first : last - 1], lead_in=0, lead_out=0)
+    if not orbit.converged:
+        raise GoalMissed(f"the shadowing orbit: {orbit.status}; {solver.advice(orbit)}")
+    goal = walk_goal(orbit, part.walk[first:last], round_off=(True, True))
+    return _Flight(goal, orbit, part.wraps[first - 1] if first else None)
+
+
+def _periods(before: _Flight, after: _Flight) -> int:
+    """Return how many whole periods between two flights give the stop its wraps; negative where there is no room."""
+    assert after.wraps is not None
+    gap = phase_gap(before.orbit.connections[-1], after.orbit.connections[0])
+    return round(after.wraps + gap - before.late - after.early)
+
+
+def _flown(
+    itinerary: Itinerary, flight: _Flight, orbits: dict[str, SustainedOrbit], lift: Array, progress: Progress
+) -> SolvedPiece:
+    """Return the piece of a flight, `lift` (n,) added to its goal's angles."""
+    goal, sample = flight.goal, flight.orbit.sample
+    turned = np.concatenate([lift, np.zeros(len(lift))])
+    rows = zip(flight.ends, (goal.start, goal.end), strict=True)
+    start, end = (_on_turns(orbits[which.saddle], state + turned) for which, state in rows)
+    problem = cart_problem(
+        itinerary, lambda times: sample(times + goal.begin) + turned, goal.seconds, EndConditions(start=start, end=end)
+    )
+    found = find_reference(problem, itinerary.reference, progress=progress)
+    text = ", ".join(goal.symbols)
+    if not found.converged:
+        raise GoalMissed(f"no flight {text!r} between the orbits that are to be kept: {found.status}")
+    return SolvedPiece("walk", text, goal, lift, found, flight.wraps)
+
+
+def _on_turns(orbit: SustainedOrbit, state: Array) -> Array:
+    """Return the orbit's state (2n + 2,) at phase 0, on the turns of the pendulum's state (2n,) there."""
+    start, n = np.array(orbit.state(0.0)), len(state) // 2
+    start[:n] += whole_turns(state[:n] - start[:n])
+    return start
+
+
+def _assembled(
+    itinerary: Itinerary,
+    part: WalkPart,
+    flights: list[_Flight],
+    pieces: list[SolvedPiece],
+    orbits: dict[str, SustainedOrbit],
+) -> tuple[Reference, PlanNotes, dict[str, Array]]:
+    """Return stays and flights end to end, with the notes and arrays of the whole."""
+    # The first orbit is where a run is caught, the last one what it is judged by: one period of each at least.
+    leads = (max(round(part.lead_in - flights[0].early), 1), max(round(part.lead_out - flights[-1].late), 1))
+    counts = [leads[0], *(_periods(a, b) for a, b in pairwise(flights)), leads[1]]
+    places = [flights[0].ends[0], *(flight.ends[1] for flight in flights)]
+    states = [pieces[0].reference.state(0.0), *(p.reference.state(p.reference.duration) for p in pieces)]
+    parts: list[Reference] = []
+    segments: list[SegmentNote] = []
+    begins: list[float] = []
+    for k, (count, place, state) in enumerate(zip(counts, places, states, strict=True)):
+        orbit = orbits[place.saddle]
+        turns = np.rint((state - orbit.state(0.0)) / (2 * np.pi)) * 2 * np.pi
+        one = replace(orbit.reference, states=orbit.reference.states + turns)
+        segments.append({
+            "keep": place.saddle, "energy": place.energy, "family": place.family, "lyapunov_period": place.period,
+            "turns": turns.tolist(), "periods": count, "rows": _rows(parts, one),
+        })  # fmt: skip
+        parts += [one] * count
+        if k < len(pieces):
+            segments.append({"fly": pieces[k].text, "rows": _rows(parts, pieces[k].reference)})
+            begins.append(sum(one.duration for one in parts))
+            parts.append(pieces[k].reference)
+    reference = _counted_once(joined(parts)[0], [piece.reference for piece in pieces], orbits)
+    notes, arrays = notes_of_pieces(itinerary, pieces, np.array([*begins, reference.duration]))
+    notes["program"], notes["lead_in"], notes["lead_out"] = segments, part.lead_in, part.lead_out
+    n = itinerary.model.arms.count
+    for k, entry in enumerate(notes["orbits"]):
+        orbit = orbits[entry["saddle"]]
+        entry["period"] = orbit.period
+        arrays[f"orbit_{k}"] = np.asarray(orbit.state(np.linspace(0.0, orbit.period, _SAMPLES))[:, : 2 * n])
+    return reference, notes, arrays
+
+
+def _counted_once(whole: Reference, flights: list[Reference], orbits: dict[str, SustainedOrbit]) -> Reference:
+    """Return the whole with the cost of finding each of its orbits once, however often it is in it."""
+    solved = [*flights, *(orbit.reference for orbit in orbits.values())]
+    iterations, seconds = sum(one.iterations for one in solved), sum(one.solve_seconds for one in solved)
+    status = (
+        f"converged in {iterations} iterations; error between nodes {whole.max_error_between_nodes:.1e} on "
+        f"{len(whole.mesh) - 1} intervals: {len(flights)} flights, {len(flights) + 1} stays"
+    )
+    return replace(whole, iterations=iterations, solve_seconds=seconds, status=status)
+
+
+def _rows(before: list[Reference], part: Reference) -> list[int]:
+    """Return the first interval of a part and that after it, in the whole."""
+    first = sum(len(one.mesh) - 1 for one in before)
+    return [first, first + len(part.mesh) - 1]
+
+
+def plan_stay(
+    itinerary: Itinerary, part: HoldPart | OrbitPart, *, progress: Progress = no_progress
+) -> tuple[Reference, PlanNotes, dict[str, Array]]:
+    """Return the reference that stays, its notes and the arrays that go with them.
+
+    Raises:
+        GoalMissed: the orbit was not found.
+    """
+    system, arms = itinerary.model.system, itinerary.model.arms
+    n = system.dimension // 2
+    if isinstance(part, HoldPart):
+        state = system.equilibrium(part.hold)
+        settings = itinerary.reference
+        interval = max(settings.interval, 0.05)
+        whole = np.concatenate([state, [0.0, 0.0]])
+        method = method_named(settings.method)
+        reference = still(whole, part.seconds, method=method, limits=itinerary.limits, interval=interval)
+        name, energy = part.hold, float(system.numeric.hamiltonian(state))
+        orbit: OrbitNote = {"saddle": name, "energy": energy, "period": STILL, "multiplier": 1.0}
+        samples = np.vstack([state, state])
+        stay: StayNote = {"kind": "hold", "hold": name}
+    else:
+        lyapunov = lyapunov_orbit(system, part.orbit, energy=part.energy, family=part.family)
+        if not lyapunov.converged:
+            raise GoalMissed(f"the Lyapunov orbit about {part.orbit} at {part.energy:g} J: {lyapunov.status}")
+        sustained = SustainedSettings(limits=itinerary.limits)
+        found = sustained_orbit(lyapunov, arms, settings=sustained, progress=progress)
+        if not found.converged:
+            raise GoalMissed(f"the sustained orbit about {part.orbit} at {part.energy:g} J: {found.status}")
+        one = found.reference
+        reference, _ = joined([one] * max(1, round(part.seconds / found.period)))
+        reference = replace(reference, status=one.status, iterations=one.iterations, solve_seconds=one.solve_seconds)
+        name, energy = part.orbit, part.energy
+        orbit = {"saddle": name, "energy": energy, "period": found.period, "multiplier": lyapunov.unstable_multiplier}
+        samples = np.asarray(found.state(np.linspace(0.0, found.period, 401))[:, : 2 * n])
+        state = system.equilibrium(name)
+        stay = {
+            "kind": "orbit",
+            "orbit": name,
+            "energy": energy,
+            "family": part.family,
+            "intervals": len(one.mesh) - 1,
+            "lyapunov_period": lyapunov.period,
+        }
+    stop: StopNote = {"saddle": name, "angles": state[:n].tolist(), "orbit": 0}
+    notes = notes_of(itinerary, stops=[stop], symbols=[], wraps=[], orbits=[orbit], energy=energy)
+    notes["stay"] = stay
+    return reference, notes, {"orbit_0": samples}
