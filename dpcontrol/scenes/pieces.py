@@ -1,6 +1,4 @@
-"""An itinerary's parts as pieces of one reference, and the notes of the plan that they make.
-
-An itinerary's parts as pieces of one reference: walks, holds and rests, with transfers where they do not meet.
+"""An itinerary's parts as pieces of one reference: walks, holds and rests, with transfers where they do not meet.
 
 Each piece is solved on its own, from a state that is known to a state that is known, and they are joined end to end:
 the cost grows with the sum of their lengths, and an infeasible piece is reported by name.
@@ -19,7 +17,7 @@ from numpy.typing import NDArray
 import dpcontrol
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.foundation.files import content_hash
+from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import OrbitCurve
@@ -47,7 +45,8 @@ class Goal:
     """What a piece is to be: a walk's shadowing orbit, or a stay at an equilibrium of `seconds`.
 
     first, last (n,): angles of the saddles or equilibria at which it starts and ends, on its own lift; start, end
-    (2n,): its pendulum states there; symbols: a walk's, as the itinerary writes them.
+    (2n,): its pendulum states there; symbols: a walk's, as the itinerary writes them. wraps: at the stop that it shares
+    with the goal before it; None for a walk in one piece.
     """
 
     text: str
@@ -60,24 +59,28 @@ class Goal:
     symbols: tuple[str, ...] = ()
     begin: float = 0.0
     seconds: float = 0.0
+    wraps: int | None = None
+
+    @property
+    def orbits(self) -> tuple[LyapunovOrbit, LyapunovOrbit]:
+        """The orbits that a walk leaves and joins."""
+        assert self.shadowing is not None
+        return self.shadowing.connections[0].source, self.shadowing.connections[-1].target
 
 
 @dataclass(frozen=True)
 class SolvedPiece:
-    """A solved piece. kind: "walk", "hold" or "transfer"; lift (n,): radians added to its goal's angles.
+    """A solved piece. goal: None for a transfer; lift (n,): radians added to its angles."""
 
-    wraps: at the stop that it shares with the walk's piece before it; None for a walk in one piece.
-    """
-
-    kind: str
     text: str
     goal: Goal | None
     lift: Array
     reference: Reference
-    wraps: int | None = None
 
 
-def walk_goal(orbit: ShadowingOrbit, symbols: tuple[str, ...], *, round_off: tuple[bool, bool]) -> Goal:
+def walk_goal(
+    orbit: ShadowingOrbit, symbols: tuple[str, ...], *, round_off: tuple[bool, bool], wraps: int | None = None
+) -> Goal:
     """Return the goal of following a shadowing orbit from its start to its end.
 
     round_off: whether start and end move out to where their periodic orbits are at phase zero, the arms at the saddle's
@@ -98,7 +101,7 @@ def walk_goal(orbit: ShadowingOrbit, symbols: tuple[str, ...], *, round_off: tup
     ]
     return Goal(
         "walk", names, points[0], points[1], ends[0], ends[1], shadowing=orbit, symbols=symbols, begin=begin,
-        seconds=end - begin,
+        seconds=end - begin, wraps=wraps,
     )  # fmt: skip
 
 
@@ -147,46 +150,52 @@ def cart_problem(itinerary: Itinerary, guess: Guess, duration: float, ends: EndC
     )
 
 
+def lifted(state: Array, lift: Array) -> Array:
+    """Return a state (2n + 2,): a pendulum's (2n,), `lift` (n,) added to its angles, on a cart at rest, centred."""
+    n = len(lift)
+    return np.concatenate([state[:n] + lift, state[n:], [0.0, 0.0]])
+
+
+def lifted_guess(goal: Goal, lift: Array) -> Guess:
+    """Return what follows a walk's shadowing orbit from its beginning, `lift` (n,) added to its angles."""
+    assert goal.shadowing is not None
+    sample, turned = goal.shadowing.sample, np.concatenate([lift, np.zeros(len(lift))])
+    return lambda times: sample(times + goal.begin) + turned
+
+
 def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress) -> SolvedPiece:
     """Return the piece of a goal itself."""
-    turned = np.concatenate([lift, np.zeros(len(lift))])
     settings = itinerary.reference
     if goal.shadowing is None:
-        state = np.concatenate([goal.start + turned, [0.0, 0.0]])
-        method = method_named(settings.method)
-        piece = still(
-            state, goal.seconds, method=method, limits=itinerary.limits, interval=max(settings.interval, 0.05)
-        )
-        return SolvedPiece("hold", goal.text, goal, lift, piece)
-    sample = goal.shadowing.sample
-    problem = cart_problem(itinerary, lambda times: sample(times + goal.begin) + turned, goal.seconds, EndConditions())
+        method, interval = method_named(settings.method), max(settings.interval, 0.05)
+        state = lifted(goal.start, lift)
+        found = still(state, goal.seconds, method=method, limits=itinerary.limits, interval=interval)
+        return SolvedPiece(goal.text, goal, lift, found)
+    problem = cart_problem(itinerary, lifted_guess(goal, lift), goal.seconds, EndConditions())
     if settings.level == "conservative":
         free = itinerary.model.arms.frictionless()
         conservative = replace(problem, equations=equations_of(free, Level.CART), parameters=free.base())
-        followed = shadowed(conservative, settings)
-        return SolvedPiece("walk", goal.text, goal, lift, followed)
-    return SolvedPiece("walk", goal.text, goal, lift, find_reference(problem, settings, progress=progress))
+        return SolvedPiece(goal.text, goal, lift, shadowed(conservative, settings))
+    return SolvedPiece(goal.text, goal, lift, find_reference(problem, settings, progress=progress))
 
 
 def _transfer(itinerary: Itinerary, before: Goal, lift: Array, after: Goal, progress: Progress) -> SolvedPiece:
     """Return the piece from the end of one goal to the start of the next, and the lift of that."""
-    start = np.concatenate([before.end + np.concatenate([lift, np.zeros(len(lift))]), [0.0, 0.0]])
     text = f"{_place(before.where[1])} to {_place(after.where[0])}"
     apart = (before.last + lift - after.first) / (2 * np.pi)
-    same = before.where[1] == after.where[0]
-    if same and before.shadowing is not None and after.shadowing is not None:
+    if before.where[1] == after.where[0] and before.shadowing is not None and after.shadowing is not None:
         onward = np.rint(apart) * 2 * np.pi
-        found = _blend(itinerary, before.shadowing, lift, after.shadowing, onward, progress)
-        return SolvedPiece("transfer", f"change of energy at {after.where[0]}", None, onward, found)
+        found = _blend(itinerary, before, lift, after, onward, progress)
+        return SolvedPiece(f"change of energy at {after.where[0]}", None, onward, found)
     # Half a turn apart, both ways round are tried.
     choices = [sorted({np.floor(a), np.ceil(a)}, key=abs) if 0.1 < a % 1 < 0.9 else [np.rint(a)] for a in apart]
     lifts = [np.array(turns) * 2 * np.pi for turns in product(*choices)]
-    ends = [np.concatenate([after.start[: len(m)] + m, after.start[len(m) :], [0.0, 0.0]]) for m in lifts]
+    ends = [lifted(after.start, turns) for turns in lifts]
     try:
         found = find_transfer(
             equations_of(itinerary.model.arms, Level.CART),
             itinerary.model.arms.base(),
-            start=start,
+            start=lifted(before.end, lift),
             ends=ends,
             limits=itinerary.limits,
             settings=itinerary.reference,
@@ -195,8 +204,7 @@ def _transfer(itinerary: Itinerary, before: Goal, lift: Array, after: Goal, prog
     except GoalMissed as error:
         raise GoalMissed(f"{text}: {error}") from error
     landed = found.state(found.duration)
-    chosen = lifts[int(np.argmin([np.abs(landed - end).max() for end in ends]))]
-    return SolvedPiece("transfer", text, None, chosen, found)
+    return SolvedPiece(text, None, lifts[int(np.argmin([np.abs(landed - end).max() for end in ends]))], found)
 
 
 def _place(name: str) -> str:
@@ -204,17 +212,15 @@ def _place(name: str) -> str:
 
 
 def _blend(
-    itinerary: Itinerary,
-    before: ShadowingOrbit,
-    lift: Array,
-    after: ShadowingOrbit,
-    onward: Array,
-    progress: Progress,
+    itinerary: Itinerary, leaving: Goal, lift: Array, joining: Goal, onward: Array, progress: Progress
 ) -> Reference:
     """Return the reference from the last orbit of one walk to the first of the next, about one saddle."""
-    first, last = before.connections[-1].target, after.connections[0].source
-    leaving, arriving = _phase_at_end(before, first), _phase_at_start(after, last)
-    turns = WOBBLES + (arriving - leaving) % 1.0
+    before, after = leaving.shadowing, joining.shadowing
+    assert before is not None
+    assert after is not None
+    first, last = leaving.orbits[1], joining.orbits[0]
+    departure, arrival = _phase_at_end(before, first), _phase_at_start(after, last)
+    turns = WOBBLES + (arrival - departure) % 1.0
     pace = (1 / first.period, 1 / last.period)
     duration = 2 * turns / (pace[0] + pace[1])
     curves = OrbitCurve(first), OrbitCurve(last)
@@ -224,18 +230,14 @@ def _blend(
 
     def guess(times: Array) -> Array:
         s = np.asarray(times, dtype=float) / duration
-        phases = leaving + duration * (pace[0] * s + (pace[1] - pace[0]) * s**2 / 2)
+        phases = departure + duration * (pace[0] * s + (pace[1] - pace[0]) * s**2 / 2)
         share = (s**2 * (3 - 2 * s))[:, None]
         states = (1 - share) * curves[0].states(phases) + share * curves[1].states(phases)
         states[:, :n] += home
         return states
 
-    end = after.sample(np.array([0.0]))[0]
-    start = before.sample(np.array([before.duration]))[0]
-    shift = [np.concatenate([turned, np.zeros(n)]) for turned in (lift, onward)]
-    ends = EndConditions(
-        start=np.concatenate([start + shift[0], [0.0, 0.0]]), end=np.concatenate([end + shift[1], [0.0, 0.0]])
-    )
+    start, end = before.sample(np.array([before.duration]))[0], after.sample(np.array([0.0]))[0]
+    ends = EndConditions(start=lifted(start, lift), end=lifted(end, onward))
     found = find_reference(cart_problem(itinerary, guess, duration, ends), itinerary.reference, progress=progress)
     if found.converged:
         return found
@@ -269,14 +271,10 @@ class _Story:
         self.orbits: list[OrbitNote] = []
         self.samples: list[Array] = []
 
-    def transfer(self, begin: float, end: float) -> None:
-        """Add a time between pieces."""
-        self.transfers.append([begin, end])
-
     def enter(self, goal: Goal, angles: Array, text: str) -> None:
         """Come to the first stop of a piece, by the transfer before it, named by its text, if there was one."""
         name = goal.where[0]
-        here = self._at_rest(name) if goal.shadowing is None else self._on(goal.shadowing.connections[0].source)
+        here = self._at_rest(name) if goal.shadowing is None else self._on(goal.orbits[0])
         if not text or (self.stops and np.allclose(self.stops[-1]["angles"], angles)):
             self._arrive(name, angles, here, None, None)
             return
@@ -302,7 +300,7 @@ class _Story:
             home = self.system.equilibrium(target) + orbit.offsets[k + 1] * self.system.turn_lengths
             crossing = orbit.sample(np.array([time]))[0] + lift
             symbol = _connection_note(text, connection, crossing, begin + float(time) - piece.goal.begin)
-            wraps = orbit.wraps[k - 1] if k > 0 else piece.wraps
+            wraps = orbit.wraps[k - 1] if k > 0 else piece.goal.wraps
             self._arrive(target, home[:n] + piece.lift, self._on(connection.target), symbol, wraps)
 
     def _arrive(self, name: str, angles: Array, orbit: int, symbol: SymbolNote | None, wraps: int | None) -> None:
@@ -343,56 +341,35 @@ def notes_of_pieces(
     for piece, begin, end in zip(pieces, begins[:-1], begins[1:], strict=True):
         goal = piece.goal
         if goal is None:
-            story.transfer(float(begin), float(end))
+            story.transfers.append([float(begin), float(end)])
             way = piece.text
             continue
-        if piece.wraps is None:
+        if goal.wraps is None:
             story.enter(goal, goal.first + piece.lift, way)
         if goal.shadowing is not None:
             story.follow(piece, float(begin))
     walks = [piece.goal.shadowing for piece in pieces if piece.goal is not None and piece.goal.shadowing is not None]
-    notes = notes_of(
-        itinerary, stops=story.stops, symbols=story.symbols, wraps=story.wraps, orbits=story.orbits,
-        energy=walks[0].connections[0].source.energy if walks else None,
-    )  # fmt: skip
-    notes["transfers"] = story.transfers
-    if walks:
-        notes["lead_in"], notes["lead_out"] = walks[0].lead_in, walks[-1].lead_out
-        notes["shadowing"] = {
-            "residual": max(orbit.residual for orbit in walks),
-            "duration": sum(orbit.duration for orbit in walks),
-            "status": "; ".join(orbit.status for orbit in walks),
-            "wraps_realised": [count for orbit in walks for count in orbit.wraps_realised],
-        }
-    return notes, {f"orbit_{k}": samples for k, samples in enumerate(story.samples)}
-
-
-def notes_of(
-    itinerary: Itinerary,
-    *,
-    stops: list[StopNote],
-    symbols: list[SymbolNote],
-    wraps: list[int | None],
-    orbits: list[OrbitNote],
-    energy: float | None,
-) -> PlanNotes:
-    """Return what every plan's notes hold; energy: of the first orbit, J."""
     model = itinerary.model
     n = model.system.dimension // 2
-    return {
+    notes: PlanNotes = {
         "itinerary": itinerary.name,
         "title": itinerary.title,
         "model": model.name,
-        "energy": energy,
-        "walk": [s["name"] or s["text"] for s in symbols],
-        "wraps": wraps,
-        "lead_in": None,
-        "lead_out": None,
-        "shadowing": {"residual": None, "duration": 0.0, "status": "no walk to shadow", "wraps_realised": []},
-        "stops": stops,
-        "symbols": symbols,
-        "transfers": [],
-        "orbits": orbits,
+        "energy": walks[0].connections[0].source.energy if walks else None,
+        "walk": [s["name"] or s["text"] for s in story.symbols],
+        "wraps": story.wraps,
+        "lead_in": walks[0].lead_in if walks else None,
+        "lead_out": walks[-1].lead_out if walks else None,
+        "shadowing": {
+            "residual": max((orbit.residual for orbit in walks), default=None),
+            "duration": sum(orbit.duration for orbit in walks),
+            "status": "; ".join(orbit.status for orbit in walks) or "no walk to shadow",
+            "wraps_realised": [count for orbit in walks for count in orbit.wraps_realised],
+        },
+        "stops": story.stops,
+        "symbols": story.symbols,
+        "transfers": story.transfers,
+        "orbits": story.orbits,
         "saddles": {
             name: {"angles": e.state[:n].tolist(), "energy": e.energy} for name, e in equilibria(model.system).items()
         },
@@ -405,24 +382,17 @@ def notes_of(
             "parameters": json.loads(json.dumps(asdict(model.arms))),
         },
     }
+    return notes, {f"orbit_{k}": samples for k, samples in enumerate(story.samples)}
 
 
 def _connection_note(text: str, connection: Connection, crossing: Array, time: float) -> SymbolNote:
-    return {
-        "text": text,
-        "name": connection.name,
-        "source": connection.source.saddle,
-        "target": connection.target.saddle,
-        "winding": list(connection.winding),
-        "sense": connection.sense,
-        "time": time,
-        "section": {
-            "normal": list(connection.section.normal),
-            "value": float(np.dot(connection.section.normal, crossing)),
+    normal = connection.section.normal
+    return SymbolNote(
+        text=text, source=connection.source.saddle, target=connection.target.saddle, time=time,
+        winding=list(connection.winding),
+        section={
+            "normal": list(normal), "value": float(np.dot(normal, crossing)),
             "angles": crossing[: len(crossing) // 2].tolist(),
         },
-        "time_out": connection.time_out,
-        "time_in": connection.time_in,
-        "phase_out": connection.phase_out,
-        "phase_in": connection.phase_in,
-    }
+        **picked(connection, "name", "sense", "time_out", "time_in", "phase_out", "phase_in"),
+    )  # fmt: skip

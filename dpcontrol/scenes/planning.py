@@ -15,7 +15,7 @@ The orbit is the one that friction and cart sustain (`references.sustained`), re
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -24,23 +24,21 @@ from numpy.typing import NDArray
 from dpcontrol.control.interface import whole_turns
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.find import find_reference
-from dpcontrol.references.method import method_named
-from dpcontrol.references.notes import OrbitNote, PlanNotes, SegmentNote, StayNote, StopNote
+from dpcontrol.references.notes import PlanNotes, SegmentNote
 from dpcontrol.references.problem import EndConditions
-from dpcontrol.references.reference import Reference, joined, still
+from dpcontrol.references.reference import Reference, joined
 from dpcontrol.references.sustained import SustainedOrbit, SustainedSettings, sustained_orbit
 from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart
 from dpcontrol.scenes.pieces import (
     REST,
     REST_AFTER,
     REST_BEFORE,
-    STILL,
     Goal,
     SolvedPiece,
     cart_problem,
-    notes_of,
+    lifted_guess,
     notes_of_pieces,
     solve_pieces,
     stay_goal,
@@ -64,16 +62,20 @@ def planned(
         InputError: the walk asks for connections that do not exist at this energy.
         GoalMissed: an orbit or the shadowing orbit did not converge.
     """
-    if itinerary.stay is not None:
-        return plan_stay(itinerary, itinerary.stay, progress=progress)
+    if isinstance(itinerary.stay, OrbitPart):
+        return _kept_orbit(itinerary, itinerary.stay, progress)
     if itinerary.keeps:
         walk = itinerary.walks[0]
         chain, solver = _connections(itinerary, walk, part_of(progress, 0.0, 0.5))
-        return plan_kept(itinerary, walk, chain, solver, progress=part_of(progress, 0.5, 1.0))
+        return _kept_walk(itinerary, walk, chain, solver, part_of(progress, 0.5, 1.0))
     goals = _goals(itinerary, list(orbits), part_of(progress, 0.0, 0.4))
     pieces = solve_pieces(itinerary, goals, progress=part_of(progress, 0.4, 1.0))
     reference, begins = joined([piece.reference for piece in pieces])
-    return reference, *notes_of_pieces(itinerary, pieces, begins)
+    notes, arrays = notes_of_pieces(itinerary, pieces, begins)
+    if isinstance(itinerary.stay, HoldPart):
+        notes["stay"] = {"kind": "hold", "hold": itinerary.stay.hold}
+        notes["energy"] = notes["orbits"][0]["energy"]
+    return reference, notes, arrays
 
 
 def _goals(itinerary: Itinerary, orbits: list[ShadowingOrbit], progress: Progress) -> list[Goal]:
@@ -128,42 +130,10 @@ def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tu
 
 
 _SAMPLES = 401
-"""Of each sustained orbit, for score and review."""
 
 
-@dataclass(frozen=True)
-class _Flight:
-    """What one flight follows, and the wraps at the stop before it; None before the first."""
-
-    goal: Goal
-    orbit: ShadowingOrbit
-    wraps: int | None
-
-    @property
-    def ends(self) -> tuple[LyapunovOrbit, LyapunovOrbit]:
-        """Return the orbits that it leaves and joins."""
-        return self.orbit.connections[0].source, self.orbit.connections[-1].target
-
-    @property
-    def early(self) -> float:
-        """Return the periods from its start to where its first connection leaves the orbit."""
-        first = self.orbit.connections[0]
-        return (float(self.orbit.symbol_times[0]) - self.goal.begin - first.time_out) / first.source.period
-
-    @property
-    def late(self) -> float:
-        """Return the periods from where its last connection joins the orbit to its end."""
-        last, end = self.orbit.connections[-1], self.goal.begin + self.goal.seconds
-        return (end - float(self.orbit.symbol_times[-1]) - last.time_in) / last.target.period
-
-
-def plan_kept(
-    itinerary: Itinerary,
-    part: WalkPart,
-    chain: Sequence[Connection],
-    solver: WalkSolver,
-    *,
-    progress: Progress = no_progress,
+def _kept_walk(
+    itinerary: Itinerary, part: WalkPart, chain: Sequence[Connection], solver: WalkSolver, progress: Progress
 ) -> tuple[Reference, PlanNotes, dict[str, Array]]:
     """Return the reference of a walk of these connections with its stops kept, its notes and the arrays with them.
 
@@ -175,11 +145,25 @@ def plan_kept(
     pieces: list[SolvedPiece] = []
     for k, flight in enumerate(flights):
         here = part_of(progress, k / len(flights), (k + 1) / len(flights))
-        lift = np.zeros(len(flight.goal.first))
+        lift = np.zeros(len(flight.first))
         if pieces:
-            lift = pieces[-1].lift + flights[k - 1].goal.last - flight.goal.first
+            lift = pieces[-1].lift + flights[k - 1].last - flight.first
         pieces.append(_flown(itinerary, flight, orbits, lift, here))
     return _assembled(itinerary, part, flights, pieces, orbits)
+
+
+def _early(flight: Goal) -> float:
+    """Return the periods from a flight's start to where its first connection leaves the orbit."""
+    assert flight.shadowing is not None
+    first = flight.shadowing.connections[0]
+    return (float(flight.shadowing.symbol_times[0]) - flight.begin - first.time_out) / first.source.period
+
+
+def _late(flight: Goal) -> float:
+    """Return the periods from where a flight's last connection joins the orbit to its end."""
+    assert flight.shadowing is not None
+    last, end = flight.shadowing.connections[-1], flight.begin + flight.seconds
+    return (end - float(flight.shadowing.symbol_times[-1]) - last.time_in) / last.target.period
 
 
 def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, SustainedOrbit]:
@@ -198,7 +182,7 @@ def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, S
     return orbits
 
 
-def _flights(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver) -> list[_Flight]:
+def _flights(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver) -> list[Goal]:
     """Return the walk's flights: one for each symbol, fewer where a stop has no room to stay."""
     single = [_flight(part, chain, solver, k, k + 1) for k in range(len(chain))]
     cuts = [k + 1 for k, (before, after) in enumerate(pairwise(single)) if _periods(before, after) >= 1]
@@ -206,59 +190,57 @@ def _flights(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver) ->
     return [single[i] if j == i + 1 else _flight(part, chain, solver, i, j) for i, j in spans]
 
 
-def _flight(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver, first: int, last: int) -> _Flight:
+def _flight(part: WalkPart, chain: Sequence[Connection], solver: WalkSolver, first: int, last: int) -> Goal:
     """Return the flight of the symbols from `first` to before `last`."""
     orbit = solver.solve(chain[first:last], part.wraps[first : last - 1], lead_in=0, lead_out=0)
     if not orbit.converged:
         raise GoalMissed(f"the shadowing orbit: {orbit.status}; {solver.advice(orbit)}")
-    goal = walk_goal(orbit, part.walk[first:last], round_off=(True, True))
-    return _Flight(goal, orbit, part.wraps[first - 1] if first else None)
+    wraps = part.wraps[first - 1] if first else None
+    return walk_goal(orbit, part.walk[first:last], round_off=(True, True), wraps=wraps)
 
 
-def _periods(before: _Flight, after: _Flight) -> int:
+def _periods(before: Goal, after: Goal) -> int:
     """Return how many whole periods between two flights give the stop its wraps; negative where there is no room."""
+    assert before.shadowing is not None
+    assert after.shadowing is not None
     assert after.wraps is not None
-    gap = phase_gap(before.orbit.connections[-1], after.orbit.connections[0])
-    return round(after.wraps + gap - before.late - after.early)
+    gap = phase_gap(before.shadowing.connections[-1], after.shadowing.connections[0])
+    return round(after.wraps + gap - _late(before) - _early(after))
 
 
 def _flown(
-    itinerary: Itinerary, flight: _Flight, orbits: dict[str, SustainedOrbit], lift: Array, progress: Progress
+    itinerary: Itinerary, goal: Goal, orbits: dict[str, SustainedOrbit], lift: Array, progress: Progress
 ) -> SolvedPiece:
-    """Return the piece of a flight, `lift` (n,) added to its goal's angles."""
-    goal, sample = flight.goal, flight.orbit.sample
-    turned = np.concatenate([lift, np.zeros(len(lift))])
-    rows = zip(flight.ends, (goal.start, goal.end), strict=True)
-    start, end = (_on_turns(orbits[which.saddle], state + turned) for which, state in rows)
-    problem = cart_problem(
-        itinerary, lambda times: sample(times + goal.begin) + turned, goal.seconds, EndConditions(start=start, end=end)
-    )
+    """Return the piece of a flight, `lift` (n,) added to its angles."""
+    rows = zip(goal.orbits, (goal.start, goal.end), strict=True)
+    start, end = (_on_turns(orbits[which.saddle], state[: len(lift)] + lift) for which, state in rows)
+    problem = cart_problem(itinerary, lifted_guess(goal, lift), goal.seconds, EndConditions(start=start, end=end))
     found = find_reference(problem, itinerary.reference, progress=progress)
     text = ", ".join(goal.symbols)
     if not found.converged:
         raise GoalMissed(f"no flight {text!r} between the orbits that are to be kept: {found.status}")
-    return SolvedPiece("walk", text, goal, lift, found, flight.wraps)
+    return SolvedPiece(text, goal, lift, found)
 
 
-def _on_turns(orbit: SustainedOrbit, state: Array) -> Array:
-    """Return the orbit's state (2n + 2,) at phase 0, on the turns of the pendulum's state (2n,) there."""
-    start, n = np.array(orbit.state(0.0)), len(state) // 2
-    start[:n] += whole_turns(state[:n] - start[:n])
+def _on_turns(orbit: SustainedOrbit, angles: Array) -> Array:
+    """Return the orbit's state (2n + 2,) at phase 0, on the turns of these angles (n,)."""
+    start, n = np.array(orbit.state(0.0)), len(angles)
+    start[:n] += whole_turns(angles - start[:n])
     return start
 
 
 def _assembled(
     itinerary: Itinerary,
     part: WalkPart,
-    flights: list[_Flight],
+    flights: list[Goal],
     pieces: list[SolvedPiece],
     orbits: dict[str, SustainedOrbit],
 ) -> tuple[Reference, PlanNotes, dict[str, Array]]:
     """Return stays and flights end to end, with the notes and arrays of the whole."""
     # The first orbit is where a run is caught, the last one what it is judged by: one period of each at least.
-    leads = (max(round(part.lead_in - flights[0].early), 1), max(round(part.lead_out - flights[-1].late), 1))
+    leads = (max(round(part.lead_in - _early(flights[0])), 1), max(round(part.lead_out - _late(flights[-1])), 1))
     counts = [leads[0], *(_periods(a, b) for a, b in pairwise(flights)), leads[1]]
-    places = [flights[0].ends[0], *(flight.ends[1] for flight in flights)]
+    places = [flights[0].orbits[0], *(flight.orbits[1] for flight in flights)]
     states = [pieces[0].reference.state(0.0), *(p.reference.state(p.reference.duration) for p in pieces)]
     parts: list[Reference] = []
     segments: list[SegmentNote] = []
@@ -279,12 +261,16 @@ def _assembled(
     reference = _counted_once(joined(parts)[0], [piece.reference for piece in pieces], orbits)
     notes, arrays = notes_of_pieces(itinerary, pieces, np.array([*begins, reference.duration]))
     notes["program"], notes["lead_in"], notes["lead_out"] = segments, part.lead_in, part.lead_out
-    n = itinerary.model.arms.count
     for k, entry in enumerate(notes["orbits"]):
         orbit = orbits[entry["saddle"]]
         entry["period"] = orbit.period
-        arrays[f"orbit_{k}"] = np.asarray(orbit.state(np.linspace(0.0, orbit.period, _SAMPLES))[:, : 2 * n])
+        arrays[f"orbit_{k}"] = _sampled(orbit)
     return reference, notes, arrays
+
+
+def _sampled(orbit: SustainedOrbit) -> Array:
+    """Return states (M, 2n) of the pendulum over a period, for score and review."""
+    return np.asarray(orbit.state(np.linspace(0.0, orbit.period, _SAMPLES))[:, :-2])
 
 
 def _counted_once(whole: Reference, flights: list[Reference], orbits: dict[str, SustainedOrbit]) -> Reference:
@@ -304,51 +290,34 @@ def _rows(before: list[Reference], part: Reference) -> list[int]:
     return [first, first + len(part.mesh) - 1]
 
 
-def plan_stay(
-    itinerary: Itinerary, part: HoldPart | OrbitPart, *, progress: Progress = no_progress
+def _kept_orbit(
+    itinerary: Itinerary, part: OrbitPart, progress: Progress
 ) -> tuple[Reference, PlanNotes, dict[str, Array]]:
-    """Return the reference that stays, its notes and the arrays that go with them.
+    """Return the reference that stays on an orbit, its notes and the arrays that go with them.
 
     Raises:
         GoalMissed: the orbit was not found.
     """
-    system, arms = itinerary.model.system, itinerary.model.arms
-    n = system.dimension // 2
-    if isinstance(part, HoldPart):
-        state = system.equilibrium(part.hold)
-        settings = itinerary.reference
-        interval = max(settings.interval, 0.05)
-        whole = np.concatenate([state, [0.0, 0.0]])
-        method = method_named(settings.method)
-        reference = still(whole, part.seconds, method=method, limits=itinerary.limits, interval=interval)
-        name, energy = part.hold, float(system.numeric.hamiltonian(state))
-        orbit: OrbitNote = {"saddle": name, "energy": energy, "period": STILL, "multiplier": 1.0}
-        samples = np.vstack([state, state])
-        stay: StayNote = {"kind": "hold", "hold": name}
-    else:
-        lyapunov = lyapunov_orbit(system, part.orbit, energy=part.energy, family=part.family)
-        if not lyapunov.converged:
-            raise GoalMissed(f"the Lyapunov orbit about {part.orbit} at {part.energy:g} J: {lyapunov.status}")
-        sustained = SustainedSettings(limits=itinerary.limits)
-        found = sustained_orbit(lyapunov, arms, settings=sustained, progress=progress)
-        if not found.converged:
-            raise GoalMissed(f"the sustained orbit about {part.orbit} at {part.energy:g} J: {found.status}")
-        one = found.reference
-        reference, _ = joined([one] * max(1, round(part.seconds / found.period)))
-        reference = replace(reference, status=one.status, iterations=one.iterations, solve_seconds=one.solve_seconds)
-        name, energy = part.orbit, part.energy
-        orbit = {"saddle": name, "energy": energy, "period": found.period, "multiplier": lyapunov.unstable_multiplier}
-        samples = np.asarray(found.state(np.linspace(0.0, found.period, 401))[:, : 2 * n])
-        state = system.equilibrium(name)
-        stay = {
-            "kind": "orbit",
-            "orbit": name,
-            "energy": energy,
-            "family": part.family,
-            "intervals": len(one.mesh) - 1,
-            "lyapunov_period": lyapunov.period,
-        }
-    stop: StopNote = {"saddle": name, "angles": state[:n].tolist(), "orbit": 0}
-    notes = notes_of(itinerary, stops=[stop], symbols=[], wraps=[], orbits=[orbit], energy=energy)
-    notes["stay"] = stay
-    return reference, notes, {"orbit_0": samples}
+    system, place = itinerary.model.system, f"about {part.orbit} at {part.energy:g} J"
+    lyapunov = lyapunov_orbit(system, part.orbit, energy=part.energy, family=part.family)
+    if not lyapunov.converged:
+        raise GoalMissed(f"the Lyapunov orbit {place}: {lyapunov.status}")
+    settings = SustainedSettings(limits=itinerary.limits)
+    found = sustained_orbit(lyapunov, itinerary.model.arms, settings=settings, progress=progress)
+    if not found.converged:
+        raise GoalMissed(f"the sustained orbit {place}: {found.status}")
+    one = found.reference
+    reference, _ = joined([one] * max(1, round(part.seconds / found.period)))
+    reference = replace(reference, status=one.status, iterations=one.iterations, solve_seconds=one.solve_seconds)
+    notes, _ = notes_of_pieces(itinerary, [], np.zeros(1))
+    angles = system.equilibrium(part.orbit)[: system.dimension // 2].tolist()
+    notes["energy"], notes["stops"] = part.energy, [{"saddle": part.orbit, "angles": angles, "orbit": 0}]
+    notes["orbits"] = [{
+        "saddle": part.orbit, "energy": part.energy, "period": found.period,
+        "multiplier": lyapunov.unstable_multiplier,
+    }]  # fmt: skip
+    notes["stay"] = {
+        "kind": "orbit", "orbit": part.orbit, "energy": part.energy, "family": part.family,
+        "intervals": len(one.mesh) - 1, "lyapunov_period": lyapunov.period,
+    }  # fmt: skip
+    return reference, notes, {"orbit_0": _sampled(found)}
