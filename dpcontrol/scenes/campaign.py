@@ -116,25 +116,15 @@ class Job:
     @property
     def key(self) -> str:
         """What the rows depend on, as 16 hexadecimal digits."""
-        settings = repr(
-            (self.itinerary, asdict(self.arms), self.case, self.seeds, self.path, self.uncertainty, self.replayed)
-        )
-        return content_hash(self.reference, settings)
-
-
-@lru_cache(maxsize=4)
-def _reference(archive: bytes) -> Reference:
-    return load_reference(io.BytesIO(archive))
+        return content_hash(self.reference, repr(self))
 
 
 @lru_cache(maxsize=8)
-def _controller(archive: bytes, arms: ArmChainParameters, loop: LoopSettings) -> Controller:
-    return loop_controller(_reference(archive), arms, loop)
-
-
-@lru_cache(maxsize=8)
-def _fallback(archive: bytes, arms: ArmChainParameters, loop: LoopSettings) -> Fallback | None:
-    return loop_fallback(_reference(archive), arms, loop)
+def _prepared(
+    archive: bytes, arms: ArmChainParameters, loop: LoopSettings
+) -> tuple[Reference, Controller, Fallback | None]:
+    reference = load_reference(io.BytesIO(archive))
+    return reference, loop_controller(reference, arms, loop), loop_fallback(reference, arms, loop)
 
 
 def run_job(job: Job) -> list[Row]:
@@ -149,46 +139,32 @@ def run_job(job: Job) -> list[Row]:
 
 
 def _rows(job: Job) -> list[Row]:
-    reference = _reference(job.reference)
-    loop = job.case.loop
+    arms, loop = job.arms, job.case.loop
     # By what a controller depends on: cases that differ in the bench share one.
     decisive = LoopSettings(
         seed=0, rate=loop.rate, keep=loop.keep, controller=loop.controller, estimator=loop.estimator,
         supervisor=loop.supervisor,
     )  # fmt: skip
-    controller = _controller(job.reference, job.arms, decisive)
+    reference, controller, fallback = _prepared(job.reference, arms, decisive)
+
+    def tick_by_tick(seed: int) -> Row:
+        result = run_loop(
+            reference, arms, settings=replace(loop, seed=seed), controller=controller, fallback=fallback,
+            uncertainty=job.uncertainty,
+        )  # fmt: skip
+        return _row(job, reference, seed, BatchRun.of(result), path="ticks")
+
     if job.path == "ticks" or not can_batch(loop, controller):
-        fallback = _fallback(job.reference, job.arms, decisive)
-        return [
-            _row(job, reference, seed, _one(job, reference, controller, seed, fallback), path="ticks")
-            for seed in job.seeds
-        ]
-    limits = loop.limits(reference)
+        return [tick_by_tick(seed) for seed in job.seeds]
     runs = run_batch(
-        job.arms, settings=loop, seeds=job.seeds, controller=controller, limits=limits, uncertainty=job.uncertainty
-    )
+        arms, settings=loop, seeds=job.seeds, controller=controller, limits=loop.limits(reference),
+        uncertainty=job.uncertainty,
+    )  # fmt: skip
     rows = [_row(job, reference, seed, run, path="compiled") for seed, run in zip(job.seeds, runs, strict=True)]
     for row in [row for row in rows if not row["completed"]][: job.replayed]:
         # What is listed as a failure should be one when its seed is run alone; round-off decides a few.
-        again = _row(job, reference, row["seed"], _one(job, reference, controller, row["seed"]), path="ticks")
-        row["replays"] = not again["completed"]
+        row["replays"] = not tick_by_tick(row["seed"])["completed"]
     return rows
-
-
-def _one(
-    job: Job, reference: Reference, controller: Controller, seed: int, fallback: Fallback | None = None
-) -> BatchRun:
-    settings = replace(job.case.loop, seed=seed)
-    return BatchRun.of(
-        run_loop(
-            reference,
-            job.arms,
-            settings=settings,
-            controller=controller,
-            fallback=fallback,
-            uncertainty=job.uncertainty,
-        )
-    )
 
 
 def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str) -> Row:
@@ -237,16 +213,6 @@ METADATA = b"dpcontrol.campaign"
 """Key of the file's own metadata: JSON with the settings, version and commit."""
 
 
-def _schema(extra: Sequence[str], metadata: Mapping[str, Any] | None) -> Any:
-    import pyarrow as pa
-
-    kinds = {"string": pa.string(), "int64": pa.int64(), "int32": pa.int32(), "double": pa.float64()}
-    kinds["bool"] = pa.bool_()
-    fields = [pa.field(name, kinds[kind]) for name, kind in COLUMNS.items()]
-    fields += [pa.field(name, pa.float64()) for name in extra]
-    return pa.schema(fields, metadata={METADATA: json.dumps(metadata or {}).encode()})
-
-
 def write_rows(
     path: Path, rows: Iterable[Row], *, extra: Sequence[str] = (), metadata: Mapping[str, Any] | None = None
 ) -> None:
@@ -258,7 +224,9 @@ def write_rows(
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    table = pa.Table.from_pylist(list(rows), schema=_schema(extra, metadata))
+    fields = [(name, pa.type_for_alias(kind)) for name, kind in {**COLUMNS, **dict.fromkeys(extra, "double")}.items()]
+    schema = pa.schema(fields, metadata={METADATA: json.dumps(metadata or {}).encode()})
+    table = pa.Table.from_pylist(list(rows), schema=schema)
     with whole_file(path, suffix=".parquet") as temporary:
         pq.write_table(table, temporary, compression="zstd")
 
@@ -286,34 +254,12 @@ def read_rows(path: Path) -> tuple[list[Row], dict[str, Any]]:
     return table.to_pylist(), json.loads(metadata)
 
 
-class Parts:
-    """The finished jobs of one campaign file."""
-
-    def __init__(self, path: Path, *, extra: Sequence[str]) -> None:
-        self.folder = path.with_name(path.name + ".parts")
-        self._extra = tuple(extra)
-
-    def load(self, key: str) -> list[Row] | None:
-        """Return a finished job's rows; None where there are none, or they are damaged."""
-        file = self.folder / f"{key}.parquet"
-        if not file.is_file():
-            return None
-        try:
-            return read_rows(file)[0]
-        except InputError:
-            return None
-
-    def keep(self, key: str, rows: Sequence[Row]) -> None:
-        """Keep a job's rows.
-
-        Raises:
-            InputError: the folder cannot be written.
-        """
-        write_rows(self.folder / f"{key}.parquet", rows, extra=self._extra)
-
-    def remove(self) -> None:
-        """Remove the folder."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+def _kept_rows(part: Path) -> list[Row] | None:
+    """Return a finished job's rows; None where there are none, or they are damaged."""
+    try:
+        return read_rows(part)[0]
+    except InputError:
+        return None
 
 
 ANSWERS_WITHIN = "10s"
@@ -370,7 +316,6 @@ def run_on_cluster(jobs: Sequence[Job], address: str) -> Iterator[tuple[Job, lis
             client.cancel(list(futures))
 
 
-PATHS = ("compiled", "ticks")
 MOST_RUNS = 1_000_000
 MOST_PAIRED = 6
 """Cases up to which each two are compared."""
@@ -390,7 +335,7 @@ class CampaignSettings(Settings, table="campaign"):
 
     runs: int = setting(least=1, most=MOST_RUNS)
     first_seed: int = setting(0, least=0, most=2**31)
-    path: str = setting("compiled", choices=PATHS)
+    path: str = setting("compiled", choices=("compiled", "ticks"))
     workers: int = setting(0, least=1, most=1024, zero="one on each processor")
     scheduler: str = ""
     batch: int = setting(256, least=1, most=4096)
@@ -515,27 +460,24 @@ def run_campaign(
     """
     began = time.perf_counter()
     itinerary = plan.itinerary
-    if not plan.converged:
-        raise GoalMissed(f"{itinerary.name} has no reference to follow: {plan.status}")
-    jobs = _jobs(plan, cases, settings)
-    extra = _number_columns(cases)
-    parts = None if file is None else Parts(file, extra=extra)
-    kept = {} if parts is None else {job.key: rows for job in jobs if (rows := parts.load(job.key)) is not None}
-    left = [job for job in jobs if job.key not in kept]
-    if left:
-        if settings.scheduler:
-            finished = run_on_cluster(left, settings.scheduler)
-        else:
-            finished = run_locally(left, settings.workers or processors())
-        for job, rows in finished:
+    jobs = _jobs(plan.followed(), cases, settings)
+    extra = tuple(dict.fromkeys(name for case in cases for name in _numbers(case)))
+    parts = None if file is None else file.with_name(file.name + ".parts")
+    kept: dict[str, list[Row]] = {}
+    if parts is not None:
+        kept = {job.key: rows for job in jobs if (rows := _kept_rows(parts / f"{job.key}.parquet")) is not None}
+    if left := [job for job in jobs if job.key not in kept]:
+        local = not settings.scheduler
+        workers = settings.workers or processors()
+        for job, rows in run_locally(left, workers) if local else run_on_cluster(left, settings.scheduler):
             kept[job.key] = [{**row, **_numbers(job.case)} for row in rows]
             if parts is not None:
-                parts.keep(job.key, kept[job.key])
+                write_rows(parts / f"{job.key}.parquet", kept[job.key], extra=extra)
             progress(f"{len(kept)} of {len(jobs)} jobs", len(kept) / len(jobs))
     rows = [row for job in jobs for row in kept[job.key]]
     if file is not None and parts is not None:
         write_rows(file, rows, extra=extra, metadata=_metadata(itinerary, cases, settings))
-        parts.remove()
+        shutil.rmtree(parts, ignore_errors=True)
     return _summary(itinerary.name, cases, rows, seconds=time.perf_counter() - began, file=file)
 
 
@@ -559,10 +501,6 @@ def _jobs(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> list
 
 def _numbers(case: Case) -> dict[str, float]:
     return {name: float(value) for name, value in case.values if not isinstance(value, str) and name != "mismatch"}
-
-
-def _number_columns(cases: Sequence[Case]) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(name for case in cases for name in _numbers(case)))
 
 
 def _metadata(itinerary: Itinerary, cases: Sequence[Case], settings: CampaignSettings) -> dict[str, Any]:

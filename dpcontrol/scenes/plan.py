@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dpcontrol.foundation.cache import cache_folder, code_hash
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.references.notes import PlanNotes, plan_notes
@@ -56,6 +56,16 @@ class Plan:
     def converged(self) -> bool:
         """Whether there is a reference to follow."""
         return self.reference.converged
+
+    def followed(self) -> "Plan":
+        """Return the plan, where its reference can be followed.
+
+        Raises:
+            GoalMissed: it did not converge.
+        """
+        if not self.converged:
+            raise GoalMissed(f"{self.itinerary.name} has no reference to follow: {self.status}")
+        return self
 
     def document(self) -> dict[str, Any]:
         """Return what `dpcontrol plan --json` prints."""

@@ -128,7 +128,7 @@ def run_plan(plan: Plan, out: Path | None = None, *, progress: Progress = no_pro
             not give.
         GoalMissed: the plan did not converge, or no controller can be made for it, or no plant drawn.
     """
-    itinerary = followed(plan).itinerary
+    itinerary = plan.followed().itinerary
     if out is None:
         events = _Events()
         return Run(_log_in_memory(plan, _flown(plan, itinerary.uncertainty, events, progress), events))
@@ -137,17 +137,6 @@ def run_plan(plan: Plan, out: Path | None = None, *, progress: Progress = no_pro
         result = _flown(plan, uncertainty, LogSink(writer), progress)
         writer.result(**_outcome(result))
     return Run(read_log(out))
-
-
-def followed(plan: Plan) -> Plan:
-    """Return a plan whose reference can be followed.
-
-    Raises:
-        GoalMissed: it did not converge.
-    """
-    if not plan.converged:
-        raise GoalMissed(f"{plan.itinerary.name} has no reference to follow: {plan.status}")
-    return plan
 
 
 def _flown(plan: Plan, uncertainty: Uncertainty | None, sink: LoopSink, progress: Progress) -> LoopResult:
@@ -357,7 +346,7 @@ def bench_recipe(plan: Plan, controller: Controller | None = None) -> "BenchReci
         InputError: the plant is to be drawn from an uncertainty that the model's file does not give.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """
-    itinerary, reference = plan.itinerary, followed(plan).reference
+    itinerary, reference = plan.itinerary, plan.followed().reference
     loop = itinerary.loop
     controller = controller or loop_controller(reference, itinerary.model.arms, loop)
     from dpcontrol.rig.bench import BenchRecipe
@@ -383,7 +372,7 @@ def run_on_rig(
     from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
     from dpcontrol.rig.client import UdpRig, parse_address, real_time_priority, without_collecting
 
-    itinerary, reference = plan.itinerary, followed(plan).reference
+    itinerary, reference = plan.itinerary, plan.followed().reference
     arms, settings = itinerary.model.arms, itinerary.loop
     where = None if address == OWN_BENCH else parse_address(address)
     limits, controller = settings.limits(reference), loop_controller(reference, arms, settings)
