@@ -1,17 +1,14 @@
 """Itinerary files: what to do and how, from TOML to the settings of each stage.
 
-What an itinerary consists of: walks, each at one energy, and holds at equilibria; read from its TOML.
-
 Either the file's top level gives one part's keys, or [[parts]] lists several:
 
     energy, walk, wraps, repeat, lead_in, lead_out      a walk
     hold = "up-up", seconds = 2.0                       a stay at an equilibrium
     orbit = "down-up", energy = -0.07, seconds = 60     a stay on a periodic orbit; the only part of its itinerary
 
-A scene's run settings: [run], [controller], [estimator] and [supervisor] of its file, and overriding options.
-
 In [run] the keys of sensors, drive and disturbances stand side by side, as a user thinks of one bench; [[run.blows]]
 lists blows at given times. `RunOptions` has the same names: `mismatch = 0.05` in the file is `--mismatch 0.05`.
+[controller], [estimator] and [supervisor] have the rest of a run's settings.
 """
 
 from collections.abc import Mapping, Sequence
@@ -98,32 +95,24 @@ def read_parts(table: Table, model: Model) -> tuple[Part, ...]:
 
 
 def _part(table: Table, model: Model) -> Part:
+    saddles = model.system.saddles
     if "hold" in table:
-        return _hold(table, model)
+        if "walk" in table:
+            raise InputError(f"{table.where('hold')}: this part has a walk as well; give each its own [[parts]]")
+        return HoldPart(table.text("hold", allowed=equilibria(model.system)), _seconds(table, 2.0))
     if "orbit" in table:
-        return _orbit(table, model)
-    energy = table.number("energy")
-    saddles = model.system.saddles
-    walk, wraps, repeat = _walk(table, saddles)
-    _check_energy(table, walk, saddles, model, energy)
-    return WalkPart(energy, walk, wraps, repeat, table.integer("lead_in", 2), table.integer("lead_out", 2))
-
-
-def _orbit(table: Table, model: Model) -> OrbitPart:
-    for key in ("walk", "hold"):
-        if key in table:
+        if "walk" in table:
             raise InputError(
-                f"{table.where('orbit')}: an itinerary that keeps an orbit has no {key}; remove one of them"
+                f"{table.where('orbit')}: an itinerary that keeps an orbit has no walk; remove one of them"
             )
-    saddles = model.system.saddles
-    name = table.text("orbit", allowed=saddles)
-    energy, point = table.number("energy"), equilibria(model.system)[name]
-    if energy <= point.energy:
-        raise InputError(
-            f"{table.where('energy')} = {energy!r} J: {name} has Lyapunov orbits only above its own "
-            f"{point.energy!r} J; choose a higher energy"
-        )
-    return OrbitPart(name, energy, _seconds(table, 10.0), table.integer("family", 0))
+        name = table.text("orbit", allowed=saddles)
+        energy = _energy(table, [name], model)
+        return OrbitPart(name, energy, _seconds(table, 10.0), table.integer("family", 0))
+    # What is impossible at any energy comes first.
+    walk, wraps, repeat = _walk(table, saddles)
+    visited = [name for symbol in parse_walk(walk, saddles) for name in (symbol.source, symbol.target)]
+    energy = _energy(table, visited, model)
+    return WalkPart(energy, walk, wraps, repeat, table.integer("lead_in", 2), table.integer("lead_out", 2))
 
 
 def _seconds(table: Table, default: float) -> float:
@@ -133,14 +122,16 @@ def _seconds(table: Table, default: float) -> float:
     return seconds
 
 
-def _hold(table: Table, model: Model) -> HoldPart:
-    if "walk" in table:
-        raise InputError(f"{table.where('hold')}: this part has a walk as well; give each its own [[parts]]")
-    points = equilibria(model.system)
-    name = table.text("hold")
-    if name not in points:
-        raise InputError(f"{table.where('hold')} = {name!r}: {suggest(name, points)}")
-    return HoldPart(name, _seconds(table, 2.0))
+def _energy(table: Table, saddles: Sequence[str], model: Model) -> float:
+    """Return the energy, at which each of these saddles has orbits."""
+    energy, points = table.number("energy"), equilibria(model.system)
+    for saddle in saddles:
+        if energy <= points[saddle].energy:
+            raise InputError(
+                f"{table.where('energy')} = {energy!r} J: {saddle} has Lyapunov orbits only above its own "
+                f"{points[saddle].energy!r} J; choose a higher energy"
+            )
+    return energy
 
 
 def _walk(table: Table, saddles: Sequence[str]) -> tuple[tuple[str, ...], tuple[int, ...], int]:
@@ -154,37 +145,22 @@ def _walk(table: Table, saddles: Sequence[str]) -> tuple[tuple[str, ...], tuple[
         symbols = parse_walk(walk, saddles)
     except InputError as error:
         raise InputError(f"{table.where('walk')}: {error}") from error
-    if repeat == 1 and len(wraps) != len(walk) - 1:
+    stops = len(walk) - 1
+    of = f"a walk of {len(walk)} symbols has {stops} interior stops"
+    if repeat > 1:
+        if symbols[0].source != symbols[-1].target:
+            raise InputError(
+                f"{table.where('repeat')} = {repeat}: the walk starts at {symbols[0].source} and ends at "
+                f"{symbols[-1].target}; only a walk that ends where it starts can be repeated"
+            )
+        stops = len(walk)
+        of = f"a walk of {stops} symbols that is repeated has {stops} stops, the last from its last symbol to its first"
+    if len(wraps) != stops:
         raise InputError(
-            f"{table.where('wraps')} = {list(wraps)}: a walk of {len(walk)} symbols has {len(walk) - 1} interior "
-            f"stops; give one whole number for each{table.misspelt('wraps')}"
-        )
-    if repeat == 1:
-        return *expanded(symbols, wraps), repeat
-    if symbols[0].source != symbols[-1].target:
-        raise InputError(
-            f"{table.where('repeat')} = {repeat}: the walk starts at {symbols[0].source} and ends at "
-            f"{symbols[-1].target}; only a walk that ends where it starts can be repeated"
-        )
-    if len(wraps) != len(walk):
-        raise InputError(
-            f"{table.where('wraps')} = {list(wraps)}: a walk of {len(walk)} symbols that is repeated has {len(walk)} "
-            "stops, the last from its last symbol back to its first; give one whole number for each"
-            f"{table.misspelt('wraps')}"
+            f"{table.where('wraps')} = {list(wraps)}: {of}; give one whole number for each{table.misspelt('wraps')}"
         )
     walk, wraps = expanded(symbols, wraps)
-    return walk * repeat, (wraps * repeat)[:-1], repeat
-
-
-def _check_energy(table: Table, walk: tuple[str, ...], saddles: Sequence[str], model: Model, energy: float) -> None:
-    """Reject an energy at which a saddle of the walk has no orbits."""
-    points = equilibria(model.system)
-    for saddle in {name for s in parse_walk(walk, saddles) for name in (s.source, s.target)}:
-        if energy <= points[saddle].energy:
-            raise InputError(
-                f"{table.where('energy')} = {energy!r} J: {saddle} has Lyapunov orbits only above its own "
-                f"{points[saddle].energy!r} J; choose a higher energy"
-            )
+    return walk * repeat, (wraps * repeat)[: len(walk) * repeat - 1], repeat
 
 
 CONTROLLERS: Mapping[str, type[ControllerSettings]] = {
@@ -193,12 +169,8 @@ CONTROLLERS: Mapping[str, type[ControllerSettings]] = {
 }  # fmt: skip
 """Kinds of controller and what holds the settings of each."""
 _PARTS: Mapping[str, type] = {"sensors": SensorSettings, "drive": DriveSettings, "disturbances": DisturbanceSettings}
-_OWN = ("rate", "initial_error", "mismatch", "model_uncertainty", "travel")
-_LISTS = ("explicit",)
-
-
-def _part_of_name() -> dict[str, str]:
-    return {f.name: part for part, kind in _PARTS.items() for f in fields(kind) if f.name not in _LISTS}
+_HOMES = {f.name: part for part, kind in _PARTS.items() for f in fields(kind) if f.name != "explicit"}
+"""Which part of the loop's settings has a key of [run]; those of none are the loop's own."""
 
 
 def read_run_settings(run: Table, *, controller: Table, estimator: Table, supervisor: Table) -> LoopSettings:
@@ -208,14 +180,14 @@ def read_run_settings(run: Table, *, controller: Table, estimator: Table, superv
         InputError: an unknown key or an impossible value; names file, table, key, value and what is allowed.
     """
     blows = [table.settings(Push) for table in run.tables("blows")]
-    names, values = _part_of_name(), run.remaining()
-    known = (*_OWN, *names)
+    values = run.remaining()
+    known = ("rate", "initial_error", "mismatch", "model_uncertainty", "travel", *_HOMES)
     parts = {}
     for part, kind in _PARTS.items():
-        own = {k: v for k, v in values.items() if names.get(k) == part}
+        own = {k: v for k, v in values.items() if _HOMES.get(k) == part}
         given = {"explicit": tuple(blows)} if part == "disturbances" else {}
         parts[part] = Table(own, file=run.file, name=run.name).settings(kind, also=known, **given)
-    rest = Table({k: v for k, v in values.items() if k not in names}, file=run.file, name=run.name)
+    rest = Table({k: v for k, v in values.items() if k not in _HOMES}, file=run.file, name=run.name)
     keep = controller.text("keep", "none", allowed=KEEPERS)
     law = _kind(controller, CONTROLLERS, "tvlqr")
     if keep != "none" and not isinstance(law, TvlqrSettings):
@@ -241,22 +213,19 @@ def overridden(loop: LoopSettings, options: RunOptions) -> LoopSettings:
     Raises:
         InputError: an unknown kind, or an impossible value.
     """
-    names = _part_of_name()
+    homes = {**_HOMES, "hold": "supervisor"}
+    kinds: Mapping[str, Mapping[str, type]] = {"controller": CONTROLLERS, "estimator": ESTIMATORS}
     changes: dict[str, dict[str, Any]] = {}
     own: dict[str, Any] = {}
     for name, value in options.given().items():
-        if name in ("controller", "estimator"):
-            kinds: Mapping[str, type] = CONTROLLERS if name == "controller" else ESTIMATORS
-            if value not in kinds:
-                raise InputError(f"{name} = {value!r}: {suggest(str(value), kinds)}")
-            if value != getattr(loop, name).kind:
-                own[name] = kinds[value]()
-        elif name in _OWN or name == "keep":
+        if name in homes:
+            changes.setdefault(homes[name], {})[name] = value
+        elif name not in kinds:
             own[name] = value
-        elif name == "hold":
-            own["supervisor"] = replace(loop.supervisor, hold=value)
-        else:
-            changes.setdefault(names[name], {})[name] = value
+        elif value not in kinds[name]:
+            raise InputError(f"{name} = {value!r}: {suggest(str(value), kinds[name])}")
+        elif value != getattr(loop, name).kind:
+            own[name] = kinds[name][value]()
     law, filters = own.get("controller", loop.controller), own.get("estimator", loop.estimator)
     knows = Augment.PARAMETERS in filters.augments
     if isinstance(law, AdaptiveSettings) and isinstance(filters, EkfSettings) and not knows:
