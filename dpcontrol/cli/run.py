@@ -18,8 +18,7 @@ from dpcontrol.foundation.settings import suggest
 from dpcontrol.scenes.run_options import RunOptions
 
 if TYPE_CHECKING:
-    from dpcontrol.scenes.campaign import Campaign
-    from dpcontrol.scenes.standard import StandardScore
+    from dpcontrol.scenes.campaign import Campaign, StandardScore
 
 KINDS: dict[str, type] = {
     f.name: {"str": str, "int": int, "float": float}[str(f.type).partition(" ")[0]] for f in fields(RunOptions)
@@ -221,10 +220,9 @@ def campaign_command(
     `dpcontrol run --seed` with the same settings, replays it. `--standard` takes every controller of
     `--over controller=…`, or the scene's own.
     """
-    from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign
+    from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign, standard_cases, standard_scores
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.plan import make_plan
-    from dpcontrol.scenes.standard import standard_cases, standard_scores
 
     scene = load_itinerary(itinerary)
     settings = CampaignSettings(

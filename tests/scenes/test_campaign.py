@@ -24,11 +24,20 @@ from dpcontrol.foundation.statistics import paired, wilson
 from dpcontrol.scenes import campaign as campaign_jobs
 from dpcontrol.scenes import campaign as campaign_module
 from dpcontrol.scenes import campaign as workers
-from dpcontrol.scenes.campaign import Campaign, CampaignSettings, cases_of, read_rows, run_campaign
+from dpcontrol.scenes.campaign import (
+    LEVELS,
+    STANDARD,
+    Campaign,
+    CampaignSettings,
+    cases_of,
+    read_rows,
+    run_campaign,
+    standard_cases,
+    standard_scores,
+)
 from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
 from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.run_options import RunOptions
-from dpcontrol.scenes.standard import LEVELS, STANDARD, standard_cases, standard_scores
 
 DIGITS = 1e-12
 """Of an interval: two ways to add up the same terms."""
