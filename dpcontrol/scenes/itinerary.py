@@ -154,7 +154,10 @@ def _walk(table: Table, saddles: Sequence[str]) -> tuple[tuple[str, ...], tuple[
                 f"{symbols[-1].target}; only a walk that ends where it starts can be repeated"
             )
         stops = len(walk)
-        of = f"a walk of {stops} symbols that is repeated has {stops} stops, the last from its last symbol to its first"
+        of = (
+            f"a walk of {stops} symbols that is repeated has {stops} stops, the last from its last symbol back to its "
+            "first"
+        )
     if len(wraps) != stops:
         raise InputError(
             f"{table.where('wraps')} = {list(wraps)}: {of}; give one whole number for each{table.misspelt('wraps')}"
