@@ -42,8 +42,8 @@ def figures_command(
     with progress_bar("figures") as progress:
         drawn = draw_figures(names, gallery, out, progress=progress)
     document = {
-        "figures": [{"file": str(d.file), **picked(d, "name", "caption", "differs", "seconds")} for d in drawn],
-        "captions": str(out / CAPTIONS),
+        "figures": [{**picked(d, "file", "name", "caption", "differs", "seconds")} for d in drawn],
+        "captions": out / CAPTIONS,
         "status": f"{len(drawn)} figures drawn",
     }
     lines = [
@@ -110,7 +110,7 @@ def bench_command(
         status += "; " + ("; ".join(changed) or f"the order on each front is that in {against}")
         status += "; " + ("; ".join(lost) or "no default became slower or less accurate")
         complaints += changed + lost
-    files = [{"file": str(d.picture), "data": str(d.data), "seconds": d.seconds} for d in drawn]
+    files = [{"file": d.picture, "data": d.data, "seconds": d.seconds} for d in drawn]
     document = {
         "charts": [{**d.chart.document(), **file} for d, file in zip(drawn, files, strict=True)],
         "status": status,

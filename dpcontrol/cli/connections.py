@@ -244,7 +244,7 @@ def atlas_command(
             shutil.copyfile(file, temporary)
         file = out
     missed = "" if atlas.complete else f"the atlas of {model} at {energy:g} J is not complete: {atlas.status}"
-    document = {**atlas.document(), "file": str(file), "cached": found.cached}
+    document = {**atlas.document(), "file": file, "cached": found.cached}
     return Answer(document, [*_atlas_text(atlas), f"file  {file}{' (cached)' if found.cached else ''}"], missed)
 
 

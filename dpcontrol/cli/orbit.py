@@ -108,7 +108,7 @@ def _family(model: "Model", saddle: str, energies: Range, family: int, picture: 
         from dpcontrol.review.page import save_figure
 
         save_figure(draw_families([found], f"Lyapunov orbits about {found.saddle} of {found.system.name}"), picture)
-    document = {**found.document(), "energies": energies, "picture": None if picture is None else str(picture)}
+    document = {**found.document(), "energies": energies, "picture": picture}
     missed = "" if found.converged else f"the family about {saddle}: {found.status}"
     return Answer(document, [*_family_text(found, saddle), *drawn_to(picture)], missed)
 
@@ -165,7 +165,7 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
         "count": len(families),
         **asked,
         "energies": energies,
-        "picture": None if picture is None else str(picture),
+        "picture": picture,
         "status": "; ".join(family.status for family in families),
     }
     lost = [family.status for family in families if not family.converged]
@@ -213,7 +213,7 @@ def _sustained(model: "Model", saddle: str, energy: float, family: int, sections
         from dpcontrol.review.page import draw, save_figure
 
         save_figure(draw(sustained_view(orbit, model.arms.length)), picture)
-    document = {**orbit.document(sections), "picture": None if picture is None else str(picture)}
+    document = {**orbit.document(sections), "picture": picture}
     missed = "" if orbit.converged else f"the sustained orbit about {saddle} at {energy:g} J: {orbit.status}"
     return Answer(document, () if missed else [*_sustained_text(orbit, sections), *drawn_to(picture)], missed)
 

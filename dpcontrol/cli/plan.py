@@ -38,7 +38,7 @@ def plan_command(
     for remark in plan_remarks(plan.itinerary):
         click.echo(remark, err=True)
     missed = "" if plan.converged else f"{plan.itinerary.name}: {plan.status}"
-    document = {**plan.document(), "file": None if missed else str(file)}
+    document = {**plan.document(), "file": None if missed else file}
     return Answer(document, () if missed else _plan_text(plan, file), missed)
 
 
@@ -86,7 +86,7 @@ def reference_command(
         raise InputError(f"{file}: {error}") from error
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise InputError(f"{file} is a reference, but its notes are not those of a plan: {error}") from error
-    document = {"file": str(file), **document, "picture": None if picture is None else str(picture)}
+    document = {"file": file, **document, "picture": picture}
     return Answer(document, [*_reference_text(document), *drawn_to(picture)])
 
 

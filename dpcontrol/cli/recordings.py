@@ -40,9 +40,11 @@ def import_command(
     their row, and mended only where --repair says so; the log notes what was. Segments count from 0, rows from 1.
     With --simulated the truth is known: to try `identify` and `replay` on.
     """
+    from dpcontrol import api
     from dpcontrol.foundation.files import checked_other_file
     from dpcontrol.recordings.importing import import_recording
     from dpcontrol.recordings.recording import write_recording
+    from dpcontrol.scenes.model import load_model
 
     if (file is None) == (simulated is None):
         raise click.UsageError("give a FILE, or a model to swing with --simulated")
@@ -51,25 +53,17 @@ def import_command(
     repairs = [name.strip() for name in repair.split(",") if name.strip()]
     with progress_bar("import") as progress:
         if file is None:
-            recording = _swings(str(simulated), swings=swings, seconds=seconds, seed=seed)
+            recording = api.swings(load_model(str(simulated)), count=swings, seconds=seconds, seed=seed)
         else:
             recording = import_recording(file, mapping, repairs=repairs, progress=progress)
         progress("writing", 0.7)
         log = write_recording(recording, out or Path("logs") / f"{recording.name}.mcap")
-    document = {"log": str(log), "source": str(file or recording.source), **recording.document()}
+    document = {"log": log, "source": file or recording.source, **recording.document()}
     return Answer(document, _import_text(recording, document))
 
 
-def _swings(model: str, *, swings: int, seconds: float, seed: int) -> "Recording":
-    from dpcontrol.recordings.recording import random_swings
-    from dpcontrol.scenes.model import load_model
-
-    loaded = load_model(model)
-    return random_swings(loaded.arms, swings=swings, seconds=seconds, seed=seed, name=f"{loaded.name}-swings-{seed}")
-
-
 def _import_text(recording: "Recording", document: dict[str, Any]) -> Iterator[str]:
-    yield document["log"]
+    yield str(document["log"])
     arms = "1 arm" if recording.arms == 1 else f"{recording.arms} arms"
     segments = len(recording.segments)
     count = "1 segment" if segments == 1 else f"{segments} segments"
@@ -104,25 +98,23 @@ def identify_command(
         return _design(model, picture)
     if not logs:
         raise click.UsageError("give at least one log that `dpcontrol import` wrote")
-    from dpcontrol.identification.identify import IdentificationSettings, identify
+    from dpcontrol import api
     from dpcontrol.recordings.recording import load_recording
-    from dpcontrol.scenes.model import load_model, write_model
+    from dpcontrol.scenes.model import load_model
 
     start = load_model(model)
     recordings = [load_recording(path) for path in logs]
     target = out or Path("models") / f"{logs[0].stem}.toml"
-    settings = IdentificationSettings(zeros={None: "chosen", True: "free", False: "none"}[zeros])
     with progress_bar("identify") as progress:
-        found = identify(recordings, start.arms, settings=settings, progress=progress)
-        title = f"{start.title}, identified from {', '.join(r.name for r in recordings)}"
-        write_model(found, target, title=title, logs=[path.name for path in logs], starting_model=start.name)
+        found = api.identify(recordings, model=start, zeros=zeros, out=target, progress=progress)
         if picture is not None:
             from dpcontrol.identification.identify import profiles
             from dpcontrol.review.identification import draw_identification
             from dpcontrol.review.page import save_figure
 
+            title = load_model(str(target)).title
             save_figure(draw_identification(found, profiles(found, progress=progress), title=title), picture)
-    document = {**found.document(), "file": str(target), "picture": None if picture is None else str(picture)}
+    document = {**found.document(), "file": target, "picture": picture}
     return Answer(document, _identify_text(found, target, picture))
 
 
@@ -165,7 +157,7 @@ def _design(model: str, picture: Path | None) -> Answer:
             from dpcontrol.review.page import save_figure
 
             save_figure(draw_design(design, title=start.title), picture)
-    document = {**design.document(), "picture": None if picture is None else str(picture)}
+    document = {**design.document(), "picture": picture}
     return Answer(document, _design_text(design, picture))
 
 
@@ -214,7 +206,7 @@ def replay_command(
             recording, loaded.arms, filters, settings, zeros=loaded.encoder_zeros, progress=progress
         )
         written = write_replay(result, target, model=loaded.name, model_text=loaded.text)
-    document = {"log": str(written), "model": loaded.name, "estimator": estimator, **result.document()}
+    document = {"log": written, "model": loaded.name, "estimator": estimator, **result.document()}
     missed = "" if all(fit.converged for fit in result.fits) else result.status
     return Answer(document, _replay_text(result, loaded.name, written), missed)
 

@@ -1,7 +1,7 @@
 """The verbs that read logs: score, review, report, info, recover."""
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,10 +25,9 @@ def score_command(*, logs: tuple[Path, ...] = argument()) -> Answer:
 
     With --json, one log gives one object, several give {"runs": [...]}. Exits with 1 if a run is not completed.
     """
-    from dpcontrol.logs import read_log
-    from dpcontrol.review.score import score
+    from dpcontrol import api
 
-    verdicts = [score(read_log(path)) for path in logs]
+    verdicts = [api.open_log(path).score() for path in logs]
     documents = [verdict.document() for verdict in verdicts]
     failed = [verdict for verdict in verdicts if verdict.completed is False]
     return Answer(
@@ -71,85 +70,76 @@ def review_command(
     reference (.npz) as its motion, command and limits. With --save or --picture the viewer is not opened; where no
     renderer is installed the picture is drawn by matplotlib, and the message says so.
     """
-    first, *others = files
-    document: dict[str, Any] = {"log": str(first), "recording": None, "picture": None, "status": "done"}
     with progress_bar("review") as progress:
         progress("reading", 0.05)
-        if others:
-            document = {"logs": [str(file) for file in files], **document}
-            write_recording, write_picture, document["aligned"] = _comparison_writers(files, align)
-        else:
-            write_recording, write_picture = _writers(first)
+        shown = _opened(files, align)
+        document: dict[str, Any] = {"log": files[0], "recording": None, "picture": None, "status": "done"}
+        if len(files) > 1:
+            document |= {"logs": files, "aligned": shown.status}
         if save is not None or picture is None:
             progress("recording", 0.2)
-            recording = save or Path(tempfile.mkdtemp(prefix="dpcontrol-")) / f"{first.stem}.rrd"
-            write_recording(recording)
-            document["recording"] = str(recording)
+            document["recording"] = save or Path(tempfile.mkdtemp(prefix="dpcontrol-")) / f"{files[0].stem}.rrd"
+            _record(shown, document["recording"])
         if picture is not None:
             progress("picture", 0.5)
-            drawn = write_picture(picture)
-            document |= {"picture": str(drawn.path), "renderer": drawn.renderer, "status": drawn.status}
+            drawn = _drawn(shown, picture)
+            document |= {"picture": drawn.path, "renderer": drawn.renderer, "status": drawn.status}
     if save is None and picture is None:
         from dpcontrol.review.picture import open_viewer
 
-        open_viewer(Path(document["recording"]))
+        open_viewer(document["recording"])
     kinds = ("recording", "picture", "aligned")
     lines = [f"{kind:<10} {document[kind]}" for kind in kinds if document.get(kind)]
     return Answer(document, lines if picture is None else [*lines, document["status"]])
 
 
-Writers = tuple[Callable[[Path], None], Callable[[Path], "Picture"]]
-"""What writes the recording to a path, and the picture."""
-
-
-def _writers(file: Path) -> Writers:
+def _opened(files: tuple[Path, ...], symbol: int) -> Any:
+    """Return what is to be seen: the view of a run or a reference, an atlas, or a comparison of several runs."""
     from dpcontrol.foundation.files import archive_format, is_archive
     from dpcontrol.logs import read_log
     from dpcontrol.references.reference import FORMAT as REFERENCE
     from dpcontrol.review.of_log import read_reference_view, run_view
-    from dpcontrol.review.picture import write_atlas_picture, write_picture
 
-    reference = archive_format(file) == REFERENCE
-    if not reference and is_archive(file):
+    first, *others = files
+    if others:
+        from dpcontrol.review.comparison import compare
+
+        if other := next((file for file in files if file.suffix.lower() == ".npz"), None):
+            raise InputError(
+                f"{other} is not a log: several files can be compared only if all are logs; review it alone"
+            )
+        return compare([run_view(read_log(file)) for file in files], symbol=symbol)
+    if archive_format(first) == REFERENCE:
+        return read_reference_view(first)
+    if is_archive(first):
         from dpcontrol.scenes.atlas import load_atlas
 
-        atlas = load_atlas(file)
-
-        def record_atlas(path: Path) -> None:
-            from dpcontrol.review.atlas import write_atlas_recording
-
-            write_atlas_recording(atlas, path)
-
-        return record_atlas, lambda path: write_atlas_picture(atlas, path)
-    view = read_reference_view(file) if reference else run_view(read_log(file))
-
-    def record(path: Path) -> None:
-        from dpcontrol.review.rerun_recording import write_recording
-
-        write_recording(view, path)
-
-    return record, lambda path: write_picture(view, path)
+        return load_atlas(first)
+    return run_view(read_log(first))
 
 
-def _comparison_writers(files: tuple[Path, ...], symbol: int) -> tuple[Callable, Callable, str]:
-    from dpcontrol.logs import read_log
-    from dpcontrol.review.comparison import compare
-    from dpcontrol.review.of_log import run_view
-    from dpcontrol.review.picture import write_comparison_picture
+def _record(shown: Any, path: Path) -> None:
+    from dpcontrol.review.atlas import write_atlas_recording
+    from dpcontrol.review.comparison import RunComparison, write_comparison_recording
+    from dpcontrol.review.rerun_recording import write_recording
+    from dpcontrol.walks.atlas import Atlas
 
-    other = [file for file in files if file.suffix.lower() == ".npz"]
-    if other:
-        raise InputError(
-            f"{other[0]} is not a log: several files can be compared only if all are logs; review it alone"
-        )
-    comparison = compare([run_view(read_log(file)) for file in files], symbol=symbol)
+    if isinstance(shown, RunComparison):
+        write_comparison_recording(shown, path)
+    elif isinstance(shown, Atlas):
+        write_atlas_recording(shown, path)
+    else:
+        write_recording(shown, path)
 
-    def record(path: Path) -> None:
-        from dpcontrol.review.comparison import write_comparison_recording
 
-        write_comparison_recording(comparison, path)
+def _drawn(shown: Any, path: Path) -> "Picture":
+    from dpcontrol.review.comparison import RunComparison
+    from dpcontrol.review.picture import write_atlas_picture, write_comparison_picture, write_picture
+    from dpcontrol.walks.atlas import Atlas
 
-    return record, lambda path: write_comparison_picture(comparison, path), comparison.status
+    if isinstance(shown, RunComparison):
+        return write_comparison_picture(shown, path)
+    return write_atlas_picture(shown, path) if isinstance(shown, Atlas) else write_picture(shown, path)
 
 
 @verb("report", example="dpcontrol report logs/outer-turn-0.mcap --picture outer-turn.pdf")
@@ -167,7 +157,7 @@ def report_command(
     """
     picture = picture or file.with_name(f"{file.stem}-report.png")
     answer = (_campaign if file.suffix.lower() == ".parquet" else _log)(file, picture)
-    return Answer({**answer.document, "picture": str(picture)}, [*answer.text, f"page       {picture}"])
+    return Answer({**answer.document, "picture": picture}, [*answer.text, f"page       {picture}"])
 
 
 def _log(file: Path, picture: Path) -> Answer:
@@ -182,8 +172,7 @@ def _log(file: Path, picture: Path) -> Answer:
     if REFERENCE_ATTACHMENT in log.attachments and "reference" in log.states:
         verdict = score(log)
         return Answer(verdict.document(), score_text(verdict))
-    document = {"log": str(file), "completed": None, "reason": view.verdict}
-    return Answer(document, [str(file), f"  {view.verdict}"])
+    return Answer({"log": file, "completed": None, "reason": view.verdict}, [str(file), f"  {view.verdict}"])
 
 
 def _campaign(file: Path, picture: Path) -> Answer:
@@ -261,8 +250,7 @@ def recover_command(
 
     with progress_bar("recover") as progress:
         done = recover(log, out, progress=progress)
-    document = {key: str(value) if isinstance(value, Path) else value for key, value in asdict(done).items()}
-    return Answer(document, _recover_text(done))
+    return Answer(asdict(done), _recover_text(done))
 
 
 def _recover_text(done: "Recovery") -> Iterator[str]:

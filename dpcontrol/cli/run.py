@@ -111,7 +111,7 @@ def _repeat(source: Path, out: Path | None) -> Answer:
     with progress_bar("run") as progress:
         done = repeat_run(source, out or repeated_log(source), progress=progress)
     same, verdict = done.comparison, done.score
-    repeated = {"of": str(source), "identical_messages": same.messages, "difference": same.difference}
+    repeated = {"of": source, "identical_messages": same.messages, "difference": same.difference}
     lines = [*score_text(verdict), f"  repeats {source}: {same.messages:,} messages are identical"]
     differs = f"not the same run: {same.difference}{f'; {done.versions}' if done.versions else ''}"
     missed = shortfall(verdict) if same.difference is None else differs

@@ -30,18 +30,15 @@ def demo_command(
     began = time.perf_counter()
     with progress_bar("demo") as progress:
         progress("loading", 0.0)
+        from dpcontrol import api
         from dpcontrol.review.of_log import run_view
         from dpcontrol.review.picture import write_picture
         from dpcontrol.review.rerun_recording import write_recording
-        from dpcontrol.scenes.itinerary import load_itinerary
-        from dpcontrol.scenes.plan import make_plan
-        from dpcontrol.scenes.run import run_plan
-        from dpcontrol.scenes.run_options import RunOptions
 
-        scene = load_itinerary(itinerary).with_run(RunOptions(), seed=seed)
-        plan = make_plan(scene, progress=part_of(progress, 0.05, 0.5))
+        plan = api.plan(itinerary, progress=part_of(progress, 0.05, 0.5))
+        scene = plan.itinerary
         log = folder / f"{scene.name}-{seed}.mcap"
-        run = run_plan(plan, log, progress=part_of(progress, 0.5, 0.75))
+        run = api.run(plan, seed=seed, log=log, progress=part_of(progress, 0.5, 0.75))
         verdict, view = run.score(), run_view(run.log)
         progress("recording", 0.8)
         recording = log.with_suffix(".rrd")
@@ -51,8 +48,8 @@ def demo_command(
     seconds = time.perf_counter() - began
     document = {
         **verdict.document(),
-        "recording": str(recording),
-        "picture": str(picture.path),
+        "recording": recording,
+        "picture": picture.path,
         "renderer": picture.renderer,
         "seconds": seconds,
         "status": picture.status,

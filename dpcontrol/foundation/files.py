@@ -175,7 +175,9 @@ def picked(result: Any, *names: str) -> dict[str, Any]:
 
 
 def plain(value: Any) -> Any:
-    """Return `value` in JSON's terms: arrays as lists, complex numbers as [re, im], what is not finite as null."""
+    """Return `value` in JSON's terms: arrays as lists, complex numbers as [re, im], paths as text; null where it is not
+    finite.
+    """
     if isinstance(value, Mapping):
         return {str(k): plain(v) for k, v in value.items()}
     if isinstance(value, np.ndarray):
@@ -184,6 +186,8 @@ def plain(value: Any) -> Any:
         return [plain(v) for v in value]
     if isinstance(value, complex | np.complexfloating):
         return [plain(float(value.real)), plain(float(value.imag))]
+    if isinstance(value, Path):
+        return str(value)
     if isinstance(value, np.bool_):
         return bool(value)
     if isinstance(value, np.integer):
