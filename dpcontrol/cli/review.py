@@ -70,15 +70,16 @@ def review_command(
     reference (.npz) as its motion, command and limits. With --save or --picture the viewer is not opened; where no
     renderer is installed the picture is drawn by matplotlib, and the message says so.
     """
+    first = files[0]
     with progress_bar("review") as progress:
         progress("reading", 0.05)
         shown = _opened(files, align)
-        document: dict[str, Any] = {"log": files[0], "recording": None, "picture": None, "status": "done"}
+        document: dict[str, Any] = {"log": first, "recording": None, "picture": None, "status": "done"}
         if len(files) > 1:
             document |= {"logs": files, "aligned": shown.status}
         if save is not None or picture is None:
             progress("recording", 0.2)
-            document["recording"] = save or Path(tempfile.mkdtemp(prefix="dpcontrol-")) / f"{files[0].stem}.rrd"
+            document["recording"] = save or Path(tempfile.mkdtemp(prefix="dpcontrol-")) / f"{first.stem}.rrd"
             _record(shown, document["recording"])
         if picture is not None:
             progress("picture", 0.5)

@@ -115,7 +115,7 @@ def _parameter(name: str, annotation: Any, declared: _Declared) -> click.Paramet
     kind, names, settings = declared.kind, declared.names, dict(declared.settings)
     choices = get_args(annotation) if isinstance(annotation, UnionType) else (annotation,)
     (held,) = (one for one in choices if one is not type(None))
-    parts = get_args(held) if get_origin(held) is tuple else ()
+    parts: tuple[Any, ...] = get_args(held) if get_origin(held) is tuple else ()
     several, default = parts[-1:] == (...,), settings.get("default")
     settings.setdefault("type", _click_type(parts[0] if several else held))
     if kind is click.Argument:

@@ -107,7 +107,7 @@ def walk_command(
     from dpcontrol.scenes.walks import drawn_requests, request
     from dpcontrol.walks.edges import find_edges
     from dpcontrol.walks.symbols import parse_walk
-    from dpcontrol.walks.walks import resolve, vertex_names, ways
+    from dpcontrol.walks.walks import all_walks, count_walks, is_closed, resolve, vertex_names, ways
     from dpcontrol.walks.walks import through as shortest
 
     choices = {"-s": symbols, "--through": through, "--length": length, "--random": count}
@@ -132,17 +132,25 @@ def walk_command(
     with progress_bar("connections") as progress:
         edges = find_edges(loaded.system, float(energy), hits=numbers, symbols=asked, progress=progress)
     leads = (lead_in, lead_out)
-    if symbols or through:
-        chain = resolve(symbols, edges) if symbols else shortest(through, edges)
-        requests = [request(chain, wraps=wraps, extra=extra_wraps[0], periodic=periodic, leads=leads)]
-    elif length is not None:
-        requests = _listed(edges, length, source, target, periodic, extra_wraps[0], leads)
-    elif count is not None:
+    if not chosen:
+        return _graph(edges)
+    if count is not None:
         requests = drawn_requests(
             edges, count, lengths=lengths, extra=extra_wraps, seed=seed, periodic=periodic, leads=leads
         )
     else:
-        return _graph(edges)
+        if length is None:
+            walks = [resolve(symbols, edges) if symbols else shortest(through, edges)]
+        else:
+            total = count_walks(edges, length, source=source, target=target)
+            if total > LISTED:
+                raise InputError(
+                    f"--length {length}: there are {total:,} such walks, more than the {LISTED:,} that are listed; "
+                    "draw some with --random"
+                )
+            walks = all_walks(edges, length, source=source, target=target)
+            walks = [walk for walk in walks if not periodic or is_closed(walk)]
+        requests = [request(walk, wraps=wraps, extra=extra_wraps[0], periodic=periodic, leads=leads) for walk in walks]
     if not solve:
         return _walks(edges, requests)
     if picture is not None and len(requests) != 1:
@@ -150,32 +158,6 @@ def walk_command(
     if precision == "extended" and len(requests) > REFINED:
         raise InputError(f"--precision extended refines {REFINED} walks at most, and here are {len(requests)}")
     return _solve(edges, requests, loaded, energy if precision == "extended" else None, out, picture)
-
-
-def _listed(
-    edges: "Edges",
-    length: int,
-    source: str | None,
-    target: str | None,
-    periodic: bool,
-    extra: int,
-    leads: tuple[int, int],
-) -> "list[WalkRequest]":
-    from dpcontrol.scenes.walks import request
-    from dpcontrol.walks.walks import all_walks, count_walks, is_closed
-
-    total = count_walks(edges, length, source=source, target=target)
-    if total > LISTED:
-        raise InputError(
-            f"--length {length}: there are {total:,} such walks, more than the {LISTED:,} that are listed; draw some "
-            "with --random"
-        )
-    walks = all_walks(edges, length, source=source, target=target)
-    return [
-        request(walk, wraps=None, extra=extra, periodic=periodic, leads=leads)
-        for walk in walks
-        if not periodic or is_closed(walk)
-    ]
 
 
 def _graph(edges: "Edges") -> Answer:
@@ -196,9 +178,7 @@ def _graph(edges: "Edges") -> Answer:
 
 def _walks(edges: "Edges", requests: "Sequence[WalkRequest]") -> Answer:
     """Show walks that were not solved."""
-    from dpcontrol.scenes.walks import asked_document
-
-    walks = [asked_document(asked) for asked in requests]
+    walks = [asked.document() for asked in requests]
     document = {"energy": edges.energy, "count": len(walks), "walks": walks, "notes": edges.notes}
     end = "1 walk; --solve finds its orbit" if len(walks) == 1 else f"{len(walks)} walks; --solve finds their orbits"
     return Answer(document, [*("  ".join(c.name for c in asked.chain) for asked in requests), end])
@@ -213,61 +193,45 @@ def _solve(
     picture: Path | None,
 ) -> Answer:
     """Solve, keep and draw walks; refine them where their energy is given exactly."""
-    from dpcontrol.scenes.walks import refined_answer, save_walk, solved, walk_document
+    from dpcontrol import api
+    from dpcontrol.scenes.walks import refined_answer, save_walk, solved
     from dpcontrol.walks.shadowing import WalkSolver
 
     solver = WalkSolver(edges.connections)
-    answers: list[WalkAnswer] = []
-    files: list[str | None] = []
+    answers: list[tuple[WalkAnswer, Path | None]] = []
     with progress_bar("walks") as progress:
-        for k, found in enumerate(solved(requests, solver)):
-            answer = found
+        for k, answer in enumerate(solved(requests, solver)):
             if exact_energy is not None:
                 progress("refining in 113-bit arithmetic", (k + 0.5) / len(requests))
-                answer = refined_answer(found, energy=exact_energy, parameters=model.exact_parameters)
-            answers.append(answer)
+                answer = refined_answer(answer, energy=exact_energy, parameters=model.exact_parameters)
             file = None
-            if out is not None and answer.orbit is not None and answer.converged:
-                file = str(out / f"walk-{k + 1}.npz")
-                save_walk(Path(file), model.name, answer.orbit, refined=answer.refined)
-            files.append(file)
+            if answer.orbit is None or not answer.converged:
+                picture = None
+            else:
+                if out is not None:
+                    file = out / f"walk-{k + 1}.npz"
+                    save_walk(file, model.name, answer.orbit, refined=answer.refined)
+                if picture is not None:
+                    api.picture(answer.orbit, file=picture)
+            answers.append((answer, file))
             progress("walks", (k + 1) / len(requests))
-    drawn = picture if picture is not None and _drawn(answers[0], picture, model) else None
-    failed = [k for k, answer in enumerate(answers, start=1) if not answer.converged]
+    failed = [(k, answer.status) for k, (answer, _) in enumerate(answers, start=1) if not answer.converged]
     status = f"{len(answers) - len(failed)} of {len(answers)} walks converged"
     if failed:
-        status += f"; walk {failed[0]}: {answers[failed[0] - 1].status}"
+        status += "; walk {}: {}".format(*failed[0])
     document = {
         "energy": edges.energy,
-        "walks": [{**walk_document(a), "file": file} for a, file in zip(answers, files, strict=True)],
+        "walks": [{**answer.document(), "file": file} for answer, file in answers],
         "least_seen": [{"before": a, "after": b, "wraps": n} for (a, b), n in sorted(solver.least_seen.items())],
         "notes": edges.notes,
-        "picture": None if drawn is None else str(drawn),
+        "picture": picture,
         "status": status,
     }
-    text = [
-        line
-        for k, (answer, file) in enumerate(zip(answers, files, strict=True), start=1)
-        for line in _answer_text(k, answer, file)
-    ]
-    return Answer(document, [*text, *drawn_to(drawn), status], status if failed else "")
+    text = [line for k, found in enumerate(answers, start=1) for line in _answer_text(k, *found)]
+    return Answer(document, [*text, *drawn_to(picture), status], status if failed else "")
 
 
-def _drawn(answer: "WalkAnswer", picture: Path, model: "Model") -> bool:
-    """Draw the orbit of a walk; return whether there was one to draw."""
-    from dpcontrol.dynamics.chain import ArmChainParameters
-    from dpcontrol.review.page import save_figure
-    from dpcontrol.review.walks import draw_walk
-
-    if answer.orbit is None or not answer.converged:
-        return False
-    arms = model.parameters
-    lengths = arms.length if isinstance(arms, ArmChainParameters) else None
-    save_figure(draw_walk(answer.orbit, arm_lengths=lengths, model=model.name), picture)
-    return True
-
-
-def _answer_text(number: int, answer: "WalkAnswer", file: str | None) -> Iterator[str]:
+def _answer_text(number: int, answer: "WalkAnswer", file: Path | None) -> Iterator[str]:
     """Yield one walk that was solved, its error estimate, and where it was written to."""
     yield f"walk {number}: " + "  ".join(c.name for c in answer.request.chain)
     orbit = answer.orbit

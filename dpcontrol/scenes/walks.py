@@ -32,14 +32,17 @@ class WalkRequest:
     lead_in: int = 2
     lead_out: int = 2
 
+    def document(self) -> dict[str, Any]:
+        """Return what is known before it is solved."""
+        return {"walk": [c.name for c in self.chain], "wraps": self.wraps, "periodic": self.periodic}
+
 
 @dataclass(frozen=True)
 class WalkAnswer:
     """What came of a request. least: the fewest wraps that suffice; orbit: None where not even these were found.
 
-    refined: the orbit in extended precision, where that was asked for and `orbit` converged.
-
-    seconds: what the orbit with the wraps asked for took; the search for the least is apart.
+    refined: the orbit in extended precision, where that was asked for and `orbit` converged. seconds: what the orbit
+    with the wraps asked for took; the search for the least is apart.
     """
 
     request: WalkRequest
@@ -54,6 +57,37 @@ class WalkAnswer:
         """Whether the orbit that was asked for was found, in the precision asked for."""
         found = self.orbit is not None and self.orbit.converged
         return found and (self.refined is None or self.refined.converged)
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol walk --solve --json` says about it."""
+        orbit, refined = self.orbit, self.refined
+        own = ("wraps", "wraps_realised", "residual", "duration")
+        found: dict[str, Any] = dict.fromkeys(own) if orbit is None else picked(orbit, *own)
+        document = {
+            **self.request.document(),
+            "least_wraps": self.least,
+            **found,
+            "iterations": None if orbit is None else orbit.orbit.iterations,
+            **picked(self, "seconds", "converged", "status"),
+        }
+        if orbit is None:
+            return document
+        if not orbit.periodic and len(orbit.walk) > 1:
+            document["edge"] = composed(orbit.walk, orbit.wraps)
+        document |= {"symbol_times": orbit.symbol_times, "certificate": _estimate(orbit)}
+        if refined is not None:
+            # Digits as strings take the place of doubles; times count from the first symbol's section.
+            document |= {
+                "precision": "extended",
+                "state": refined.digits,
+                "state_double": orbit.orbit.states[min(orbit.shot.guess.markers)],
+                "period": str(refined.duration) if orbit.periodic else None,
+                "symbol_times_digits": digits(refined.times[refined.marked]),
+                "residual": f"{float(refined.residual):.3e}",
+                "residual_double": orbit.residual,
+                "correction": refined.correction,
+            }
+        return document
 
 
 def drawn_requests(
@@ -118,9 +152,7 @@ def _answer(asked: WalkRequest, solver: WalkSolver) -> WalkAnswer:
     began = time.perf_counter()
     orbit = solver.solve(asked.chain, wraps, periodic=asked.periodic, lead_in=asked.lead_in, lead_out=asked.lead_out)
     seconds = time.perf_counter() - began
-    status = orbit.status
-    if not orbit.converged:
-        status = f"{status}; {solver.advice(orbit)}"
+    status = orbit.status if orbit.converged else f"{orbit.status}; {solver.advice(orbit)}"
     return WalkAnswer(asked, least, orbit, seconds, status)
 
 
@@ -138,51 +170,7 @@ def refined_answer(answer: WalkAnswer, *, energy: Exact, parameters: Sequence[Ex
     return replace(answer, refined=refined, status=refined.status)
 
 
-def walk_document(answer: WalkAnswer) -> dict[str, Any]:
-    """Return what `dpcontrol walk --json` says about one walk that was solved."""
-    orbit = answer.orbit
-    document: dict[str, Any] = {
-        **asked_document(answer.request),
-        "least_wraps": answer.least,
-        "wraps": None if orbit is None else orbit.wraps,
-        "wraps_realised": None if orbit is None else orbit.wraps_realised,
-        "residual": None if orbit is None else orbit.residual,
-        "duration": None if orbit is None else orbit.duration,
-        "seconds": answer.seconds,
-        "iterations": None if orbit is None else orbit.orbit.iterations,
-        "converged": answer.converged,
-        "status": answer.status,
-    }
-    if orbit is not None and not orbit.periodic and len(orbit.walk) > 1:
-        document["edge"] = composed(orbit.walk, orbit.wraps)
-    if orbit is not None:
-        document["symbol_times"] = orbit.symbol_times
-        document["certificate"] = estimate_document(orbit)
-    if answer.refined is not None and orbit is not None:
-        document |= _refined_document(answer.refined, orbit)
-    return document
-
-
-def _refined_document(refined: ExtendedOrbit, double: ShadowingOrbit) -> dict[str, Any]:
-    """Return what takes the place of double's residual: digits as strings, times from the first symbol's section."""
-    return {
-        "precision": "extended",
-        "state": refined.digits,
-        "state_double": double.orbit.states[sorted(double.shot.guess.markers)[0]],
-        "period": str(refined.duration) if double.periodic else None,
-        "symbol_times_digits": digits(refined.times[refined.marked]),
-        "residual": f"{float(refined.residual):.3e}",
-        "residual_double": double.residual,
-        "correction": refined.correction,
-    }
-
-
-def asked_document(asked: WalkRequest) -> dict[str, Any]:
-    """Return the part of a walk's document that is known before it is solved."""
-    return {"walk": [c.name for c in asked.chain], "wraps": asked.wraps, "periodic": asked.periodic}
-
-
-def estimate_document(orbit: ShadowingOrbit) -> dict[str, Any] | None:
+def _estimate(orbit: ShadowingOrbit) -> dict[str, Any] | None:
     """Return the error estimate's numbers; of a periodic orbit also its multipliers, as natural logarithms."""
     estimate = orbit.estimate
     if estimate is None:
@@ -211,7 +199,7 @@ def save_walk(path: Path, model: str, orbit: ShadowingOrbit, *, refined: Extende
         "wraps": list(orbit.wraps),
         "wraps_realised": list(orbit.wraps_realised),
         **picked(orbit, "periodic", "lead_in", "lead_out", "duration", "residual", "status"),
-        "certificate": plain(estimate_document(orbit)),
+        "certificate": plain(_estimate(orbit)),
     }
     turn = orbit.orbit.turn
     arrays: dict[str, Any] = {
