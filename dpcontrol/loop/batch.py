@@ -13,19 +13,17 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from dpcontrol.control.ekf import EkfProgram
 from dpcontrol.control.estimator_settings import EkfSettings, chi_square_band
-from dpcontrol.control.interface import Controller, ManySession
+from dpcontrol.control.interface import MANY, Controller, ManySession
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.dynamics.compiled import VECTOR
-from dpcontrol.dynamics.plant import after_blow, longest_step, plant_step
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.loop.bench import BenchDraw, BenchSettings, clip_lanes
 from dpcontrol.loop.loop import BRAKING, SETTLING, CommandPath, LoopSettings, loop_supervisor, sampled_model
 from dpcontrol.loop.result import Ending, LoopResult
-from dpcontrol.loop.simulated import SimulatedPlant
+from dpcontrol.loop.simulated import SimulatedBench
 from dpcontrol.loop.supervisor import SAME, Outcome, StuckWatch, Supervisor
 from dpcontrol.references.problem import Limits
 
@@ -248,144 +246,38 @@ class BatchWatch:
             self._note()
 
 
-class BatchBench:
-    """Plants, sensors and drives of S runs with the same settings: what `SimulatedRig` computes, in its order.
-
-    draws: one for each run; start (2n+2,): the nominal first state; queued: commands on their way, oldest first, each a
-    number or (S,).
-    """
-
-    def __init__(
-        self, draws: Sequence[BenchDraw], settings: BenchSettings, *, limits: Limits, start: Array,
-        queued: Sequence[ArrayLike],
-    ) -> None:  # fmt: skip
-        first = draws[0]
-        self._draws, self._runs, self._period = draws, len(draws), first.period
-        self._arms = n = first.plant.arms.count
-        own = settings.drive.limits(limits)
-        self._drive = settings.drive.within(limits, first.period, clip=clip_lanes)
-        self._track, self._switch_at = own.position, own.position - settings.drive.switch_margin
-        whole = math.floor(settings.drive.delay)
-        self._fraction = settings.drive.delay - whole
-        self._sensors = settings.sensors
-        self._zeros = np.stack([d.zeros for d in draws], axis=1)
-        noise = [d.noise for d in draws if d.noise is not None]
-        self._noise = np.stack(noise, axis=2) if noise else None
-        command_noise = [d.command_noise for d in draws if d.command_noise is not None]
-        self._command_noise = np.stack(command_noise, axis=1) if command_noise else None
-        self._blows = sorted({tick for d in draws for tick in d.blows})
-        demands: list[Array] = [np.zeros(self._runs)] * (whole + 1)
-        for command in queued:
-            demands.append(self._drive.demanded(np.broadcast_to(command, (self._runs,)), 0.0, demands[-1]))
-        self._demands = demands[-(whole + 1) :]
-        self._step = step = plant_step(n, first.plant.level, friction=first.plant.arms.friction)
-        self._inputs = np.zeros((step.size_in, self._runs))
-        self._following = np.empty((step.size_out, self._runs))
-        self._inputs[step.slices["parameters"]] = np.stack([d.plant.numbers() for d in draws], axis=1)
-        self._input, self._duration = step.slices["inputs"].start, step.slices["duration"].start
-        self._state: Array = self._inputs[step.slices["state"]]
-        self._state[: 2 * n + 2] = start[:, None]
-        self._state[:n] += np.stack([d.initial_error for d in draws], axis=1)
-        self._lag = first.plant.lag
-        if self._lag:
-            self._state[2 * n + 2] = self._demands[0]
-        self._longest = min(longest_step(d.plant) for d in draws)
-        self._braking: NDArray[np.bool_] | None = None
-        self.faults: dict[int, str] = {}
-        """Why runs have failed, by their number."""
-
-    @property
-    def truth(self) -> Array:
-        """The true states (2n+2, S) at the last reading; overwritten at the next."""
-        return self._state[: 2 * self._arms + 2]
+class BatchBench(SimulatedBench):
+    """The benches of S runs."""
 
     @property
     def failed(self) -> NDArray[np.bool_] | None:
         """Which states (S,) are no longer finite; None while all are."""
         # One sum tells that all are; only where one is not is it asked which.
-        if math.isfinite(np.add.reduce(self._state, axis=None)):
+        if math.isfinite(np.add.reduce(self._plant.state, axis=None)):
             return None
-        failed = ~np.isfinite(self._state.sum(axis=0))
+        failed = ~np.isfinite(self._plant.state.sum(axis=0))
         return failed if failed.any() else None
+
+    @property
+    def faults(self) -> Mapping[int, str]:
+        """Why runs have failed, by their number."""
+        return self._plant.faults
 
     def read(self, k: int) -> tuple[Array, NDArray[np.bool_]]:
         """Return the positions (n+1, S) at tick k, and which runs (S,) touch a limit switch."""
         if k:
             self._pass(k - 1)
-        n, s = self._arms, self._sensors
-        x = self._state
-        readings = np.empty((n + 1, self._runs))
-        readings[0] = x[0]
-        readings[1:n] = x[1:n] - x[: n - 1]
-        readings[:n] += self._zeros
-        readings[n] = x[2 * n]
-        if self._noise is not None:
-            readings += self._noise[k]
-        angle, cart = s.steps
-        if angle:
-            readings[:n] = angle * np.rint(readings[:n] / angle)
-        if cart:
-            readings[n] = cart * np.rint(readings[n] / cart)
-        for i in range(1, n):
-            readings[i] += readings[i - 1]
-        return readings, np.abs(x[2 * n]) >= self._switch_at
+        return self._measured(k), np.abs(self._plant.values[self._cart]) >= self._switch_at
 
     def command(self, k: int, accelerations: Array) -> None:
         """Send the carts' wanted accelerations (S,), m/s², at tick k."""
-        noise = 0.0 if self._command_noise is None else self._command_noise[k]
-        self._demands.append(self._drive.demanded(accelerations, noise, self._demands[-1]))
+        self._demand(k, accelerations)
 
-    def stop(self, lanes: NDArray[np.intp]) -> None:
+    def stop(self, runs: NDArray[np.intp]) -> None:
         """Brake the carts of these runs to a standstill from now on, without the commands' delay."""
         if self._braking is None:
-            self._braking = np.zeros(self._runs, dtype=bool)
-        self._braking[lanes] = True
-
-    def _acting(self, demand: Array, duration: float) -> Array:
-        drive, n = self._drive, self._arms
-        velocity = self._state[2 * n + 1]
-        if self._lag:
-            velocity = velocity + self._lag * self._state[2 * n + 2]
-        acting = drive.acting(demand, velocity, duration)
-        return acting if self._braking is None else np.where(self._braking, drive.braking(velocity, duration), acting)
-
-    def _pass(self, k: int) -> None:
-        """Let period k pass."""
-        if self._blows and self._blows[0] == k:
-            self._blows.pop(0)
-            for lane, draw in enumerate(self._draws):
-                if k in draw.blows:
-                    blow = draw.blows[k]
-                    self._state[:, lane] = after_blow(
-                        draw.plant, self._state[:, lane], impulses=blow.impulses, jumps=blow.jumps, knock=blow.knock
-                    )
-        change = self._fraction * self._period
-        if change:
-            self._move(self._acting(self._demands[k], change), change, time=k * self._period)
-        rest = self._period - change
-        self._move(self._acting(self._demands[k + 1], rest), rest, time=k * self._period + change)
-        # What has acted is not needed any more; its place keeps the count.
-        self._demands[k] = self._demands[k + 1]
-
-    def _move(self, accelerations: Array, duration: float, *, time: float) -> None:
-        splits = 1 if duration <= self._longest else math.ceil(duration / self._longest)
-        inputs, following, cart = self._inputs, self._following, 2 * self._arms
-        inputs[self._input], inputs[self._duration] = accelerations, duration / splits
-        for part in range(splits):
-            self._step(inputs, following)
-            beyond = np.abs(following[cart]) > self._track
-            if np.logical_or.reduce(beyond):
-                began = time + part * duration / splits
-                for lane in np.flatnonzero(beyond):
-                    following[:, lane] = self._at_stop(int(lane), float(accelerations[lane]), duration / splits, began)
-            self._state[:] = following
-
-    def _at_stop(self, lane: int, acceleration: float, duration: float, time: float) -> Array:
-        """Move one run whose cart reaches a hard stop: too rare to be worth doing at once for many."""
-        plant = SimulatedPlant(self._draws[lane].plant, self._state[:, lane], track=self._track)
-        plant.move(acceleration, duration, time=time)
-        self.faults.setdefault(lane, plant.fault)
-        return plant.state
+            self._braking = np.zeros(self.truth.shape[1], dtype=bool)
+        self._braking[runs] = True
 
 
 _TURN = 32
@@ -510,7 +402,7 @@ class _Lockstep:
             queued.append(forward + back)
             z = self._moved(z, queued[-1])
         self.path.start(queued, velocity=float(first[-1]))
-        self.bench = BatchBench(draws, settings.bench, limits=limits, start=first, queued=queued)
+        self.bench = BatchBench(draws, settings.bench, limits=limits, start=first, queued=queued, lanes=MANY)
         rate_noise = [d.rate_noise for d in draws if d.rate_noise is not None]
         self.rate_noise = np.stack(rate_noise, axis=2) if rate_noise else None
         self.watch = BatchWatch(settings, limits, runs=self.runs)

@@ -21,13 +21,14 @@ velocity, 3 m/s, limit switches at both ends; O'Neill's seed sequences as in num
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.control.interface import clip_number
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.dynamics.plant import PlantParameters
 from dpcontrol.foundation.errors import InputError
@@ -35,6 +36,7 @@ from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.references.problem import Limits
 
 Array = NDArray[np.float64]
+Clip = Callable[[Any, Any, Any], Any]
 
 
 @dataclass(frozen=True)
@@ -92,76 +94,6 @@ class SensorSettings(Settings, table="sensors"):
         return out
 
 
-class Encoders:
-    """Relative encoders of `arms` joints and the cart's scale, during one run: they remember what went wrong.
-
-    zeros (n,) rad: the encoders' zero errors.
-
-    Raises:
-        InputError: the sensor that sticks is none of these.
-    """
-
-    def __init__(self, arms: int, settings: SensorSettings, *, zeros: Array | None = None) -> None:
-        if math.isfinite(settings.stuck_at) and settings.stuck_sensor > arms:
-            raise InputError(
-                f"sensors: stuck_sensor = {settings.stuck_sensor!r}: must be 0 to {arms}; {arms} is the cart's scale"
-            )
-        self.settings = settings
-        self._arms = arms
-        self._angle, self._cart = settings.steps
-        self._zeros = [0.0] * arms if zeros is None else np.asarray(zeros, dtype=float).tolist()
-        self._missed = [0] * arms
-        self._stuck: float | None = None
-        self._stuck_at = settings.stuck_at
-
-    def measure(
-        self,
-        state: Sequence[float],
-        time: float = 0.0,
-        *,
-        missed: NDArray[np.int64] | None = None,
-        noise: Array | None = None,
-    ) -> Array:
-        """Return absolute angles and cart position (n+1,) as the sensors give them for `state` (2n+2,) at `time` s.
-
-        missed (n,): counts that the encoders lose in this tick where their joints move; noise (n+1,): added to the
-        relative angles, rad, and to the cart, m. A list of plain floats is the fastest state.
-        """
-        # A few plain floats take a third of the time of numpy's calls on so short arrays.
-        step, arms = self._angle, self._arms
-        lost, added = self._missed, None if noise is None else noise.tolist()
-        if missed is not None:
-            self._miss(state, missed.tolist())
-        readings: list[float] = []
-        inner = 0.0
-        for k, zero in enumerate(self._zeros):
-            outer = state[k]
-            value = outer - inner + zero
-            inner = outer
-            if added is not None:
-                value += added[k]
-            readings.append(step * (round(value / step) - lost[k]) if step else value)
-        cart = state[2 * arms] if added is None else state[2 * arms] + added[arms]
-        readings.append(self._cart * round(cart / self._cart) if self._cart else cart)
-        if time >= self._stuck_at:
-            which = self.settings.stuck_sensor
-            if self._stuck is None:
-                self._stuck = readings[which]
-            readings[which] = self._stuck
-        for k in range(1, arms):
-            readings[k] += readings[k - 1]
-        return np.array(readings)
-
-    def _miss(self, state: Sequence[float], missed: Sequence[int]) -> None:
-        """Lose counts against the direction in which each joint moves; one at rest loses none."""
-        inner = 0.0
-        for k, lost in enumerate(missed):
-            outer = state[self._arms + k]
-            if lost and outer != inner:
-                self._missed[k] += lost if outer > inner else -lost
-            inner = outer
-
-
 @dataclass(frozen=True)
 class DriveSettings(Settings, table="drive"):
     """The drive and its cart; what is random is drawn beforehand, see `dpcontrol.loop.bench`.
@@ -199,24 +131,11 @@ class DriveSettings(Settings, table="drive"):
             jerk=self.jerk if math.isfinite(self.jerk) else 0.0,
         )
 
-    def within(self, limits: Limits, period: float, *, clip: "Clip | None" = None) -> "DriveLimits":
+    def within(self, limits: Limits, period: float, *, clip: Clip = clip_number) -> "DriveLimits":
         """Return what it does with demands, `period` s apart, under the scene's limits; clip: `clip_lanes` for many."""
         own = self.limits(limits)
         step = self.jerk * period if math.isfinite(self.jerk) else math.inf
-        return DriveLimits(float(own.acceleration), float(own.velocity), step, self.response, clip or clip_number)
-
-
-Clip = Callable[[Any, Any, Any], Any]
-
-
-def clip_number(value: float, low: float, high: float) -> float:
-    """Return a number within two bounds, quicker than min and max do."""
-    return high if value > high else low if value < low else value
-
-
-def clip_lanes(value: Array, low: Array | float, high: Array | float) -> Array:
-    """Return the numbers (S,) of many runs within two bounds."""
-    return np.minimum(np.maximum(value, low), high)
+        return DriveLimits(float(own.acceleration), float(own.velocity), step, self.response, clip)
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,17 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings
-from dpcontrol.control.interface import Action, Controller, Estimate, Estimator, Mode, SampledModel, Session
+from dpcontrol.control.interface import (
+    MANY,
+    ONE,
+    Action,
+    Controller,
+    Estimate,
+    Estimator,
+    Mode,
+    SampledModel,
+    Session,
+)
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, Uncertainty, arm_chain_equations
 from dpcontrol.foundation.errors import InputError
@@ -45,8 +55,6 @@ from dpcontrol.loop.bench import (
     DisturbanceSettings,
     DriveSettings,
     SensorSettings,
-    clip_lanes,
-    clip_number,
     draw_bench,
 )
 from dpcontrol.loop.controllers import KEEPERS, ControllerSettings, make_controller, nearest_keeper
@@ -76,7 +84,7 @@ class CommandPath:
             raise InputError(f"run: delay = {delay!r}: must be 0 to {LONGEST_DELAY:g} periods")
         self.limits, self.period = limits, period
         self._most, self._fastest = float(limits.acceleration), float(limits.velocity)
-        self._runs, self._clip = runs, clip_lanes if runs else clip_number
+        self._runs, self._clip = runs, (MANY if runs else ONE).clip
         self.lead = round(delay)
         """By how many ticks a command is computed ahead."""
         whole = math.floor(delay)

@@ -1,89 +1,176 @@
-"""The bench as a program: a rig whose plant, sensors and drive are simulated, tick by tick.
+"""The bench as a program: a rig whose plant, sensors and drive are simulated, tick by tick, for one run or for many.
 
 Period k runs from tick k to the next. In it the command given at tick k - i acts, i the whole periods of the delay; for
 a fraction f of a period more, the one before it acts until k + f. Blows strike at the tick, after its reading. A cart
 that reaches the end of its track stops dead there; the arms keep their momenta, and `fault` says so.
+
+What is a number for one run is an array (S,) for S runs in lockstep, computed by the same lines (`Lanes`).
 """
 
 import math
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.control.interface import MANY, ONE, Lanes
 from dpcontrol.dynamics.plant import PlantParameters, after_blow, longest_step, plant_step
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.loop.bench import BenchDraw, BenchSettings, Encoders
+from dpcontrol.loop.bench import BenchDraw, BenchSettings, Blow, SensorSettings
 from dpcontrol.loop.result import Reading
 from dpcontrol.references.problem import Limits
 
 Array = NDArray[np.float64]
 
 
-class SimulatedPlant:
-    """Arms, cart and drive between ticks, with hard stops at ±track m; state (N,) of `plant_equations`.
+class Encoders:
+    """Relative encoders of `arms` joints and the cart's scale, during a run: they remember what went wrong.
 
-    Not to be shared between threads.
+    zeros (n,) rad: the encoders' zero errors, or (n, S) with `MANY` lanes; counts are lost, and sensors stick, in one
+    run only.
+
+    Raises:
+        InputError: the sensor that sticks is none of these.
     """
 
-    def __init__(self, parameters: PlantParameters, state: Array, *, track: float) -> None:
-        self.parameters, self.track = parameters, track
-        self.fault = ""
-        self._step = step = plant_step(parameters.arms.count, parameters.level, friction=parameters.arms.friction)
+    def __init__(self, arms: int, settings: SensorSettings, *, zeros: Array | None = None, lanes: Lanes = ONE) -> None:
+        if math.isfinite(settings.stuck_at) and settings.stuck_sensor > arms:
+            raise InputError(
+                f"sensors: stuck_sensor = {settings.stuck_sensor!r}: must be 0 to {arms}; {arms} is the cart's scale"
+            )
+        self.settings = settings
+        self._arms, self._lanes = arms, lanes
+        self._angle, self._cart = settings.steps
+        self._zeros: list[Any] = [0.0] * arms if zeros is None else lanes.rows(np.asarray(zeros, dtype=float))
+        self._missed = [0] * arms
+        self._stuck: float | None = None
+        self._stuck_at = settings.stuck_at
+
+    def measure(
+        self,
+        state: Sequence[Any],
+        time: float = 0.0,
+        *,
+        missed: NDArray[np.int64] | None = None,
+        noise: Array | None = None,
+    ) -> Array:
+        """Return absolute angles and cart position (n+1,) as the sensors give them for `state` (2n+2,) at `time` s.
+
+        missed (n,): counts that the encoders lose in this tick where their joints move; noise (n+1,): added to the
+        relative angles, rad, and to the cart, m. A list of plain floats is the fastest state.
+        """
+        # A few plain floats take a third of the time of numpy's calls on so short arrays.
+        step, arms, nearest = self._angle, self._arms, self._lanes.nearest
+        lost, added = self._missed, None if noise is None else self._lanes.rows(noise)
+        if missed is not None:
+            self._miss(state, missed.tolist())
+        readings: list[Any] = []
+        inner: Any = 0.0
+        for k, zero in enumerate(self._zeros):
+            outer = state[k]
+            value = outer - inner + zero
+            inner = outer
+            if added is not None:
+                value += added[k]
+            readings.append(step * (nearest(value / step) - lost[k]) if step else value)
+        cart = state[2 * arms] if added is None else state[2 * arms] + added[arms]
+        readings.append(self._cart * nearest(cart / self._cart) if self._cart else cart)
+        if time >= self._stuck_at:
+            which = self.settings.stuck_sensor
+            if self._stuck is None:
+                self._stuck = readings[which]
+            readings[which] = self._stuck
+        for k in range(1, arms):
+            readings[k] += readings[k - 1]
+        return np.array(readings)
+
+    def _miss(self, state: Sequence[float], missed: Sequence[int]) -> None:
+        """Lose counts against the direction in which each joint moves; one at rest loses none."""
+        inner = 0.0
+        for k, lost in enumerate(missed):
+            outer = state[self._arms + k]
+            if lost and outer != inner:
+                self._missed[k] += lost if outer > inner else -lost
+            inner = outer
+
+
+class SimulatedPlant:
+    """Arms, cart and drive between ticks, with hard stops at ±track m; state (N,) of `plant_equations`, or (N, S).
+
+    plants: the parameters of each run. Not to be shared between threads.
+    """
+
+    def __init__(self, plants: Sequence[PlantParameters], state: Array, *, track: float) -> None:
+        first = plants[0]
+        self.plants, self.track = plants, track
+        self.faults: dict[int, str] = {}
+        """What has happened at the end of the track, by the number of the run."""
+        self._many = state.ndim > 1
+        self._step = step = plant_step(first.arms.count, first.level, friction=first.arms.friction)
         self._machine = step.machine
-        self._inputs, self._following = np.zeros(step.size_in), np.zeros(step.size_out)
+        shape = state.shape[1:]
+        self._inputs, self._following = np.zeros((step.size_in, *shape)), np.zeros((step.size_out, *shape))
+        self._inputs[step.slices["parameters"]] = np.array([p.numbers() for p in plants]).T.reshape(-1, *shape)
+        self._input, self._duration = step.slices["inputs"].start, step.slices["duration"].start
+        self._cart, self._lag = 2 * first.arms.count, first.lag
+        self._longest = min(longest_step(p) for p in plants)
         self.state: Array = self._inputs[step.slices["state"]]
         """The state now; overwritten as the plant moves."""
-        self._inputs[step.slices["parameters"]] = parameters.numbers()
-        self._input, self._duration = step.slices["inputs"].start, step.slices["duration"].start
-        self._cart = 2 * parameters.arms.count
-        self._lag = parameters.lag
-        self._longest = longest_step(parameters)
-        self.values: list[float] = []
-        """The state as plain floats, which cost less one by one."""
-        self._be(np.asarray(state))
+        self.values: list[Any] = list(self.state)
+        """Its entries: of one run plain floats, which cost less one by one, of many arrays that change with it."""
+        self._be(state)
 
     def _be(self, state: Array) -> None:
         self.state[:] = state
-        self.values = state.tolist()
+        if not self._many:
+            self.values = state.tolist()
 
     @property
-    def velocity(self) -> float:
-        """The cart's velocity, m/s."""
-        return self.values[self._cart + 1]
-
-    @property
-    def loop_velocity(self) -> float:
+    def loop_velocity(self) -> Any:
         """The velocity reference w of the drive's loop, m/s; the cart's velocity where nothing lags."""
         v = self.values[self._cart + 1]
         return v + self._lag * self.values[self._cart + 2] if self._lag else v
 
-    def move(self, acceleration: float, duration: float, *, time: float) -> None:
+    def move(self, acceleration: Any, duration: float, *, time: float) -> None:
         """Let `duration` s pass from `time` s with a held demand of `acceleration` m/s²."""
         splits = 1 if duration <= self._longest else math.ceil(duration / self._longest)
         inputs, following, track, cart = self._inputs, self._following, self.track, self._cart
-        inputs[self._input], inputs[self._duration] = acceleration, duration / splits
-        step = self._machine
+        step, many = self._machine, self._many
+        duration /= splits
         for k in range(splits):
+            inputs[self._input], inputs[self._duration] = acceleration, duration
             step(inputs, following)
+            if many:
+                beyond = np.abs(following[cart]) > track
+                if np.logical_or.reduce(beyond):
+                    # Too rare to be worth doing at once for many.
+                    for run in np.flatnonzero(beyond).tolist():
+                        alone = SimulatedPlant([self.plants[run]], self.state[:, run], track=track)
+                        alone._meet_stop(float(acceleration[run]), duration, time + k * duration)
+                        self.faults.setdefault(run, alone.faults[0])
+                        following[:, run] = alone.state
+                self.state[:] = following
+                continue
             values = following.tolist()
             if values[cart] > track or values[cart] < -track:
-                self._meet_stop(acceleration, duration / splits, time + k * duration / splits)
-                inputs[self._input], inputs[self._duration] = acceleration, duration / splits
+                self._meet_stop(acceleration, duration, time + k * duration)
             else:
                 self.state[:] = following
                 self.values = values
 
-    def strike(self, *, impulses: Array, jumps: Array, knock: float) -> None:
-        """Apply a blow: couples' impulses (n,) N m s, jumps (n,) rad/s of rates, the cart's knock m/s."""
-        self._be(after_blow(self.parameters, self.state, impulses=impulses, jumps=jumps, knock=knock))
+    def strike(self, blow: Blow, run: int = 0) -> None:
+        """Apply a blow to one run."""
+        state = self.state[:, run] if self._many else self.state
+        state[:] = after_blow(self.plants[run], state, impulses=blow.impulses, jumps=blow.jumps, knock=blow.knock)
+        self._be(self.state)
 
     def _flow(self, acceleration: float, duration: float) -> Array:
         self._inputs[self._input], self._inputs[self._duration] = acceleration, duration
         return self._step(self._inputs, self._following)
 
     def _meet_stop(self, acceleration: float, duration: float, time: float) -> None:
-        """Move for `duration` s in which the cart reaches a stop: to the contact, dead stop, rest of the time held."""
+        """Move one run for `duration` s in which its cart reaches a stop: to the contact, dead stop, the rest held."""
         cart, track = self._cart, self.track
         free, met = 0.0, duration
         for _ in range(60):
@@ -93,12 +180,12 @@ class SimulatedPlant:
             else:
                 free = middle
         self._be(self._flow(acceleration, free))
-        side, speed = math.copysign(1.0, self.values[cart]), self.velocity
-        if not self.fault:
-            self.fault = (
-                f"cart hit its hard stop at t = {time + free:.3f} s: x = {side * track:.3f} m at {speed:.3g} m/s; "
-                "allow more travel, or stop it sooner"
-            )
+        side, speed = math.copysign(1.0, self.values[cart]), self.values[cart + 1]
+        self.faults.setdefault(
+            0,
+            f"cart hit its hard stop at t = {time + free:.3f} s: x = {side * track:.3f} m at {speed:.3g} m/s; "
+            "allow more travel, or stop it sooner",
+        )
         self._hold(side)
         # The drive does not push on against the stop.
         self._be(self._flow(0.0, duration - free))
@@ -106,67 +193,143 @@ class SimulatedPlant:
             self._hold(side)
 
     def _hold(self, side: float) -> None:
-        n = self.parameters.arms.count
-        none = np.zeros(n)
-        self.strike(impulses=none, jumps=none, knock=-self.velocity)
+        none = np.zeros(self.plants[0].arms.count)
+        self.strike(Blow(none, none, -self.values[self._cart + 1]))
         held = self.state.copy()
         held[self._cart], held[self._cart + 1 :] = side * self.track, 0.0
         self._be(held)
 
 
-class SimulatedRig:
-    """A simulated bench behind the `Rig` protocol.
+class SimulatedBench:
+    """Plants, sensors and drives with the same settings, of one run or of as many as there are draws.
 
-    draw: of this run; settings: as it was drawn from; limits: the scene's. start (2n+2,): the nominal first state, to
-    which the draw's initial error is added. queued m/s²: commands already on their way, oldest first; zero before them.
+    start (2n+2,): the nominal first state, to which each draw's initial error is added. queued m/s²: commands already
+    on their way, oldest first; zero before them.
 
     Raises:
         InputError: the state has the wrong shape, or the settings do not fit the arms.
     """
 
     def __init__(
-        self, draw: BenchDraw, settings: BenchSettings, *, limits: Limits, start: Array, queued: Sequence[float] = ()
-    ) -> None:
-        n = draw.plant.arms.count
+        self, draws: Sequence[BenchDraw], settings: BenchSettings, *, limits: Limits, start: Array,
+        queued: Sequence[Any] = (), lanes: Lanes = ONE,
+    ) -> None:  # fmt: skip
+        draw, n = draws[0], draws[0].plant.arms.count
         if np.shape(start) != (2 * n + 2,):
             raise InputError(f"the first state has shape {np.shape(start)}: {n} arms on a cart need ({2 * n + 2},)")
-        self._draw, self._period = draw, draw.period
-        self._limits = settings.drive.limits(limits)
-        self._drive = settings.drive.within(limits, draw.period)
-        self._switch_at = self._limits.position - settings.drive.switch_margin
+
+        def joined(name: str) -> Array | None:
+            """What was drawn, the runs along the last axis where there are many."""
+            drawn = [getattr(d, name) for d in draws]
+            return None if drawn[0] is None else np.stack(drawn, axis=-1) if lanes is MANY else drawn[0]
+
+        errors, zeros, commands = joined("initial_error"), joined("zeros"), joined("command_noise")
+        assert errors is not None
+        self.period = draw.period
+        """Time between ticks, s."""
+        own = settings.drive.limits(limits)
+        self._drive = settings.drive.within(limits, draw.period, clip=lanes.clip)
+        self._switch_at = own.position - settings.drive.switch_margin
         whole = math.floor(settings.drive.delay)
         self._fraction = settings.drive.delay - whole
-        demands = [0.0] * (whole + 1)
+        demands: list[Any] = [0.0 if lanes is ONE else np.zeros(len(draws))] * (whole + 1)
         for command in queued:
-            demands.append(self._drive.demanded(command, 0.0, demands[-1] if demands else 0.0))
+            demands.append(self._drive.demanded(command, 0.0, demands[-1]))
         # From the one that acts first; the one at place k + 1 begins to act in period k.
         self._demands = demands[-(whole + 1) :]
         self._sent_before = whole + 1
-        self._noise = None if draw.command_noise is None else draw.command_noise.tolist()
+        self._command_noise = None if commands is None else lanes.rows(commands)
+        self._noise, self._missed = joined("noise"), draw.missed
         self._ages = None if draw.ages is None else draw.ages.tolist()
-        self._dropped = None if draw.dropped is None else draw.dropped.tolist()
-        self._encoders = Encoders(n, settings.sensors, zeros=draw.zeros)
-        self._nothing, self._positions = np.zeros(n + 1, dtype=bool), np.zeros(n + 1)
-        first = np.array(start, dtype=float)
-        first[:n] += draw.initial_error
+        self._encoders = Encoders(n, settings.sensors, zeros=zeros, lanes=lanes)
+        first = np.array(start if lanes is ONE else [start] * len(draws), dtype=float).T
+        first[:n] += errors
         if draw.plant.lag:
-            first = np.append(first, self._demands[0])
-        self._plant = SimulatedPlant(draw.plant, first, track=self._limits.position)
-        self._bench = self._plant.state[: 2 * n + 2]
-        self._seen: list[float] | None = None
-        self._cart = 2 * n
-        self._tick, self._acted, self._braking = -1, 0.0, False
-        self._ticks, self._blows = draw.ticks, draw.blows
+            first = np.append(first, [self._demands[0]], axis=0)
+        self._plant = SimulatedPlant([d.plant for d in draws], first, track=own.position)
+        self.truth: Array = self._plant.state[: 2 * n + 2]
+        """The true state (2n+2,) or states (2n+2, S) at the last reading's tick; overwritten at the next."""
+        self._seen: list[Any] | None = None
+        self._cart, self._ticks = 2 * n, draw.ticks
+        self._began = self._plant.values[self._cart + 1]
+        self._braking: Any = None
+        self._blows: dict[int, list[tuple[int, Blow]]] = {}
+        for run, d in enumerate(draws):
+            for tick, blow in d.blows.items():
+                self._blows.setdefault(tick, []).append((run, blow))
 
-    @property
-    def period(self) -> float:
-        """Return the time between ticks, s."""
-        return self._period
+    def _measured(self, k: int) -> Array:
+        return self._encoders.measure(
+            self._plant.values if self._seen is None else self._seen,
+            k * self.period,
+            missed=None if self._missed is None else self._missed[k],
+            noise=None if self._noise is None else self._noise[k],
+        )
 
-    @property
-    def truth(self) -> Array:
-        """Return the true state (2n+2,) at the last reading's tick; overwritten at the next."""
-        return self._bench
+    def _demand(self, k: int, acceleration: Any) -> None:
+        """Take the command of tick k, m/s²; a second one in the same period replaces the first."""
+        demands = self._demands
+        if len(demands) > self._sent_before + k:
+            del demands[self._sent_before + k :]
+        noise = 0.0 if self._command_noise is None else self._command_noise[k]
+        demands.append(self._drive.demanded(acceleration, noise, demands[-1]))
+
+    def _pass(self, k: int) -> None:
+        """Let period k pass."""
+        plant, demands, period = self._plant, self._demands, self.period
+        if len(demands) < self._sent_before + k + 1:
+            demands.append(demands[-1])
+        for run, blow in self._blows.get(k, ()):
+            plant.strike(blow, run)
+        self._began, fraction = plant.values[self._cart + 1], self._fraction
+        if not fraction and self._ages is None:
+            plant.move(self._acting(demands[k + 1], period), period, time=k * period)
+        else:
+            # The next reading is of the state `seen` seconds into this period.
+            seen = period if self._ages is None else period - self._ages[k + 1]
+            self._seen = None
+            change = fraction * period
+            if change:
+                self._part(k, demands[k], 0.0, change, seen)
+            self._part(k, demands[k + 1], change, period, seen)
+        # What has acted is not needed any more; its place keeps the count.
+        demands[k] = demands[k + 1]
+
+    def _part(self, k: int, demand: Any, begin: float, end: float, seen: float) -> None:
+        """Let a part of period k pass, from `begin` to `end` seconds in it, `demand` acting."""
+        plant, start = self._plant, k * self.period
+        acting = self._acting(demand, end - begin)
+        if begin < seen < end:
+            plant.move(acting, seen - begin, time=start + begin)
+            self._seen = plant.values
+            plant.move(acting, end - seen, time=start + seen)
+        else:
+            if seen == begin:
+                self._seen = plant.values
+            plant.move(acting, end - begin, time=start + begin)
+
+    def _acting(self, demand: Any, duration: float) -> Any:
+        drive, velocity, braking = self._drive, self._plant.loop_velocity, self._braking
+        if braking is None:
+            return drive.acting(demand, velocity, duration)
+        stops = drive.braking(velocity, duration)
+        return stops if braking is True else np.where(braking, stops, drive.acting(demand, velocity, duration))
+
+
+class SimulatedRig(SimulatedBench):
+    """A simulated bench behind the `Rig` protocol.
+
+    draw: of this run; settings: as it was drawn from; limits: the scene's; start, queued: see `SimulatedBench`.
+    """
+
+    def __init__(
+        self, draw: BenchDraw, settings: BenchSettings, *, limits: Limits, start: Array, queued: Sequence[float] = ()
+    ) -> None:
+        super().__init__([draw], settings, limits=limits, start=start, queued=queued)
+        self._dropped = None if draw.dropped is None else draw.dropped.tolist()
+        self._positions = np.zeros(draw.plant.arms.count + 1)
+        self._nothing = np.zeros(len(self._positions), dtype=bool)
+        self._tick = -1
 
     @property
     def state(self) -> Array:
@@ -176,12 +339,12 @@ class SimulatedRig:
     @property
     def acted(self) -> float:
         """Return the mean acceleration of the cart over the last period, m/s², blows apart."""
-        return self._acted
+        return (self._plant.values[self._cart + 1] - self._began) / self.period
 
     @property
     def fault(self) -> str:
         """Return what has happened at the end of the track, or ""."""
-        return self._plant.fault
+        return self._plant.faults.get(0, "")
 
     def read(self) -> Reading:
         """Let a period pass, unless it is the first call, and return what the sensors say.
@@ -190,24 +353,18 @@ class SimulatedRig:
             ArithmeticError: the state is no longer finite, or the run outlasts its draw.
         """
         k = self._tick + 1
-        draw = self._draw
         if k >= self._ticks:
             raise ArithmeticError(f"the run was drawn for {self._ticks} ticks and is asked for more; draw more of them")
         if k:
             self._pass(k - 1)
         self._tick = k
-        now = k * self._period
-        values = self._plant.values
+        now, values = k * self.period, self._plant.values
         if not math.isfinite(sum(values)):
             raise ArithmeticError(f"plant failed at t = {now:.3f} s: its state is no longer finite")
         position = values[self._cart]
         switch = 0 if abs(position) < self._switch_at else 1 if position > 0 else -1
-        measured = self._encoders.measure(
-            values if self._seen is None else self._seen,
-            now,
-            missed=None if draw.missed is None else draw.missed[k],
-            noise=None if draw.noise is None else draw.noise[k],
-        )
+        # Also where they are dropped: encoders go on counting, and losing counts.
+        measured = self._measured(k)
         if self._dropped is not None and self._dropped[k]:
             return Reading(now, self._positions, self._nothing, switch)
         self._positions = measured
@@ -221,52 +378,8 @@ class SimulatedRig:
         """
         if not math.isfinite(acceleration):
             raise ArithmeticError(f"command = {acceleration!r}: the drive takes finite accelerations only")
-        k, demands = max(self._tick, 0), self._demands
-        if len(demands) > self._sent_before + k:
-            del demands[self._sent_before + k :]
-        noise = 0.0 if self._noise is None else self._noise[k]
-        demands.append(self._drive.demanded(acceleration, noise, demands[-1]))
+        self._demand(max(self._tick, 0), acceleration)
 
     def stop(self) -> None:
         """Brake the cart to a standstill from now on, without the commands' delay."""
         self._braking = True
-
-    def _pass(self, k: int) -> None:
-        """Let period k pass."""
-        plant, demands, period = self._plant, self._demands, self._period
-        if len(demands) < self._sent_before + k + 1:
-            demands.append(demands[-1])
-        if k in self._blows:
-            blow = self._blows[k]
-            plant.strike(impulses=blow.impulses, jumps=blow.jumps, knock=blow.knock)
-        began, fraction = plant.values[self._cart + 1], self._fraction
-        if not fraction and self._ages is None:
-            plant.move(self._acting(demands[k + 1], period), period, time=k * period)
-        else:
-            # The next reading is of the state `seen` seconds into this period.
-            seen = period if self._ages is None else period - self._ages[k + 1]
-            self._seen = None
-            change = fraction * period
-            if change:
-                self._part(k, demands[k], 0.0, change, seen)
-            self._part(k, demands[k + 1], change, period, seen)
-        self._acted = (plant.values[self._cart + 1] - began) / period
-
-    def _part(self, k: int, demand: float, begin: float, end: float, seen: float) -> None:
-        """Let a part of period k pass, from `begin` to `end` seconds in it, `demand` acting."""
-        plant, start = self._plant, k * self._period
-        acting = self._acting(demand, end - begin)
-        if begin < seen < end:
-            plant.move(acting, seen - begin, time=start + begin)
-            self._seen = plant.values
-            plant.move(acting, end - seen, time=start + seen)
-        else:
-            if seen == begin:
-                self._seen = plant.values
-            plant.move(acting, end - begin, time=start + begin)
-
-    def _acting(self, demand: float, duration: float) -> float:
-        velocity = self._plant.loop_velocity
-        if self._braking:
-            return self._drive.braking(velocity, duration)
-        return self._drive.acting(demand, velocity, duration)

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.loop.bench import Encoders, SensorSettings
+from dpcontrol.loop.bench import SensorSettings
+from dpcontrol.loop.simulated import Encoders
 
 COUNT = 2 * np.pi / 40_000
 EXACT = 1e-12
