@@ -4,6 +4,7 @@ are kept meanwhile.
 
 import os
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 from shadowing_stand_in import LAB, StandIn, high_crossing, low_turn
@@ -18,21 +19,29 @@ from dpcontrol.references.reference import Reference
 def plans_of_this_session_only(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
     """Keep plans in a folder of this session, so that no test passes by a plan that older code made.
 
-    Workers of one session share it: an itinerary is planned once.
+    Workers of one session share it: an itinerary is planned once. `.ci/run` names one folder for its two sessions.
     """
     base = tmp_path_factory.getbasetemp()
     root = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("DPCONTROL_CACHE", str(root / "dpcontrol-cache"))
+        patch.setenv("DPCONTROL_CACHE", os.environ.get("DPCONTROL_TESTS_CACHE", str(root / "dpcontrol-cache")))
         yield
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Keep a module's tests on one worker, which makes the module's expensive fixtures once (`--dist loadgroup`)."""
-    for item in items:
-        if not item.get_closest_marker("xdist_group"):
-            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Keep a module's tests on one worker, which makes the module's fixtures once; the README's sections share none.
+
+    A scheduler of our own, because pytest 9.2 does away with what `--dist loadgroup` of xdist 3.8 renames tests by.
+    """
+    from xdist.scheduler import LoadScopeScheduling
+
+    class ModulesTogether(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            module = nodeid.split("::", 1)[0]
+            return nodeid if module.endswith("test_readme.py") else module
+
+    return ModulesTogether(config, log)
 
 
 def _tracked(orbit: StandIn) -> tuple[StandIn, Reference]:

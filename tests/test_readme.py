@@ -95,13 +95,7 @@ def test_the_readme_shows_every_verb_at_work() -> None:
 @pytest.mark.parametrize(
     "section",
     [
-        pytest.param(
-            section,
-            marks=[
-                pytest.mark.xdist_group(f"readme: {section}"),
-                *([pytest.mark.slow] if "dpcontrol bench" in str(shown) else []),
-            ],
-        )
+        pytest.param(section, marks=pytest.mark.slow if "dpcontrol bench" in str(shown) else [])
         for section, shown in SECTIONS.items()
     ],
 )
