@@ -1,24 +1,17 @@
 """Did the run do what the itinerary asked? Decided from the log alone, by the true state where it is known.
 
-Stops are decoded from the angles (see `dpcontrol.review.score`).
-
 A run is completed when every symbol was realised in order with its winding, wraps are as asked, the cart kept inside
 its limits, and over the last full period the angles stay within 0.1 rad of the last orbit (least over phase).
 
-Where a pendulum stopped on its way, and how often it wobbled there, from its angles and a plan's notes.
-
-The lattice of saddles (each saddle's angles plus whole turns) is searched for the point nearest to the pendulum, and a
-point counts as visited once it has been nearest for half a period of the quickest orbit. Boxes at the equilibria would
-not do: at H = 0.2 the Down-Up orbit swings the inner arm by 1.8 rad, and a turning arm passes near other lattice points
-on its way, but quickly. While a plan has it on a transfer, such as a swing-up, it is nowhere.
-
-How far a run's last period was from the orbit that it was to end on: the worst angle, least over phase.
+Stops are decoded from the angles: the lattice of saddles (each saddle's angles plus whole turns) is searched for the
+point nearest to the pendulum, and a point counts as visited once it has been nearest for half a period of the quickest
+orbit. Boxes at the equilibria would not do: at H = 0.2 the Down-Up orbit swings the inner arm by 1.8 rad, and a turning
+arm passes near other lattice points on its way, but quickly. While a plan has it on a transfer, it is nowhere.
 """
 
 import io
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -205,57 +198,27 @@ def decode_run(time: Array, angles: Array, reference: Array, *, notes: PlanNotes
 
 
 NEAR_LAST_ORBIT = 0.1  # rad
-_FEW = 1_000_000
-"""Pairs of points whose distances are computed sooner than scipy.spatial is imported."""
+_DENSER = 8
+"""Points on each chord between an orbit's samples from which the distance is measured."""
 
 
-def far_from_orbit(plan: Reference, orbit: int, angles: Array, *, ticks: float) -> float | None:
-    """Return by how many rad angles (K, n) leave a plan's orbit, by its index; None where that is no more than allowed.
+def _leaves(orbit: Array, angles: Array, *, ticks: float) -> float:
+    """Return by how many rad angles (K, n) leave those (M, n) of an orbit whose period takes `ticks`; 0 if near enough.
 
-    ticks: how many the orbit's period takes. Infinite where the angles are no numbers.
+    Infinite where the angles are no numbers.
     """
     if not np.isfinite(angles).all():
         return np.inf
-    samples = plan.extra[f"orbit_{orbit}"][:, : angles.shape[1]]
-    if _in_step(samples, angles, ticks=ticks) or _near(samples, angles):
-        return None
-    gap = float(_tree(plan, orbit, angles.shape[1]).query(angles, p=np.inf)[0].max())
-    return gap if gap > NEAR_LAST_ORBIT else None
-
-
-def _in_step(orbit: Array, angles: Array, *, ticks: float) -> bool:
-    """Return whether angles (K, n) stay near those (M, n) of an orbit, evenly spaced, as both go on at the same pace.
-
-    The point of the same phase is no nearer than the nearest one, and much sooner found.
-    """
+    # The point of the same phase is no nearer than the nearest one, and much sooner found.
     closed = max(len(orbit) - bool(np.abs(orbit[0] - orbit[-1]).max() < 1e-6), 1)
     first = int(np.argmin(np.abs(orbit - angles[0]).max(axis=1)))
     ahead = np.rint(np.arange(len(angles)) * (closed / ticks)).astype(np.intp)
-    return bool(np.abs(orbit[(first + ahead) % closed] - angles).max() <= NEAR_LAST_ORBIT)
-
-
-def _near(orbit: Array, angles: Array) -> bool:
-    """Return whether angles (K, n) stay near the points (M, n) themselves; between them they may be nearer still."""
-    if len(orbit) * len(angles) > _FEW:
-        return False
-    apart = np.maximum.reduce([np.abs(angles[:, i, None] - orbit[:, i]) for i in range(orbit.shape[1])])
-    return bool(apart.min(axis=1).max() <= NEAR_LAST_ORBIT)
-
-
-@lru_cache(maxsize=4)
-def _tree(plan: Reference, orbit: int, arms: int) -> Any:
-    """Return the angles (M, n) on a plan's orbit as a tree, which is quicker by far than all distances."""
-    # scipy.spatial is imported where it is used: it takes a tenth of a second.
-    from scipy.spatial import KDTree
-
-    return KDTree(_denser(plan.extra[f"orbit_{orbit}"][:, :arms], 8))
-
-
-def _denser(closed: Array, factor: int) -> Array:
-    """Return points (factor · M, n) on the closed polyline through (M, n)."""
-    share = np.arange(factor)[:, None, None] / factor
-    following = np.roll(closed, -1, axis=0)
-    return (closed[None] * (1 - share) + following[None] * share).reshape(-1, closed.shape[1])
+    if np.abs(orbit[(first + ahead) % closed] - angles).max() <= NEAR_LAST_ORBIT:
+        return 0.0
+    share = np.arange(_DENSER)[:, None, None] / _DENSER
+    points = (orbit * (1 - share) + np.roll(orbit, -1, axis=0) * share).reshape(-1, orbit.shape[1])
+    gap = max(float(np.abs(points - place).max(axis=1).min()) for place in angles)
+    return gap if gap > NEAR_LAST_ORBIT else 0.0
 
 
 REFERENCE_ATTACHMENT = "reference.npz"
@@ -309,14 +272,13 @@ def plan_of(log: RunLog) -> Reference:
     data = log.attachments.get(REFERENCE_ATTACHMENT)
     if data is None:
         raise InputError(f"{log.path} carries no {REFERENCE_ATTACHMENT}: only logs of `dpcontrol run` can be scored")
+    place = f"{log.path}: its attachment {REFERENCE_ATTACHMENT}"
     try:
         reference = load_reference(io.BytesIO(data))
     except InputError as error:
-        raise InputError(
-            f"{log.path}: its attachment {REFERENCE_ATTACHMENT} is damaged; run the itinerary again"
-        ) from error
+        raise InputError(f"{place} is damaged; run the itinerary again") from error
     if not _whole(reference, log):
-        raise InputError(f"{log.path}: its attachment {REFERENCE_ATTACHMENT} holds no plan; run the itinerary again")
+        raise InputError(f"{place} holds no plan; run the itinerary again")
     return reference
 
 
@@ -389,23 +351,7 @@ def verdict_on(flown: Flown, plan: Reference) -> Verdict:
     """Judge a run by its plan."""
     notes = plan_notes(plan)
     decoded = decode_run(flown.time, flown.angles, flown.reference_angles, notes=notes, rate_hz=flown.rate_hz)
-    visits, matched, wraps = list(decoded.visits), decoded.matched, decoded.wraps
-    problem = _problem(flown, plan, visits=visits, matched=matched, wraps=wraps)
-    return Verdict(max(0, matched - 1), wraps, problem)
-
-
-def flown_of(log: RunLog) -> Flown:
-    """Return what a log's run is judged by: the true states where they are logged, else the estimated ones."""
-    bad = [e for e in log.events if e.level in ("error", "fatal")]
-    return Flown(
-        time=log.time,
-        states=log.estimate if log.truth is None else log.truth,
-        reference_angles=log.reference[:, : len(log.arm_lengths)],
-        applied=log.control["applied"],
-        rate_hz=log.rate_hz,
-        limits=log.limits if log.has_cart else None,
-        ended=bad[-1].text if bad else "",
-    )
+    return Verdict(max(0, decoded.matched - 1), decoded.wraps, _problem(flown, plan, decoded))
 
 
 def score(log: RunLog) -> Score:
@@ -415,18 +361,23 @@ def score(log: RunLog) -> Score:
         InputError: the log carries no plan.
     """
     plan = plan_of(log)
-    flown = flown_of(log)
-    verdict = verdict_on(flown, plan)
-    notes = plan_notes(plan)
-    problem, wraps = verdict.problem, verdict.wraps
     known = log.truth is not None
+    bad = [event for event in log.events if event.level in ("error", "fatal")]
+    flown = Flown(
+        time=log.time,
+        states=log.estimate if log.truth is None else log.truth,
+        reference_angles=log.reference[:, : len(log.arm_lengths)],
+        applied=log.control["applied"],
+        rate_hz=log.rate_hz,
+        limits=log.limits if log.has_cart else None,
+        ended=bad[-1].text if bad else "",
+    )
+    verdict = verdict_on(flown, plan)
     low, high = chi_square_band(log.measured.shape[1])
     nis = log.control["nis"][np.isfinite(log.control["nis"])]
     away = flown.angles - flown.reference_angles
-    factor = log.metadata.get("real_time_factor")
-    seed = log.metadata.get("seed")
-    total = len(notes["stops"]) - 1
-    reason = problem or _done(total, wraps, notes)
+    factor, seed = (log.metadata.get(name) for name in ("real_time_factor", "seed"))
+    reason = verdict.problem or _done(verdict.wraps, plan_notes(plan))
     if not known:
         reason = f"the true state is not known, so completion cannot be judged; by the estimate: {reason}"
     if log.recovered:
@@ -434,10 +385,10 @@ def score(log: RunLog) -> Score:
     return Score(
         log=str(log.path),
         seed=None if seed is None else int(seed),
-        completed=(not problem) if known else None,
+        completed=(not verdict.problem) if known else None,
         symbols_completed=verdict.symbols,
-        symbols_total=total,
-        wraps=wraps,
+        symbols_total=len(plan_notes(plan)["stops"]) - 1,
+        wraps=verdict.wraps,
         rms_tracking_error=float(np.sqrt(np.mean(away**2))),
         max_cart_position=float(np.abs(flown.states[:, 2 * flown.angles.shape[1]]).max()) if log.has_cart else 0.0,
         rms_cart_acceleration=float(np.sqrt(np.mean(flown.applied**2))),
@@ -452,8 +403,8 @@ def recovered_note(log: RunLog) -> str:
     return f"the log was recovered and lacks {log.recovered}"
 
 
-def _done(total: int, wraps: tuple[int | None, ...], notes: PlanNotes) -> str:
-    name = notes["stops"][-1]["saddle"]
+def _done(wraps: tuple[int | None, ...], notes: PlanNotes) -> str:
+    total, name = len(notes["stops"]) - 1, notes["stops"][-1]["saddle"]
     if not total and "stay" in notes:
         kind = "at" if notes["stay"]["kind"] == "hold" else "on the orbit about"
         return f"stayed {kind} {name} to the end"
@@ -464,11 +415,13 @@ def _done(total: int, wraps: tuple[int | None, ...], notes: PlanNotes) -> str:
     return f"{symbols}{asked}, and {end} to the end"
 
 
-def _problem(flown: Flown, plan: Reference, *, visits: list[Visit], matched: int, wraps: tuple[int | None, ...]) -> str:
+def _problem(flown: Flown, plan: Reference, decoded: Decoded) -> str:
     """Return why the run is not completed, naming the symbol, or an empty string."""
-    notes = plan_notes(plan)
+    notes, visits, matched = plan_notes(plan), decoded.visits, decoded.matched
     stops, symbols = notes["stops"], notes["symbols"]
-    early = _ended(flown, plan)
+    short = plan.duration - float(flown.time[-1])
+    why = f": {flown.ended}" if flown.ended else ""
+    early = f"; the run ended {short:.2f} s early{why}" if short > 1.5 / flown.rate_hz else ""
     # A run that fell back to something else goes on to its end.
     ended = early or (f"; {flown.ended}" if flown.ended else "")
     if matched == 0:
@@ -488,19 +441,10 @@ def _problem(flown: Flown, plan: Reference, *, visits: list[Visit], matched: int
     )
     if len(visits) > matched:
         return f"left the last orbit {last}, at t = {flown.time[visits[matched].first]:.2f} s{ended}"
-    for k, (asked, done) in enumerate(zip(notes["wraps"], wraps, strict=False)):
+    for k, (asked, done) in enumerate(zip(notes["wraps"], decoded.wraps, strict=False)):
         if asked is not None and asked != done:
             return f"wraps at stop {k + 1} are {done} instead of {asked}, before symbol {k + 2}"
     return _limits(flown) or _last_orbit(flown, plan, last=last, ended=early)
-
-
-def _ended(flown: Flown, plan: Reference) -> str:
-    """Return "; the run ended …" where it stopped before the reference's end."""
-    short = plan.duration - float(flown.time[-1])
-    if short <= 1.5 / flown.rate_hz:
-        return ""
-    why = f": {flown.ended}" if flown.ended else ""
-    return f"; the run ended {short:.2f} s early{why}"
 
 
 def _limits(flown: Flown) -> str:
@@ -531,8 +475,8 @@ def _last_orbit(flown: Flown, plan: Reference, *, last: str, ended: str) -> str:
     rows = flown.time >= flown.time[-1] - period
     home = np.asarray(notes["saddles"][stop["saddle"]]["angles"])
     angles = flown.angles[rows] - (np.asarray(stop["angles"]) - home)
-    gap = far_from_orbit(plan, k, angles, ticks=period * flown.rate_hz)
-    if gap is not None:
+    gap = _leaves(plan.extra[f"orbit_{k}"][:, : angles.shape[1]], angles, ticks=period * flown.rate_hz)
+    if gap:
         return (
             f"over the last period the arms were up to {gap:.2f} rad from the orbit about {stop['saddle']} "
             f"{last} (allowed: {NEAR_LAST_ORBIT:g})"
