@@ -9,7 +9,7 @@ for which there is nothing to show, such as failures.
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -39,30 +39,22 @@ _MOST_LETTERS = 90
 
 @dataclass(frozen=True)
 class Group:
-    """Runs that share what `names` says, by column, and how many of them completed."""
+    """Runs that share what `names` says, by column, and whose mismatch or level of trouble lies between two bounds."""
 
     names: dict[str, str]
     share: Share
+    low: float = -np.inf
+    high: float = np.inf
 
     @property
     def label(self) -> str:
         """The names as one line."""
-        return _label(self.names.values())
+        return " · ".join(self.names.values()) or "all runs"
 
     @property
     def family(self) -> str:
         """The names but for the kind of trouble, as one line."""
-        return _label(name for column, name in self.names.items() if column != _KIND)
-
-
-@dataclass(frozen=True)
-class LevelShare:
-    """Runs of a family whose mismatch, or level of trouble, lies between two bounds."""
-
-    label: str
-    low: float
-    high: float
-    share: Share
+        return " · ".join(name for column, name in self.names.items() if column != _KIND) or "all runs"
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +79,7 @@ class CampaignSummary:
     share: Share
     groups: tuple[Group, ...]
     axis: str
-    levels: tuple[LevelShare, ...]
+    levels: tuple[Group, ...]
     failed_symbols: tuple[tuple[str, int, int], ...]
     reasons: tuple[tuple[str, int], ...]
     spreads: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
@@ -136,37 +128,41 @@ def campaign_summary(path: Path) -> CampaignSummary:
         raise InputError(
             f"{path} does not say which runs completed: it has {found}; give a table of `dpcontrol campaign`"
         )
-    outcome = [None if v is None or v != v else bool(v) for v in columns["completed"]]
-    rows = [k for k, done in enumerate(outcome) if done is not None]
+    rows = [k for k, value in enumerate(columns["completed"]) if value is not None and value == value]
     if not rows:
         raise InputError(f"{path} holds no runs with a verdict; run the campaign again")
     table = {name: [values[k] for k in rows] for name, values in columns.items()}
-    done = np.array([bool(outcome[k]) for k in rows])
+    done = np.array(table["completed"], dtype=bool)
     families = [name for name in _WHAT if name in table and len(set(table[name])) > 1]
     standard = _KIND in table and _LEVEL in table
-    varied = [*families, _KIND] if standard else families
-    keys = [tuple(str(table[name][k]) for name in varied) for k in range(len(rows))]
-    groups = tuple(
-        Group(dict(zip(varied, key, strict=True)), _share(done, [k == key for k in keys])) for key in sorted(set(keys))
-    )
-    labels = [_label(key[: len(families)]) for key in keys]
     axis = _LEVEL if standard else "mismatch"
+    groups = _groups(table, [*families, _KIND] if standard else families, done)
+    alone = _groups(table, families, done)
     return CampaignSummary(
         path=Path(path),
         runs=len(rows),
-        unknown=len(outcome) - len(rows),
+        unknown=len(columns["completed"]) - len(rows),
         share=wilson(int(done.sum()), len(done)),
-        groups=groups,
+        groups=tuple(group for group, _ in groups),
         axis=axis,
-        levels=_levels(_numbers(table, axis), labels, done),
-        failed_symbols=_symbols(table, labels, done),
+        levels=_levels(_numbers(table, axis), alone, done),
+        failed_symbols=_symbols(table, alone, done),
         reasons=_reasons(table, done),
         spreads=_spreads(table, done),
     )
 
 
-def _label(names: Iterable[str]) -> str:
-    return " · ".join(names) or "all runs"
+Rows = NDArray[np.bool_]
+
+
+def _groups(table: dict[str, list[Any]], columns: list[str], done: Rows) -> list[tuple[Group, Rows]]:
+    """Return the groups of runs by what columns say, and the rows (K,) of each."""
+    keys = [tuple(str(table[name][k]) for name in columns) for k in range(len(done))]
+    found = []
+    for key in sorted(set(keys)):
+        mine = np.array([other == key for other in keys])
+        found.append((Group(dict(zip(columns, key, strict=True)), _share(done, mine)), mine))
+    return found
 
 
 def _columns(path: Path) -> dict[str, list[Any]]:
@@ -183,9 +179,8 @@ def _columns(path: Path) -> dict[str, list[Any]]:
         raise InputError(f"{path} is not a Parquet table, or is damaged: {reason}; run the campaign again") from error
 
 
-def _share(done: NDArray[np.bool_], chosen: Any) -> Share:
-    picked = done[np.asarray(chosen, dtype=bool)]
-    return wilson(int(picked.sum()), len(picked))
+def _share(done: Rows, chosen: Rows) -> Share:
+    return wilson(int(done[chosen].sum()), int(chosen.sum()))
 
 
 def _numbers(table: dict[str, list[Any]], name: str) -> NDArray[np.float64] | None:
@@ -197,44 +192,36 @@ def _numbers(table: dict[str, list[Any]], name: str) -> NDArray[np.float64] | No
     return values if np.isfinite(values).any() else None
 
 
-def _levels(values: NDArray[np.float64] | None, labels: list[str], done: NDArray[np.bool_]) -> tuple[LevelShare, ...]:
-    if values is None or len(np.unique(values[np.isfinite(values)])) < 2:
+def _levels(values: NDArray[np.float64] | None, groups: list[tuple[Group, Rows]], done: Rows) -> tuple[Group, ...]:
+    if values is None or len(known := np.unique(values[np.isfinite(values)])) < 2:
         return ()
-    known = np.unique(values[np.isfinite(values)])
     if len(known) <= _APART:
-        spans = [(float(v), float(v)) for v in known]
+        bounds = [(float(v), float(v)) for v in known]
     else:
         edges = np.unique(np.quantile(values[np.isfinite(values)], np.linspace(0, 1, _BINS + 1)))
-        spans = [(float(a), float(np.nextafter(b, -np.inf))) for a, b in pairwise(edges)]
-        spans[-1] = (spans[-1][0], float(edges[-1]))
-    found = []
-    for label in sorted(set(labels)):
-        mine = np.array([text == label for text in labels])
-        for low, high in spans:
-            chosen = mine & (values >= low) & (values <= high)
-            if chosen.any():
-                found.append(LevelShare(label, low, high, _share(done, chosen)))
-    return tuple(found)
+        bounds = [(float(a), float(np.nextafter(b, -np.inf))) for a, b in pairwise(edges)]
+        bounds[-1] = (bounds[-1][0], float(edges[-1]))
+    return tuple(
+        Group(group.names, _share(done, chosen), low, high)
+        for group, mine in groups
+        for low, high in bounds
+        if (chosen := mine & (values >= low) & (values <= high)).any()
+    )
 
 
 def _symbols(
-    table: dict[str, list[Any]], labels: list[str], done: NDArray[np.bool_]
+    table: dict[str, list[Any]], groups: list[tuple[Group, Rows]], done: Rows
 ) -> tuple[tuple[str, int, int], ...]:
-    reached = _numbers(table, "symbols_completed")
-    total = _numbers(table, "symbols_total")
-    counts: Counter[tuple[str, int]] = Counter()
-    for k in np.flatnonzero(~done):
-        symbol = 0
-        if reached is not None and np.isfinite(reached[k]):
-            symbol = int(reached[k]) + 1
-            # All symbols done, but not held to the end, wraps or limits: it failed after the last.
-            if total is not None and np.isfinite(total[k]):
-                symbol = min(symbol, int(total[k]) + 1)
-        counts[labels[k], symbol] += 1
-    return tuple((label, symbol, count) for (label, symbol), count in sorted(counts.items()))
+    reached, total = (_numbers(table, name) for name in ("symbols_completed", "symbols_total"))
+    symbols = np.zeros(len(done)) if reached is None else np.nan_to_num(reached + 1)
+    if total is not None:
+        # All symbols done, but not held to the end, wraps or limits: it failed after the last.
+        symbols = np.fmin(symbols, total + 1)
+    counts = ((group.label, Counter(symbols[mine & ~done].astype(int).tolist())) for group, mine in groups)
+    return tuple((label, symbol, count) for label, some in counts for symbol, count in sorted(some.items()))
 
 
-def _reasons(table: dict[str, list[Any]], done: NDArray[np.bool_]) -> tuple[tuple[str, int], ...]:
+def _reasons(table: dict[str, list[Any]], done: Rows) -> tuple[tuple[str, int], ...]:
     texts = table.get("reason") or table.get("ending") or [""] * len(done)
     counts = Counter(_plain(str(texts[k] or "not said")) for k in np.flatnonzero(~done))
     return tuple(counts.most_common())
@@ -242,16 +229,13 @@ def _reasons(table: dict[str, list[Any]], done: NDArray[np.bool_]) -> tuple[tupl
 
 def _plain(reason: str) -> str:
     """Return why a run ended, else what was not done, without its numbers and remedy."""
-    text = _EARLY.split(reason)[-1].split(";")[0].strip()
-    text = _NUMBER.sub("…", text)
+    text = _NUMBER.sub("…", _EARLY.split(reason)[-1].split(";")[0].strip())
     return text if len(text) <= _MOST_LETTERS else text[: _MOST_LETTERS - 1] + "…"
 
 
-def _spreads(
-    table: dict[str, list[Any]], done: NDArray[np.bool_]
-) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def _spreads(table: dict[str, list[Any]], done: Rows) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
     found = {}
-    for name in ("max_cart_position", "rms_tracking_error"):
+    for name in _SPREADS:
         values = _numbers(table, name)
         if values is not None:
             known = np.isfinite(values)
@@ -260,58 +244,43 @@ def _spreads(
 
 
 _MOST = 28
-_SPREADS = {
-    "max_cart_position": ("Cart's largest distance (mm)", 1e3),
-    "rms_tracking_error": ("Tracking (mrad rms)", 1e3),
-}
+_SPREADS = {"max_cart_position": "Cart's largest distance (mm)", "rms_tracking_error": "Tracking (mrad rms)"}
 
 
 def draw_campaign(summary: CampaignSummary) -> Figure:
     """Return the page as a figure."""
     figure = new_figure(15.0, 9.6, f"Campaign {summary.path.stem}")
-    share = summary.share
-    colour = style.GOOD if share.rate >= 0.5 else style.LIMIT
+    colour = style.GOOD if summary.share.rate >= 0.5 else style.LIMIT
     figure.text(0.015, 0.935, summary.status, fontsize=11, color=colour, va="center")
     failed, levels = bool(summary.failed_symbols or summary.reasons), bool(summary.levels)
     wide = (0.36 if len(summary.groups) < 2 else 0.30) if levels else 0.70
-    _groups(figure.add_axes((0.22, 0.55, wide, 0.32)), summary)
+    _draw_groups(figure.add_axes((0.22, 0.55, wide, 0.32)), summary)
     if levels:
         _draw_levels(figure.add_axes((0.66, 0.55, 0.325, 0.32)), summary)
     if failed:
         _draw_symbols(figure.add_axes((0.045, 0.075, 0.27, 0.36)), summary)
         _draw_reasons(figure.add_axes((0.62, 0.285, 0.365, 0.15)), summary)
-    for k, (name, (title, scale)) in enumerate(_SPREADS.items()):
+    for k, (name, title) in enumerate(_SPREADS.items()):
         place = (0.37 + 0.32 * k, 0.075, 0.295, 0.13) if failed else (0.045 + 0.49 * k, 0.075, 0.45, 0.34)
-        _spread(figure.add_axes(place), summary, name, title=title, scale=scale)
+        _spread(figure.add_axes(place), summary, name, title)
     return figure
 
 
-def _bars(axes: Axes, labels: Sequence[str], shares: Sequence[Share], colours: Sequence[str]) -> None:
-    places = np.arange(len(labels))[::-1]
-    for place, share, colour in zip(places, shares, colours, strict=True):
-        axes.barh(place, share.rate, color=colour, height=0.62, alpha=0.85)
-        axes.plot([share.low, share.high], [place, place], color=style.INK, linewidth=1.4)
-        text = f"{share.successes} of {share.runs}"
-        axes.text(1.02, place, text, va="center", fontsize=_letters(len(labels)), color=style.NOTE)
-    axes.set_yticks(places, [shorten(label, 44, placeholder=" …") for label in labels])
-    axes.tick_params(axis="y", labelsize=_letters(len(labels)))
-    axes.set_xlim(0, 1)
-    axes.xaxis.set_major_formatter(PercentFormatter(1.0))
-    axes.set_ylim(-0.6, max(len(labels) - 0.4, 0.6))
-
-
-def _letters(rows: int) -> float:
-    return 7.0 if rows > 18 else 8.5
-
-
-def _groups(axes: Axes, summary: CampaignSummary) -> None:
-    quiet(axes, "Runs completed; lines: Wilson's 95 % interval")
+def _draw_groups(axes: Axes, summary: CampaignSummary) -> None:
     # Of one kind of trouble the controllers stand side by side.
     groups = sorted(summary.groups, key=lambda group: (group.names.get("kind", ""), -group.share.rate))[:_MOST]
-    _bars(axes, [g.label for g in groups], [g.share for g in groups], _colours(summary, [g.family for g in groups]))
     hidden = len(summary.groups) - len(groups)
-    if hidden:
-        axes.set_xlabel(f"… and {hidden} groups more", fontsize=8.5, color=style.NOTE)
+    more = f"… and {hidden} groups more" if hidden else ""
+    quiet(axes, "Runs completed; lines: Wilson's 95 % interval", x=more)
+    size = 7.0 if len(groups) > 18 else 8.5
+    for k, (group, colour) in enumerate(zip(groups, _colours(summary, [g.family for g in groups]), strict=True)):
+        share = group.share
+        axes.barh(k, share.rate, color=colour, height=0.62, alpha=0.85)
+        axes.plot([share.low, share.high], [k, k], color=style.INK, linewidth=1.4)
+        axes.text(1.02, k, f"{share.successes} of {share.runs}", va="center", fontsize=size, color=style.NOTE)
+    axes.set_yticks(range(len(groups)), [shorten(g.label, 44, placeholder=" …") for g in groups], fontsize=size)
+    axes.set(xlim=(0, 1), ylim=(max(len(groups) - 0.4, 0.6), -0.6))
+    axes.xaxis.set_major_formatter(PercentFormatter(1.0))
 
 
 def _colours(summary: CampaignSummary, labels: Sequence[str]) -> list[str]:
@@ -321,7 +290,9 @@ def _colours(summary: CampaignSummary, labels: Sequence[str]) -> list[str]:
 
 def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
     standard = summary.axis == "level"
-    quiet(axes, "Runs completed over the level, of all kinds" if standard else "Runs completed over the mismatch")
+    text = "level of each kind of trouble" if standard else "mismatch, share of each parameter"
+    over = "over the level, of all kinds" if standard else "over the mismatch"
+    quiet(axes, f"Runs completed {over}", x=text)
     axes.set_ylim(-0.03, 1.03)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
     labels = list(dict.fromkeys(level.label for level in summary.levels))
@@ -331,17 +302,13 @@ def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
         levels = [level for level in summary.levels if level.label == label]
         # Groups stand a little apart, so that their intervals do not cover each other.
         x = np.array([(level.low + level.high) / 2 for level in levels]) + 0.006 * reach * (k - len(shown) / 2)
-        rates = np.array([level.share.rate for level in levels])
-        below = rates - [level.share.low for level in levels]
-        above = np.array([level.share.high for level in levels]) - rates
-        look = {"color": colour, "marker": "o", "markersize": 4.5, "linewidth": 1.3, "capsize": 2}
-        axes.errorbar(x, rates, yerr=[np.maximum(below, 0), np.maximum(above, 0)], label=label, **look)
+        low, rates, high = np.array([(level.share.low, level.share.rate, level.share.high) for level in levels]).T
+        spread = np.maximum([rates - low, high - rates], 0)
+        axes.errorbar(x, rates, yerr=spread, color=colour, marker="o", markersize=4.5, linewidth=1.3, capsize=2)
     if standard:
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     else:
         axes.xaxis.set_major_formatter(PercentFormatter(1.0))
-    text = "level of each kind of trouble" if standard else "mismatch, share of each parameter"
-    axes.set_xlabel(text, fontsize=8.5, color=style.NOTE)
     if len(labels) > 1:
         axes.set_title("colours as on the left", loc="right", fontsize=8.5, color=style.NOTE)
     if len(labels) > len(shown):
@@ -350,20 +317,14 @@ def _draw_levels(axes: Axes, summary: CampaignSummary) -> None:
 
 
 def _draw_symbols(axes: Axes, summary: CampaignSummary) -> None:
-    quiet(axes, "Failed runs by the symbol that was not done")
-    if not summary.failed_symbols:
-        _empty(axes, "no failed run says which")
-        return
+    quiet(axes, "Failed runs by the symbol that was not done", x="symbol, from 1; beyond the last: not held to the end")
     numbers = sorted({symbol for _, symbol, _ in summary.failed_symbols})
     bottoms = dict.fromkeys(numbers, 0)
     labels = list(dict.fromkeys(label for label, _, _ in summary.failed_symbols))
-    for label, colour in zip(labels, _colours(summary, labels), strict=True):
-        counts = {symbol: count for name, symbol, count in summary.failed_symbols if name == label}
-        axes.bar(list(counts), list(counts.values()), bottom=[bottoms[s] for s in counts], color=colour, alpha=0.85,
-                 label=shorten(label, 40, placeholder=" …"))  # fmt: skip
-        for symbol, count in counts.items():
-            bottoms[symbol] += count
-    axes.set_xlabel("symbol, from 1; beyond the last: not held to the end", fontsize=8.5, color=style.NOTE)
+    colours = dict(zip(labels, _colours(summary, labels), strict=True))
+    for label, symbol, count in summary.failed_symbols:
+        axes.bar(symbol, count, bottom=bottoms[symbol], color=colours[label], alpha=0.85)
+        bottoms[symbol] += count
     axes.set_xticks(numbers, ["not said" if symbol == 0 else str(symbol) for symbol in numbers])
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylim(0, 1.1 * max(bottoms.values()) + 0.5)
@@ -371,35 +332,27 @@ def _draw_symbols(axes: Axes, summary: CampaignSummary) -> None:
 
 def _draw_reasons(axes: Axes, summary: CampaignSummary) -> None:
     quiet(axes, "Failed runs by reason, numbers left out")
-    if not summary.reasons:
-        _empty(axes, "no failed run gives one")
-        return
     shown = list(summary.reasons[:6])
     rest = sum(count for _, count in summary.reasons[6:])
     shown += [("other reasons", rest)] if rest else []
-    places = np.arange(len(shown))[::-1]
-    axes.barh(places, [count for _, count in shown], color=style.LIMIT, alpha=0.7, height=0.62)
-    axes.set_yticks(places, [shorten(text, 62, placeholder=" …") for text, _ in shown])
+    texts = [shorten(text, 62, placeholder=" …") for text, _ in shown]
+    axes.barh(range(len(shown)), [count for _, count in shown], color=style.LIMIT, alpha=0.7, height=0.62)
+    axes.set_yticks(range(len(shown)), texts)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set_ylim(-0.6, max(len(shown) - 0.4, 0.6))
+    axes.set_ylim(max(len(shown) - 0.4, 0.6), -0.6)
 
 
-def _spread(axes: Axes, summary: CampaignSummary, name: str, *, title: str, scale: float) -> None:
+def _spread(axes: Axes, summary: CampaignSummary, name: str, title: str) -> None:
     if name not in summary.spreads:
         quiet(axes, title)
-        _empty(axes, f"the table has no {name}")
+        axes.text(0.5, 0.5, f"the table has no {name}", transform=axes.transAxes, ha="center", color=style.NOTE)
+        axes.set(xticks=[], yticks=[])
         return
-    good, bad = (scale * values for values in summary.spreads[name])
+    good, bad = (1e3 * values for values in summary.spreads[name])
     both = "completed green, failed red" if len(good) and len(bad) else "all completed" if len(good) else "all failed"
-    quiet(axes, f"{title}: number of runs, {both}")
+    quiet(axes, f"{title}: {both}", y="runs")
     every = np.concatenate([good, bad])
     edges = np.linspace(float(every.min()), float(np.quantile(every, 0.99)) + 1e-9, 31)
     parts = [np.clip(values, edges[0], edges[-1]) for values in (good, bad)]
     axes.hist(parts, bins=list(edges), color=[style.GOOD, style.LIMIT], stacked=True, alpha=0.75)
     axes.yaxis.set_major_locator(MaxNLocator(3, integer=True))
-
-
-def _empty(axes: Axes, why: str) -> None:
-    axes.text(0.5, 0.5, why, transform=axes.transAxes, ha="center", va="center", fontsize=9, color=style.NOTE)
-    axes.set_xticks([])
-    axes.set_yticks([])

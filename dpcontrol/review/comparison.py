@@ -10,15 +10,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from textwrap import shorten
+from typing import Any
 
 import numpy as np
-import rerun as rr
 import rerun.blueprint as rrb
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.review import series, style
+from dpcontrol.review import rerun_recording, style
 from dpcontrol.review.motion import RunView
 from dpcontrol.review.page import (
     draw_chart,
@@ -29,19 +29,6 @@ from dpcontrol.review.page import (
     new_figure,
     story,
     story_rows,
-)
-from dpcontrol.review.rerun_recording import (
-    Box,
-    bounds,
-    draw_pendulum,
-    page,
-    plane_view,
-    plots,
-    record_chart,
-    record_planes,
-    record_strips,
-    recording_to,
-    scene_view,
 )
 from dpcontrol.review.series import Chart, Line, Range, charts, plane, strips
 
@@ -133,50 +120,57 @@ def compared_charts(comparison: RunComparison) -> tuple[Chart, ...]:
     """Return the charts in which all runs are drawn: a line for each, and the first's reference and levels."""
     first = comparison.runs[0].view
     every = [charts(run.view) for run in comparison.runs]
-    found = []
-    for arm in range(first.arms):
-        title = f"Arm {arm + 1}'s angle θ{style.number(arm)} (rad)"
-        prefix = f"arm_{arm + 1}/"
-        found.append(_chart(comparison, every, "angles", f"angle_{arm + 1}", title, prefix=prefix, legend=arm == 0))
-    limits = first.limits
-    track = f", track ±{1000 * limits[0]:g}" if limits else ""
-    found += [
-        _chart(comparison, every, "cart", "cart", f"Cart position (mm){track}"),
-        _chart(comparison, every, "tracking_error", "tracking_error", "Tracking error: largest of the angles (rad)"),
-        _chart(comparison, every, "acceleration", "acceleration", "Acceleration applied (m/s²)", prefix="applied"),
-        _chart(comparison, every, "energy", "energy", "Energy of the pendulum (J)"),
-        _chart(comparison, every, "nis", "nis", "NIS, means of 50 updates"),
+    track = f", track ±{1000 * first.limits[0]:g}" if first.limits else ""
+    wanted = [
+        ("angles", f"angle_{arm + 1}", f"Arm {arm + 1}'s angle θ{style.number(arm)} (rad)", f"arm_{arm + 1}/")
+        for arm in range(first.arms)
     ]
-    return tuple(chart for chart in found if chart.lines)
+    wanted += [
+        ("cart", "cart", f"Cart position (mm){track}", ""),
+        ("tracking_error", "tracking_error", "Tracking error: largest of the angles (rad)", ""),
+        ("acceleration", "acceleration", "Acceleration applied (m/s²)", "applied"),
+        ("energy", "energy", "Energy of the pendulum (J)", ""),
+        ("nis", "nis", "NIS, means of 50 updates", ""),
+    ]
+    found = [_chart(comparison, [own.get(source) for own in every], *rest) for source, *rest in wanted]
+    return tuple(chart for chart in found if chart is not None and chart.lines)
 
 
-def _chart(
-    comparison: RunComparison, every: list[dict[str, Chart]], source: str, key: str, title: str, *, prefix: str = "",
-    legend: bool = False,
-) -> Chart:  # fmt: skip
+def _chart(comparison: RunComparison, every: list[Chart | None], key: str, title: str, prefix: str) -> Chart | None:
     """Return one chart of all runs, made of the lines that each shows itself by under a prefix in a chart of its own.
 
     Of several such lines, as errors of several arms, it has the largest size.
     """
     lines: list[Line] = []
-    known = [one[source] for one in every if source in one]
     for k, (run, own) in enumerate(zip(comparison.runs, every, strict=True)):
-        shown = [line for line in own[source].lines if line.key.startswith(prefix)] if source in own else []
-        wanted = [line for line in shown if line.role == "reference"] if k == 0 else []
+        shown = [line for line in own.lines if line.key.startswith(prefix)] if own else []
         lines += [replace(line, key="0_reference", name=f"reference of {run.name}", label="the first's reference",
-                          colour=style.REFERENCE) for line in wanted]  # fmt: skip
+                          colour=style.REFERENCE) for line in shown if line.role == "reference" and k == 0]  # fmt: skip
         parts = [line for line in shown if line.role == "run"]
         if parts:
             values = parts[0].values if len(parts) == 1 else np.max([np.abs(line.values) for line in parts], axis=0)
-            place = f"{k + 1}_{re.sub(r'[^A-Za-z0-9]+', '_', run.name)}"
-            line = Line(place, run.name, "", parts[0].time, values, run.colour, dashed=k > 0)
-            lines.append(line)
-    if not known:
-        return Chart(key, title, title, ())
-    levels = tuple(level for level in known[0].levels if level.kind == "limit" or source == "energy")
-    named = title.replace("(mm)", "(m)").split(", track")[0] + (", reference grey" if legend else "")
-    half_turns, scale = known[0].half_turns, known[0].scale
-    return Chart(key, title, named, tuple(lines), levels=levels, scale=scale, half_turns=half_turns, legend=legend)
+            place = f"{k + 1}_{_plain(run.name)}"
+            lines.append(Line(place, run.name, "", parts[0].time, values, run.colour, dashed=k > 0))
+    known = next((own for own in every if own), None)
+    if known is None:
+        return None
+    legend = key == "angle_1"
+    return replace(
+        known,
+        key=key,
+        title=title,
+        named=title.replace("(mm)", "(m)").split(", track")[0] + (", reference grey" if legend else ""),
+        lines=tuple(lines),
+        levels=tuple(level for level in known.levels if level.kind == "limit" or key == "energy"),
+        cut=(),
+        shown=None,
+        log=False,
+        legend=legend,
+    )
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^A-Za-z0-9]+", "_", name)
 
 
 Array = NDArray[np.float64]
@@ -195,16 +189,17 @@ def draw_comparison(comparison: RunComparison) -> Figure:
     filmed = _FILM if len(runs) <= _FILMED else 0.0
     tall = _HEAD + len(runs) * (_STORY + filmed + 0.35) + 4 * (_PANEL + 0.5) + 0.35
     figure = new_figure(_WIDE, tall)
-    title = shorten(comparison.title, 100, placeholder=" …")
-    figure.text(0.022, 1 - 0.35 / tall, title, fontsize=16, weight="bold", color=style.INK, va="center")
-    status = shorten(comparison.status, 190, placeholder=" …")
-    figure.text(0.022, 1 - 0.68 / tall, status, fontsize=9, color=style.NOTE, va="center")
+
+    def write(text: str, x: float, y: float, most: int, **look: Any) -> None:
+        figure.text(x, y / tall, shorten(text, most, placeholder=" …"), va="center", **look)
+
+    write(comparison.title, 0.022, tall - 0.35, 100, fontsize=16, weight="bold", color=style.INK)
+    write(comparison.status, 0.022, tall - 0.68, 190, fontsize=9, color=style.NOTE)
     top = tall - _HEAD
     frames = _frames(comparison)
     for run in runs:
-        figure.text(0.022, (top - 0.12) / tall, run.name, fontsize=11, weight="bold", color=run.colour, va="center")
-        verdict, colour = shorten(run.view.verdict, 150, placeholder=" …"), style.verdict_colour(run.view.good)
-        figure.text(0.165, (top - 0.12) / tall, verdict, fontsize=9.5, color=colour, va="center")
+        write(run.name, 0.022, top - 0.12, 100, fontsize=11, weight="bold", color=run.colour)
+        write(run.view.verdict, 0.165, top - 0.12, 150, fontsize=9.5, color=style.verdict_colour(run.view.good))
         if story_rows(run.view, span=comparison.span):
             height = _STORY - 0.5
             axes = figure.add_axes((0.062, (top - 0.42 - height) / tall, 0.925, height / tall))
@@ -212,7 +207,7 @@ def draw_comparison(comparison: RunComparison) -> Figure:
         top -= _STORY + 0.2
         if filmed:
             axes = figure.add_axes((0.01, (top - filmed) / tall, 0.98, (filmed - 0.05) / tall))
-            draw_film(axes, run.view, frames=_FRAMES, times=frames)
+            draw_film(axes, run.view, frames)
             axes.set_aspect("equal")
             top -= filmed
         top -= 0.15
@@ -248,12 +243,12 @@ def _panels(figure: Figure, comparison: RunComparison, *, top: float, tall: floa
         mark_times(axes, [comparison.moment])
         axes.set_xlim(*comparison.span)
         if row == rows - 1 or k == len(shown) - 1:
-            axes.set_xlabel("time on the common clock (s)", fontsize=8.5, color=style.NOTE, labelpad=1)
+            axes.set_xlabel("time on the common clock (s)")
     half = (top - 0.35) / arms
     for arm in range(arms):
         bottom = top - (arm + 1) * half + 0.5
         axes = figure.add_axes((0.70, bottom / tall, 0.28, (half - 0.5) / tall))
-        planes = [(series.plane(run.view, arm), run.colour) for run in comparison.runs]
+        planes = [(plane(run.view, arm), run.colour) for run in comparison.runs]
         draw_plane(axes, planes, tubes=False)
 
 
@@ -263,52 +258,41 @@ def write_comparison_recording(comparison: RunComparison, path: Path) -> None:
     Raises:
         InputError: it cannot be written.
     """
-    boxes = _boxes(comparison)
-    with recording_to(path, comparison.title, _blueprint(comparison, boxes)) as recording:
-        document = rr.TextDocument(_summary(comparison), media_type="text/markdown")
-        recording.log("summary", document, static=True)
-        for k, run in enumerate(comparison.runs):
-            draw_pendulum(recording, f"runs/{k + 1}/scene", run.view)
-            record_planes(recording, f"runs/{k + 1}/planes", run.view, boxes=boxes)
-            shown = [s for s in strips(run.view, until=comparison.span[1]) if s.key in ("1_asked", "2_done")]
-            record_strips(recording, f"states/{k + 1}_{re.sub(r'[^A-Za-z0-9]+', '_', run.name)}", shown, run.view)
-        for chart in compared_charts(comparison):
-            record_chart(recording, "plots", chart, comparison.runs[0].view)
-
-
-def _boxes(comparison: RunComparison) -> list[Box]:
-    """Return for each arm the box that holds all runs."""
     runs = comparison.runs
-    return [bounds(*(plane(run.view, arm) for run in runs)) for arm in range(runs[0].view.arms)]
-
-
-def _summary(comparison: RunComparison) -> str:
+    # For each arm the box that holds all runs.
+    boxes = [rerun_recording.bounds(*(plane(run.view, arm) for run in runs)) for arm in range(runs[0].view.arms)]
+    compared = compared_charts(comparison)
     rows = [f"**{comparison.title}**", "", comparison.status, ""]
-    rows += [f"{k + 1}. **{run.name}**: {run.view.verdict}" for k, run in enumerate(comparison.runs)]
-    return "\n".join(rows)
+    rows += [f"{k + 1}. **{run.name}**: {run.view.verdict}" for k, run in enumerate(runs)]
+    blueprint = _blueprint(comparison, compared, boxes)
+    with rerun_recording.recording_to(path, comparison.title, blueprint, "\n".join(rows)) as recording:
+        for k, run in enumerate(runs):
+            rerun_recording.draw_pendulum(recording, f"runs/{k + 1}/scene", run.view)
+            rerun_recording.record_planes(recording, f"runs/{k + 1}/planes", run.view, boxes=boxes)
+            shown = [s for s in strips(run.view, until=comparison.span[1]) if s.key in ("1_asked", "2_done")]
+            rerun_recording.record_strips(recording, f"states/{k + 1}_{_plain(run.name)}", shown, run.view)
+        for chart in compared:
+            rerun_recording.record_chart(recording, "plots", chart, runs[0].view)
 
 
-def _blueprint(comparison: RunComparison, boxes: list[Box]) -> rrb.Blueprint:
+def _blueprint(comparison: RunComparison, charts: Sequence[Chart], boxes: list[rerun_recording.Box]) -> rrb.Blueprint:
     runs = comparison.runs
     scenes = [
-        scene_view(run.view, from_log=False, home=f"/runs/{k + 1}/scene", name=run.name) for k, run in enumerate(runs)
+        rerun_recording.scene_view(run.view, from_log=False, home=f"/runs/{k + 1}/scene", name=run.name)
+        for k, run in enumerate(runs)
     ]
     planes = [
-        plane_view(arm, f"/runs/{k + 1}/planes", boxes[arm], name=f"{run.name}: arm {arm + 1}, rate over angle")
+        rerun_recording.plane_view(
+            arm, f"/runs/{k + 1}/planes", boxes[arm], name=f"{run.name}: arm {arm + 1}, rate over angle"
+        )
         for arm in range(min(runs[0].view.arms, 2))
         for k, run in enumerate(runs)
     ]
-    charts = compared_charts(comparison)
-    middle = plots([c for c in charts if c.key in ("angle_1", "angle_2", "cart")])
-    checks = plots([c for c in charts if c.key in ("tracking_error", "acceleration", "energy", "nis")])
+    middle = rerun_recording.plots([c for c in charts if c.key in ("angle_1", "angle_2", "cart")])
+    checks = rerun_recording.plots([c for c in charts if c.key in ("tracking_error", "acceleration", "energy", "nis")])
     if any(run.view.plan.planned for run in runs):
         name = f"Itineraries, aligned at symbol {comparison.symbol}"
         middle.insert(0, rrb.StateTimelineView(name=name, origin="/states"))
-    summary = rrb.TextDocumentView(name="Summary", origin="/summary")
-    left = rrb.Vertical(
-        rrb.Horizontal(*scenes), rrb.Grid(*planes, grid_columns=len(runs)), summary, row_shares=[3, 4, 1.6]
-    )
-    columns: list[rrb.Container] = [left, rrb.Vertical(*middle)]
-    if checks:
-        columns.append(rrb.Vertical(*checks))
-    return page(rrb.Horizontal(*columns, column_shares=[5, 4, 4][: len(columns)]))
+    beside = rrb.Grid(*planes, grid_columns=len(runs))
+    left = rrb.Vertical(rrb.Horizontal(*scenes), beside, rerun_recording.summary_view(), row_shares=[3, 4, 1.6])
+    return rerun_recording.page([left, *(rrb.Vertical(*views) for views in (middle, checks) if views)], [5, 4, 4])

@@ -10,21 +10,20 @@ import json
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import hsv_to_rgb
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch
 from numpy.typing import NDArray
 
 from dpcontrol.bifurcations.bifurcations import BranchDiagram
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import whole_file, write_whole
+from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.family import lyapunov_family
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
@@ -32,6 +31,7 @@ from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.orbits.symmetric_shooting import equilibria
 from dpcontrol.review import style
 from dpcontrol.review.atlas import (
+    BRANCHES,
     colours,
     connections_of,
     draw_angles,
@@ -40,9 +40,10 @@ from dpcontrol.review.atlas import (
     draw_space,
     kind_of,
     one_of_each,
-)
+    placed,
+)  # fmt: skip
 from dpcontrol.review.orbits import draw_families
-from dpcontrol.review.page import angle_axis, new_figure, quiet
+from dpcontrol.review.page import DOTTED, angle_axis, key, new_figure, quiet, save_figure
 from dpcontrol.tubes.cut import tube_cut
 from dpcontrol.tubes.interior import InteriorSettings, Outline, Returns, TubeInterior, tube_interior
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, walks
@@ -85,33 +86,27 @@ def tubes_page(gallery: Gallery) -> Page:
     assert kind is not None
     figure = new_figure(13.5, 5.8, f"The tubes of the Lyapunov orbit about Down-Up at {ENERGY:g} J, and their cuts")
     space = figure.add_axes((0.06, -0.03, 0.5, 0.98), projection="3d")
-    draw_space(space, atlas, hit_of=lambda cut: 1 if cut.section.name == kind.section else None, only=SADDLE,
-               one_colour=style.INK)  # fmt: skip
-    space.legend(
-        handles=[
-            Line2D([], [], color=style.UNSTABLE, label="unstable tube, forward branch"),
-            Line2D([], [], color=style.PALE_UNSTABLE, label="unstable tube, backward branch"),
-            Line2D([], [], color=style.STABLE, label="stable tube, forward branch"),
-            Line2D([], [], color=style.PALE_STABLE, label="stable tube, backward branch"),
-            Line2D([], [], color=style.INK, linewidth=2.5, label="Lyapunov orbit"),
-            Line2D([], [], color=style.CUT, linewidth=2, label="cut on θ₂ = 2πk"),
-        ],
-        fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(-0.22, 0.97),
-    )  # fmt: skip
+    cuts = [cut for cut in atlas.cuts if (cut.saddle, cut.section.name, cut.hit) == (SADDLE, kind.section, 1)]
+    draw_space(space, atlas, cuts, one_colour=style.INK, steps=(0.25, 1.0))
+    looks = [
+        (f"{'stable' if stable else 'unstable'} tube, {'forward' if branch > 0 else 'backward'} branch", colour)
+        for (stable, branch), colour in BRANCHES.items()
+    ]
+    orbit, cut = {"color": style.INK, "linewidth": 2.5}, {"color": style.CUT, "linewidth": 2}
+    looks += [("Lyapunov orbit", orbit), ("cut on θ₂ = 2πk", cut)]
+    key(space, looks, fontsize=8, loc="upper left", bbox_to_anchor=(-0.22, 0.97))
     axes = figure.add_axes((0.62, 0.1, 0.37, 0.75))
     draw_cuts(axes, atlas, kind)
     return Page(
         figure,
         f"Left: trajectories that leave the Lyapunov orbit about Down-Up at {ENERGY:g} J (red) and that come to it "
         "(green) form tubes; the two shades are the tube's two branches, on which the outer arm turns one way or the "
-        "other. They are drawn in the angles and the inner arm's rate as far as the section on which the outer arm "
-        "hangs straight down. Right: on that section each tube is a closed curve, q the inner arm's angle, p its "
-        f"momentum over p₀. Solid curves are crossed with the outer arm's angle rising, dashed ones with it falling; "
-        f"where two of one kind meet lie the {kind.count} homoclinic connections, both senses together.",
+        "other. They end on the section on which the outer arm hangs straight down. Right: there each tube is a closed "
+        "curve, q the inner arm's angle, p its momentum over p₀; solid where it is crossed with the outer arm's angle "
+        f"rising, dashed where falling. Where two of one kind meet lie the {kind.count} homoclinic connections.",
         f"The energy is that of the homoclinic connections, {ENERGY:g} J; the paper need not have drawn its tubes at "
-        "the same. Both branches of both tubes are drawn, and the section's coordinates are canonical, so that areas "
-        "on it are those that the flow keeps. Parameters are the rig's identified ones, which reproduce the paper's "
-        "pictures; those it prints do not.",
+        "the same. The section's coordinates are canonical. Parameters are the rig's identified ones, which reproduce "
+        "the paper's pictures; those it prints do not.",
     )
 
 
@@ -120,27 +115,23 @@ _MOST = 5
 
 def draw_low(gallery: Gallery) -> Page:
     """Draw Down-Up's homoclinics at -0.07 J."""
-    atlas = gallery.atlas("lab", -0.07, (1, 1))
     return _page(
-        atlas,
+        gallery.atlas("lab", -0.07, (1, 1)),
         ["down-up"],
         "Below the energy of Up-Down only the outer arm can turn over.",
         "The search finds its own intersections, without windows set by hand: in each sense two symmetric connections "
-        "and a mirror pair, all counted on the torus of angles. Section coordinates are canonical, angles at the "
-        "crossings are measured in them.",
+        "and a mirror pair, all counted on the torus of angles. Section coordinates are canonical.",
     )
 
 
 def draw_high(gallery: Gallery) -> Page:
     """Draw both saddles' homoclinics at 0.2 J."""
-    atlas = gallery.atlas("lab", 0.2, (1, 1))
     return _page(
-        atlas,
+        gallery.atlas("lab", 0.2, (1, 1)),
         ["down-up", "up-down"],
         "At this energy both saddles have orbits: the outer arm turns about Down-Up, the inner arm about Up-Down.",
         "Counts are of first hits on these sections, both senses and mirror images included; cuts that graze the "
-        "section are open there, and crossings beyond their ends belong to later hits. A count at a section is not the "
-        "number of connections.",
+        "section are open there, and crossings beyond their ends belong to later hits.",
     )
 
 
@@ -168,9 +159,9 @@ def _page(atlas: Atlas, saddles: list[str], lead: str, differs: str) -> Page:
     return Page(
         figure,
         f"{lead} Left: the cuts of the unstable (red) and stable (green) tube; dots of one colour are one connection "
-        "and its mirror images, and carry its number. Right: one flight of each colour, of positive sense, in the "
-        "plane of the angles (thick and pale: the orbits it leaves and joins; dot: where it passes the section), with "
-        f"the angle at which the cuts meet. {'; '.join(words)}.",
+        "and its mirror images. Right: one flight of each colour, of positive sense, in the plane of the angles (pale: "
+        "the orbits it leaves and joins; dot: where it passes the section), with the angle at which the cuts meet. "
+        f"{'; '.join(words)}.",
         differs,
     )
 
@@ -214,23 +205,14 @@ def heteroclinics_page(gallery: Gallery) -> Page:
 
 
 _SHOWN = 3
-_WORDS = {2: ("Double", "second", "twice", "two"), 3: ("Triple", "third", "three times", "three")}
+_TURNS = {2: ("Double", "second", "twice", "two"), 3: ("Triple", "third", "three times", "three")}
 
 
-def draw_double(gallery: Gallery) -> Page:
-    """Draw connections of Down-Up at -0.07 J with winding [0, 2], and how they go."""
-    return _draw(gallery, 2)
-
-
-def draw_triple(gallery: Gallery) -> Page:
-    """Draw connections of Down-Up at -0.07 J with winding [0, 3], and how they go."""
-    return _draw(gallery, 3)
-
-
-def _draw(gallery: Gallery, turns: int) -> Page:
+def draw_repeated(gallery: Gallery, *, turns: int) -> Page:
+    """Draw connections of Down-Up at -0.07 J that turn the outer arm several times, and how they go."""
     # A flight that turns the outer arm twice passes it hanging twice: the unstable tube's second time is the last.
     hits = (turns, 1)
-    title, ordinal, times, number = _WORDS[turns]
+    title, ordinal, times, number = _TURNS[turns]
     atlas = gallery.atlas("lab", ENERGY, hits)
     kind = kind_of(atlas, SADDLE, SADDLE)
     assert kind is not None
@@ -255,27 +237,18 @@ def _draw(gallery: Gallery, turns: int) -> Page:
         f"{sum(tuple(map(abs, c.winding)) == t for c in connections)} of winding ±{list(t)}" for t in sorted(windings)
     )
     resolved = all(atlas.cut(SADDLE, kind.section, hit).resolved for hit in hits)
-    scattered = (
-        ""
-        if resolved
-        else (
-            " Trajectories scatter before that crossing and the cut is drawn as far as it could be resolved: more "
-            "connections than these exist."
-        )
-    )
+    torn = " and is drawn as far as it could be resolved: more connections than these exist"
     return Page(
         figure,
         f"Above, left: the cuts of the unstable tube at its {ordinal} crossing of θ₂ = 2πk and of the stable tube at "
-        "its first one back, with the connections shown at right: their flights in the plane of the angles, in which "
-        f"the outer arm turns {times} before the arms settle about Down-Up again, {number} turns on (dot: the section "
-        "at time zero). "
-        "Below: both angles against time; dotted lines mark where the flight leaves one orbit and joins the other. "
-        f"{'In all' if resolved else 'At least'} {len(connections)} connections were found at these hits: {counts}; "
-        "those of smaller winding turn there and back. The cut is in pieces: part of the tube has been torn apart by "
-        f"passing near the orbit again.{scattered}",
-        "The paper cuts them on θ₂ = 4π and 6π; here the section is that of the single ones, θ₂ = 2πk, at later hits, "
-        "so that one section shows how single, double and triple turns follow from each other. On θ₁ = θ₂ `dpcontrol "
-        "connect --section aligned` lists them.",
+        "its first one back, with the connections shown at right: flights in the plane of the angles, in which the "
+        f"outer arm turns {times} before the arms settle about Down-Up again, {number} turns on (dot: the section at "
+        "time zero). Below: both angles against time; dotted lines mark where the flight leaves one orbit and joins "
+        f"the other. {'In all' if resolved else 'At least'} {len(connections)} connections were found at these hits: "
+        f"{counts}; those of smaller winding turn there and back. The cut is in pieces, torn apart where the tube "
+        f"passes near the orbit again{'' if resolved else torn}.",
+        "The paper cuts them on θ₂ = 4π and 6π; here the section is that of the single ones, θ₂ = 2πk, at later hits. "
+        "On θ₁ = θ₂ `dpcontrol connect --section aligned` lists them.",
     )
 
 
@@ -295,13 +268,8 @@ def three_body_page(gallery: Gallery) -> Page:
     _forbidden(plane, gallery)
     _tubes(plane, atlas, kind.section, kind.hits[0])
     _bodies(plane, atlas, mu)
-    plane.legend(
-        handles=[
-            Line2D([], [], color=style.UNSTABLE, label="unstable tube of L1"),
-            Line2D([], [], color=style.STABLE, label="stable tube of L2"),
-        ],
-        fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=2, borderaxespad=0.2,
-    )  # fmt: skip
+    looks = [("unstable tube of L1", style.UNSTABLE), ("stable tube of L2", style.STABLE)]
+    key(plane, looks, fontsize=8, loc="lower left", bbox_to_anchor=(0, 1.0), ncols=2, borderaxespad=0.2)
     cuts = figure.add_axes((0.46, 0.1, 0.22, 0.76))
     draw_cuts(cuts, atlas, kind, numbers={c.name: "ab"[k] for k, c in enumerate(connections_of(atlas, kind)[:2])},
               legend=False)  # fmt: skip
@@ -322,8 +290,8 @@ def three_body_page(gallery: Gallery) -> Page:
         f"{kind.hits[0]} of the line x = 1 - μ. Middle: the cuts there, with the {kind.count} connections found. "
         "Right: the first of them, whole.",
         f"Both tubes pass the line once before they can meet: hits {list(kind.hits)} are the first at which there are "
-        "connections from L1 to L2. The code is that of the pendulum; the energy's constant is that of the paper's "
-        "appendix. Cuts are open where trajectories of the tube pass close to the smaller primary and are scattered.",
+        "connections from L1 to L2. The energy's constant is that of the paper's appendix. Cuts are open where "
+        "trajectories of the tube pass close to the smaller primary and are scattered.",
     )
 
 
@@ -334,13 +302,9 @@ def _forbidden(axes: Axes, gallery: Gallery) -> None:
     states = np.stack([x, y, 0 * x, 0 * x], axis=-1).reshape(-1, 4)
     potential = system.numeric.hamiltonian(states).reshape(x.shape)
     axes.contourf(x, y, potential, levels=[THREE_BODY_ENERGY, 1e9], colors=["#c4c9cf"])
-    quiet(axes)
+    quiet(axes, x="x", y="y")
     axes.grid(False)
-    axes.set_xlim(0.89, 1.11)
-    axes.set_ylim(-0.11, 0.11)
-    axes.set_aspect("equal")
-    axes.set_xlabel("x", fontsize=9)
-    axes.set_ylabel("y", fontsize=9, labelpad=1)
+    axes.set(xlim=(0.89, 1.11), ylim=(-0.11, 0.11), aspect="equal")
 
 
 def _tubes(axes: Axes, atlas: Atlas, section: str, hit: int) -> None:
@@ -353,11 +317,11 @@ def _tubes(axes: Axes, atlas: Atlas, section: str, hit: int) -> None:
 
 def _bodies(axes: Axes, atlas: Atlas, mu: float) -> None:
     for orbit in atlas.orbits:
-        closed = np.vstack([orbit.samples, orbit.samples[:1]])
+        closed = placed(atlas, orbit)
         axes.plot(closed[:, 0], closed[:, 1], color=style.saddle_colour(orbit.saddle), linewidth=2.4, zorder=5)
         axes.annotate(orbit.saddle, closed[:, :2].max(axis=0), fontsize=9, color=style.saddle_colour(orbit.saddle))
     axes.plot(1 - mu, 0, "o", color=style.INK, markersize=5, zorder=6)
-    axes.axvline(1 - mu, color=style.MARK, linewidth=0.8, linestyle=(0, (2, 2)))
+    axes.axvline(1 - mu, color=style.MARK, linewidth=0.8, linestyle=DOTTED)
 
 
 ENERGIES = (-0.3, -0.07, 0.2, 0.55)
@@ -401,25 +365,20 @@ def landscape_page(gallery: Gallery) -> Page:
         words = {0: "no saddle reached", 2: "both saddles open", 3: "everything reached"}.get(
             len(passable), " and ".join(passable) + " open"
         )
-        quiet(axes, f"{energy:g} J: {words}")
-        axes.title.set_fontsize(8.5)
+        quiet(axes, f"{energy:g} J: {words}", x="θ₁", y="" if k else "θ₂", size=8.5)
         axes.grid(False)
         axes.set_aspect("equal")
         angle_axis(axes, "x", step=1.0)
         angle_axis(axes, "y", step=1.0)
-        axes.set_xlabel("θ₁", fontsize=9, labelpad=1)
-        if k == 0:
-            axes.set_ylabel("θ₂", fontsize=9, labelpad=-2)
     listed = ", ".join(f"{name} {point.energy:+.4f} J" for name, point in points.items())
     return Page(
         figure,
         "Left: the potential energy over the torus of the two angles (from hanging). Right: Hill's regions at four "
-        "energies; blue may be reached, grey may not, the line between is where both arms stand still. Circle: the "
-        "stable equilibrium; squares: the saddles Down-Up and Up-Down, through whose necks an arm turns; triangle: the "
-        "maximum Up-Up. Green: the energy reaches it; red: it does not. Equilibria: " + listed + ".",
-        "Energies are chosen one between each two equilibria, so that every kind of Hill's region is seen once; "
-        "parameters are the rig's identified ones, since those printed in the paper are not the values behind its "
-        "pictures.",
+        "energies; blue may be reached, grey may not. Circle: the stable equilibrium; squares: the saddles Down-Up and "
+        "Up-Down, through whose necks an arm turns; triangle: the maximum Up-Up. Green: the energy reaches it; red: it "
+        "does not. Equilibria: " + listed + ".",
+        "Energies are chosen one between each two equilibria; parameters are the rig's identified ones, since those "
+        "printed in the paper are not the values behind its pictures.",
     )
 
 
@@ -525,40 +484,38 @@ def _loop(axes: Axes, x: float, y: float, sign: int, size: float, *, dashed: boo
 
 def draw_interior(interior: TubeInterior) -> Figure:
     """Return the figure: the start and its forward returns above, its backward returns below."""
-    returns = interior.forward.arrived.shape[1]
-    figure = Figure(figsize=(3.5 * (returns + 1), 7.9), dpi=110, facecolor="white")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots(
+    returns, orbit = interior.forward.arrived.shape[1], interior.orbit
+    figure = new_figure(
+        3.5 * (returns + 1), 7.9, f"Inside the unstable tube of {orbit.saddle} at {orbit.energy:g} J "
+        f"(branch {interior.branch:+d}), cut on {interior.section.name}"
+    )  # fmt: skip
+    panels = figure.subplots(
         2, returns + 1, sharex=True, sharey=True,
         gridspec_kw={"left": 0.055, "right": 0.99, "top": 0.855, "bottom": 0.08, "wspace": 0.06, "hspace": 0.2},
     )  # fmt: skip
-    figure.suptitle(_heading(interior), x=0.055, y=0.975, ha="left", fontsize=13, color=style.INK)
     saturation = 0.12 + 0.88 * np.clip(interior.radius, 0, 1)
     hue = interior.angle / (2 * np.pi)
     colours = hsv_to_rgb(np.column_stack([hue, saturation, np.full(len(hue), 0.93)]))
-    own = next(o for o in interior.outlines if o.branch == interior.branch and not o.stable)
-    direction = own.direction
+    direction = next(o.direction for o in interior.outlines if o.branch == interior.branch and not o.stable)
     size = _marker(interior)
+    for row, (word, run) in enumerate((("forward", interior.forward), ("backward", interior.backward))):
+        for k, axes in enumerate(panels[row]):
+            quiet(axes, f"start: {len(hue)} points", x="q (rad)" if row else "", y="" if k else "p / p₀", size=9)
+            axes.grid(False)
+            _outlines(axes, interior.outlines, direction)
+            if k == 0:
+                q = (interior.points[:, 0] + np.pi) % (2 * np.pi) - np.pi
+                axes.scatter(q, interior.points[:, 1], s=size, c=colours, marker="s", linewidths=0)
+                continue
+            for way, opacity in ((-direction, 0.3), (direction, 1.0)):
+                here = run.arrived[:, k - 1] & (run.direction[:, k - 1] == way)
+                points = run.points[here, k - 1]
+                axes.scatter(*points.T, s=0.5 * size, c=colours[here], alpha=opacity, linewidths=0)
+            axes.set_title(_returned(run, k, word), loc="left", fontsize=9)
     both = (interior.forward, interior.backward)
-    for row, run in enumerate(both):
-        _start(axes[row, 0], interior, colours, direction, size)
-        for k in range(returns):
-            ax = axes[row, k + 1]
-            _returned(ax, run, k, colours, direction, size)
-            _outlines(ax, interior.outlines, direction)
-            word = "forward" if row == 0 else "backward"
-            ax.set_title(_title(run, k, f"return {k + 1} {word}"), fontsize=9, color=style.INK)
-    axes[0, 0].set_title(f"start: {len(hue)} points", fontsize=9, color=style.INK)
-    axes[1, 0].set_title("start", fontsize=9, color=style.INK)
     arrived = np.concatenate([r.points[r.arrived] for r in both] + [o.vertices for o in interior.outlines])
-    high = 1.08 * float(np.abs(arrived[:, 1]).max())
-    wide = min(np.pi, 1.08 * float(np.abs(arrived[:, 0]).max()))
-    axes[0, 0].set_xlim(-wide, wide)
-    axes[0, 0].set_ylim(-high, high)
-    for ax in axes[1]:
-        ax.set_xlabel("q (rad)", fontsize=9)
-    for ax in axes[:, 0]:
-        ax.set_ylabel("p / p₀", fontsize=9)
+    wide, high = 1.08 * np.abs(arrived).max(axis=0)
+    panels[0, 0].set(xlim=(-min(np.pi, wide), min(np.pi, wide)), ylim=(-high, high))
     figure.text(
         0.055, 0.928,
         "Hue: angle about the innermost point at the start; saturation: how near to the cut. Pale dots cross the "
@@ -567,14 +524,6 @@ def draw_interior(interior: TubeInterior) -> Figure:
         fontsize=9, color=style.CART, va="center",
     )  # fmt: skip
     return figure
-
-
-def _heading(interior: TubeInterior) -> str:
-    orbit = interior.orbit
-    return (
-        f"Inside the unstable tube of {orbit.saddle} at {orbit.energy:g} J "
-        f"(branch {interior.branch:+d}), cut on {interior.section.name}"
-    )
 
 
 def _marker(interior: TubeInterior) -> float:
@@ -586,38 +535,22 @@ def _marker(interior: TubeInterior) -> float:
     return float(np.clip((1.05 * 230 * share / across) ** 2, 2.5, 60.0))
 
 
-def _start(ax: Axes, interior: TubeInterior, colours: Array, direction: int, size: float) -> None:
-    q = (interior.points[:, 0] + np.pi) % (2 * np.pi) - np.pi
-    ax.scatter(q, interior.points[:, 1], s=size, c=colours, marker="s", linewidths=0)
-    _outlines(ax, interior.outlines, direction)
-
-
-def _returned(ax: Axes, run: Returns, k: int, colours: Array, direction: int, size: float) -> None:
-    for way, opacity in ((-direction, 0.3), (direction, 1.0)):
-        here = run.arrived[:, k] & (run.direction[:, k] == way)
-        points = run.points[here, k]
-        ax.scatter(points[:, 0], points[:, 1], s=0.5 * size, c=colours[here], alpha=opacity, linewidths=0)
-
-
-def _outlines(ax: Axes, outlines: tuple[Outline, ...], direction: int) -> None:
+def _outlines(axes: Axes, outlines: tuple[Outline, ...], direction: int) -> None:
     for outline in outlines:
         closed = np.vstack([outline.vertices, outline.vertices[:1]])
         turns = np.rint((closed[:, 0].min() + closed[:, 0].max()) / 2 / (2 * np.pi))
         colour = style.STABLE if outline.stable else style.UNSTABLE
         opacity = 1.0 if outline.direction == direction else 0.25
-        ax.plot(closed[:, 0] - 2 * np.pi * turns, closed[:, 1], color=colour, lw=1.1, alpha=opacity)
-    ax.tick_params(labelsize=8, colors=style.CART)
-    for spine in ax.spines.values():
-        spine.set_color(style.FAINT)
+        axes.plot(closed[:, 0] - 2 * np.pi * turns, closed[:, 1], color=colour, lw=1.1, alpha=opacity, zorder=3)
 
 
-def _title(run: Returns, k: int, name: str) -> str:
-    arrived = run.arrived[:, k]
+def _returned(run: Returns, k: int, word: str) -> str:
+    arrived = run.arrived[:, k - 1]
     count = max(1, int(arrived.sum()))
-    stable = np.count_nonzero(run.in_stable[arrived, k]) / count
-    unstable = np.count_nonzero(run.in_unstable[arrived, k]) / count
+    stable = np.count_nonzero(run.in_stable[arrived, k - 1]) / count
+    unstable = np.count_nonzero(run.in_unstable[arrived, k - 1]) / count
     missing = np.count_nonzero(~arrived)
-    text = f"{name}\n{unstable:.0%} in unstable, {stable:.0%} in stable cuts"
+    text = f"return {k} {word}\n{unstable:.0%} in unstable, {stable:.0%} in stable cuts"
     return text + (f", {missing} do not return" if missing else "")
 
 
@@ -660,39 +593,21 @@ def branches_page(gallery: Gallery) -> Page:
     grid = figure.add_gridspec(2, 3, left=0.05, right=0.99, top=0.86, bottom=0.07, hspace=0.2, wspace=0.2)
     for column, diagram in enumerate(diagrams):
         coordinate, section = _COORDINATES[diagram.source if diagram.source == diagram.target else "between"]
-        title = (
-            f"{diagram.source} to itself"
-            if diagram.source == diagram.target
-            else (f"{diagram.source} to {diagram.target}")
-        )
-        for row, label in enumerate((f"{coordinate} (rad)", "p / p₀")):
-            axes = figure.add_subplot(grid[row, column])
-            _branches(axes, diagram, row)
-            quiet(axes, f"{title}: on {section}" if row == 0 else "")
-            axes.set_ylabel(label, fontsize=9, labelpad=1)
-            if row == 0:
-                angle_axis(axes, "y")
-            else:
-                axes.set_xlabel("energy (J)", fontsize=9)
-                _counts(axes, diagram)
-    lines = [
-        Line2D([], [], color=style.saddle_colour("down-up"), lw=1.8, label="symmetric (teal, violet)"),
-        Line2D([], [], color=_PAIR, lw=1.2, label="one of a mirror pair"),
-        Line2D([], [], color=_BETWEEN, lw=1.1, label="between different saddles"),
-        *(
-            Line2D([], [], color=style.INK, marker=MARKS[kind], lw=0, markersize=6, mfc="white", label=_EVENTS[kind])
-            for kind in MARKS
-        ),
+        title = f"{_pair(diagram)}: on {section}"
+        angle, momentum = figure.add_subplot(grid[0, column]), figure.add_subplot(grid[1, column])
+        quiet(angle, title, y=f"{coordinate} (rad)")
+        quiet(momentum, x="energy (J)", y="p / p₀")
+        _branches(angle, diagram, 0)
+        _branches(momentum, diagram, 1)
+        angle_axis(angle, "y")
+        _counts(momentum, diagram)
+    looks: list[tuple[str, dict]] = [
+        ("symmetric (teal, violet)", {"color": style.saddle_colour("down-up"), "lw": 1.8}),
+        ("one of a mirror pair", {"color": _PAIR, "lw": 1.2}),
+        ("between different saddles", {"color": _BETWEEN, "lw": 1.1}),
+        *((_EVENTS[kind], {"color": style.INK, "marker": m, "lw": 0, "mfc": "white"}) for kind, m in MARKS.items()),
     ]
-    figure.legend(
-        handles=lines,
-        loc="upper left",
-        bbox_to_anchor=(0.042, 0.955),
-        ncol=6,
-        fontsize=8.5,
-        columnspacing=1.2,
-        frameon=False,
-    )
+    key(figure, looks, loc="upper left", bbox_to_anchor=(0.042, 0.955), ncols=6, columnspacing=1.2)
     return Page(figure, _caption(diagrams), _differs(diagrams))
 
 
@@ -736,21 +651,23 @@ def _counts(axes: Axes, diagram: BranchDiagram) -> None:
         axes.annotate(f"{'' if complete else '≥'}{count}", (energy, 0.0), xytext=(-2, 3), ha="right", **look)
 
 
+def _pair(diagram: BranchDiagram) -> str:
+    return f"{diagram.source} to {'itself' if diagram.source == diagram.target else diagram.target}"
+
+
 def _caption(diagrams: list[BranchDiagram]) -> str:
     words = []
     for d in diagrams:
-        name = f"{d.source} to itself" if d.source == d.target else f"{d.source} to {d.target}"
-        kinds = ", ".join(
-            f"{n} {kind}{'s' if n > 1 else ''}" for kind in MARKS if (n := sum(m.kind == kind for m in d.marks))
-        )
-        least = "" if d.counts[-1][2] else "at least "
-        words.append(f"{name}: {d.counts[0][1]} connections at {d.counts[0][0]:.4f} J and {least}{d.counts[-1][1]} at "
-                     f"{d.counts[-1][0]:.4f} J by {kinds}")  # fmt: skip
+        counted = {kind: sum(m.kind == kind for m in d.marks) for kind in MARKS}
+        kinds = ", ".join(f"{n} {kind}{'s' if n > 1 else ''}" for kind, n in counted.items() if n)
+        (begin, first, _), (end, last, whole) = d.counts[0], d.counts[-1]
+        least = "" if whole else "at least "
+        words.append(f"{_pair(d)}: {first} connections at {begin:.4f} J and {least}{last} at {end:.4f} J by {kinds}")
     unexplained = sum(d.unexplained for d in diagrams)
     causes = (
-        "Every change of the numbers has a located cause"
-        if not unexplained
-        else (f"{unexplained} changes of the numbers have no located cause")
+        f"{unexplained} changes of the numbers have no located cause"
+        if unexplained
+        else "Every change of the numbers has a located cause"
     )
     return (
         "Where each connection crosses its section, as energy grows: its angle there (above) and the momentum across "
@@ -778,8 +695,7 @@ def _differs(diagrams: list[BranchDiagram]) -> str:
         "Folds and splittings are located instead of read off a list of counts, and distinguished from grazes of the "
         "section, which only move a connection to another number of hits. Both orbits exist from 0.1754 J on, which "
         "the paper gives for the onset of heteroclinics; the first of them that meets its section once each appears at "
-        f"{onset:.6f} J, and none below it. Counts are of both senses and of all images on the torus. Parameters are "
-        "the rig's identified ones; with those printed in the text all these energies differ."
+        f"{onset:.6f} J. With the parameters printed in the paper's text all these energies differ."
     )
 
 
@@ -792,8 +708,8 @@ FIGURES: dict[str, Callable[[Gallery], Page]] = {
     "heteroclinics": heteroclinics_page,
     "branches": branches_page,
     "graph": graph_page,
-    "double-homoclinics": draw_double,
-    "triple-homoclinics": draw_triple,
+    "double-homoclinics": partial(draw_repeated, turns=2),
+    "triple-homoclinics": partial(draw_repeated, turns=3),
     "colour-wheels": wheels_page,
     "three-body": three_body_page,
 }
@@ -833,8 +749,7 @@ def draw_figures(
         part = part_of(progress, k / len(chosen), (k + 1) / len(chosen))
         page = FIGURES[name](replace(gallery, progress=part))
         file = Path(folder) / f"{name}.png"
-        with whole_file(file, suffix=".png") as temporary:
-            page.figure.savefig(temporary, format="png")
+        save_figure(page.figure, file)
         drawn.append(Drawn(name, file, page.caption, page.differs, time.perf_counter() - began))
     _write_captions(Path(folder) / CAPTIONS, drawn)
     return tuple(drawn)

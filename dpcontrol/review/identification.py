@@ -3,15 +3,13 @@
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from dpcontrol.identification.design import Design
 from dpcontrol.identification.identify import Identification, LossProfile
+from dpcontrol.review import style
 from dpcontrol.review.page import new_figure, quiet
 
-Array = NDArray[np.float64]
-
-_USED, _LEFT, _BEFORE, _LINE = "#9aa4b1", "#d1662a", "#404751", "#2f6fb0"
+_USED, _LEFT, _BEFORE, _LINE = style.REFERENCE, style.ARMS[1], style.NOTE, style.ARMS[0]
 _PER_ROW = 6
 
 
@@ -43,8 +41,7 @@ def _candidates(axes: Axes, found: Identification) -> None:
     axes.set_yticks(range(len(rows)), [name for name, _ in rows], fontsize=8)
     axes.invert_yaxis()
     axes.set_xlim(left=0.0)
-    axes.set_xlabel("error (mrad): each segment left out, and | all together", fontsize=8)
-    quiet(axes, "Terms tried; the chosen ones in colour")
+    quiet(axes, "Terms tried; the chosen ones in colour", x="error (mrad): each segment left out, and | all together")
 
 
 def _segments(axes: Axes, found: Identification) -> None:
@@ -54,9 +51,8 @@ def _segments(axes: Axes, found: Identification) -> None:
     rms = 1e3 * np.array([s.rms for s in found.segments])
     axes.bar(index[used], rms[used], color=_USED, label="used")
     axes.bar(index[~used], rms[~used], color=_LEFT, label="left out")
-    axes.set_xlabel("segment", fontsize=8)
     axes.legend(fontsize=8, frameon=False)
-    quiet(axes, "Error of each segment (mrad, rms)")
+    quiet(axes, "Error of each segment (mrad, rms)", x="segment")
 
 
 def _errors(axes: Axes, found: Identification) -> None:
@@ -67,11 +63,10 @@ def _errors(axes: Axes, found: Identification) -> None:
         times = found.segments[k].start + period * np.arange(len(residual))
         for arm in range(residual.shape[1]):
             label = f"arm {arm + 1}" if k == shown[0] else None
-            axes.plot(times, 1e3 * residual[:, arm], linewidth=0.8, color=(_LINE, _LEFT, _BEFORE)[arm % 3], label=label)
+            axes.plot(times, 1e3 * residual[:, arm], linewidth=0.8, color=style.arm_colour(arm), label=label)
     axes.axhline(0.0, color=_BEFORE, linewidth=0.6)
-    axes.set_xlabel("time in the recording (s)", fontsize=8)
     axes.legend(fontsize=8, frameon=False, ncols=3)
-    quiet(axes, "Measured less predicted angle on what was left out (mrad)")
+    quiet(axes, "Measured less predicted angle on what was left out (mrad)", x="time in the recording (s)")
 
 
 def _correlation(axes: Axes, found: Identification, figure: Figure) -> None:
@@ -92,11 +87,9 @@ def _profile(axes: Axes, curve: LossProfile, *, first: bool) -> None:
     axes.plot(at, 100 * np.append(curve.promised, 0.0)[order], color=_USED, linewidth=2.5, label="linearised")
     axes.plot(at, 100 * np.append(curve.rises, 0.0)[order], "o", color=_LINE, markersize=4, label="fitted again")
     axes.set_xlim(-3.4, 3.4)
-    axes.tick_params(labelsize=7)
-    axes.set_title(f"{curve.name} = {curve.best:.4g} ± {curve.error:.1g}", fontsize=8, loc="left")
+    x, y = ("off by (standard errors)", "misfit rises by (%)") if first else ("", "")
+    quiet(axes, f"{curve.name} = {curve.best:.4g} ± {curve.error:.1g}", x=x, y=y, size=8)
     if first:
-        axes.set_ylabel("misfit rises by (%)", fontsize=7)
-        axes.set_xlabel("off by (standard errors)", fontsize=7)
         axes.legend(fontsize=6, frameon=False)
 
 
@@ -118,15 +111,12 @@ def draw_design(design: Design, *, title: str) -> Figure:
         axes.plot(
             [e.frequency for e in of], [e.information for e in of], "o-", markersize=4, label=f"{amplitude:g} m/s²"
         )
-    axes.set_xlabel("frequency of the cart's acceleration (Hz)", fontsize=9)
     axes.legend(fontsize=8, frameon=False)
-    quiet(axes, "From hanging, the cart driven: digits known")
+    quiet(axes, "From hanging, the cart driven: digits known", x="frequency of the cart's acceleration (Hz)")
     axes = figure.add_subplot(grid[2])
-    errors = {
-        f"best: {first.text}": _relative_errors(first.matrix),
-        f"with {second.text}": _relative_errors(first.matrix + second.matrix),
-    }
-    for k, (label, values) in enumerate(errors.items()):
+    known = {f"best: {first.text}": first.matrix, f"with {second.text}": first.matrix + second.matrix}
+    for k, (label, matrix) in enumerate(known.items()):
+        values = np.sqrt(np.diag(np.linalg.pinv(matrix, hermitian=True)))
         axes.barh(np.arange(len(values)) + 0.38 * k, values, height=0.36, color=(_USED, _LEFT)[k], label=label)
     axes.set_yticks(np.arange(len(design.names)) + 0.19, [n.partition("/")[0] for n in design.names], fontsize=8)
     axes.set_xscale("log")
@@ -139,7 +129,7 @@ def draw_design(design: Design, *, title: str) -> Figure:
 def _swing_map(axes: Axes, swings: list, pair: tuple, figure: Figure) -> None:
     if len(swings[0].angles) == 1:
         axes.plot([np.degrees(e.angles[0]) for e in swings], [e.information for e in swings], "o-", color=_LINE)
-        axes.set_xlabel("let go at (degrees)", fontsize=9)
+        labels = ("let go at (degrees)", "")
     else:
         shown = [e for e in swings if len(e.angles) == 2 or abs(e.angles[2]) < 1e-9]
         usable = np.array([e.usable for e in shown])
@@ -153,11 +143,6 @@ def _swing_map(axes: Axes, swings: list, pair: tuple, figure: Figure) -> None:
                     str(number), np.degrees(one.angles[:2]), color="white", ha="center", va="center", weight="bold"
                 )
         figure.colorbar(dots, ax=axes, label="digits known")
-        axes.set_xlabel("inner arm let go at (degrees)", fontsize=9)
-        axes.set_ylabel("outer arm (degrees)", fontsize=9)
+        labels = ("inner arm let go at (degrees)", "outer arm (degrees)")
         axes.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.09))
-    quiet(axes, "Free swings from rest; 1, 2: the best pair")
-
-
-def _relative_errors(matrix: Array) -> Array:
-    return np.sqrt(np.diag(np.linalg.pinv(matrix, hermitian=True)))
+    quiet(axes, "Free swings from rest; 1, 2: the best pair", x=labels[0], y=labels[1])

@@ -9,14 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.ticker import SymmetricalLogLocator
-from numpy.typing import NDArray
 
 from dpcontrol.orbits.family import LyapunovFamily
 from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
 from dpcontrol.review import style
-from dpcontrol.review.page import angle_axis, new_figure, quiet
+from dpcontrol.review.page import angle_axis, key, new_figure, quiet
 
 _SHAPES = 12
 _SAMPLES = 300
@@ -36,27 +34,26 @@ def draw_families(families: Sequence[LyapunovFamily], title: str) -> Figure:
     for k, family in enumerate(families):
         _shapes(figure.add_subplot(grid[0, k]), family, scale, angular=angular)
     periods, multipliers = figure.add_subplot(grid[0, count]), figure.add_subplot(grid[0, count + 1])
+    panels = ((periods, "period (s)" if angular else "period"), (multipliers, "unstable Floquet multiplier"))
+    for axes, name in panels:
+        quiet(axes, name, x="energy (J)" if angular else "energy")
     for family in families:
-        look = {"color": style.saddle_colour(family.saddle), "label": family.saddle, "linewidth": 1.6}
-        sizes = np.abs(family.floquet_multipliers[:, 0])
-        periods.plot(family.energies, family.periods, **look)
-        multipliers.semilogy(family.energies, sizes, **look)
+        colour, sizes = style.saddle_colour(family.saddle), np.abs(family.floquet_multipliers[:, 0])
+        for axes, values in ((periods, family.periods), (multipliers, sizes)):
+            axes.plot(family.energies, values, color=colour, label=family.saddle, linewidth=1.6)
         for event in family.events:
-            for axes, value in (
-                (periods, event.orbit.period),
-                (multipliers, np.abs(event.orbit.floquet_multipliers[0])),
-            ):
-                axes.plot(event.orbit.energy, value, "x", color=style.LIMIT, ms=7)
-                axes.annotate(event.kind, (event.orbit.energy, float(value)), fontsize=8, color=style.LIMIT)
-    for axes, name in ((periods, "period (s)" if angular else "period"), (multipliers, "unstable Floquet multiplier")):
-        quiet(axes, name)
-        axes.tick_params(axis="y", which="minor", labelsize=7)
-        axes.set_xlabel("energy (J)" if angular else "energy", fontsize=9)
+            orbit = event.orbit
+            for axes, value in ((periods, orbit.period), (multipliers, np.abs(orbit.floquet_multipliers[0]))):
+                axes.plot(orbit.energy, value, "x", color=style.LIMIT, ms=7)
+                axes.annotate(event.kind, (orbit.energy, float(value)), fontsize=8, color=style.LIMIT)
+    multipliers.set_yscale("log")
+    multipliers.tick_params(axis="y", which="minor", labelsize=7)
+    for axes, _ in panels:
         axes.legend(fontsize=8.5, frameon=False)
     ends = [
-        f"{family.saddle} {'; '.join(f'{way} {end.energy:.6g}: {end.reason}' for way, end in ways)}"
+        f"{family.saddle} from {first.energy:.6g}: {first.reason}; to {last.energy:.6g}: {last.reason}"
         for family in families
-        for ways in (list(zip(("from", "to"), family.ends, strict=True)),)
+        for first, last in (family.ends,)
     ]
     figure.text(0.015, 0.02, "\n".join(ends), fontsize=8, color=style.NOTE, va="bottom")
     return figure
@@ -77,10 +74,8 @@ def _shapes(axes: Axes, family: LyapunovFamily, scale: Normalize, *, angular: bo
     for orbit, curve in zip(chosen[::-1], curves[::-1], strict=True):
         axes.plot(*curve[:, columns].T, color=_SHADES(scale(orbit.energy)), linewidth=1.3)
     axes.plot(*system.equilibrium(family.saddle)[columns], "+", color=style.LIMIT, markersize=9, zorder=5)
-    quiet(axes, f"about {family.saddle}")
-    names = (f"θ{style.number(arm)} (rad)", f"ω{style.number(arm)} (rad/s)") if angular else ("x", "y")
-    axes.set_xlabel(names[0], fontsize=9)
-    axes.set_ylabel(names[1], fontsize=9, labelpad=1)
+    x, y = (f"θ{style.number(arm)} (rad)", f"ω{style.number(arm)} (rad/s)") if angular else ("x", "y")
+    quiet(axes, f"about {family.saddle}", x=x, y=y)
     if angular:
         angle_axis(axes, "x")
     assert axes.figure is not None
@@ -89,9 +84,13 @@ def _shapes(axes: Axes, family: LyapunovFamily, scale: Normalize, *, angular: bo
     bar.ax.set_title("J" if angular else "energy", fontsize=8)
 
 
-KINDS = {"elliptic": "#1e7a3c", "hyperbolic": "#b3261e", "inverse hyperbolic": "#d9640d", "parabolic": "#5b6470"}
+KINDS = {
+    "elliptic": style.GOOD,
+    "hyperbolic": style.LIMIT,
+    "inverse hyperbolic": style.ARMS[1],
+    "parabolic": style.CART,
+}
 _ROTATING_SHAPES = 3
-_POINTS = 300
 
 
 def draw_rotating_families(families: Sequence[RotatingFamily]) -> Figure:
@@ -112,22 +111,21 @@ def draw_rotating_families(families: Sequence[RotatingFamily]) -> Figure:
             traces.plot(orbit.energy, orbit.trace, "o", color=style.INK, markersize=4)
             periods.plot(orbit.energy, orbit.period, "o", color=style.INK, markersize=4)
         for k in np.unique(np.rint(np.linspace(0, len(family.members) - 1, _ROTATING_SHAPES)).astype(int)):
-            _shape(shapes, family.members[k])
+            orbit = family.members[k]
+            states = orbit.system.propagator.sample(orbit.state, np.linspace(0.0, orbit.period, _SAMPLES))
+            shapes.plot(states[:, 0], states[:, 1], color=KINDS[orbit.kind], linewidth=1.0)
     traces.set_yscale("symlog", linthresh=4)
     traces.yaxis.set_major_locator(SymmetricalLogLocator(base=10, linthresh=10))
     for critical in (2, -2):
         traces.axhline(critical, color=style.FAINT, linewidth=1.0, linestyle="--")
     quiet(traces, "trace of the section's map, ±2 dashed (dots: stability changes or the family folds)")
-    quiet(periods, "period (s)")
-    periods.set_xlabel("energy (J)", fontsize=9)
-    quiet(shapes, "some of the orbits over one period")
-    shapes.set_xlabel("θ₁ (rad)", fontsize=9)
-    shapes.set_ylabel("θ₂ (rad)", fontsize=9)
-    for axis in ("x", "y"):
-        angle_axis(shapes, axis)
+    quiet(periods, "period (s)", x="energy (J)")
+    quiet(shapes, "some of the orbits over one period", x="θ₁ (rad)", y="θ₂ (rad)")
+    angle_axis(shapes, "x")
+    angle_axis(shapes, "y")
     seen = {member.kind for family in families for member in family.members}
-    handles = [Line2D([], [], color=KINDS[kind], label=kind) for kind in KINDS if kind in seen]
-    figure.legend(handles=handles, loc="upper right", ncols=len(handles), fontsize=9, frameon=False)
+    looks = [(kind, colour) for kind, colour in KINDS.items() if kind in seen]
+    key(figure, looks, loc="upper right", ncols=len(looks), fontsize=9)
     return figure
 
 
@@ -136,9 +134,3 @@ def _runs(members: Sequence[RotatingOrbit]) -> list[tuple[str, list[RotatingOrbi
     for (_, before), (_, after) in pairwise(runs):
         before.append(after[0])
     return runs
-
-
-def _shape(axes: Axes, orbit: RotatingOrbit) -> None:
-    times = np.linspace(0.0, orbit.period, _POINTS)
-    states: NDArray[np.float64] = orbit.system.propagator.sample(orbit.state, times)
-    axes.plot(states[:, 0], states[:, 1], color=KINDS[orbit.kind], linewidth=1.0)

@@ -5,6 +5,7 @@ time, phase planes, symbols and events. The helpers for figures, frames, axes in
 other page and figure too.
 """
 
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from textwrap import shorten, wrap
@@ -54,10 +55,12 @@ def save_figure(figure: Figure, path: Path | str) -> None:
         figure.savefig(temporary, format=kind)
 
 
-def quiet(axes: Axes, label: str = "", *, size: float = 9.5) -> None:
-    """Set a panel's title and its quiet frame and grid."""
-    if label:
-        axes.set_title(label, loc="left", fontsize=size, color=style.INK, pad=4)
+def quiet(axes: Axes, title: str = "", *, x: str = "", y: str = "", size: float = 9.5) -> None:
+    """Set a panel's title, the labels of its axes, and its quiet frame and grid."""
+    if title:
+        axes.set_title(title, loc="left", fontsize=size, color=style.INK, pad=4)
+    axes.set_xlabel(x, fontsize=SMALL, color=style.NOTE, labelpad=1)
+    axes.set_ylabel(y, fontsize=SMALL, color=style.NOTE, labelpad=1)
     axes.tick_params(labelsize=SMALL, colors=style.NOTE, length=2.5)
     axes.grid(color=style.GRID, linewidth=0.7)
     axes.set_axisbelow(True)
@@ -66,13 +69,29 @@ def quiet(axes: Axes, label: str = "", *, size: float = 9.5) -> None:
         spine.set_color(style.FAINT)
 
 
-def legend(axes: Axes, entries: list[tuple[str, dict]]) -> None:
-    """Put a legend on one line above the panel, right, where it cannot cover a curve."""
-    handles = [Line2D([], [], label=label, **look) for label, look in entries]
-    axes.legend(
-        handles=handles, loc="lower right", bbox_to_anchor=(1.005, 1.0), ncols=len(handles), fontsize=SMALL,
-        frameon=False, handlelength=1.5, columnspacing=1.1, handletextpad=0.5, borderpad=0, borderaxespad=0.1,
-    )  # fmt: skip
+def quiet_space(axes: Axes, *, angular: bool, steps: tuple[float, float] = (1.0, 1.0)) -> None:
+    """Name the axes of (first coordinate, second, first rate) in space; ticks every `steps` half turns."""
+    for which, label, step in zip("xy", ("θ₁ (rad)", "θ₂ (rad)") if angular else ("x", "y"), steps, strict=True):
+        getattr(axes, f"set_{which}label")(label, fontsize=9)
+        if angular:
+            angle_axis(axes, which, step=step)
+    axes.set_zlabel("ω₁ (rad/s)" if angular else "x rate", fontsize=9)  # type: ignore[attr-defined]
+    axes.view_init(elev=22, azim=-122)  # type: ignore[attr-defined]
+    axes.tick_params(labelsize=8, colors=style.CART)
+
+
+def key(on: Axes | Figure, entries: Iterable[tuple[str, str | dict[str, Any]]], **where: Any) -> None:
+    """Put a legend without a frame on a panel or a page: each label with its colour, or with its line's look."""
+    looks = [(label, {"color": look} if isinstance(look, str) else look) for label, look in entries]
+    handles = [Line2D([], [], label=label, **look) for label, look in looks]
+    on.legend(handles=handles, **{"fontsize": SMALL, "frameon": False, **where})
+
+
+ABOVE: dict[str, Any] = {
+    "loc": "lower right", "bbox_to_anchor": (1.005, 1.0), "handlelength": 1.5, "columnspacing": 1.1,
+    "handletextpad": 0.5, "borderpad": 0, "borderaxespad": 0.1,
+}  # fmt: skip
+"""Where a key cannot cover a curve: above its panel, right."""
 
 
 def angle_axis(axes: Axes, which: str, *, step: float | None = None) -> None:
@@ -115,7 +134,7 @@ def mark_times(axes: Axes, moments: list[float]) -> None:
         axes.axvline(moment, color=style.MARK, linewidth=0.9, linestyle=DOTTED, zorder=1.5)
 
 
-def limit_line(axes: Axes, value: float) -> None:
+def _limit(axes: Axes, value: float) -> None:
     """Draw a limit, and shade what lies beyond, where the curves come near it."""
     low, high = axes.get_ylim()
     if low - 0.35 * (high - low) < value < high + 0.35 * (high - low):
@@ -123,11 +142,6 @@ def limit_line(axes: Axes, value: float) -> None:
         low, high = min(low, 1.06 * value), max(high, 1.06 * value)
         axes.axhspan(value, 1e3 * value, color=style.LIMIT, alpha=0.08, linewidth=0)
     axes.set_ylim(low, high)
-
-
-def say(axes: Axes, text: str) -> None:
-    """Say in a panel why it is empty."""
-    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", fontsize=9, color=style.NOTE)
 
 
 def badge(axes: Axes, number: int, x: float, y: float, *, size: float = 7.5) -> None:
@@ -179,11 +193,11 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView) -> None:
         axes.axhspan(min(ends), max(ends), color=style.MODES["holding"], alpha=0.35, linewidth=0)
     for level in chart.levels:
         if level.kind == "limit":
-            limit_line(axes, scale * level.value)
+            _limit(axes, scale * level.value)
         elif level.kind == "named":
             _named_level(axes, level)
     # The reference after what follows it.
-    legend(axes, sorted(entries.items(), key=lambda entry: "alpha" in entry[1]))
+    key(axes, sorted(entries.items(), key=lambda entry: "alpha" in entry[1]), ncols=max(len(entries), 1), **ABOVE)
 
 
 def _line(axes: Axes, line: Line, view: RunView, *, scale: float) -> None:
@@ -258,7 +272,7 @@ def draw_plane(axes: Axes, runs: list[tuple[Plane, str]], *, tubes: bool = True)
     axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 2.5, 5, 10]))
     label_in_pi(axes.xaxis)
     if entries:
-        legend(axes, entries)
+        key(axes, entries, ncols=len(entries), **ABOVE)
 
 
 def _joined(curves: list[Array]) -> Array:
@@ -270,12 +284,12 @@ def _joined(curves: list[Array]) -> Array:
 
 def _name_ends(axes: Axes, first: Array, last: Array) -> None:
     """Write start and end beside their marks, as one word where they are near each other."""
-    spans = [max(high - low, 1e-9) for low, high in (axes.get_xlim(), axes.get_ylim())]
+    spans = np.abs([np.diff(axes.get_xlim())[0], np.diff(axes.get_ylim())[0]]).clip(1e-9)
     near = bool((np.abs(last - first) < np.array([0.16, 0.12]) * spans).all())
     for text, place in [("start, end", first)] if near else [("start", first), ("end", last)]:
         if np.isfinite(place).all():
             axes.annotate(
-                text, tuple(place), xytext=(4, -4), textcoords="offset points", ha="left", va="top", fontsize=7.5,
+                text, tuple(place), xytext=(4, -4), textcoords="offset points", va="top", fontsize=7.5,
                 color=style.INK, bbox={"facecolor": "white", "alpha": 0.75, "edgecolor": "none", "pad": 0.6}, zorder=5,
             )  # fmt: skip
 
@@ -399,37 +413,42 @@ _FRAME_STEP = 2.12
 """Between the film's frames, in lengths of all arms: just enough for two stretched towards one another."""
 
 
-def draw_film(axes: Axes, view: RunView, *, frames: int, times: Array | None = None) -> None:
-    """Draw the arms at several instants, the reference grey behind them, the tip's path since the last frame.
+def draw_film(axes: Axes, view: RunView, times: Array) -> None:
+    """Draw the arms at several instants (K,) s, the reference grey behind them, the tip's path since the last frame.
 
-    Without `times` (frames,) in s the film chooses its own; an instant outside the motion is left out.
+    An instant outside the motion is left out.
     """
-    state, arms = view.state, view.arms
-    reach = sum(view.arm_lengths)
-    rows = film_rows(view, frames=frames, times=times)
-    horizontal, vertical = film_extent(view, frames=frames, times=times)
-    axes.set_xlim(*horizontal)
-    axes.set_ylim(*vertical)
-    pivot = view.pivot
-    width = 0.05 * reach
-    for i, row in enumerate(rows):
+    state, arms, reach = view.state, view.arms, sum(view.arm_lengths)
+    horizontal, vertical = film_extent(view, times)
+    axes.set(xlim=horizontal, ylim=vertical)
+    pivot, width, tip = view.pivot, 0.05 * reach, style.arm_colour(arms - 1)
+    rows = film_rows(view, times)
+    for i, (time, row) in enumerate(zip(times, rows, strict=True)):
         at = frame_place(view, i)
-        if times is not None and not view.time[0] <= times[i] <= view.time[-1]:
-            axes.text(at, 0, f"no data at\n{times[i]:.2f} s", ha="center", va="center", fontsize=8.5, color=style.MARK)
+        if not view.time[0] <= time <= view.time[-1]:
+            axes.text(at, 0, f"no data at\n{time:.2f} s", ha="center", va="center", fontsize=8.5, color=style.MARK)
             continue
         if view.has_cart:
             axes.plot([at - 0.98 * reach, at + 0.98 * reach], [0, 0], color=style.FAINT, linewidth=2.5, zorder=1)
             axes.add_patch(Rectangle((at - 0.13 * reach, -width), 0.26 * reach, 2 * width, color=style.CART, zorder=2))
-        since = max(rows[i - 1], row - _rows_in(view, 0.25)) if i else max(row - _rows_in(view, 0.1), 0)
+        before = max(1, round((0.25 if i else 0.1) * view.rate_hz))
+        since = max(rows[i - 1] if i else 0, row - before)
         points = arm_points(state[since : row + 1, :arms], view.arm_lengths)
         points[..., 0] += at + (pivot[since : row + 1] - pivot[row])[:, None]
-        draw_arms(axes, points)
+        last = points[-1]
+        axes.plot(*points[:, -1].T, color=tip, alpha=0.3, linewidth=1.3)
+        for arm in range(arms):
+            look: dict[str, Any] = {"color": style.arm_colour(arm), "linewidth": 2.6, "solid_capstyle": "round"}
+            axes.plot(*last[arm : arm + 2].T, **look, zorder=3)
+        axes.plot(*last[:-1].T, "o", color=style.INK, markersize=3.2, zorder=4)
+        axes.plot(*last[-1], "o", color=tip, markersize=5.5, zorder=4)
         if view.reference is not None:
             ghost = arm_points(view.reference[row : row + 1, :arms], view.arm_lengths)[0]
             shift = at + (view.reference[row, 2 * arms] - pivot[row] if view.has_cart else 0.0)
             look = {"color": "#b4bbc3", "linewidth": 6.5, "solid_capstyle": "round", "zorder": 2.5}
             axes.plot(shift + ghost[:, 0], ghost[:, 1], **look)
-        text = f"{view.time[row]:.2f} s" + (_cart_text(float(pivot[row])) if view.has_cart else "")
+        cart = f"\ncart {round(1000 * pivot[row]):+d} mm" if np.isfinite(pivot[row]) else "\nlost"
+        text = f"{view.time[row]:.2f} s{cart if view.has_cart else ''}"
         look = {"ha": "center", "va": "top", "fontsize": 8.5, "color": style.NOTE, "linespacing": 1.25}
         axes.text(at, vertical[0] + 0.46 * reach, text, **look)
     axes.axis("off")
@@ -440,44 +459,27 @@ def frame_place(view: RunView, frame: int) -> float:
     return frame * _FRAME_STEP * sum(view.arm_lengths)
 
 
-def draw_arms(axes: Axes, points: Array, *, size: float = 1.0) -> None:
-    """Draw the last of the poses (K, n + 1, 2), pivot to tip, and the tip's path through all of them."""
-    last, arms = points[-1], points.shape[1] - 1
-    tip = style.arm_colour(arms - 1)
-    axes.plot(*points[:, -1].T, color=tip, alpha=0.3, linewidth=1.3 * size)
-    for arm in range(arms):
-        look = {"color": style.arm_colour(arm), "linewidth": 2.6 * size, "solid_capstyle": "round", "zorder": 3}
-        axes.plot(*last[arm : arm + 2].T, **look)
-    axes.plot(*last[:-1].T, "o", color=style.INK, markersize=3.2 * size, zorder=4)
-    axes.plot(*last[-1], "o", color=tip, markersize=5.5 * size, zorder=4)
-
-
-def _cart_text(position: float) -> str:
-    return f"\ncart {round(1000 * position):+d} mm" if np.isfinite(position) else "\nlost"
-
-
-def film_extent(view: RunView, *, frames: int, times: Array | None = None) -> tuple[Range, Range]:
+def film_extent(view: RunView, times: Array) -> tuple[Range, Range]:
     """Return the x and y limits in m that `draw_film` needs: as low and as high as the arms reach in its frames."""
-    reach = sum(view.arm_lengths)
-    rows = film_rows(view, frames=frames, times=times)
+    rows, reach = film_rows(view, times), sum(view.arm_lengths)
     shown = [view.state] if view.reference is None else [view.state, view.reference]
     both = np.concatenate([states[rows, : view.arms] for states in shown])
     heights = arm_points(both[np.isfinite(both).all(axis=1)], view.arm_lengths)[..., 1].ravel()
     heights = np.append(heights, 0.0)
     low, high = min(float(heights.min()), -0.2 * reach), max(float(heights.max()), 0.1 * reach)
     step = _FRAME_STEP * reach
-    return (-0.53 * step, (frames - 0.47) * step), (low - 0.62 * reach, high + 0.1 * reach)
+    return (-0.53 * step, (len(times) - 0.47) * step), (low - 0.62 * reach, high + 0.1 * reach)
 
 
-def film_rows(view: RunView, *, frames: int, times: Array | None = None) -> NDArray[np.int64]:
+def film_height(view: RunView, times: Array, *, width: float) -> float:
+    """Return how high a film of this width is, its scales being equal."""
+    (left, right), (low, high) = film_extent(view, times)
+    return width * (high - low) / (right - left)
+
+
+def film_rows(view: RunView, times: Array) -> NDArray[np.int64]:
     """Return the ticks that the film shows."""
-    if times is None:
-        times = film_times(view, frames=frames)
     return np.searchsorted(view.time, times).clip(0, len(view.time) - 1)
-
-
-def _rows_in(view: RunView, seconds: float) -> int:
-    return max(1, round(seconds * view.rate_hz))
 
 
 def film_times(view: RunView, *, frames: int, until: float = np.inf) -> Array:
@@ -533,10 +535,10 @@ def draw(view: RunView) -> Figure:
         top -= 0.022
         story(figure.add_axes((0.062, top - tall, 0.925, tall)), view)
         top -= tall + 0.032
-    horizontal, vertical = film_extent(view, frames=_FRAMES)
-    # As tall as its width makes it with equal scales; the panels below take what is left.
-    tall = 0.98 * _SIZE[0] / _SIZE[1] * (vertical[1] - vertical[0]) / (horizontal[1] - horizontal[0])
-    draw_film(figure.add_axes((0.01, top - tall, 0.98, tall)), view, frames=_FRAMES)
+    times = film_times(view, frames=_FRAMES)
+    # The panels below take what is left.
+    tall = film_height(view, times, width=0.98 * _SIZE[0]) / _SIZE[1]
+    draw_film(figure.add_axes((0.01, top - tall, 0.98, tall)), view, times)
     top -= tall + 0.03
     bottom = 0.005
     left, middle = list(series.motion_charts(view)), list(series.check_charts(view))
@@ -564,22 +566,19 @@ def _stack(
         axes.set_xlim(begin, end)
         last = row == len(chosen) - 1
         axes.tick_params(labelbottom=last)
-        if last:
-            axes.set_xlabel("time (s)", fontsize=8.5, color=style.NOTE, labelpad=1)
+        axes.set_xlabel("time (s)" if last else "")
         mark_times(axes, [at for at, _ in view.plan.symbols if begin <= at <= end])
 
 
 def _heading(figure: Figure, view: RunView) -> None:
     """Write title, origin and verdict at the top of a page."""
     title = shorten(view.title, 112, placeholder=" …")
-    size = 17 if len(title) < 72 else 14
-    figure.text(0.022, 0.975, title, fontsize=size, weight="bold", color=style.INK, va="center")
+    look: dict[str, Any] = {"va": "center", "color": style.INK}
+    figure.text(0.022, 0.975, title, fontsize=17 if len(title) < 72 else 14, weight="bold", **look)
     about = "   ".join([view.path.name, view.metadata.get("program", "")])
-    figure.text(0.985, 0.975, about, fontsize=8.5, color=style.MARK, va="center", ha="right")
+    figure.text(0.985, 0.975, about, fontsize=SMALL, color=style.MARK, va="center", ha="right")
     lines = wrap(view.verdict, 120) or [""]
     if len(lines) > 1:
         lines = wrap(view.verdict, 150, max_lines=2, placeholder=" …")
-    size = 12 if len(lines) == 1 else 9.5
-    figure.text(
-        0.022, 0.947, "\n".join(lines), fontsize=size, color=style.verdict_colour(view.good), va="center"
-    )  # fmt: skip
+    look |= {"color": style.verdict_colour(view.good), "fontsize": 12 if len(lines) == 1 else 9.5}
+    figure.text(0.022, 0.947, "\n".join(lines), **look)

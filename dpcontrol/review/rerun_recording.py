@@ -295,6 +295,7 @@ def _points(states: Array, view: RunView) -> Array:
 
 
 PAPER = [250, 251, 252]
+SUMMARY = "summary"
 
 
 def blueprint(view: RunView, *, from_log: bool) -> rrb.Blueprint:
@@ -314,22 +315,20 @@ def blueprint(view: RunView, *, from_log: bool) -> rrb.Blueprint:
         plane_view(arm, "/phase_planes", bounds(plane(view, arm)), name=f"Arm {arm + 1}: rate over angle")
         for arm in range(min(view.arms, 2))
     ]
-    texts: list[rrb.View] = [rrb.TextDocumentView(name="Summary", origin="/summary")]
+    texts: list[rrb.View] = [summary_view()]
     if view.events:
         columns = rrb.TextLogColumns(text_log_columns=["loglevel", "body"])
         texts.append(rrb.TextLogView(name="Events", origin="/rosout", columns=columns))
     scene = scene_view(view, from_log=from_log, name=f"Scene{grey}")
     left = rrb.Vertical(scene, rrb.Horizontal(*planes), rrb.Horizontal(*texts), row_shares=[4, 4, 2.4])
-    columns_of_views = [left, rrb.Vertical(*middle, row_shares=shares)]
-    if checks:
-        columns_of_views.append(rrb.Vertical(*checks))
-    return page(rrb.Horizontal(*columns_of_views, column_shares=[5, 4.3, 3.7][: len(columns_of_views)]))
+    beside = [rrb.Vertical(*checks)] if checks else []
+    return page([left, rrb.Vertical(*middle, row_shares=shares), *beside], [5, 4.3, 3.7])
 
 
-def page(root: rrb.Container, *, timeline: str = TIMELINE) -> rrb.Blueprint:
-    """Return a blueprint without side panels."""
+def page(columns: Sequence[rrb.Container], shares: Sequence[float], *, timeline: str = TIMELINE) -> rrb.Blueprint:
+    """Return a blueprint of columns of views, as wide as their shares, without side panels."""
     return rrb.Blueprint(
-        root,
+        rrb.Horizontal(*columns, column_shares=shares[: len(columns)]),
         rrb.TimePanel(state="collapsed", timeline=timeline),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -358,6 +357,11 @@ def scene_view(view: RunView, *, from_log: bool, home: str = "/scene", name: str
         spatial_information=rrb.SpatialInformation(target_frame=WORLD) if from_log else None,
         background=PAPER,
     )
+
+
+def summary_view() -> rrb.View:
+    """Return the view of a recording's summary."""
+    return rrb.TextDocumentView(name="Summary", origin=f"/{SUMMARY}")
 
 
 def plane_view(arm: int, home: str, box: Box, *, name: str) -> rrb.View:
@@ -404,9 +408,7 @@ def write_recording(view: RunView, path: Path) -> None:
     if from_log and not view.path.is_file():
         raise InputError(f"the log {view.path} has gone; put it back and try again")
     from_log = from_log and view.time[-1] - view.time[0] <= _LONG
-    with recording_to(path, view.title, blueprint(view, from_log=from_log)) as recording:
-        summary = rr.TextDocument(_summary(view), media_type="text/markdown")
-        recording.log("summary", summary, static=True)
+    with recording_to(path, view.title, blueprint(view, from_log=from_log), _summary(view)) as recording:
         record_strips(recording, "states", strips(view), view)
         for chart in (*motion_charts(view), *check_charts(view)):
             record_chart(recording, "plots", chart, view)
@@ -420,8 +422,8 @@ def write_recording(view: RunView, path: Path) -> None:
 
 
 @contextmanager
-def recording_to(path: Path, name: str, view: rrb.Blueprint) -> Iterator[rr.RecordingStream]:
-    """Yield a recording with a blueprint that becomes the file `path` when the block ends without an error.
+def recording_to(path: Path, name: str, view: rrb.Blueprint, summary: str) -> Iterator[rr.RecordingStream]:
+    """Yield a recording with blueprint and summary that becomes the file `path` when the block ends without an error.
 
     Raises:
         InputError: it cannot be written.
@@ -430,6 +432,7 @@ def recording_to(path: Path, name: str, view: rrb.Blueprint) -> Iterator[rr.Reco
         recording = rr.RecordingStream(_APPLICATION, send_properties=True)
         recording.save(temporary, default_blueprint=view)
         recording.send_recording_name(name)
+        recording.log(SUMMARY, rr.TextDocument(summary, media_type="text/markdown"), static=True)
         yield recording
         recording.flush()
         recording.disconnect()

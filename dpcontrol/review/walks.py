@@ -19,15 +19,12 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from numpy.typing import NDArray
 
 from dpcontrol.orbits.manifold import OrbitCurve
-from dpcontrol.review import page as story_panels
-from dpcontrol.review import style
+from dpcontrol.review import page, style
 from dpcontrol.review.motion import PlanView, RunView, Stay
 from dpcontrol.review.page import (
     angle_axis,
     badge,
     draw_chart,
-    draw_film,
-    film_extent,
     frame_place,
     mark_times,
     new_figure,
@@ -360,11 +357,11 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
     figure.text(0.022, 1 - 0.32 / height, view.title, fontsize=17, weight="bold", color=style.INK, va="center")
     verdict = "\n".join(wrap(view.verdict, 200, max_lines=2, placeholder=" …"))
     figure.text(0.022, 1 - 0.68 / height, verdict, fontsize=9.5, color=style.NOTE, va="center")
-    story_panels.story(figure.add_axes((0.062, 1 - (_HEAD + 0.42) / height, 0.925, 0.2 / height)), view)
+    page.story(figure.add_axes((0.062, 1 - (_HEAD + 0.42) / height, 0.925, 0.2 / height)), view)
     top = height - _HEAD - _STRIP
     for first, times, tall in filmed:
         axes = figure.add_axes((0.01, (top - tall) / height, 0.98, tall / height))
-        draw_film(axes, view, frames=times.size, times=times.ravel())
+        page.draw_film(axes, view, times.ravel())
         for k in range(len(times)):
             badge(axes, first + k + 1, frame_place(view, k * times.shape[1]) - 0.3 * sum(view.arm_lengths),
                   axes.get_ylim()[1])  # fmt: skip
@@ -409,9 +406,7 @@ def _film_rows(story: WalkStory, view: RunView) -> list[tuple[int, NDArray[np.fl
     rows = []
     for first in range(0, len(every), across):
         times = every[first : first + across]
-        horizontal, vertical = film_extent(view, frames=across * poses, times=times.ravel())
-        tall = 0.98 * _WIDTH * (vertical[1] - vertical[0]) / (horizontal[1] - horizontal[0])
-        rows.append((first, times, tall + 0.1))
+        rows.append((first, times, page.film_height(view, times.ravel(), width=0.98 * _WIDTH) + 0.1))
     return rows
 
 
