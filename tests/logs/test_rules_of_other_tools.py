@@ -15,7 +15,11 @@ import pytest
 from log_samples import sample, write_sample
 from mcap.reader import make_reader
 from mcap_ros2.reader import read_ros2_messages
+from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
+
+from dpcontrol.logs import control_fields, joint_names, read_log
+from dpcontrol.logs.urdf import frames, poses, robot_description
 
 TICKS = 120
 SAME = 1e-12
@@ -61,6 +65,45 @@ def test_descriptions_offer_a_complete_quality_of_service(tmp_path: Path) -> Non
         "history", "depth", "reliability", "durability", "deadline", "lifespan", "liveliness",
         "liveliness_lease_duration", "avoid_ros_namespace_conventions",
     ]  # fmt: skip
+
+
+def test_rosbags_reads_a_log_whole_and_sees_every_message_as_written(tmp_path: Path) -> None:
+    run = sample(TICKS)
+    path = write_sample(tmp_path / "run.mcap", run)
+    found: Messages = {}
+    with AnyReader([path]) as reader:
+        for connection, time, data in reader.messages():
+            found.setdefault(connection.topic, []).append((time, reader.deserialize(data, connection.msgtype)))
+    log, names = read_log(path), list(joint_names(2, has_cart=True))
+    positions, velocities = [0, 1, 4], [2, 3, 5]
+    for topic, state in zip(TOPICS, (None, log.estimate, log.reference, log.truth), strict=True):
+        joints = [message for _, message in found.pop(topic)]
+        assert [message.name for message in joints] == [names] * TICKS
+        assert [message.header.stamp.nanosec for message in joints] == [k * 10**6 for k in range(TICKS)]
+        expected = log.measured if state is None else state[:, positions]
+        assert np.array_equal([message.position for message in joints], expected)
+        if state is not None:
+            assert np.array_equal([message.velocity for message in joints], state[:, velocities])
+    for time, message in (control := found.pop("/control")):
+        row = [getattr(message, name) for name in control_fields(2, has_cart=True)]
+        assert np.array_equal(row, run.control[time // 10**6], equal_nan=True)
+    assert [time for time, _ in control] == [k * 10**6 for k in range(TICKS)]
+    events = [(time / 1e9, message.level, message.name, message.msg) for time, message in found.pop("/rosout")]
+    assert [(time, name, text) for time, _, name, text in events] == [(e.time, e.name, e.text) for e in log.events]
+    links = (*frames(2, has_cart=True), *frames(2, has_cart=True, prefix="reference/"))
+    for time, message in (moved := found.pop("/tf")):
+        assert [(t.header.frame_id, t.child_frame_id) for t in message.transforms] == list(links)
+        shown = [(t.transform.translation, t.transform.rotation) for t in message.transforms]
+        rows = np.stack([states[time // 10**6] for states in (log.truth, log.reference)])
+        placed_at = poses(rows, arm_lengths=run.arm_lengths, has_cart=True).reshape(-1, 7)
+        assert np.array_equal([[at.x, at.y, at.z, q.x, q.y, q.z, q.w] for at, q in shown], placed_at)
+    assert len(moved) == TICKS / 20
+    limits = (0.9, 3.0, 30.0)
+    ghost = robot_description(run.arm_lengths, limits=limits, prefix="reference/", ghost=True)
+    assert [message.data for _, message in found.pop("/reference/robot_description")] == [ghost]
+    robot = robot_description(run.arm_lengths, limits=limits)
+    assert [message.data for _, message in found.pop("/robot_description")] == [robot]
+    assert not found
 
 
 def test_plotjuggler_makes_a_series_of_every_joint(messages: Messages) -> None:
