@@ -29,7 +29,7 @@ from dpcontrol.bench.measure import Alternative, Compared, Judged, compare
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.logs import LogWriter, recover
-from dpcontrol.logs.by_message import Messages, MessageWriter, messages_of, ticks_left
+from dpcontrol.logs.container import Messages, MessageWriter, messages_of, ticks_left
 from dpcontrol.loop.loop import run_loop
 from dpcontrol.loop.result import Ticks
 from dpcontrol.scenes.itinerary import load_itinerary

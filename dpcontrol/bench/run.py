@@ -23,7 +23,7 @@ from typing import Any
 from dpcontrol import __version__
 from dpcontrol.bench.chart import ALLOWED, CHARTS, GROUPS, ChartPage, Panel, Point, check_names
 from dpcontrol.bench.measure import one_core
-from dpcontrol.foundation.checkout import commit
+from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file, write_whole
 from dpcontrol.foundation.processes import in_processes, processors

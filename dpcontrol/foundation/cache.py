@@ -1,10 +1,11 @@
 """Where results are kept by the content they were made from: settings, parameters, and the code itself.
 
-$DPCONTROL_CACHE, else $XDG_CACHE_HOME/dpcontrol, else ~/.cache/dpcontrol.
+Folder: $DPCONTROL_CACHE, else $XDG_CACHE_HOME/dpcontrol, else ~/.cache/dpcontrol.
 """
 
 import os
 import re
+import subprocess
 from functools import cache
 from pathlib import Path
 
@@ -69,3 +70,15 @@ def _file(root: Path, name: str) -> Path | None:
     if path == root:
         return None
     return next((file for file in (path.with_suffix(".py"), path / "__init__.py") if file.is_file()), None)
+
+
+def commit() -> str:
+    """Return the commit of the checkout that this package runs from, or "" for an installed one."""
+    root = Path(dpcontrol.__file__).parent.parent
+    if not (root / ".git").exists():
+        return ""
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty"]
+    try:
+        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
+    except (OSError, subprocess.SubprocessError):
+        return ""

@@ -44,13 +44,13 @@ from dpcontrol.logs.layout import (
     TICKS,
     TickLayout,
 )
-from dpcontrol.logs.reader import read_log
-from dpcontrol.logs.verified import (
+from dpcontrol.logs.reader import (
     CHUNK_HEAD,
     LARGEST_CHUNK,
     MALFORMED,
     described_layout,
     gathered,
+    read_log,
     recorded_bytes,
     stream_of,
     unpacked,

@@ -24,7 +24,7 @@ import dpcontrol
 from dpcontrol.control.estimation import ESTIMATORS
 from dpcontrol.control.interface import Controller
 from dpcontrol.dynamics.chain import Uncertainty
-from dpcontrol.foundation.checkout import commit
+from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import checked_other_file, content_hash
 from dpcontrol.foundation.progress import Progress, no_progress

@@ -18,7 +18,7 @@ from dpcontrol.bench.logging import Arrays, Blocks, ByMessage, Lines, RowGroups,
 from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.ogy import OgySettings, ogy_controller
-from dpcontrol.logs.by_message import messages_of, ticks_left
+from dpcontrol.logs.container import messages_of, ticks_left
 from dpcontrol.loop.batch import BatchRun
 from dpcontrol.loop.loop import sampled_model
 from dpcontrol.loop.result import Ending
