@@ -30,22 +30,14 @@ ENCAPSULATION = b"\x00\x01\x00\x00"
 """The first four bytes of every message."""
 
 
-@dataclass(frozen=True)
-class MessageLayout:
-    """A message of fixed length.
+@dataclass
+class Message:
+    """A message of fixed length, to which values are appended in order, with CDR's alignment.
 
     Attributes:
-        template: the whole message, numbers zero.
+        data: the whole message, numbers that change zero.
         fields: for each number that changes, its numpy format and its offset in bytes.
     """
-
-    template: bytes
-    fields: dict[str, tuple[str, int]]
-
-
-@dataclass
-class CdrBuilder:
-    """Appends values in order, with CDR's alignment."""
 
     data: bytearray = field(default_factory=lambda: bytearray(ENCAPSULATION))
     fields: dict[str, tuple[str, int]] = field(default_factory=dict)
@@ -79,71 +71,58 @@ class CdrBuilder:
         self.number("<u4", len(content))
         self.data += content
 
-    def stamp(self, name: str) -> None:
+    def stamp(self, name: str, time_ns: int = 0) -> None:
         """Append a time as the fields `name.sec` and `name.nanosec`."""
-        self.number("<i4", name=f"{name}.sec")
-        self.number("<u4", name=f"{name}.nanosec")
-
-    def layout(self) -> MessageLayout:
-        """Return what was built."""
-        return MessageLayout(template=bytes(self.data), fields=dict(self.fields))
+        seconds, rest = divmod(time_ns, 1_000_000_000)
+        self.number("<i4", seconds, name=f"{name}.sec")
+        self.number("<u4", rest, name=f"{name}.nanosec")
 
 
-def joint_state(names: Sequence[str], *, velocities: bool) -> MessageLayout:
-    """Return the layout of sensor_msgs/JointState: fields `stamp.*`, `position` and, if asked, `velocity`."""
-    builder = CdrBuilder()
-    builder.stamp("stamp")
-    builder.string("")
-    builder.number("<u4", len(names))
+def joint_state(names: Sequence[str], *, velocities: bool) -> Message:
+    """Return sensor_msgs/JointState: fields `stamp.*`, `position` and, if asked, `velocity`."""
+    message = Message()
+    message.stamp("stamp")
+    message.string("")
+    message.number("<u4", len(names))
     for name in names:
-        builder.string(name)
-    builder.double_sequence(len(names), name="position")
-    builder.double_sequence(len(names) if velocities else 0, name="velocity")
-    builder.double_sequence(0, name="effort")
-    return builder.layout()
+        message.string(name)
+    message.double_sequence(len(names), name="position")
+    message.double_sequence(len(names) if velocities else 0, name="velocity")
+    message.double_sequence(0, name="effort")
+    return message
 
 
-def transforms(frames: Sequence[tuple[str, str]]) -> MessageLayout:
-    """Return the layout of tf2_msgs/TFMessage for (parent, child) frames.
+def transforms(frames: Sequence[tuple[str, str]]) -> Message:
+    """Return tf2_msgs/TFMessage for (parent, child) frames.
 
     Fields of the i-th transform: `i.stamp.*`, and `i.pose` with x, y, z and the quaternion's x, y, z, w.
     """
-    builder = CdrBuilder()
-    builder.number("<u4", len(frames))
+    message = Message()
+    message.number("<u4", len(frames))
     for i, (parent, child) in enumerate(frames):
-        builder.stamp(f"{i}.stamp")
-        builder.string(parent)
-        builder.string(child)
-        builder.doubles(7, name=f"{i}.pose")
-    return builder.layout()
-
-
-def doubles(count: int) -> MessageLayout:
-    """Return the layout of a message of `count` float64 fields: one field `row`."""
-    builder = CdrBuilder()
-    builder.doubles(count, name="row")
-    return builder.layout()
+        message.stamp(f"{i}.stamp")
+        message.string(parent)
+        message.string(child)
+        message.doubles(7, name=f"{i}.pose")
+    return message
 
 
 def string(text: str) -> bytes:
     """Return std_msgs/String."""
-    builder = CdrBuilder()
-    builder.string(text)
-    return bytes(builder.data)
+    message = Message()
+    message.string(text)
+    return bytes(message.data)
 
 
 def log(time_ns: int, level: int, *, name: str, text: str) -> bytes:
     """Return rcl_interfaces/Log at `time_ns`; file, function and line are left empty."""
-    builder = CdrBuilder()
-    builder.number("<i4", time_ns // 1_000_000_000)
-    builder.number("<u4", time_ns % 1_000_000_000)
-    builder.number("u1", level)
-    builder.string(name)
-    builder.string(text)
-    builder.string("")
-    builder.string("")
-    builder.number("<u4", 0)
-    return bytes(builder.data)
+    message = Message()
+    message.stamp("stamp", time_ns)
+    message.number("u1", level)
+    for part in (name, text, "", ""):
+        message.string(part)
+    message.number("<u4")
+    return bytes(message.data)
 
 
 def read_log_message(data: bytes) -> tuple[int, str, str]:
@@ -167,52 +146,44 @@ def read_log_message(data: bytes) -> tuple[int, str, str]:
     return data[len(ENCAPSULATION) + 8], texts[0], texts[1]
 
 
-_TIME = "int32 sec\nuint32 nanosec\n"
-_HEADER = "builtin_interfaces/Time stamp\nstring frame_id\n"
+_PARTS = {
+    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id\n",
+    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec\n",
+    "geometry_msgs/TransformStamped": (
+        "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n"
+    ),
+    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n",
+    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z\n",
+    "geometry_msgs/Quaternion": "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n",
+}
+"""Definitions of what messages contain, by name."""
+
+
+def _with_parts(definition: str, *names: str) -> bytes:
+    return "".join([definition, *(f"{'=' * 80}\nMSG: {name}\n{_PARTS[name]}" for name in names)]).encode()
+
+
 _JOINT_STATE = "std_msgs/Header header\nstring[] name\nfloat64[] position\nfloat64[] velocity\nfloat64[] effort\n"
-_TRANSFORM_STAMPED = "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n"
-_TRANSFORM = "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n"
-_VECTOR3 = "float64 x\nfloat64 y\nfloat64 z\n"
-_QUATERNION = "float64 x\nfloat64 y\nfloat64 z\nfloat64 w\n"
 _LOG = (
     "byte DEBUG=10\nbyte INFO=20\nbyte WARN=30\nbyte ERROR=40\nbyte FATAL=50\n"
     "builtin_interfaces/Time stamp\nuint8 level\nstring name\nstring msg\nstring file\nstring function\n"
     "uint32 line\n"
 )
-
-
-def _with_parts(definition: str, **parts: str) -> bytes:
-    rule = "=" * 80
-    text = definition
-    for name, part in parts.items():
-        text += f"{rule}\nMSG: {name.replace('__', '/')}\n{part}"
-    return text.encode()
-
-
 JOINT_STATE = (
     "sensor_msgs/msg/JointState",
-    _with_parts(_JOINT_STATE, std_msgs__Header=_HEADER, builtin_interfaces__Time=_TIME),
+    _with_parts(_JOINT_STATE, "std_msgs/Header", "builtin_interfaces/Time"),
 )
 TF_MESSAGE = (
     "tf2_msgs/msg/TFMessage",
     _with_parts(
         "geometry_msgs/TransformStamped[] transforms\n",
-        geometry_msgs__TransformStamped=_TRANSFORM_STAMPED,
-        std_msgs__Header=_HEADER,
-        builtin_interfaces__Time=_TIME,
-        geometry_msgs__Transform=_TRANSFORM,
-        geometry_msgs__Vector3=_VECTOR3,
-        geometry_msgs__Quaternion=_QUATERNION,
+        "geometry_msgs/TransformStamped", "std_msgs/Header", "builtin_interfaces/Time",
+        "geometry_msgs/Transform", "geometry_msgs/Vector3", "geometry_msgs/Quaternion",
     ),
-)
-STRING = ("std_msgs/msg/String", b"string data\n")
-LOG = ("rcl_interfaces/msg/Log", _with_parts(_LOG, builtin_interfaces__Time=_TIME))
+)  # fmt: skip
 CONTROL_NAME = "dpcontrol_msgs/msg/Control"
-
-
-def control_schema(fields: Sequence[str]) -> tuple[str, bytes]:
-    """Return name and definition of the control message: one float64 for each name in `fields`."""
-    return CONTROL_NAME, "".join(f"float64 {field}\n" for field in fields).encode()
+STRING = ("std_msgs/msg/String", b"string data\n")
+LOG = ("rcl_interfaces/msg/Log", _with_parts(_LOG, "builtin_interfaces/Time"))
 
 
 MEASURED = "/joint_states"
@@ -263,18 +234,16 @@ PARTS = ("rates", "estimate", "reference", "truth", "control")
 """What a tick may hold besides the measured positions; a log has each in every tick or in none."""
 STATE_TOPICS = {"estimate": ESTIMATE, "reference": REFERENCE, "truth": TRUTH}
 
-MESSAGE_OPCODE = 5
-_RECORD_HEADER = [
-    ("opcode", "u1"),
-    ("length", "<u8"),
-    ("channel", "<u2"),
-    ("sequence", "<u4"),
-    ("log_time", "<u8"),
-    ("publish_time", "<u8"),
-]
-RECORD_HEADER = np.dtype(_RECORD_HEADER)
+RECORD_HEADER = np.dtype(
+    [
+        ("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4"), ("log_time", "<u8"),
+        ("publish_time", "<u8"),
+    ]
+)  # fmt: skip
 """An MCAP message record up to its data: packed, little-endian (MCAP specification, "Message")."""
-
+MESSAGE_OPCODE = 5
+LENGTH_FROM = 9
+"""Bytes of a record before those that its length counts."""
 
 _CONTROL_HEAD = ("command", "feedforward", "feedback", "applied", "saturated", "nis", "mode")
 
@@ -303,13 +272,6 @@ def state_names(arms: int, *, has_cart: bool) -> tuple[str, ...]:
     return arms_part + (("cart_position", "cart_velocity") if has_cart else ())
 
 
-def joint_order(arms: int, *, has_cart: bool) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return where positions and velocities of the joints, in the order of their names, stand in a state."""
-    positions = list(range(arms)) + ([2 * arms] if has_cart else [])
-    velocities = list(range(arms, 2 * arms)) + ([2 * arms + 1] if has_cart else [])
-    return np.array(positions), np.array(velocities)
-
-
 @dataclass(frozen=True)
 class TickLayout:
     """The messages of one tick, in the order in which they are written, and the channels of a log.
@@ -336,25 +298,49 @@ class TickLayout:
 
     @cached_property
     def widths(self) -> dict[str, int]:
-        """Numbers in a row of each part, in the order of `PARTS`."""
-        size = 2 * len(self.names)
-        return {**dict.fromkeys(PARTS, size), "rates": len(self.names), "control": len(self.fields)}
+        """Numbers in a row of the measured positions and of each part, in the order of `PARTS`."""
+        joints = len(self.names)
+        widths = dict.fromkeys(("measured", *PARTS), 2 * joints)
+        return widths | {"measured": joints, "rates": joints, "control": len(self.fields)}
 
     @cached_property
-    def messages(self) -> dict[str, MessageLayout]:
-        """The layout of each topic's message, in order of writing."""
+    def joint_order(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Where positions and velocities of the joints, in the order of their names, stand in a state."""
+        n = self.arms
+        cart = [2 * n] if self.has_cart else []
+        return np.array([*range(n), *cart]), np.array([*range(n, 2 * n), *(k + 1 for k in cart)])
+
+    @cached_property
+    def rooms(self) -> tuple[tuple[str, str, str, NDArray[np.int64] | slice], ...]:
+        """Where numbers stand: topic, field of its message, part ("measured" or of `PARTS`), and columns of that."""
+        positions, velocities = self.joint_order
+        found: list[tuple[str, str, str, NDArray[np.int64] | slice]] = [(MEASURED, "position", "measured", slice(None))]
+        if "rates" in self.parts:
+            found.append((MEASURED, "velocity", "rates", slice(None)))
+        for part, topic in STATE_TOPICS.items():
+            if part in self.parts:
+                found += [(topic, "position", part, positions), (topic, "velocity", part, velocities)]
+        if "control" in self.parts:
+            found.append((CONTROL, "row", "control", slice(None)))
+        return tuple(found)
+
+    @cached_property
+    def messages(self) -> dict[str, Message]:
+        """Each topic's message, in order of writing."""
         state = joint_state(self.names, velocities=True)
         found = {MEASURED: joint_state(self.names, velocities="rates" in self.parts)}
         found |= {topic: state for part, topic in STATE_TOPICS.items() if part in self.parts}
         if "control" in self.parts:
-            found[CONTROL] = doubles(len(self.fields))
+            found[CONTROL] = Message()
+            found[CONTROL].doubles(len(self.fields), name="row")
         return found
 
     @cached_property
     def schemas(self) -> dict[str, tuple[str, bytes]]:
         """Name and definition of each topic's message, in the order of the channels."""
-        control = control_schema(self.fields)
-        found = {topic: control if topic == CONTROL else JOINT_STATE for topic in self.messages}
+        found = dict.fromkeys(self.messages, JOINT_STATE)
+        if CONTROL in found:
+            found[CONTROL] = (CONTROL_NAME, "".join(f"float64 {name}\n" for name in self.fields).encode())
         found |= {TRANSFORMS: TF_MESSAGE, EVENTS: LOG, ROBOT: STRING}
         if "reference" in self.parts:
             found[GHOST] = STRING
@@ -368,48 +354,34 @@ class TickLayout:
     @cached_property
     def block_type(self) -> np.dtype:
         """The structured type of a whole tick: one field for each topic, in order of writing."""
-        formats = [message_type(message) for message in self.messages.values()]
+        formats = [record_type(message) for message in self.messages.values()]
         offsets = list(self.block_offsets.values())
-        size = offsets[-1] + formats[-1].itemsize
+        size = len(self.block_template)
         return np.dtype({"names": list(self.messages), "formats": formats, "offsets": offsets, "itemsize": size})
 
     @cached_property
     def block_offsets(self) -> dict[str, int]:
         """Where each topic's message begins in a whole tick."""
-        sizes = [message_type(message).itemsize for message in self.messages.values()]
+        sizes = [record_type(message).itemsize for message in self.messages.values()]
         return dict(zip(self.messages, (0, *accumulate(sizes)), strict=False))
 
     @cached_property
     def block_template(self) -> bytes:
         """The message records of a tick, times and numbers zero."""
-        return b"".join(message_template(message, self.channels[topic]) for topic, message in self.messages.items())
+        records = []
+        for topic, message in self.messages.items():
+            header = np.zeros(1, RECORD_HEADER)
+            header["opcode"] = MESSAGE_OPCODE
+            header["length"] = RECORD_HEADER.itemsize - LENGTH_FROM + len(message.data)
+            header["channel"] = self.channels[topic]
+            records.append(header.tobytes() + message.data)
+        return b"".join(records)
 
 
-def message_type(layout: MessageLayout) -> np.dtype:
-    """Return the structured type of a message record that holds `layout`."""
-    names, formats, offsets = [], [], []
-    for name, kind in _RECORD_HEADER:
-        names.append(name)
-        formats.append(kind)
-        offsets.append(RECORD_HEADER.fields[name][1])  # type: ignore[index]
-    for name, (kind, offset) in layout.fields.items():
-        names.append(name)
-        formats.append(kind)
-        offsets.append(RECORD_HEADER.itemsize + offset)
-    return np.dtype(
-        {
-            "names": names,
-            "formats": formats,
-            "offsets": offsets,
-            "itemsize": RECORD_HEADER.itemsize + len(layout.template),
-        }
-    )
-
-
-def message_template(layout: MessageLayout, channel: int) -> bytes:
-    """Return a message record for `layout` on `channel`, its times and numbers zero."""
-    header = np.zeros(1, RECORD_HEADER)
-    header["opcode"] = MESSAGE_OPCODE
-    header["length"] = RECORD_HEADER.itemsize - 9 + len(layout.template)
-    header["channel"] = channel
-    return header.tobytes() + layout.template
+def record_type(message: Message) -> np.dtype:
+    """Return the structured type of a record that holds `message`."""
+    places = {name: (kind, offset) for name, (kind, offset, *_) in RECORD_HEADER.fields.items()}  # type: ignore[union-attr]
+    places |= {name: (kind, RECORD_HEADER.itemsize + offset) for name, (kind, offset) in message.fields.items()}
+    formats, offsets = zip(*places.values(), strict=True)
+    size = RECORD_HEADER.itemsize + len(message.data)
+    return np.dtype({"names": list(places), "formats": formats, "offsets": offsets, "itemsize": size})

@@ -32,10 +32,10 @@ from numpy.typing import NDArray
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs.container import MAGIC, partials_of, unsealed
 from dpcontrol.logs.layout import (
-    CONTROL,
     EVENTS,
     FORMAT,
     LAYOUT_RECORD,
+    LENGTH_FROM,
     LEVELS,
     LOST,
     MEASURED,
@@ -49,9 +49,8 @@ from dpcontrol.logs.layout import (
     TICKS,
     UNITS,
     TickLayout,
-    joint_order,
-    message_type,
     read_log_message,
+    record_type,
     state_names,
 )
 
@@ -60,8 +59,8 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_HEAD = struct.Struct("<BQ")
 _RECORD = struct.Struct("<BQH")
+"""Of a record: opcode and length, and of a message its channel."""
 _BATCH_BYTES = 4_000_000
 CHUNK_HEAD = struct.Struct("<QQQI8sQ")
 """Of a chunk: first and last time, size and checksum unpacked, compression, bytes packed."""
@@ -106,22 +105,19 @@ class VerifiedFile:
 
     def note(self, opcode: int, body: memoryview | bytes) -> None:
         """Take up a record; those that nobody asks for are passed over."""
-        if opcode == Opcode.HEADER:
-            self.library = Header.read(stream_of(body)).library
-        elif opcode == Opcode.METADATA:
-            record = Metadata.read(stream_of(body))
-            self.metadata[record.name] = record.metadata
-        elif opcode == Opcode.ATTACHMENT:
-            attachment = Attachment.read(stream_of(body))
-            self.attachments[attachment.name] = attachment.data
-        elif opcode == Opcode.CHUNK:
-            self.chunks.append(memoryview(body))
-        elif opcode == Opcode.SCHEMA:
-            schema = Schema.read(stream_of(body))
-            self.schemas[schema.id] = schema
-        elif opcode == Opcode.CHANNEL:
-            channel = Channel.read(stream_of(body))
-            self.channels[channel.id] = channel
+        match parsed(opcode, body):
+            case Header(library=library):
+                self.library = library
+            case Metadata(name=name, metadata=values):
+                self.metadata[name] = values
+            case Attachment(name=name, data=data):
+                self.attachments[name] = data
+            case Schema() as schema:
+                self.schemas[schema.id] = schema
+            case Channel() as channel:
+                self.channels[channel.id] = channel
+            case None if opcode == Opcode.CHUNK:
+                self.chunks.append(memoryview(body))
 
     @contextmanager
     def decoding(self) -> Iterator[None]:
@@ -171,37 +167,21 @@ class VerifiedFile:
                 pending, size = [], 0
 
     def _batch(self, data: bytes) -> "Batch":
-        ticks: list[int] = []
-        others: dict[int, list[int]] = {}
-        template = self.tick.block_template
-        beginning, size = template[: _RECORD.size], len(template)
-        place, end, unpack = 0, len(data), _RECORD.unpack_from
-        while place < end:
-            if data.startswith(beginning, place):
-                ticks.append(place)
-                place += size
-                continue
-            opcode, length, channel = unpack(data, place)
-            if opcode == MESSAGE_OPCODE:
-                others.setdefault(channel, []).append(place)
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self.note(opcode, data[place + 9 : place + 9 + length])
-            place += 9 + length
-        if place != end:
-            raise ValueError("a record runs over the end of its chunk")
-        return Batch(data, ticks, others)
+        batch = Batch(data, self.tick)
+        for opcode, start, end in batch.declared:
+            self.note(opcode, data[start:end])
+        return batch
 
     def _check_channels(self) -> None:
         by_topic = {channel.topic: channel for channel in self.channels.values()}
         for topic, (name, definition) in self.tick.schemas.items():
-            channel = by_topic.get(topic)
+            channel, due = by_topic.get(topic), self.tick.channels[topic]
             schema = self.schemas.get(channel.schema_id) if channel else None
-            encoding = channel.message_encoding if channel else ""
-            number = channel.id if channel else None
-            if schema is None or schema.data != definition or encoding != "cdr" or number != self.tick.channels[topic]:
+            encoding, number = (channel.message_encoding, channel.id) if channel else ("", None)
+            if schema is None or schema.data != definition or encoding != "cdr" or number != due:
                 found = f"channel {number}: {schema.name if schema else 'no schema'} in {encoding or 'no encoding'}"
                 raise InputError(
-                    f"{self.path}: topic {topic} is on {found}, not on channel {self.tick.channels[topic]}: {name} "
+                    f"{self.path}: topic {topic} is on {found}, not on channel {due}: {name} "
                     "in cdr as in a log of `dpcontrol run`; give the log as it was written"
                 )
 
@@ -214,7 +194,7 @@ def unpacked(chunk: memoryview, decompressor: zstandard.ZstdDecompressor) -> byt
     """
     _, _, size, checksum, kind, packed = CHUNK_HEAD.unpack_from(chunk)
     if kind != _ZSTD or size > LARGEST_CHUNK:
-        stream, length = get_chunk_data_stream(Chunk.read(stream_of(chunk)), validate_crc=True)
+        stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(chunk))), validate_crc=True)
         return stream.read(length)
     content = decompressor.decompress(chunk[CHUNK_HEAD.size :], max_output_size=size)
     if len(content) != size or packed != len(chunk) - CHUNK_HEAD.size or zlib.crc32(content) != checksum:
@@ -227,9 +207,16 @@ def damaged(path: Path, reason: str, *, cause: BaseException | None = None) -> N
     raise InputError(f"{path} is damaged ({reason}); copy it again from its source, or {_recover(path)}") from cause
 
 
-def stream_of(body: memoryview | bytes) -> ReadDataStream:
-    """Return what the mcap package reads a record's body from."""
-    return ReadDataStream(BytesIO(body))
+_PARSED = {
+    Opcode.HEADER: Header, Opcode.METADATA: Metadata, Opcode.ATTACHMENT: Attachment, Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+}  # fmt: skip
+
+
+def parsed(opcode: int, body: memoryview | bytes) -> Header | Metadata | Attachment | Schema | Channel | None:
+    """Return a record by its body, None of other kinds."""
+    kind = _PARSED.get(opcode)
+    return kind.read(ReadDataStream(BytesIO(body))) if kind else None
 
 
 def recorded_bytes(path: Path) -> bytes:
@@ -254,19 +241,15 @@ def recorded_bytes(path: Path) -> bytes:
 def _walk(path: Path, data: bytes) -> list[tuple[int, int, int]]:
     """Return opcode, start and end of the body of each record up to the footer."""
     found: list[tuple[int, int, int]] = []
-    place, size, unpack = len(MAGIC), len(data), _HEAD.unpack_from
-    while place + 9 <= size:
-        opcode, length = unpack(data, place)
-        end = place + 9 + length
-        if end > size or opcode == 0:
+    place, closed = len(MAGIC), False
+    while place + LENGTH_FROM <= len(data) and not closed:
+        opcode, length = data[place], int.from_bytes(data[place + 1 : place + LENGTH_FROM], "little")
+        end = place + LENGTH_FROM + length
+        if end > len(data) or opcode == 0:
             break
-        found.append((opcode, place + 9, end))
-        place = end
-        if opcode == Opcode.FOOTER:
-            break
-    closed = bool(found) and found[-1][0] == Opcode.FOOTER
-    whole = closed and data[place:] == MAGIC
-    if whole and any(opcode == Opcode.DATA_END for opcode, _, _ in found):
+        found.append((opcode, place + LENGTH_FROM, end))
+        place, closed = end, opcode == Opcode.FOOTER
+    if closed and data[place:] == MAGIC and any(opcode == Opcode.DATA_END for opcode, _, _ in found):
         return found
     if closed and data[place:].startswith(MAGIC):
         extra = len(data) - place - len(MAGIC)
@@ -294,11 +277,11 @@ def _check(path: Path, data: bytes, records: list[tuple[int, int, int]]) -> bool
     if end - start < 4 or footer_end - footer_start < 20:
         damaged(path, "its closing records are too short")
     (stored,) = struct.unpack_from("<I", data, start)
-    computed = zlib.crc32(memoryview(data)[: start - _HEAD.size])
+    computed = zlib.crc32(memoryview(data)[: start - LENGTH_FROM])
     if stored and stored != computed:
         damaged(path, f"the checksum of its data is {computed:#010x} instead of {stored:#010x}")
     summary, _, summary_crc = struct.unpack_from("<QQI", data, footer_start)
-    computed = zlib.crc32(memoryview(data)[summary or footer_start - _HEAD.size : footer_start + 16])
+    computed = zlib.crc32(memoryview(data)[summary or footer_start - LENGTH_FROM : footer_start + 16])
     if summary_crc and summary_crc != computed:
         damaged(path, f"the checksum of its summary is {computed:#010x} instead of {summary_crc:#010x}")
     return bool(stored)
@@ -330,33 +313,64 @@ def open_verified(path: Path) -> VerifiedFile:
     return file
 
 
-@dataclass(frozen=True)
 class Batch:
-    """The records of several chunks: offsets (K,) of whole ticks, and offsets of all other messages by channel."""
+    """The records of several chunks.
 
-    data: bytes
-    ticks: list[int]
-    others: dict[int, list[int]]
+    Attributes:
+        ticks: offsets (K,) of whole ticks.
+        others: offsets of all other messages by channel.
+        declared: opcode, start and end of the body of each schema and channel.
 
-    def ticks_as(self, tick: TickLayout) -> NDArray:
-        """Return the ticks (K,) as the layout's structured type.
+    Args:
+        data: the records.
+        tick: the ticks' layout; without one no message counts as part of a tick.
+
+    Raises:
+        ValueError: the records do not follow one another.
+    """
+
+    def __init__(self, data: bytes, tick: TickLayout | None = None) -> None:
+        self.data = data
+        self.ticks: list[int] = []
+        self.others: dict[int, list[int]] = {}
+        self.declared: list[tuple[int, int, int]] = []
+        template = tick.block_template if tick else b""
+        beginning, size = template[: _RECORD.size], len(template)
+        place, whole, unpack = 0, len(data), _RECORD.unpack_from
+        while place < whole:
+            if template and data.startswith(beginning, place):
+                self.ticks.append(place)
+                place += size
+                continue
+            opcode, length, channel = unpack(data, place)
+            end = place + LENGTH_FROM + length
+            if opcode == MESSAGE_OPCODE:
+                self.others.setdefault(channel, []).append(place)
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self.declared.append((opcode, place + LENGTH_FROM, end))
+            place = end
+        if place != whole:
+            raise ValueError("a record runs over the end of its chunk")
+
+    def rows(self, tick: TickLayout) -> dict[str, Array]:
+        """Return the ticks' times (K,) in s, and the rows (K, width) of each part, by name.
 
         Raises:
-            ValueError: their messages are not those of the layout.
+            ValueError: the ticks' messages are not those of the layout.
         """
-        rows = gathered(self.data, self.ticks, tick.block_type)
-        times = rows[MEASURED]["log_time"]
+        ticks = gathered(self.data, self.ticks, tick.block_type)
+        times = ticks[MEASURED]["log_time"]
         for topic, message in tick.messages.items():
-            records = rows[topic]
-            length = message_type(message).itemsize - 9
-            for name, value in (
-                ("opcode", MESSAGE_OPCODE), ("length", length), ("channel", tick.channels[topic])
-            ):  # fmt: skip
-                if (records[name] != value).any():
-                    raise ValueError(f"a tick lacks its message of {topic}")
-            if (records["log_time"] != times).any():
+            length = record_type(message).itemsize - LENGTH_FROM
+            due = {"opcode": MESSAGE_OPCODE, "length": length, "channel": tick.channels[topic]}
+            if any((ticks[topic][name] != value).any() for name, value in due.items()):
+                raise ValueError(f"a tick lacks its message of {topic}")
+            if (ticks[topic]["log_time"] != times).any():
                 raise ValueError(f"the messages of {topic} do not pair with those of {MEASURED}")
-        return rows
+        found = {part: np.empty((len(ticks), tick.widths[part])) for part in ("measured", *tick.parts)}
+        for topic, field_name, part, columns in tick.rooms:
+            found[part][:, columns] = ticks[topic][field_name]
+        return {"time": times / 1e9, **found}
 
 
 def gathered(data: bytes, offsets: list[int], kind: np.dtype) -> NDArray:
@@ -525,7 +539,7 @@ def _decode(file: VerifiedFile) -> RunLog:
     events: list[Event] = []
     rows: dict[str, list[Array]] = {name: [] for name in ("time", "measured", *tick.parts)}
     for batch in file.batches():
-        for name, values in _numbers(batch.ticks_as(tick), tick):
+        for name, values in batch.rows(tick).items():
             rows[name].append(values)
         events += [_event(batch.data, offset) for offset in batch.others.get(tick.channels[EVENTS], ())]
     if not file.has_checksum:
@@ -537,27 +551,9 @@ def _decode(file: VerifiedFile) -> RunLog:
     return _run_log(file, rows=whole, events=events)
 
 
-def _numbers(ticks: NDArray, tick: TickLayout) -> Iterator[tuple[str, Array]]:
-    """Yield the rows of each part, by its name, from ticks as the file has them."""
-    measured = ticks[MEASURED]
-    yield "time", measured["log_time"] / 1e9
-    yield "measured", measured["position"].copy()
-    if "rates" in tick.parts:
-        yield "rates", measured["velocity"].copy()
-    positions, velocities = joint_order(tick.arms, has_cart=tick.has_cart)
-    for part, topic in STATE_TOPICS.items():
-        if part in tick.parts:
-            joined = np.empty((len(ticks), tick.widths[part]))
-            joined[:, positions] = ticks[topic]["position"]
-            joined[:, velocities] = ticks[topic]["velocity"]
-            yield part, joined
-    if "control" in tick.parts:
-        yield "control", ticks[CONTROL]["row"].copy()
-
-
 def _event(data: bytes, offset: int) -> Event:
     head = np.frombuffer(data, RECORD_HEADER, count=1, offset=offset)[0]
-    end = offset + 9 + int(head["length"])
+    end = offset + LENGTH_FROM + int(head["length"])
     level, name, text = read_log_message(data[offset + RECORD_HEADER.itemsize : end])
     return Event(int(head["log_time"]) / 1e9, _LEVEL_NAMES.get(level, "info"), name, text)
 

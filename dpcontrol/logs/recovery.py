@@ -48,11 +48,12 @@ from dpcontrol.logs.reader import (
     CHUNK_HEAD,
     LARGEST_CHUNK,
     MALFORMED,
+    Batch,
     described_layout,
     gathered,
+    parsed,
     read_log,
     recorded_bytes,
-    stream_of,
     unpacked,
 )
 from dpcontrol.logs.writer import CHUNK_SECONDS
@@ -62,7 +63,6 @@ _BEGINNING = re.compile(
     rb"\x06.{36}\x04\x00\x00\x00zstd|\x09.{6}\x00{18}..\x00\x00|\x0c.{12}dpcontrol\.",
     re.DOTALL,
 )
-_RECORD = struct.Struct("<BQH")
 
 
 @dataclass(frozen=True)
@@ -85,13 +85,12 @@ class SoundChunk:
 
     def messages(self) -> tuple[bytes, list[ChunkMessages]]:
         """Return the records of its messages, without those of schemas and channels, and where each stands."""
-        content = unpacked(self.body, zstandard.ZstdDecompressor())
-        start, places = _places(content)
+        start, batch = _walked(self.body)
         found = []
-        for channel, offsets in places.items():
-            times = gathered(content, offsets, RECORD_HEADER)["log_time"].astype(np.int64)
+        for channel, offsets in batch.others.items():
+            times = gathered(batch.data, offsets, RECORD_HEADER)["log_time"].astype(np.int64)
             found.append(ChunkMessages(channel=channel, times=times, offsets=np.array(offsets) - start))
-        return content[start:], found
+        return batch.data[start:], found
 
 
 @dataclass
@@ -130,52 +129,43 @@ def _take(found: Salvage, opcode: int, body: memoryview) -> bool:
     try:
         if opcode == Opcode.CHUNK:
             found.chunks.append(_chunk(body))
-        elif opcode == Opcode.METADATA:
-            record = Metadata.read(stream_of(body))
-            values = unsealed(record.name, record.metadata)
-            if values is None:
-                return False
-            known = found.metadata.setdefault(record.name, [])
-            if values not in known:
-                known.append(values)
-        else:
-            if zlib.crc32(body[:-4]) != int.from_bytes(body[-4:], "little"):
-                return False
-            attachment = Attachment.read(stream_of(body))
-            found.attachments[attachment.name] = attachment.data
+            return True
+        record = parsed(opcode, body)
     except MALFORMED:
         return False
-    return True
+    if isinstance(record, Metadata):
+        values = unsealed(record.name, record.metadata)
+        known = found.metadata.setdefault(record.name, []) if values is not None else []
+        if values is not None and values not in known:
+            known.append(values)
+        return values is not None
+    if isinstance(record, Attachment) and zlib.crc32(body[:-4]) == int.from_bytes(body[-4:], "little"):
+        found.attachments[record.name] = record.data
+        return True
+    return False
 
 
 def _chunk(body: memoryview) -> SoundChunk:
     _, _, size, checksum, _, _ = CHUNK_HEAD.unpack_from(body)
     if size > LARGEST_CHUNK or not checksum:
         raise ValueError("a chunk is too large, or carries no checksum")
-    content = unpacked(body, zstandard.ZstdDecompressor())
+    _, batch = _walked(body)
     sequences, times = {}, None
-    for channel, offsets in _places(content)[1].items():
-        heads = gathered(content, [offsets[0], offsets[-1]], RECORD_HEADER)
+    for channel, offsets in batch.others.items():
+        heads = gathered(batch.data, [offsets[0], offsets[-1]], RECORD_HEADER)
         sequences[channel] = (int(heads["sequence"][0]), int(heads["sequence"][1]))
         if channel == MEASURED_CHANNEL:
             times = (int(heads["log_time"][0]), int(heads["log_time"][1]))
     return SoundChunk(body, size, checksum, sequences, times)
 
 
-def _places(content: bytes) -> tuple[int, dict[int, list[int]]]:
-    """Return where a chunk's messages begin, and the offsets of the messages by channel."""
-    start, place, found = None, 0, {}
-    while place < len(content):
-        opcode, length, channel = _RECORD.unpack_from(content, place)
-        if opcode == Opcode.MESSAGE:
-            start = place if start is None else start
-            found.setdefault(channel, []).append(place)
-        elif start is not None:
-            raise ValueError("a channel is declared after a chunk's first message")
-        place += 9 + length
-    if place != len(content):
-        raise ValueError("a record runs over the end of its chunk")
-    return (len(content) if start is None else start), found
+def _walked(body: memoryview) -> tuple[int, Batch]:
+    """Return where a chunk's messages begin, and its records."""
+    batch = Batch(unpacked(body, zstandard.ZstdDecompressor()))
+    start = max((end for _, _, end in batch.declared), default=0)
+    if any(offsets[0] < start for offsets in batch.others.values()):
+        raise ValueError("a channel is declared after a chunk's first message")
+    return start, batch
 
 
 _SHOWN_GAPS = 3

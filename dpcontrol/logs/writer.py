@@ -11,21 +11,19 @@ the disk.
 Before the first tick stand the layout and the arms' descriptions for viewers: both depend on what a tick holds, which
 is known from the first one on (`layout.TickLayout`).
 
-Turn rows of numbers into a chunk of message records, whole arrays at a time.
-
-Every message's bytes are known but for its numbers (see `cdr`), so a block of K ticks is one numpy structured
-array of K copies of a template, filled column by column.
+Every message's bytes are known but for its numbers, so a block of K ticks is one numpy structured array of K copies of
+a template, filled column by column.
 """
 
 import json
 import os
 import struct
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
 from types import TracebackType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -43,19 +41,17 @@ from dpcontrol.logs.layout import (
     GHOST,
     LATCHED,
     LAYOUT_RECORD,
+    LENGTH_FROM,
     LEVELS,
-    MEASURED,
     MESSAGE_OPCODE,
     PARTS,
     RECORD_HEADER,
     RESULT_RECORD,
     RUN_RECORD,
-    STATE_TOPICS,
     TICKS,
     TRANSFORM_RATE,
     TRANSFORMS,
     TickLayout,
-    joint_order,
     log,
     string,
     transforms,
@@ -65,7 +61,6 @@ REFERENCE_PREFIX = "reference/"
 _SECOND = 1_000_000_000
 _HEAD = struct.Struct("<BQHIQQ")
 _STAMP = np.dtype([("sec", "<i4"), ("nanosec", "<u4")])
-_MEASURED = "measured"
 _TICK_HEAD = np.dtype(
     [("sequence", "<u4"), ("log_time", "<u8"), ("publish_time", "<u8"), ("encapsulation", "V4"), *_STAMP.descr]
 )
@@ -73,18 +68,10 @@ _TICK_HEAD = np.dtype(
 _UNSTAMPED = _TICK_HEAD.fields["encapsulation"][1]  # type: ignore[index]
 """Bytes of it in messages without a stamp."""
 
-
-@dataclass(frozen=True)
-class TickRows:
-    """K ticks: `time_ns` (K,) in ns, `measured` (K, n+1) positions, and rows (K, width) of each part that is logged."""
-
-    time_ns: NDArray[np.int64]
-    measured: NDArray[np.float64]
-    parts: Mapping[str, NDArray[np.float64]]
+Row = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Note:
+class Note(NamedTuple):
     """A single message, written before the tick in `row` of the chunk: its topic, time in ns and content."""
 
     row: int
@@ -94,49 +81,45 @@ class Note:
 
 
 class ChunkEncoder:
-    """Encodes chunks of a log in order.
+    """Encodes chunks of a log in order: ticks as laid out in `tick`, of arms of these lengths (n,) in m.
 
-    Args:
-        tick: what a tick holds.
-        arm_lengths: (n,) in m.
-        rows: the greatest number of ticks in a chunk.
+    rows: the greatest number of ticks in a chunk.
     """
 
     def __init__(self, tick: TickLayout, arm_lengths: Sequence[float], *, rows: int):
-        self._tick = tick
+        self.tick = tick
         self._lengths = tuple(arm_lengths)
-        self._channels = tick.channels
         self._counts = dict.fromkeys(tick.channels, 0)
-        self._offsets = tick.block_offsets
-        self._block = np.frombuffer(bytearray(tick.block_template * rows), tick.block_type)
-        self._positions, self._velocities = joint_order(tick.arms, has_cart=tick.has_cart)
-        self._heads, self._rooms = self._views()
+        # Views are made once: for twenty ticks they cost more than what is copied through them.
+        block = self._block = np.frombuffer(bytearray(tick.block_template * rows), tick.block_type)
+        self._rooms = [(block[topic][field], part, columns) for topic, field, part, columns in tick.rooms]
+        raw, self._heads = block.view(np.uint8).reshape(rows, -1), []
+        for topic, offset in tick.block_offsets.items():
+            first = offset + RECORD_HEADER.fields["sequence"][1]  # type: ignore[index]
+            self._heads.append(raw[:, first : first + (_UNSTAMPED if topic == CONTROL else _TICK_HEAD.itemsize)])
         self._ticks = 0
+        prefixes = ("", REFERENCE_PREFIX) if "reference" in tick.parts else ("",)
         frames = [
-            frame
-            for prefix in (("", REFERENCE_PREFIX) if "reference" in tick.parts else ("",))
-            for frame in urdf.frames(tick.arms, has_cart=tick.has_cart, prefix=prefix)
+            frame for prefix in prefixes for frame in urdf.frames(tick.arms, has_cart=tick.has_cart, prefix=prefix)
         ]
-        self._frames = len(frames)
-        self._transforms = transforms(frames)
-        self._template = np.frombuffer(self._transforms.template, np.uint8)
-        fields = self._transforms.fields
-        stamp_starts = [fields[f"{i}.stamp.sec"][1] for i in range(self._frames)]
-        pose_starts = [fields[f"{i}.pose"][1] for i in range(self._frames)]
+        message = transforms(frames)
+        self._template = np.frombuffer(message.data, np.uint8)
+        stamp_starts = [message.fields[f"{i}.stamp.sec"][1] for i in range(len(frames))]
+        pose_starts = [message.fields[f"{i}.pose"][1] for i in range(len(frames))]
         self._stamp_bytes = np.add.outer(stamp_starts, np.arange(_STAMP.itemsize))
         self._pose_bytes = np.add.outer(pose_starts, np.arange(7 * 8))
         self._last_transform = -1
 
-    @property
-    def parts(self) -> frozenset[str]:
-        """What a tick holds besides the measured positions."""
-        return self._tick.parts
+    def encode(
+        self, times: NDArray[np.int64], rows: Mapping[str, Row], notes: Sequence[Note]
+    ) -> tuple[bytes, list[ChunkMessages]]:
+        """Return the bytes of a chunk and where its messages stand in it, all messages in order of arrival.
 
-    def encode(self, rows: TickRows, notes: Sequence[Note]) -> tuple[bytes, list[ChunkMessages]]:
-        """Return the bytes of a chunk and where its messages stand in it, all messages in order of arrival."""
-        count = len(rows.time_ns)
-        block = self._fill(rows)
-        marks = sorted([*notes, *self._transform_notes(rows)], key=lambda note: note.row)
+        times (K,) of the ticks in ns; rows (K, width) of the measured positions and of each part that is logged.
+        """
+        count, channels = len(times), self.tick.channels
+        block = self._fill(times, rows)
+        marks = sorted([*notes, *self._transform_notes(times, rows)], key=lambda note: note.row)
         pieces, done, length, before = [], 0, 0, np.zeros(count, np.int64)
         single: dict[str, list[tuple[int, int]]] = {}
         for note in marks:
@@ -152,67 +135,40 @@ class ChunkEncoder:
         pieces.append(block[done:].tobytes())
         places = before + block.itemsize * np.arange(count)
         messages = [
-            ChunkMessages(channel=self._channels[topic], times=rows.time_ns, offsets=places + offset)
-            for topic, offset in self._offsets.items()
+            ChunkMessages(channel=channels[topic], times=times, offsets=places + offset)
+            for topic, offset in self.tick.block_offsets.items()
         ]
         for topic, entries in single.items():
-            times, offsets = np.array(entries, np.int64).T
-            messages.append(ChunkMessages(channel=self._channels[topic], times=times, offsets=offsets))
+            when, offsets = np.array(entries, np.int64).T
+            messages.append(ChunkMessages(channel=channels[topic], times=when, offsets=offsets))
         return b"".join(pieces), messages
 
-    def _views(self) -> tuple[list[NDArray[np.uint8]], list[tuple[NDArray[np.float64], str, slice]]]:
-        """Return where a tick's head stands in each of its messages, and each room for numbers: which part's, which.
-
-        Views are made once: for twenty ticks they cost more than what is copied through them.
-        """
-        block, arms = self._block, self._tick.arms
-        raw = block.view(np.uint8).reshape(len(block), -1)
-        heads, rooms = [], []
-        for topic in self._tick.messages:
-            stamped = topic != CONTROL
-            first = self._offsets[topic] + RECORD_HEADER.fields["sequence"][1]  # type: ignore[index]
-            heads.append(raw[:, first : first + (_TICK_HEAD.itemsize if stamped else _UNSTAMPED)])
-            records = block[topic]
-            if topic == CONTROL:
-                rooms.append((records["row"], "control", slice(None)))
-            elif topic == MEASURED:
-                rooms.append((records["position"], _MEASURED, slice(None)))
-                if "rates" in self._tick.parts:
-                    rooms.append((records["velocity"], "rates", slice(None)))
-            else:
-                part = next(part for part, name in STATE_TOPICS.items() if name == topic)
-                for k, field in enumerate(("position", "velocity")):
-                    rooms.append((records[field][:, :arms], part, slice(k * arms, (k + 1) * arms)))
-                    if self._tick.has_cart:
-                        rooms.append((records[field][:, arms:], part, slice(2 * arms + k, 2 * arms + k + 1)))
-        return heads, rooms
-
-    def _fill(self, rows: TickRows) -> NDArray:
-        count = len(rows.time_ns)
+    def _fill(self, times: NDArray[np.int64], rows: Mapping[str, Row]) -> NDArray:
+        count = len(times)
         head = np.empty(count, _TICK_HEAD)
         head["sequence"] = np.arange(self._ticks, self._ticks + count)
-        head["log_time"] = head["publish_time"] = rows.time_ns
+        head["log_time"] = head["publish_time"] = times
         head["encapsulation"] = ENCAPSULATION
-        head["sec"], head["nanosec"] = np.divmod(rows.time_ns, _SECOND)
+        head["sec"], head["nanosec"] = np.divmod(times, _SECOND)
         self._ticks += count
         raw = head.view(np.uint8).reshape(count, _TICK_HEAD.itemsize)
         for into in self._heads:
             into[:count] = raw[:, : into.shape[1]]
         for into, part, columns in self._rooms:
-            into[:count] = (rows.measured if part == _MEASURED else rows.parts[part])[:, columns]
+            into[:count] = rows[part][:, columns]
         return self._block[:count]
 
-    def _robot(self, rows: TickRows) -> NDArray[np.float64]:
+    def _robot(self, rows: Mapping[str, Row]) -> Row:
         """Return the states that /tf shows: the best known."""
         for part in ("truth", "estimate"):
-            if part in rows.parts:
-                return rows.parts[part]
-        states = np.zeros((len(rows.measured), 2 * rows.measured.shape[1]))
-        states[:, self._positions] = rows.measured
+            if part in rows:
+                return rows[part]
+        states = np.zeros((len(rows["measured"]), self.tick.widths["truth"]))
+        states[:, self.tick.joint_order[0]] = rows["measured"]
         return states
 
-    def _transform_notes(self, rows: TickRows) -> list[Note]:
-        number = np.floor(rows.time_ns * (TRANSFORM_RATE / _SECOND) + 1e-6).astype(np.int64)
+    def _transform_notes(self, times: NDArray[np.int64], rows: Mapping[str, Row]) -> list[Note]:
+        number = np.floor(times * (TRANSFORM_RATE / _SECOND) + 1e-6).astype(np.int64)
         chosen: list[int] = []
         for row, due in enumerate(number.tolist()):
             if due > self._last_transform:
@@ -220,7 +176,7 @@ class ChunkEncoder:
             self._last_transform = due
         if not chosen:
             return []
-        robots = [self._robot(rows)] + ([rows.parts["reference"]] if "reference" in rows.parts else [])
+        robots = [self._robot(rows)] + ([rows["reference"]] if "reference" in rows else [])
         states = np.concatenate([robot[chosen] for robot in robots], axis=1)
         # Readers of transforms reject poses that are not finite.
         if not np.isfinite(states).all():
@@ -228,58 +184,34 @@ class ChunkEncoder:
             chosen, states = [chosen[k] for k in finite], states[finite]
             if not chosen:
                 return []
-        poses = urdf.poses(
-            states.reshape(len(chosen) * len(robots), -1), arm_lengths=self._lengths, has_cart=self._tick.has_cart
-        )
-        poses = poses.reshape(len(chosen), -1)
-        times = rows.time_ns[chosen]
+        states = states.reshape(len(chosen) * len(robots), -1)
+        poses = urdf.poses(states, arm_lengths=self._lengths, has_cart=self.tick.has_cart)
         stamps = np.empty(len(chosen), _STAMP)
-        stamps["sec"], stamps["nanosec"] = np.divmod(times, _SECOND)
+        stamps["sec"], stamps["nanosec"] = np.divmod(times[chosen], _SECOND)
         # All stamps and all poses at once, byte by byte: thirty columns one at a time cost more than the rest.
-        records = np.empty((len(chosen), len(self._template)), np.uint8)
-        records[:] = self._template
+        records = np.tile(self._template, (len(chosen), 1))
         records[:, self._stamp_bytes] = stamps.view(np.uint8).reshape(len(chosen), 1, _STAMP.itemsize)
-        records[:, self._pose_bytes] = poses.view(np.uint8).reshape(len(chosen), self._frames, -1)
+        records[:, self._pose_bytes] = poses.view(np.uint8).reshape(len(chosen), *self._pose_bytes.shape)
         return [
-            Note(row=row, topic=TRANSFORMS, time_ns=time, content=record.tobytes())
-            for row, time, record in zip(chosen, times.tolist(), records, strict=True)
+            Note(row, TRANSFORMS, time, record.tobytes())
+            for row, time, record in zip(chosen, times[chosen].tolist(), records, strict=True)
         ]
 
     def _record(self, note: Note) -> bytes:
-        number, length = self._counts[note.topic], RECORD_HEADER.itemsize - 9 + len(note.content)
+        number, length = self._counts[note.topic], RECORD_HEADER.itemsize - LENGTH_FROM + len(note.content)
         self._counts[note.topic] += 1
-        channel = self._channels[note.topic]
-        head = _HEAD.pack(MESSAGE_OPCODE, length, channel, number, note.time_ns, note.time_ns)
-        return head + note.content
-
-
-Row = NDArray[np.float64]
+        channel = self.tick.channels[note.topic]
+        return _HEAD.pack(MESSAGE_OPCODE, length, channel, number, note.time_ns, note.time_ns) + note.content
 
 
 class TickBuffer:
     """Room for `size` ticks of a layout with all its parts; which of them a log has, its first tick decides."""
 
-    def __init__(self, tick: TickLayout, *, rows: int) -> None:
-        self.size, self.filled, self.last = rows, 0, 0.0
-        self._time = np.zeros(rows)
-        widths = {"measured": len(tick.names), **tick.widths}
-        self._rooms = {name: np.zeros((rows, width)) for name, width in widths.items()}
-        self._parts: frozenset[str] | None = None
-
-    @property
-    def full(self) -> bool:
-        """Whether no further tick has room."""
-        return self.filled == self.size
-
-    @property
-    def first(self) -> float:
-        """The time of the first tick in s; 0 where there is none."""
-        return float(self._time[0]) if self.filled else 0.0
-
-    @property
-    def parts(self) -> frozenset[str]:
-        """Which of `layout.PARTS` the log has."""
-        return self._parts or frozenset()
+    def __init__(self, tick: TickLayout, *, size: int) -> None:
+        self.size, self.filled, self.last = size, 0, 0.0
+        self.parts: frozenset[str] | None = None
+        self._time = np.zeros(size)
+        self._rooms = {name: np.zeros((size, width)) for name, width in tick.widths.items()}
 
     def checked(self, times: Row, given: Mapping[str, Row | None]) -> dict[str, Row]:
         """Return those of the rows (K, …), `measured` and parts by name, that there are.
@@ -295,10 +227,10 @@ class TickBuffer:
         if len(times) and not (times[0] >= self.last and (np.diff(times) >= 0).all()):
             raise ValueError("the times of ticks must not decrease")
         parts = frozenset(rows) - {"measured"}
-        if self._parts is not None and parts != self._parts:
-            names = (part for part in PARTS if part in parts ^ self._parts)
+        if self.parts is not None and parts != self.parts:
+            names = (part for part in PARTS if part in parts ^ self.parts)
             raise ValueError(f"{', '.join(names)} must be given in every tick of a run or in none")
-        self._parts = parts
+        self.parts = parts
         return rows
 
     def put(self, times: Row, rows: Mapping[str, Row], *, since: int) -> int:
@@ -312,58 +244,11 @@ class TickBuffer:
         self.last = float(times[since + count - 1])
         return count
 
-    def taken(self, parts: frozenset[str]) -> TickRows:
-        """Return the ticks with these parts; views, good until the next tick comes."""
-        count = self.filled
-        return TickRows(
-            time_ns=np.rint(self._time[:count] * 1e9).astype(np.int64),
-            measured=self._rooms["measured"][:count],
-            parts={part: self._rooms[part][:count] for part in PARTS if part in parts},
-        )
-
-    def clear(self) -> None:
-        """Make room; the ticks have been written."""
-        self.filled = 0
-
-
-Limits = tuple[float, float, float] | None
-
-
-def layout_record(
-    tick: TickLayout,
-    arm_lengths: Sequence[float],
-    *,
-    rate_hz: float,
-    limits: Limits,
-    attachments: Collection[str],
-) -> dict[str, str]:
-    """Return the metadata by which a log is read: arms' lengths in m, rate in Hz, limits, parts of a tick."""
-    return {
-        "format": FORMAT,
-        "arm_lengths": " ".join(repr(length) for length in arm_lengths),
-        "has_cart": "1" if tick.has_cart else "0",
-        "rate_hz": repr(rate_hz),
-        "limits": " ".join(repr(float(limit)) for limit in limits or ()),
-        "parts": " ".join(part for part in PARTS if part in tick.parts),
-        "attachments": json.dumps(list(attachments)),
-        "program": f"dpcontrol {dpcontrol.__version__}",
-    }
-
-
-def descriptions(tick: TickLayout, arm_lengths: Sequence[float], *, limits: Limits, time_ns: int) -> list[Note]:
-    """Return the URDF of the arms, and of the reference's ghost where a tick has a reference, as messages."""
-    notes: list[Note] = []
-    for topic in (topic for topic in tick.channels if topic in LATCHED):
-        ghost = topic == GHOST
-        text = urdf.robot_description(
-            arm_lengths,
-            has_cart=tick.has_cart,
-            limits=limits,
-            prefix=REFERENCE_PREFIX if ghost else "",
-            ghost=ghost,
-        )
-        notes.insert(0, Note(row=0, topic=topic, time_ns=time_ns, content=string(text)))
-    return notes
+    def ticks(self) -> tuple[NDArray[np.int64], dict[str, Row]]:
+        """Return the times (K,) in ns and the rows of the log's parts; views, good until the next tick comes."""
+        names = {"measured"} | (self.parts or frozenset())
+        times = np.rint(self._time[: self.filled] * 1e9).astype(np.int64)
+        return times, {name: self._rooms[name][: self.filled] for name in names}
 
 
 CHUNK_SECONDS = 0.02
@@ -415,7 +300,7 @@ class LogWriter:
         if not self._lengths or not self._rate > 0:
             raise ValueError(f"a log needs arms and a positive rate; got {len(self._lengths)} arms at {rate_hz} Hz")
         tick = TickLayout(len(self._lengths), has_cart, frozenset(PARTS))
-        self._buffer = TickBuffer(tick, rows=max(1, round(chunk_seconds * self._rate)))
+        self._buffer = TickBuffer(tick, size=max(1, round(chunk_seconds * self._rate)))
         self._ticks = 0
         self._notes: list[Note] = []
         self._result: dict[str, str] = {}
@@ -522,7 +407,7 @@ class LogWriter:
         done = 0
         while done < len(times):
             done += self._buffer.put(times, rows, since=done)
-            if self._buffer.full:
+            if self._buffer.filled == self._buffer.size:
                 self._write_chunk()
 
     def tick(self, time_s: float, *, measured: Row, **parts: Row | None) -> None:
@@ -540,18 +425,32 @@ class LogWriter:
             raise ValueError(f"event level {level!r}: must be one of {', '.join(LEVELS)}")
         time_ns = round(time_s * 1e9)
         message = log(time_ns, LEVELS[level], name=name, text=text)
-        self._notes.append(Note(row=self._buffer.filled, topic=EVENTS, time_ns=time_ns, content=message))
+        self._notes.append(Note(self._buffer.filled, EVENTS, time_ns, message))
 
     def _prepare(self, file: McapFile) -> ChunkEncoder:
         # Done with the first chunk: only then is it known what a tick holds.
-        tick = TickLayout(len(self._lengths), self._has_cart, self._buffer.parts)
-        described = layout_record(
-            tick, self._lengths, rate_hz=self._rate, limits=self._limits, attachments=self._attachments
-        )
+        tick = TickLayout(len(self._lengths), self._has_cart, self._buffer.parts or frozenset())
+        described = {
+            "format": FORMAT,
+            "arm_lengths": " ".join(repr(length) for length in self._lengths),
+            "has_cart": "1" if tick.has_cart else "0",
+            "rate_hz": repr(self._rate),
+            "limits": " ".join(repr(float(limit)) for limit in self._limits or ()),
+            "parts": " ".join(part for part in PARTS if part in tick.parts),
+            "attachments": json.dumps(list(self._attachments)),
+            "program": f"dpcontrol {dpcontrol.__version__}",
+        }
         file.add_metadata(LAYOUT_RECORD, sealed(LAYOUT_RECORD, described))
         file.add_channels(tick.schemas, latched=LATCHED)
-        first = round(self._buffer.first * 1e9)
-        self._notes[:0] = descriptions(tick, self._lengths, limits=self._limits, time_ns=first)
+        times, _ = self._buffer.ticks()
+        first = int(times[0]) if len(times) else 0
+        for topic in (topic for topic in tick.channels if topic in LATCHED):
+            ghost = topic == GHOST
+            prefix = REFERENCE_PREFIX if ghost else ""
+            text = urdf.robot_description(
+                self._lengths, has_cart=tick.has_cart, limits=self._limits, prefix=prefix, ghost=ghost
+            )
+            self._notes.insert(0, Note(0, topic, first, string(text)))
         return ChunkEncoder(tick, self._lengths, rows=self._buffer.size)
 
     def _write_chunk(self) -> None:
@@ -564,12 +463,12 @@ class LogWriter:
         try:
             if self._encoder is None:
                 self._encoder = self._prepare(self._file)
-            self._file.add_chunk(*self._encoder.encode(self._buffer.taken(self._encoder.parts), self._notes))
+            self._file.add_chunk(*self._encoder.encode(*self._buffer.ticks(), self._notes))
         except OSError as error:
             raise self._unwritable(error) from error
         self._notes.clear()
         self._ticks += count
-        self._buffer.clear()
+        self._buffer.filled = 0
         self._torn = False
         if self._stream is not None and moved_away(self.partial, self._stream):
             raise InputError(
