@@ -20,8 +20,9 @@ equations (2007); Albersmeyer, Diehl, The lifted Newton method (2010); Huber, Ro
 Hairer, Nørsett, Wanner, Solving ordinary differential equations I (1993), section I.14.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cache
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -57,13 +58,13 @@ class Swings:
         *,
         period: Array,
         samples: int,
-        accelerations: Array | None = None,
-        velocities: Array | None = None,
+        accelerations: Array | float = 0.0,
+        velocities: Array | float = 0.0,
     ) -> tuple[Array, Array]:
         """Return states (W, K, N) and sensitivities (W, K, N, N+m) at `samples` = K times from each start (W, N).
 
         parameters (m,) ratios; period (W,) s between samples; accelerations (W, K) m/s² of the cart, held from each
-        sample to the next, and velocities (W, K) m/s at it, zero if not given.
+        sample to the next, and velocities (W, K) m/s at it.
         """
         w, n, m = len(starts), self.states, self.parameters
         size = n + n * (n + m)
@@ -73,19 +74,16 @@ class Swings:
         held[n:size] = np.eye(n, n + m).T.reshape(-1, 1)
         held[size : size + m] = parameters[:, None]
         held[size + m] = period / substeps
-        held[size + m + 1 :] = 0.0
+        u, v = (np.broadcast_to(values, (w, samples)) for values in (accelerations, velocities))
         every = np.empty((samples, size, w))
         step = _compiled(_nominal(self.arms))
         every[0] = held[:size]
         for k in range(1, samples):
-            if accelerations is not None and velocities is not None:
-                held[size + m + 1] = accelerations[:, k - 1]
-                held[size + m + 2] = velocities[:, k - 1]
+            held[size + m + 1], held[size + m + 2] = u[:, k - 1], v[:, k - 1]
             for _ in range(substeps):
                 step(held, out)
                 held[:size] = out
-                if accelerations is not None:
-                    held[size + m + 2] += held[size + m] * held[size + m + 1]
+                held[size + m + 2] += held[size + m] * held[size + m + 1]
             every[k] = out
         states = every[:, :n].transpose(2, 0, 1)
         return states, every[:, n:].reshape(samples, n + m, n, w).transpose(3, 0, 2, 1)
@@ -139,37 +137,37 @@ class Swing:
     velocities: Array | None = None
 
 
-@dataclass(eq=False)
 class Windows:
-    """All swings cut into windows, flown together."""
+    """All swings cut into windows of about `length` s, flown together.
 
-    swings: list[Swing]
-    model: Swings
-    length: float
-    of_swing: list[list[int]] = field(default_factory=list)
-    first: list[int] = field(default_factory=list)
-    last: list[int] = field(default_factory=list)
+    Attributes:
+        of_swing: the windows of each swing, by number.
+        first, last: rows of its swing at which each window begins and ends.
+    """
 
-    def __post_init__(self) -> None:
-        for swing in self.swings:
+    def __init__(self, swings: list[Swing], model: Swings, length: float) -> None:
+        self.swings, self.model = swings, model
+        self.of_swing: list[range] = []
+        self.first: list[int] = []
+        self.last: list[int] = []
+        for swing in swings:
             count = len(swing.angles)
-            per_window = max(round(self.length / swing.period), 2)
-            pieces = max(round((count - 1) / per_window), 1)
+            pieces = max(round((count - 1) / max(round(length / swing.period), 2)), 1)
             edges = np.linspace(0, count - 1, pieces + 1).round().astype(int)
-            self.of_swing.append(list(range(len(self.first), len(self.first) + pieces)))
+            self.of_swing.append(range(len(self.first), len(self.first) + pieces))
             self.first += edges[:-1].tolist()
             self.last += edges[1:].tolist()
         self.samples = max(b - a for a, b in zip(self.first, self.last, strict=True)) + 1
-        owner = [s for s, windows in enumerate(self.of_swing) for _ in windows]
-        self.periods = np.array([self.swings[s].period for s in owner])
-        self.drive = None
-        if any(s.accelerations is not None for s in self.swings):
-            self.drive = np.zeros((2, len(owner), self.samples))
-            for w, s in enumerate(owner):
+        self.periods = np.concatenate(
+            [np.full(len(windows), s.period) for s, windows in zip(swings, self.of_swing, strict=True)]
+        )
+        self.drive = np.zeros((2, len(self.first), self.samples))
+        for swing, windows in zip(swings, self.of_swing, strict=True):
+            for w in windows:
                 rows = slice(self.first[w], self.last[w] + 1)
-                for row, values in enumerate((self.swings[s].accelerations, self.swings[s].velocities)):
+                for row, values in enumerate((swing.accelerations, swing.velocities)):
                     if values is not None:
-                        self.drive[row, w, : self.last[w] + 1 - self.first[w]] = values[rows]
+                        self.drive[row, w, : rows.stop - rows.start] = values[rows]
 
     def guess(self) -> Array:
         """Return starts (W, 2n) from the measured angles, rates by a local polynomial."""
@@ -183,91 +181,79 @@ class Windows:
             starts += [np.concatenate([swing.angles[self.first[w]], rates[self.first[w]]]) for w in windows]
         return np.array(starts)
 
-    def flown(self, starts: Array, parameters: Array) -> tuple[Array, Array]:
-        u, v = (None, None) if self.drive is None else self.drive
-        return self.model.flown(
-            starts, parameters, period=self.periods, samples=self.samples, accelerations=u, velocities=v
+    def linearised(self, starts: Array, values: Array, where: NDArray[np.intp]) -> "Linearised":
+        """Fly all windows from `starts` (W, 2n), and chain their slopes along each swing.
+
+        values: of all parameters, then of the zeros; where (f,): which of them are unknown.
+        """
+        model = self.model
+        n, m, arms = model.states, model.parameters, model.arms.count
+        u, v = self.drive
+        states, slopes = model.flown(
+            starts, values[:m], period=self.periods, samples=self.samples, accelerations=u, velocities=v
         )
+        zeros, inside = values[m:].reshape(-1, arms), where < m
+        out = Linearised([], 0.0, 0.0, bool(np.isfinite(states).all() and np.isfinite(slopes).all()))
+        for swing, windows in zip(self.swings, self.of_swing, strict=True):
+            one = _Chain(*np.empty((2, *swing.angles.shape)), np.zeros((*swing.angles.shape, n + len(where))), [], [])
+            node, offset = np.eye(n, n + len(where)), np.zeros(n)
+            for w in windows:
+                one.nodes.append(node)
+                one.offsets.append(offset)
+                rows, k = slice(self.first[w], self.last[w] + 1), self.last[w] - self.first[w]
+                jacobian = slopes[w, : k + 1, :arms]
+                one.residual[rows] = swing.angles[rows] - states[w, : k + 1, :arms] - zeros[swing.group]
+                one.reduced[rows] = one.residual[rows] - jacobian[..., :n] @ offset
+                one.slope[rows] = jacobian[..., :n] @ node
+                one.slope[rows, :, n:][..., inside] += jacobian[..., n + where[inside]]
+                end = slopes[w, k]
+                node, offset = end[:, :n] @ node, end[:, :n] @ offset
+                node[:, n:][:, inside] += end[:, n + where[inside]]
+                if w != windows[-1]:
+                    jump = states[w, k] - starts[w + 1]
+                    offset = offset + jump
+                    out.gaps += float(np.abs(jump).sum())
+                    out.gap = max(out.gap, float(np.abs(jump).max()))
+            for column, index in enumerate(where):
+                if index >= m and (index - m) // arms == swing.group:
+                    one.slope[:, (index - m) % arms, n + column] = 1.0
+            out.swings.append(one)
+        return out
+
+
+class _Chain(NamedTuple):
+    """Of one swing of K samples: residuals (K, n), and `reduced` (K, n) by what the gaps between windows explain.
+
+    slope (K, n, 2n+f): of the prediction over the swing's first start and the f unknowns; how each window's start
+    follows from these: nodes (2n, 2n+f) and offsets (2n,).
+    """
+
+    residual: Array
+    reduced: Array
+    slope: Array
+    nodes: list[Array]
+    offsets: list[Array]
 
 
 @dataclass(eq=False)
 class Linearised:
-    """Residuals (K, n) of each swing, their slopes (K, n, 2n+f) over its first start and the f unknowns, and how each
-    window's start follows from these: nodes (J, 2n, 2n+f) and offsets (J, 2n). gap: the largest between windows.
-    """
+    """All swings linearised. gaps, gap: between windows, their sum and the largest; finite: whether all numbers are."""
 
-    residuals: list[Array]
-    reduced_residuals: list[Array]
-    slopes: list[Array]
-    nodes: list[Array]
-    offsets: list[Array]
+    swings: list[_Chain]
     gaps: float
     gap: float
     finite: bool
 
     def loss(self, threshold: float) -> float:
-        return float(sum(_huber(r, threshold).sum() for r in self.residuals))
+        """Return the sum of the residuals' losses."""
+        sizes = np.abs(np.concatenate([one.residual.ravel() for one in self.swings]))
+        bent = np.minimum(sizes, threshold)
+        return float((bent * (sizes - bent / 2)).sum())
 
     def merit(self, threshold: float) -> float:
+        """Return what a step must lessen: the loss and the gaps."""
         scale = threshold if np.isfinite(threshold) else 1e-3
         return self.loss(threshold) / scale**2 + _GAP_WEIGHT * self.gaps / scale
-
-
-def _huber(errors: Array, threshold: float) -> Array:
-    size = np.abs(errors)
-    if not np.isfinite(threshold):
-        return size**2 / 2
-    return np.where(size <= threshold, size**2 / 2, threshold * (size - threshold / 2))
-
-
-def linearised(
-    cut: Windows,
-    starts: Array,
-    states: Array,
-    slopes: Array,
-    values: Array,
-    where: NDArray[np.intp],
-    groups: list[int],
-) -> Linearised:
-    """Chain the windows' slopes along each swing."""
-    n, m, arms, f = cut.model.states, cut.model.parameters, cut.model.states // 2, len(where)
-    zeros = values[m:].reshape(-1, arms)
-    in_model = where < m
-    out = Linearised([], [], [], [], [], 0.0, 0.0, bool(np.isfinite(states).all() and np.isfinite(slopes).all()))
-    for s, windows in enumerate(cut.of_swing):
-        swing = cut.swings[s]
-        count = len(swing.angles)
-        residual, reduced = np.empty((count, arms)), np.empty((count, arms))
-        slope = np.zeros((count, arms, n + f))
-        node, offset = np.eye(n, n + f), np.zeros(n)
-        nodes: list[Array] = []
-        offsets: list[Array] = []
-        for w in windows:
-            nodes.append(node)
-            offsets.append(offset)
-            rows, k = slice(cut.first[w], cut.last[w] + 1), cut.last[w] - cut.first[w]
-            jacobian = slopes[w, : k + 1, :arms]
-            residual[rows] = swing.angles[rows] - states[w, : k + 1, :arms] - zeros[groups[s]]
-            reduced[rows] = residual[rows] - jacobian[..., :n] @ offset
-            slope[rows] = jacobian[..., :n] @ node
-            slope[rows, :, n:][..., in_model] += jacobian[..., n + where[in_model]]
-            end = slopes[w, k]
-            node, offset = end[:, :n] @ node, end[:, :n] @ offset
-            node[:, n:][:, in_model] += end[:, n + where[in_model]]
-            if w != windows[-1]:
-                jump = states[w, k] - starts[w + 1]
-                offset = offset + jump
-                out.gaps += float(np.abs(jump).sum())
-                out.gap = max(out.gap, float(np.abs(jump).max()))
-        for column, index in enumerate(where):
-            if index >= m and (index - m) // arms == groups[s]:
-                slope[:, (index - m) % arms, n + column] = 1.0
-        out.residuals.append(residual)
-        out.reduced_residuals.append(reduced)
-        out.slopes.append(slope)
-        out.nodes.append(np.array(nodes))
-        out.offsets.append(np.array(offsets))
-    return out
 
 
 _STILL_ADAPTING = 6
@@ -344,27 +330,21 @@ def fit_swings(
     if any(len(s.angles) < 8 for s in swings):
         raise InputError("a swing of fewer than 8 samples determines nothing; leave it out")
     cut = Windows(swings, model, settings.window)
-    n, m, arms = model.states, model.parameters, model.states // 2
+    m, arms = model.parameters, model.arms.count
     unknown = np.concatenate([free, np.full(zeros.size, free_zeros)])
     values = np.concatenate([parameters, zeros.ravel()])
     lower = np.where((np.arange(len(values)) >= friction_from) & (np.arange(len(values)) < m), 0.0, -np.inf)
     where = np.flatnonzero(unknown)
     starts = cut.guess() if near is None else near.copy()
-    groups = [s.group for s in swings]
     if near is None:
-        for windows, group in zip(cut.of_swing, groups, strict=True):
-            starts[windows, :arms] -= zeros[group]
-
-    def evaluated(starts: Array, values: Array) -> Linearised:
-        states, slopes = cut.flown(starts, values[:m])
-        return linearised(cut, starts, states, slopes, values, where, groups)
-
-    now = evaluated(starts, values)
+        for windows, swing in zip(cut.of_swing, swings, strict=True):
+            starts[windows, :arms] -= zeros[swing.group]
+    now = cut.linearised(starts, values, where)
     threshold, converged, iteration, status = np.inf, False, 0, ""
     for iteration in range(1, settings.iterations + 1):
         if iteration <= _STILL_ADAPTING:
             threshold = _threshold(now, settings)
-        normal = _normal(now, threshold, n, len(where))
+        normal = _normal(now, threshold)
         if not np.isfinite(normal.scaled).all():
             status = "errors grow so much along a swing that its start determines nothing; cut the swings shorter"
             break
@@ -375,11 +355,11 @@ def fit_swings(
             new_values = values.copy()
             new_values[where] += share * step
             new_starts = starts.copy()
-            for s, windows in enumerate(cut.of_swing):
-                direction = np.concatenate([firsts[s], step])
-                for j, w in enumerate(windows):
-                    new_starts[w] += share * (now.nodes[s][j] @ direction + now.offsets[s][j])
-            trial = evaluated(new_starts, np.maximum(new_values, lower))
+            for one, windows, first in zip(now.swings, cut.of_swing, firsts, strict=True):
+                direction = np.concatenate([first, step])
+                for w, node, offset in zip(windows, one.nodes, one.offsets, strict=True):
+                    new_starts[w] += share * (node @ direction + offset)
+            trial = cut.linearised(new_starts, np.maximum(new_values, lower), where)
             if trial.finite and trial.merit(threshold) < now.merit(threshold) * (1 + 1e-12):
                 better = trial
                 break
@@ -395,14 +375,14 @@ def fit_swings(
             break
     if not converged and not status:
         status = f"still improving after {settings.iterations} steps; allow more, or start from a nearer model"
-    normal = _normal(now, threshold, n, len(where))
+    normal = _normal(now, threshold)
     return SwingFit(
         parameters=values[:m],
         zeros=values[m:].reshape(zeros.shape),
         starts=np.array([starts[windows[0]] for windows in cut.of_swing]),
-        residuals=now.residuals,
+        residuals=[one.residual for one in now.swings],
         information=normal.reduced,
-        scores=[_scores(now, normal, s, threshold) for s in range(len(swings))],
+        scores=[_scores(one, mixed, threshold) for one, mixed in zip(now.swings, normal.mixed, strict=True)],
         unknowns=where,
         loss=now.loss(threshold),
         bend=float(threshold),
@@ -419,7 +399,7 @@ def _threshold(now: Linearised, settings: FitSettings) -> float:
         return settings.bend
     if settings.robust == 0:
         return np.inf
-    every = np.abs(np.concatenate([r.ravel() for r in now.residuals]))
+    every = np.abs(np.concatenate([one.residual.ravel() for one in now.swings]))
     return settings.robust * max(1.4826 * float(np.median(every)), settings.least_scale)
 
 
@@ -429,7 +409,6 @@ class _Normal:
 
     reduced: Array
     right: Array
-    start_matrices: list[Array]
     mixed: list[Array]
     start_rights: list[Array]
 
@@ -446,18 +425,19 @@ class _Normal:
             return (vectors + vectors.T) / 2
 
 
-def _normal(now: Linearised, threshold: float, n: int, f: int) -> _Normal:
-    out = _Normal(np.zeros((f, f)), np.zeros(f), [], [], [])
-    for residual, reduced, slopes in zip(now.residuals, now.reduced_residuals, now.slopes, strict=True):
-        weights = np.minimum(1.0, threshold / np.maximum(np.abs(residual), 1e-300)).ravel()
-        jacobian = slopes.reshape(-1, n + f)
+def _normal(now: Linearised, threshold: float) -> _Normal:
+    n = len(now.swings[0].offsets[0])
+    f = now.swings[0].slope.shape[2] - n
+    out = _Normal(np.zeros((f, f)), np.zeros(f), [], [])
+    for one in now.swings:
+        weights = np.minimum(1.0, threshold / np.maximum(np.abs(one.residual), 1e-300)).ravel()
+        jacobian = one.slope.reshape(-1, n + f)
         weighted = jacobian * weights[:, None]
-        matrix, right = jacobian.T @ weighted, weighted.T @ reduced.ravel()
+        matrix, right = jacobian.T @ weighted, weighted.T @ one.reduced.ravel()
         a, b, c = matrix[:n, :n], matrix[:n, n:], matrix[n:, n:]
         solved = np.linalg.lstsq(a, np.column_stack([b, right[:n]]), rcond=1e-14)[0].astype(np.float64)
         out.reduced += c - b.T @ solved[:, :f]
         out.right += right[n:] - b.T @ solved[:, f]
-        out.start_matrices.append(a)
         out.mixed.append(solved[:, :f])
         out.start_rights.append(solved[:, f])
     return out
@@ -479,10 +459,8 @@ def _step(normal: _Normal, values: Array, lower: Array) -> tuple[Array, list[Arr
     return step, [r - mixed @ step for r, mixed in zip(normal.start_rights, normal.mixed, strict=True)]
 
 
-def _scores(now: Linearised, normal: _Normal, s: int, threshold: float) -> Array:
+def _scores(one: _Chain, mixed: Array, threshold: float) -> Array:
     """Return each sample's part (K, f) of the loss's gradient by the unknowns, the start following them."""
-    residual = now.residuals[s]
-    n = len(normal.mixed[s])
-    along = now.slopes[s][..., n:] - now.slopes[s][..., :n] @ normal.mixed[s]
-    pulled = np.clip(residual, -threshold, threshold)
-    return np.einsum("kaf,ka->kf", along, pulled)
+    n = len(mixed)
+    along = one.slope[..., n:] - one.slope[..., :n] @ mixed
+    return np.einsum("kaf,ka->kf", along, np.clip(one.residual, -threshold, threshold))
