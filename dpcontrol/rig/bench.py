@@ -16,7 +16,7 @@ import signal
 import socket
 import time
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from types import TracebackType
@@ -109,7 +109,8 @@ class UdpBench:
                     self._say(f"a run begins for {sender[0]}:{sender[1]}")
                     rig = self._make(content.queued)
                     with without_collecting(), real_time_priority() if self._settings.real_time else nullcontext():
-                        run = _BenchRun(self._socket, sender, rig, self._arms, self._ticks, self._settings)
+                        welcome = Welcome(self._arms, rig.period, self._ticks)
+                        run = _BenchRun(self._socket, sender, rig, welcome, self._settings)
                         ended = run.go()
                     self._say(f"run ended: {ended}; {run.sentence}")
                     served += 1
@@ -120,17 +121,11 @@ class _BenchRun:
     """One run of the bench for one loop."""
 
     def __init__(
-        self,
-        sock: socket.socket,
-        client: Any,
-        rig: Rig,
-        arms: int,
-        ticks: int,
-        settings: BenchServerSettings,
+        self, sock: socket.socket, client: Any, rig: Rig, welcome: Welcome, settings: BenchServerSettings
     ) -> None:
         self._socket, self._client, self._rig, self._settings = sock, client, rig, settings
-        self._welcome = packets.welcome(Welcome(arms, rig.period, ticks))
-        self._ticks, self._tick = ticks, -1
+        self._welcome = packets.welcome(welcome)
+        self._ticks, self._tick = welcome.ticks, -1
         self._sent_at = [0.0] * _REMEMBERED
         self._heard, self._held, self._trip, self._fresh = -1, 0, 0.0, True
         self._silent, self._stopped, self._ready, self._over = 0, False, False, ""
@@ -247,11 +242,9 @@ class _BenchRun:
         self._rig.stop()
 
     def _send(self, data: bytes, to: Any = None) -> None:
-        try:
+        # A packet that cannot be sent is like one lost on the way: the loop notices.
+        with suppress(OSError):
             self._socket.sendto(data, self._client if to is None else to)
-        except OSError:
-            # Like a packet lost on the way: the loop notices.
-            return
 
 
 def _received(sock: socket.socket) -> list[tuple[Kind, packets.Packet, Any]]:
@@ -259,14 +252,12 @@ def _received(sock: socket.socket) -> list[tuple[Kind, packets.Packet, Any]]:
     out = []
     while True:
         try:
-            data, sender = sock.recvfrom(packets.LARGEST)
+            kind, content, sender = packets.received(sock)
         except OSError:
             # Nothing more; or a loop that has left, which the system reports once.
             return out
-        try:
-            out.append((*packets.unpacked(data), sender))
-        except ValueError:
-            continue
+        if kind is not None:
+            out.append((kind, content, sender))
 
 
 _START = 120.0
@@ -323,10 +314,10 @@ class BenchProcess:
         )
         self._process.start()
         theirs.close()
-        try:
-            self.address: tuple[str, int] = self._pipe.recv() if self._pipe.poll(_START) else ("", 0)
-        except EOFError:
-            self.address = ("", 0)
+        self.address: tuple[str, int] = ("", 0)
+        with suppress(EOFError):
+            if self._pipe.poll(_START):
+                self.address = self._pipe.recv()
         if not self.address[1]:
             self._end()
             raise InputError("the example bench did not start; `dpcontrol rig` shows why")
@@ -340,11 +331,9 @@ class BenchProcess:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._process.join(_END)
-        try:
+        with suppress(EOFError, OSError):
             while self._pipe.poll():
                 self.said.append(self._pipe.recv())
-        except (EOFError, OSError):
-            pass
         self._end()
 
     def _end(self) -> None:

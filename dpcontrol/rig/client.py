@@ -82,18 +82,6 @@ class Deadlines:
     trip_99: float
     trip_worst: float
 
-    @classmethod
-    def of(
-        cls, lateness: list[float], trips: list[float], *, missed: int, lost: int, stale: int, held: int
-    ) -> "Deadlines":
-        """Return the statistics of ticks that began so late (s), of answers that took so long (s), and the counts."""
-        late, trip = np.array(lateness or [np.nan]), np.array(trips or [np.nan])
-        return cls(
-            ticks=len(lateness), missed=missed, worst=float(late.max()), lateness_median=float(np.median(late)),
-            lateness_99=float(np.percentile(late, 99)), lost=lost, stale=stale, held=held,
-            trip_median=float(np.median(trip)), trip_99=float(np.percentile(trip, 99)), trip_worst=float(trip.max()),
-        )  # fmt: skip
-
     @property
     def sentence(self) -> str:
         """What a user should know of it."""
@@ -139,11 +127,8 @@ def parse_address(text: str) -> tuple[str, int]:
         parts = urlsplit(text)
         host, port = parts.hostname, parts.port
     except ValueError:
-        host = port = None
-    else:
-        if parts.scheme != SCHEME or parts.path.strip("/"):
-            host = None
-    if not host or not port:
+        parts = host = port = None
+    if not (parts and host and port) or parts.scheme != SCHEME or parts.path.strip("/"):
         raise InputError(f"rig {text!r}: must be udp://HOST:PORT, as `dpcontrol rig` prints it, or udp alone")
     return host, port
 
@@ -222,9 +207,13 @@ class UdpRig:
     @property
     def deadlines(self) -> Deadlines:
         """Return the statistics so far."""
-        return Deadlines.of(
-            self._lateness, self._trips, missed=self._missed, lost=self._lost, stale=self._stale, held=self._held
-        )
+        late, trip = np.array(self._lateness or [np.nan]), np.array(self._trips or [np.nan])
+        return Deadlines(
+            ticks=len(self._lateness), missed=self._missed, worst=float(late.max()),
+            lateness_median=float(np.median(late)), lateness_99=float(np.percentile(late, 99)),
+            lost=self._lost, stale=self._stale, held=self._held,
+            trip_median=float(np.median(trip)), trip_99=float(np.percentile(trip, 99)), trip_worst=float(trip.max()),
+        )  # fmt: skip
 
     def read(self) -> Reading:
         """Wait for the next tick's reading, or for so long that the tick must go on without it.
@@ -325,26 +314,15 @@ class UdpRig:
     def _received(self, wait: float) -> tuple[Kind | None, packets.Packet]:
         """Return the next packet, or (None, None) if none came within `wait` s; malformed packets are ignored."""
         try:
-            data = self._socket.recv(packets.LARGEST)
-        except BlockingIOError:
             try:
-                if not self._poll.poll(math.ceil(wait * 1e3)):
-                    return None, None
-                data = self._socket.recv(packets.LARGEST)
-            except OSError as error:
-                return self._refused(error, wait)
+                return packets.received(self._socket)[:2]
+            except BlockingIOError:
+                return packets.received(self._socket)[:2] if self._poll.poll(math.ceil(wait * 1e3)) else (None, None)
         except OSError as error:
-            return self._refused(error, wait)
-        try:
-            return packets.unpacked(data)
-        except ValueError:
+            self._gone = f"{error.strerror or error}"
+            # Nobody listens there now; a bench that is restarted might.
+            time.sleep(min(wait, _ASK_EVERY))
             return None, None
-
-    def _refused(self, error: OSError, wait: float) -> tuple[None, None]:
-        self._gone = f"{error.strerror or error}"
-        # Nobody listens there now; a bench that is restarted might.
-        time.sleep(min(wait, _ASK_EVERY))
-        return None, None
 
     def _send(self, data: bytes) -> None:
         try:

@@ -19,27 +19,22 @@ Little-endian, one packet a datagram. Every packet begins with a head of eight b
 A lost packet is not sent again, and a packet counts once: READING and COMMAND carry the tick that they belong to.
 """
 
+import socket
 import struct
 from collections.abc import Sequence
 from enum import IntEnum
-from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 MAGIC, VERSION = b"dpcb", 1
 LARGEST = 4096
 """Bytes of a datagram at most."""
+_LONGEST_TEXT = 2048
 NO_TICK = 2**32 - 1
 
 _HEAD = struct.Struct("<4sBBH")
 _WELCOME = struct.Struct("<dI")
 _READING = struct.Struct("<IIIdbBH")
 _COMMAND = struct.Struct("<Id")
-_COMMAND_WHOLE = struct.Struct("<4sBBHId")
-
-
-@cache
-def _whole_reading(arms: int) -> struct.Struct:
-    return struct.Struct(f"<4sBBHIIIdbBH{arms + 1}d")
 
 
 class Kind(IntEnum):
@@ -102,50 +97,47 @@ class CommandPacket(NamedTuple):
     acceleration: float
 
 
+def _packed(kind: Kind, count: int = 0, *rest: bytes) -> bytes:
+    return b"".join([_HEAD.pack(MAGIC, VERSION, kind, count), *rest])
+
+
 def hello(queued: Sequence[float]) -> bytes:
     """Return the packet that begins a run, with the commands on their way (m/s²), oldest first."""
-    return _HEAD.pack(MAGIC, VERSION, Kind.HELLO, len(queued)) + struct.pack(f"<{len(queued)}d", *queued)
+    return _packed(Kind.HELLO, len(queued), struct.pack(f"<{len(queued)}d", *queued))
 
 
 def welcome(content: Welcome) -> bytes:
     """Return the bench's answer to HELLO."""
-    head = _HEAD.pack(MAGIC, VERSION, Kind.WELCOME, content.arms)
-    return head + _WELCOME.pack(content.period, content.ticks)
+    return _packed(Kind.WELCOME, content.arms, _WELCOME.pack(content.period, content.ticks))
 
 
 def start() -> bytes:
     """Return the packet that lets the first tick come."""
-    return _HEAD.pack(MAGIC, VERSION, Kind.START, 0)
+    return _packed(Kind.START)
 
 
 def reading(content: ReadingPacket) -> bytes:
     """Return the packet of one tick."""
-    text = content.text.encode()[:2048]
-    n = len(content.positions) - 1
-    heard = NO_TICK if content.heard < 0 else content.heard
-    return (
-        _whole_reading(n).pack(
-            MAGIC, VERSION, Kind.READING, n, content.tick, heard, content.held, content.trip, content.switch,
-            content.condition, len(text), *content.positions,
-        )
-        + text
-    )  # fmt: skip
+    text = content.text.encode()[:_LONGEST_TEXT]
+    count, heard = len(content.positions), NO_TICK if content.heard < 0 else content.heard
+    body = _READING.pack(content.tick, heard, content.held, content.trip, content.switch, content.condition, len(text))
+    return _packed(Kind.READING, count - 1, body, struct.pack(f"<{count}d", *content.positions), text)
 
 
 def command(tick: int, acceleration: float) -> bytes:
     """Return the packet that answers the reading of `tick`, acceleration in m/s²."""
-    return _COMMAND_WHOLE.pack(MAGIC, VERSION, Kind.COMMAND, 0, tick, acceleration)
+    return _packed(Kind.COMMAND, 0, _COMMAND.pack(tick, acceleration))
 
 
 def stop() -> bytes:
     """Return the packet that stops the cart."""
-    return _HEAD.pack(MAGIC, VERSION, Kind.STOP, 0)
+    return _packed(Kind.STOP)
 
 
 def bye(text: str) -> bytes:
     """Return the packet that ends a run, and why."""
-    said = text.encode()[:2048]
-    return _HEAD.pack(MAGIC, VERSION, Kind.BYE, len(said)) + said
+    said = text.encode()[:_LONGEST_TEXT]
+    return _packed(Kind.BYE, len(said), said)
 
 
 Packet = Hello | Welcome | ReadingPacket | CommandPacket | str | None
@@ -195,3 +187,16 @@ def _text(data: bytes, at: int, size: int) -> str:
     if len(data) < at + size:
         raise struct.error(f"{size} bytes of text were announced, {len(data) - at} came")
     return data[at : at + size].decode()
+
+
+def received(sock: socket.socket) -> tuple[Kind | None, Packet, Any]:
+    """Return kind, content and sender of the packet that waits; no kind where it is malformed.
+
+    Raises:
+        OSError: none waits, or the other end is gone.
+    """
+    data, sender = sock.recvfrom(LARGEST)
+    try:
+        return (*unpacked(data), sender)
+    except ValueError:
+        return None, None, sender
