@@ -10,7 +10,7 @@ of -1 a sign, another arm's derivative a swapped column. And gravity pulls arms 
 sin θ is negative, so a positive one means that the zero is upright.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -106,23 +106,11 @@ def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) 
     Raises:
         InputError: something is wrong whose repair was not asked for, or that no repair mends; names row and time.
     """
-    steps: list[Callable[[Samples, frozenset[str], float], Repaired]] = [
-        _timed,
-        _forward,
-        _finite,
-        _whole,
-        _continuous,
-        _steady,
-        _even,
-    ]
     segments, notes = [samples], []
-    for step in steps:
-        following: list[Samples] = []
-        for segment in segments:
-            found, said = step(segment, repairs, period)
-            following += found
-            notes += said
-        segments = following
+    for step in (_timed, _forward, _finite, _whole, _continuous, _steady, _even):
+        done = [step(segment, repairs, period) for segment in segments]
+        segments = [piece for pieces, _ in done for piece in pieces]
+        notes += [f"{samples.where}: {note}" for _, said in done for note in said]
     usable = [segment for segment in segments if len(segment.time) >= FEWEST_SAMPLES]
     if not usable:
         raise InputError(f"{samples.where} has {len(samples.time)} samples; a segment needs {FEWEST_SAMPLES} or more")
@@ -133,8 +121,16 @@ def sound_segments(samples: Samples, *, period: float, repairs: frozenset[str]) 
     return usable, notes
 
 
-def _refuse(fault: str, repair: str) -> InputError:
-    return InputError(f"{fault}; mend the recording, or ask for --repair {repair}: {REPAIRS[repair]}")
+def _asked(repair: str, repairs: frozenset[str], fault: str) -> None:
+    """Reject a fault whose repair was not asked for."""
+    if repair not in repairs:
+        raise InputError(f"{fault}; mend the recording, or ask for --repair {repair}: {REPAIRS[repair]}")
+
+
+def _first(which: NDArray[np.bool_]) -> tuple[int, int]:
+    """Return row and column of the first that is true of (K, m)."""
+    row, column = np.unravel_index(int(np.argmax(which)), which.shape)
+    return int(row), int(column)
 
 
 def _runs(which: NDArray[np.bool_]) -> NDArray[np.intp]:
@@ -149,10 +145,9 @@ def _timed(samples: Samples, repairs: frozenset[str], period: float) -> Repaired
     fault = f"{samples.at(int(np.argmax(late)))}: the time is missing or not finite ({late.sum()} such rows)"
     if late.all():
         raise InputError(f"{fault}; no time is left: give [sampling] period in the mapping instead of a column")
-    if "nan" not in repairs:
-        raise _refuse(fault, "nan")
+    _asked("nan", repairs, fault)
     # Without its time a sample cannot be placed: it is left out, and the gap is found below.
-    return [samples.taken(~late)], [f"{samples.where}: {late.sum()} rows without time left out"]
+    return [samples.taken(~late)], [f"{late.sum()} rows without time left out"]
 
 
 def _forward(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
@@ -165,22 +160,20 @@ def _forward(samples: Samples, repairs: frozenset[str], period: float) -> Repair
     # A time that falls back for good hides the rows after it, not only the one where it falls.
     behind = samples.time <= np.concatenate([[-np.inf], np.maximum.accumulate(samples.time)[:-1]])
     fault = f"{samples.at(index)} {what} ({behind.sum()} rows do not come after all before them)"
-    if "time" not in repairs:
-        raise _refuse(fault, "time")
+    _asked("time", repairs, fault)
     if behind.mean() > _MOST_LEFT_OUT:
         raise InputError(f"{fault}; that is too many to leave out: give [sampling] period in place of the time column")
-    return [samples.taken(~behind)], [f"{samples.where}: {behind.sum()} rows left out that did not come later in time"]
+    return [samples.taken(~behind)], [f"{behind.sum()} rows left out that did not come later in time"]
 
 
 def _finite(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
     bad = ~np.isfinite(samples.values)
     if not bad.any():
         return [samples], []
-    index, column = (int(k[0]) for k in np.nonzero(bad))
+    index, column = _first(bad)
     rows: NDArray[np.bool_] = np.any(bad, axis=1, keepdims=True)[:, 0]
     count, good = int(rows.sum()), ~rows
-    if "nan" not in repairs:
-        raise _refuse(f"{samples.at(index)}: {samples.names[column]} is not finite ({count} such rows)", "nan")
+    _asked("nan", repairs, f"{samples.at(index)}: {samples.names[column]} is not finite ({count} such rows)")
     if good.sum() < FEWEST_SAMPLES:
         raise InputError(f"{samples.where}: {count} of {len(rows)} rows are not finite; too few are left")
     keep, values = np.ones(len(rows), bool), samples.values.copy()
@@ -194,9 +187,9 @@ def _finite(samples: Samples, repairs: frozenset[str], period: float) -> Repaire
     # A cubic: over ten samples a swinging arm leaves a straight line by several counts.
     values[rows] = _cubic(samples.time[good], whole, samples.time[rows])
     filled = int((rows & keep).sum())
-    notes = [f"{samples.where}: {filled} rows filled between their neighbours, {count - filled} left out"]
-    whole = replace(samples, values=values)
-    return [whole.taken(np.arange(first, end)) for first, end in _runs(keep)], notes
+    notes = [f"{filled} rows filled between their neighbours, {count - filled} left out"]
+    mended = replace(samples, values=values)
+    return [mended.taken(np.arange(first, end)) for first, end in _runs(keep)], notes
 
 
 def _cubic(times: Array, values: Array, at: Array) -> Array:
@@ -205,35 +198,28 @@ def _cubic(times: Array, values: Array, at: Array) -> Array:
     return np.asarray(CubicSpline(times, values)(at))
 
 
-def _spacing(samples: Samples, period: float) -> float:
-    if len(samples.time) < 2:
-        return period or 1.0
-    spacing = float(np.median(np.diff(samples.time)))
+def _whole(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
+    steps = np.diff(samples.time)
+    if not len(steps):
+        return [samples], []
+    spacing = float(np.median(steps))
     if period and not abs(spacing / period - 1) < _UNEVEN:
         raise InputError(
             f"{samples.where}: samples are {spacing:.6g} s apart, but the period is said to be {period:.6g} s; "
             "check the time's unit and the period"
         )
-    return spacing
-
-
-def _whole(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
-    spacing = _spacing(samples, period)
-    steps = np.diff(samples.time)
     gaps = np.flatnonzero(steps > _GAP * spacing)
     if not len(gaps):
         return [samples], []
+    index = int(gaps[0])
     if len(gaps) > max(5, _MOST_LEFT_OUT * len(steps)):
-        if "sampling" in repairs:
-            return [samples], []
-        index = int(gaps[0])
-        raise _refuse(f"{samples.at(index)}: {len(gaps)} of {len(steps)} steps differ from {spacing:.6g} s", "sampling")
-    if "gaps" not in repairs:
-        index = int(gaps[0])
-        fault = f"{samples.at(index)}: the next sample comes {steps[index]:.6g} s later, not {spacing:.6g} s"
-        raise _refuse(f"{fault} ({len(gaps)} such gaps)", "gaps")
+        fault = f"{samples.at(index)}: {len(gaps)} of {len(steps)} steps differ from {spacing:.6g} s"
+        _asked("sampling", repairs, fault)
+        return [samples], []
+    fault = f"{samples.at(index)}: the next sample comes {steps[index]:.6g} s later, not {spacing:.6g} s"
+    _asked("gaps", repairs, f"{fault} ({len(gaps)} such gaps)")
     pieces = np.split(np.arange(len(samples.time)), gaps + 1)
-    return [samples.taken(piece) for piece in pieces], [f"{samples.where}: cut at {len(gaps)} gaps"]
+    return [samples.taken(piece) for piece in pieces], [f"cut at {len(gaps)} gaps"]
 
 
 def _steady(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
@@ -247,17 +233,16 @@ def _steady(samples: Samples, repairs: frozenset[str], period: float) -> Repaire
     spikes = np.abs(rates - median) > _SPIKE
     if not spikes.any():
         return [samples], []
-    index, column = (int(k[0]) for k in np.nonzero(spikes))
+    index, column = _first(spikes)
     name, value = samples.names[columns[column]], rates[index, column]
     others = f"among {median[index, column]:.4g} ({spikes.sum()} such spikes)"
     fault = f"{samples.at(index)}: {name} is {value:.4g} rad/s {others}"
     if spikes.mean() > _MOST_LEFT_OUT:
         raise InputError(f"{fault}; these are not rates: check unit and columns")
-    if "spikes" not in repairs:
-        raise _refuse(fault, "spikes")
+    _asked("spikes", repairs, fault)
     values = samples.values.copy()
     values[:, columns] = np.where(spikes, median, rates)
-    return [replace(samples, values=values)], [f"{samples.where}: {spikes.sum()} spikes of rates taken out"]
+    return [replace(samples, values=values)], [f"{spikes.sum()} spikes of rates taken out"]
 
 
 def _even(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
@@ -270,15 +255,12 @@ def _even(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
     worst = int(np.argmax(off))
     if off[worst] <= _UNEVEN * spacing and drift.max() <= max(_UNEVEN * spacing, 1e-4 * np.ptp(samples.time)):
         return [samples], []
-    if "sampling" not in repairs:
-        fault = (
-            f"{samples.at(worst)}: the step of time there is {off[worst]:.3g} s off {spacing:.6g} s: uneven sampling"
-        )
-        raise _refuse(fault, "sampling")
+    fault = f"{samples.at(worst)}: the step of time there is {off[worst]:.3g} s off {spacing:.6g} s: uneven sampling"
+    _asked("sampling", repairs, fault)
     inside = grid[: int((samples.time[-1] - samples.time[0]) / spacing + 1e-6) + 1]
     even = _cubic(samples.time, samples.values, inside)
     rows = samples.rows[np.searchsorted(samples.time, inside, side="right") - 1]
-    return [replace(samples, rows=rows, time=inside, values=even)], [f"{samples.where}: interpolated to even times"]
+    return [replace(samples, rows=rows, time=inside, values=even)], ["interpolated to even times"]
 
 
 def _continuous(samples: Samples, repairs: frozenset[str], period: float) -> Repaired:
@@ -290,19 +272,16 @@ def _continuous(samples: Samples, repairs: frozenset[str], period: float) -> Rep
     steps = np.diff(angles, axis=0)
     wraps = np.abs(np.abs(steps) - 2 * np.pi) < np.minimum(most, 1.5)
     if wraps.any():
-        index, arm = (int(k[0]) for k in np.nonzero(wraps))
-        fault = (
-            f"{samples.at(index + 1)}: {samples.names[arm]} jumps by a turn ({wraps.sum()} such jumps): it is wrapped"
-        )
-        if "wrap" not in repairs:
-            raise _refuse(fault, "wrap")
+        index, arm = _first(wraps)
+        fault = f"{samples.at(index + 1)}: {samples.names[arm]} jumps by a turn ({wraps.sum()} such jumps)"
+        _asked("wrap", repairs, f"{fault}: it is wrapped")
         angles = np.unwrap(angles, axis=0)
         samples = replace(samples, values=np.column_stack([angles, samples.values[:, samples.arms :]]))
         steps = np.diff(angles, axis=0)
-        notes.append(f"{samples.where}: unwrapped {wraps.sum()} jumps by a turn")
+        notes.append(f"unwrapped {wraps.sum()} jumps by a turn")
     jumps = np.abs(steps) > most
     if jumps.any():
-        index, arm = (int(k[0]) for k in np.nonzero(jumps))
+        index, arm = _first(jumps)
         raise InputError(
             f"{samples.at(index + 1)}: {samples.names[arm]} jumps by {abs(steps[index, arm]):.3g} rad in one sample "
             f"({jumps.sum()} such jumps); check the unit (degrees taken for rad?), columns, sampling, or cut it there"

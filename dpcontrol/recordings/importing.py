@@ -1,6 +1,4 @@
-"""Recordings from files: what their columns mean, and how they are read.
-
-Read a bench's file as a recording: columns by the mapping, checks, repairs where asked, segments.
+"""Read a bench's file as a recording: columns by the mapping, checks, repairs where asked, segments.
 
 A MATLAB file of cells has one segment per cell; a table or a whole MATLAB recording is one segment, unless a repair
 cuts it. Where the segments' times do not follow one another they are laid end to end, and a note says so.
@@ -17,6 +15,7 @@ header of a table, or in MATLAB's own notation a variable, a field, a cell or a 
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -205,25 +204,23 @@ def _direction(angles: Table) -> tuple[tuple[float, ...], tuple[float, ...], boo
         if key not in _DIRECTION:
             known = [*_DIRECTION, "columns", "unit", "counts_per_turn"]
             raise InputError(f"{angles.where()} the key {key!r} is unknown: {suggest(key, known)}")
-    given: dict[str, list[Any]] = {}
-    for key, default in (("sign", 1), ("zero", "hanging")):
-        value = rest.get(key, default)
-        given[key] = value if isinstance(value, list) else [value]
-    for value in given["sign"]:
+    sign, zero = (
+        value if isinstance(value := rest.get(key, default), list) else [value]
+        for key, default in (("sign", 1), ("zero", "hanging"))
+    )
+    for value in sign:
         if isinstance(value, bool) or value not in (1, -1):
             raise InputError(f"{angles.where('sign')} = {value!r}: must be 1, counter-clockwise, or -1, clockwise")
-    zero = []
-    for value in given["zero"]:
-        number = ZEROS.get(value) if isinstance(value, str) else value
-        if number is None or isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) <= 100:
+    shown = [ZEROS.get(value) if isinstance(value, str) else value for value in zero]
+    for value, number in zip(zero, shown, strict=True):
+        if isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) <= 100:
             raise InputError(f"{angles.where('zero')} = {value!r}: must be 'hanging', 'upright' or an angle in rad")
-        zero.append(float(number))
-    if not given["sign"] or not given["zero"]:
+    if not sign or not zero:
         raise InputError(f"{angles.where()} sign and zero: give one value, or a list of one for each arm")
     relative = rest.get("relative", False)
     if not isinstance(relative, bool):
         raise InputError(f"{angles.where('relative')} = {relative!r}: must be true or false")
-    return tuple(float(value) for value in given["sign"]), tuple(zero), relative
+    return tuple(map(float, sign)), tuple(map(float, shown)), relative
 
 
 MATLAB, TABLES = (".mat",), (".csv", ".tsv", ".txt", ".parquet")
@@ -373,8 +370,7 @@ def _cells(
         raise InputError(f"{path}: {name} has {len(cells)} cells and {times} {len(time_cells)}; each needs its times")
     stretches = []
     for number, (cell, time) in enumerate(zip(cells, time_cells, strict=True), start=1):
-        label = f"{name}{{{number}}}"
-        values = np.asarray(cell)
+        label, values = f"{name}{{{number}}}", np.asarray(cell)
         if values.dtype.kind not in "fiu" or values.ndim != 2 or values.size == 0:
             what = "empty" if values.size == 0 else f"of kind {values.dtype}, {' x '.join(map(str, values.shape))}"
             raise InputError(f"{path}: {label} is {what}; a cell holds rows of angles, then of rates, as numbers")
@@ -388,10 +384,8 @@ def _cells(
         when = None if time is None else numbers(time, f"{times}{{{number}}}", file=path)
         if when is not None and len(when) != length:
             raise InputError(f"{path}: {label} has {length} samples and {times}{{{number}}} {len(when)}; give as many")
-        turned = values.T.astype(float)
-        arms = rows // 2
-        found = {ANGLE: turned[:, :arms], RATE: turned[:, arms:]}
-        stretches.append(_samples(path, f"{path}: {label}", mapping, found, when, period))
+        angles, rates = np.hsplit(values.T.astype(float), 2)
+        stretches.append(_samples(path, f"{path}: {label}", mapping, {ANGLE: angles, RATE: rates}, when, period))
     return stretches
 
 
@@ -423,9 +417,8 @@ def _recording(
         )
     check_plausible(parts, file=str(path))
     parts, laid = _in_order(parts, spacing)
-    ends = np.cumsum([len(part.time) for part in parts])
-    first = parts[0]
-    whole = replace(first, values=np.concatenate([part.values for part in parts]))
+    edges = np.cumsum([0, *(len(part.time) for part in parts)]).tolist()
+    whole = replace(parts[0], values=np.concatenate([part.values for part in parts]))
     cart, command = whole.of(CART), whole.of(COMMAND)
     return Recording(
         name=path.stem,
@@ -436,8 +429,8 @@ def _recording(
         rates=whole.of(RATE),
         cart=None if cart is None else cart[:, 0],
         command=None if command is None else command[:, 0],
-        segments=tuple((int(end) - len(part.time), int(end)) for end, part in zip(ends, parts, strict=True)),
-        arm_lengths=mapping.lengths(first.arms),
+        segments=tuple(pairwise(edges)),
+        arm_lengths=mapping.lengths(whole.arms),
         notes=(*notes, *laid),
     )
 

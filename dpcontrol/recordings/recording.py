@@ -75,17 +75,10 @@ class Recording:
 
     def segment(self, index: int) -> "Recording":
         """Return the segment of this 0-based index as a recording of its own, its time as in the whole."""
-        first, end = self.segments[index]
-        rows = slice(first, end)
-        return replace(
-            self,
-            time=self.time[rows],
-            angles=self.angles[rows],
-            rates=None if self.rates is None else self.rates[rows],
-            cart=None if self.cart is None else self.cart[rows],
-            command=None if self.command is None else self.command[rows],
-            segments=((0, end - first),),
-        )
+        rows = slice(*self.segments[index])
+        columns = {name: getattr(self, name) for name in ("time", "angles", "rates", "cart", "command")}
+        cut = {name: None if values is None else values[rows] for name, values in columns.items()}
+        return replace(self, **cut, segments=((0, rows.stop - rows.start),))
 
     def split(self) -> "list[Recording]":
         """Return all segments, in order."""
@@ -94,13 +87,8 @@ class Recording:
     def document(self) -> dict[str, Any]:
         """Return what `dpcontrol import --json` prints, the log's and the source's names apart."""
         segments = [
-            {
-                "index": index,
-                "start": float(self.time[first]),
-                "samples": end - first,
-                "duration": float(self.time[end - 1] - self.time[first]),
-            }
-            for index, (first, end) in enumerate(self.segments)
+            {"index": k, "start": float(one.time[0]), "samples": len(one.time), "duration": float(np.ptp(one.time))}
+            for k, one in enumerate(self.split())
         ]
         return {
             **picked(self, "arms", "notes"),
@@ -113,11 +101,6 @@ class Recording:
         }
 
 
-def segments_text(segments: tuple[tuple[int, int], ...]) -> str:
-    """Return segments as a log's metadata says them: `first:end` of each, end not included."""
-    return " ".join(f"{first}:{end}" for first, end in segments)
-
-
 def described(recording: Recording, *, kind: str = KIND) -> dict[str, str]:
     """Return the metadata of a log made of a recording."""
     return {
@@ -125,18 +108,10 @@ def described(recording: Recording, *, kind: str = KIND) -> dict[str, str]:
         "title": recording.name,
         "source": recording.source,
         "sampling_period": repr(recording.dt),
-        "segments": segments_text(recording.segments),
+        "segments": " ".join(f"{first}:{end}" for first, end in recording.segments),
         "command": "" if recording.command is None else "cart acceleration, in /control",
         "notes": "\n".join(recording.notes),
     }
-
-
-def measured_rates(recording: Recording) -> Array | None:
-    """Return the rates (K, joints) of a log: those recorded, and for a cart the differences of its position."""
-    if recording.rates is None or recording.cart is None:
-        return recording.rates
-    velocity = np.concatenate([np.gradient(part.cart, part.dt) for part in recording.split() if part.cart is not None])
-    return np.column_stack([recording.rates, velocity])
 
 
 def write_recording(recording: Recording, path: Path | str) -> Path:
@@ -174,9 +149,14 @@ def write_samples(
     Raises:
         InputError: the file cannot be written.
     """
+    measured, rates = recording.angles, recording.rates
     has_cart = recording.cart is not None
-    measured = recording.angles if recording.cart is None else np.column_stack([recording.angles, recording.cart])
-    parts: dict[str, Array | None] = {"rates": measured_rates(recording), **(states or {})}
+    if recording.cart is not None:
+        measured = np.column_stack([measured, recording.cart])
+        # No rig gives the cart's velocity: it is the differences of its position.
+        velocity = [np.gradient(part.cart, part.dt) for part in recording.split() if part.cart is not None]
+        rates = None if rates is None else np.column_stack([rates, np.concatenate(velocity)])
+    parts: dict[str, Array | None] = {"rates": rates, **(states or {})}
     if control:
         fields = control_fields(recording.arms, has_cart=has_cart)
         rows = np.zeros((len(recording.time), len(fields)))
@@ -221,17 +201,17 @@ def recording_of(log: RunLog) -> Recording:
         InputError: its segments do not fit its samples.
     """
     n, k = len(log.arm_lengths), len(log.time)
-    imported = log.metadata.get("kind") in (KIND, REPLAYED)
-    segments = _segments(log.metadata.get("segments", "")) if imported else ((0, k),)
+    said = {"title": log.path.stem, "source": log.path.name, "segments": f"0:{k}"}
+    command = log.controls.get("applied")
+    if log.metadata.get("kind") in (KIND, REPLAYED):
+        said = {"title": log.path.stem, "source": "", "segments": "", **log.metadata}
+        command = log.controls.get("command") if said.get("command") else None
+    segments = _segments(said["segments"])
     if not segments or any(not 0 <= first < end <= k for first, end in segments):
         raise InputError(f"{log.path}: its segments do not fit its {k} samples; import the recording again")
-    if imported:
-        command = log.controls.get("command") if log.metadata.get("command") else None
-    else:
-        command = log.controls.get("applied")
     return Recording(
-        name=log.metadata.get("title", log.path.stem) if imported else log.path.stem,
-        source=log.metadata.get("source", "") if imported else log.path.name,
+        name=said["title"],
+        source=said["source"],
         dt=_period(log),
         time=log.time,
         angles=log.measured[:, :n],
@@ -253,8 +233,8 @@ def _period(log: RunLog) -> float:
 
 def _segments(text: str) -> tuple[tuple[int, int], ...]:
     try:
-        pairs = [tuple(int(number) for number in part.split(":")) for part in text.split()]
-        return tuple((first, end) for first, end in pairs)
+        pairs = [part.split(":") for part in text.split()]
+        return tuple((int(first), int(end)) for first, end in pairs)
     except ValueError:
         return ()
 
