@@ -77,6 +77,9 @@ _LATCHED_QOS = """\
 """
 """Of a topic whose last message is kept for everyone who comes later, in the numbers of ROS 2's rmw_qos_profile_t: some
 readers refuse a profile that is not complete."""
+CHUNK_HEAD = struct.Struct("<QQQI8sQ")
+"""Of a chunk: first and last time, size and checksum unpacked, compression, bytes packed."""
+ZSTD = b"\x04\x00\x00\x00zstd"
 _ENTRY_BYTES = 16
 """Of a message index: time in ns and offset, 8 bytes each."""
 
@@ -149,19 +152,10 @@ class McapFile:
         """Write an attachment; its times are zero, for simulated time has no date."""
         guessed = "application/toml" if name.endswith(".toml") else mimetypes.guess_type(name)[0]
         media_type = guessed or "application/octet-stream"
-        attachment = Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
-        record = _bytes_of(attachment)
-        self._attachments.append(
-            AttachmentIndex(
-                offset=self._position,
-                length=len(record),
-                create_time=0,
-                log_time=0,
-                data_size=len(data),
-                name=name,
-                media_type=media_type,
-            )
-        )
+        about = {"create_time": 0, "log_time": 0, "name": name, "media_type": media_type}
+        record = _bytes_of(Attachment(data=data, **about))
+        index = AttachmentIndex(offset=self._position, length=len(record), data_size=len(data), **about)
+        self._attachments.append(index)
         self._write(record)
 
     def add_channels(self, topics: Mapping[str, tuple[str, bytes]], *, latched: Set[str] = frozenset()) -> None:
@@ -171,21 +165,16 @@ class McapFile:
             topics: name and definition of each topic's message; written with the next chunk.
             latched: topics whose last message is for everyone who comes later.
         """
-        for topic, (name, definition) in topics.items():
+        for number, (topic, (name, definition)) in enumerate(topics.items(), start=1):
             known = next((record for record in self._schemas if record.name == name), None)
             if known is None:
                 known = Schema(id=len(self._schemas) + 1, name=name, encoding="ros2msg", data=definition)
                 self._schemas.append(known)
                 self._unwritten.append(_bytes_of(known))
-            channel = Channel(
-                id=len(self._channels) + 1,
-                topic=topic,
-                message_encoding="cdr",
-                metadata={"offered_qos_profiles": _LATCHED_QOS} if topic in latched else {},
-                schema_id=known.id,
-            )
+            quality = {"offered_qos_profiles": _LATCHED_QOS} if topic in latched else {}
+            channel = Channel(id=number, topic=topic, message_encoding="cdr", metadata=quality, schema_id=known.id)
             self._channels.append(channel)
-            self._counts[channel.id] = 0
+            self._counts[number] = 0
             self._unwritten.append(_bytes_of(channel))
 
     def add_chunk(self, data: bytes, messages: Iterable[ChunkMessages]) -> None:
@@ -203,47 +192,36 @@ class McapFile:
         entries[:, 1] += len(head)
         content_index, cut = entries.tobytes(), 0
         start, end = int(times.min()), int(times.max())
-        name = b"zstd"
-        body = struct.pack("<QQQII", start, end, len(content), zlib.crc32(content), len(name)) + name
-        record = struct.pack("<BQ", Opcode.CHUNK, len(body) + 8 + len(packed)) + body
-        record += struct.pack("<Q", len(packed)) + packed
-        place = self._position
-        indexes, offsets, length = [], {}, 0
+        body = CHUNK_HEAD.pack(start, end, len(content), zlib.crc32(content), ZSTD, len(packed)) + packed
+        written = [struct.pack("<BQ", Opcode.CHUNK, len(body)) + body]
+        offsets, length = {}, len(written[0])
         for part in messages:
             size = _ENTRY_BYTES * len(part.times)
             index = struct.pack("<BQHI", Opcode.MESSAGE_INDEX, 6 + size, part.channel, size)
-            offsets[part.channel] = place + len(record) + length
+            offsets[part.channel] = self._position + length
             length += len(index) + size
-            indexes += [index, content_index[cut : cut + size]]
+            written += [index, content_index[cut : cut + size]]
             cut += size
             self._counts[part.channel] += len(part.times)
         self._chunks.append(
             ChunkIndex(
-                message_start_time=start,
-                message_end_time=end,
-                chunk_start_offset=place,
-                chunk_length=len(record),
-                message_index_offsets=offsets,
-                message_index_length=length,
-                compression="zstd",
-                compressed_size=len(packed),
+                message_start_time=start, message_end_time=end, chunk_start_offset=self._position,
+                chunk_length=len(written[0]), message_index_offsets=offsets,
+                message_index_length=length - len(written[0]), compression="zstd", compressed_size=len(packed),
                 uncompressed_size=len(content),
             )
-        )
-        self._write(b"".join([record, *indexes]))
+        )  # fmt: skip
+        self._write(b"".join(written))
 
     def _statistics(self) -> Statistics:
         return Statistics(
-            attachment_count=len(self._attachments),
-            channel_count=len(self._channels),
-            channel_message_counts=dict(self._counts),
-            chunk_count=len(self._chunks),
-            message_count=sum(self._counts.values()),
-            metadata_count=len(self._metadata),
+            attachment_count=len(self._attachments), channel_count=len(self._channels),
+            channel_message_counts=dict(self._counts), chunk_count=len(self._chunks),
+            message_count=sum(self._counts.values()), metadata_count=len(self._metadata),
             message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
             message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
             schema_count=len(self._schemas),
-        )
+        )  # fmt: skip
 
     def finish(self) -> None:
         """Write the end of the data, the summary and the footer."""
@@ -252,21 +230,16 @@ class McapFile:
         # The checksum of the data section covers everything before this record.
         self._write(_bytes_of(DataEnd(data_section_crc=self._crc)))
         start = self._position
-        groups: list[tuple[int, list[McapRecord]]] = [
-            (Opcode.SCHEMA, list(self._schemas)),
-            (Opcode.CHANNEL, list(self._channels)),
-            (Opcode.STATISTICS, [self._statistics()]),
-            (Opcode.CHUNK_INDEX, list(self._chunks)),
-            (Opcode.ATTACHMENT_INDEX, list(self._attachments)),
-            (Opcode.METADATA_INDEX, list(self._metadata)),
-        ]
+        groups = {
+            Opcode.SCHEMA: map(_bytes_of, self._schemas), Opcode.CHANNEL: map(_bytes_of, self._channels),
+            Opcode.STATISTICS: [_bytes_of(self._statistics())],
+            Opcode.CHUNK_INDEX: map(_chunk_index_bytes, self._chunks),
+            Opcode.ATTACHMENT_INDEX: map(_bytes_of, self._attachments),
+            Opcode.METADATA_INDEX: map(_bytes_of, self._metadata),
+        }  # fmt: skip
         summary, places = bytearray(), bytearray()
-        for opcode, records in groups:
-            group = b"".join(
-                _chunk_index_bytes(record) if isinstance(record, ChunkIndex) else _bytes_of(record)
-                for record in records
-            )
-            if group:
+        for opcode, records in groups.items():
+            if group := b"".join(records):
                 offset = SummaryOffset(group_opcode=opcode, group_start=start + len(summary), group_length=len(group))
                 places += _bytes_of(offset)
                 summary += group

@@ -30,8 +30,9 @@ from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs.container import MAGIC, partials_of, unsealed
+from dpcontrol.logs.container import CHUNK_HEAD, MAGIC, ZSTD, partials_of, unsealed
 from dpcontrol.logs.layout import (
+    CONTROL,
     EVENTS,
     FORMAT,
     LAYOUT_RECORD,
@@ -62,9 +63,6 @@ Array = NDArray[np.float64]
 _RECORD = struct.Struct("<BQH")
 """Of a record: opcode and length, and of a message its channel."""
 _BATCH_BYTES = 4_000_000
-CHUNK_HEAD = struct.Struct("<QQQI8sQ")
-"""Of a chunk: first and last time, size and checksum unpacked, compression, bytes packed."""
-_ZSTD = b"\x04\x00\x00\x00zstd"
 LARGEST_CHUNK = 1 << 28
 _AGAIN = "make it again with `dpcontrol run`"
 MALFORMED = (
@@ -193,7 +191,7 @@ def unpacked(chunk: memoryview, decompressor: zstandard.ZstdDecompressor) -> byt
         Exception: one of `MALFORMED`: it does not unpack, or not to what its checksum says.
     """
     _, _, size, checksum, kind, packed = CHUNK_HEAD.unpack_from(chunk)
-    if kind != _ZSTD or size > LARGEST_CHUNK:
+    if kind != ZSTD or size > LARGEST_CHUNK:
         stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(chunk))), validate_crc=True)
         return stream.read(length)
     content = decompressor.decompress(chunk[CHUNK_HEAD.size :], max_output_size=size)
@@ -470,7 +468,7 @@ class RunLog:
         Raises:
             InputError: the log has none.
         """
-        return self._state("estimate", "/estimate/joint_states")
+        return self._state("estimate")
 
     @property
     def reference(self) -> Array:
@@ -479,7 +477,7 @@ class RunLog:
         Raises:
             InputError: the log has none.
         """
-        return self._state("reference", "/reference/joint_states")
+        return self._state("reference")
 
     @property
     def control(self) -> dict[str, Array]:
@@ -489,16 +487,16 @@ class RunLog:
             InputError: no controller ran.
         """
         if not self.controls:
-            raise InputError(self._lacks("/control"))
+            raise self._lacks(CONTROL)
         return self.controls
 
-    def _state(self, part: str, topic: str) -> Array:
+    def _state(self, part: str) -> Array:
         if part not in self.states:
-            raise InputError(self._lacks(topic))
+            raise self._lacks(STATE_TOPICS[part])
         return self.states[part]
 
-    def _lacks(self, topic: str) -> str:
-        return f"{self.path} has no {topic}: it is a recording, not a run; give a log of `dpcontrol run`"
+    def _lacks(self, topic: str) -> InputError:
+        return InputError(f"{self.path} has no {topic}: it is a recording, not a run; give a log of `dpcontrol run`")
 
     def frame(self) -> "DataFrame":
         """Return a pandas table: one row for each tick, indexed by `time` in s.
@@ -660,10 +658,7 @@ def _summary(file: VerifiedFile) -> LogSummary:
         rate_hz=float(described["rate_hz"]),
         joints=tick.names,
         parts=tuple(part for part in PARTS if part in tick.parts),
-        topics=tuple(
-            _topic(topic, kind, units=UNITS[topic], span=spans.get(tick.channels[topic]))
-            for topic, (kind, _) in tick.schemas.items()
-        ),
+        topics=tuple(_topic(topic, kind, spans.get(tick.channels[topic])) for topic, (kind, _) in tick.schemas.items()),
         attachments={name: len(data) for name, data in file.attachments.items()},
         metadata={**file.values(RESULT_RECORD), **file.values(RUN_RECORD)},
         recovered=file.values(RECOVERY_RECORD).get(LOST) or None,
@@ -671,15 +666,12 @@ def _summary(file: VerifiedFile) -> LogSummary:
     )
 
 
-def _topic(topic: str, kind: str, *, units: str, span: tuple[int, int, int] | None) -> TopicSummary:
+def _topic(topic: str, kind: str, span: tuple[int, int, int] | None) -> TopicSummary:
     if span is None:
-        return TopicSummary(topic, kind, units, 0, None, None, None)
+        return TopicSummary(topic, kind, UNITS[topic], 0, None, None, None)
     count, first, last = span
     rate = (count - 1) * 1e9 / (last - first) if last > first else None
-    return TopicSummary(topic, kind, units, count, first / 1e9, last / 1e9, rate)
-
-
-_MESSAGE_HEAD = struct.Struct("<BQHIQ")
+    return TopicSummary(topic, kind, UNITS[topic], count, first / 1e9, last / 1e9, rate)
 
 
 @dataclass(frozen=True)
@@ -710,7 +702,7 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
             if piece == against:
                 same += _count(piece, tick)
                 break
-            if not partial or _head(piece)[2:4] == _head(against)[2:4]:
+            if not partial or _begins(piece) == _begins(against):
                 return Comparison(same, _differs(piece, against, tick))
         else:
             return Comparison(same, f"{other} ends after {same} messages, {one} goes on")
@@ -734,19 +726,18 @@ def _count(piece: bytes, tick: TickLayout) -> int:
     return len(tick.messages) if piece[:11] == tick.block_template[:11] else 1
 
 
-def _head(piece: bytes, offset: int = 0) -> tuple[int, int, int, int, int]:
-    """Return opcode, length, channel, sequence number and time of a message."""
-    return _MESSAGE_HEAD.unpack_from(piece, offset)
+def _begins(piece: bytes) -> tuple[int, int]:
+    """Return channel and sequence number of a piece's first message."""
+    head = np.frombuffer(piece, RECORD_HEADER, count=1)[0]
+    return int(head["channel"]), int(head["sequence"])
 
 
 def _differs(piece: bytes, against: bytes, tick: TickLayout) -> str:
-    if _head(piece)[2:4] == _head(against)[2:4] and _count(piece, tick) > 1:
-        ends = [*tick.block_offsets.values(), len(piece)]
-        at = next(a for a, b in pairwise(ends) if piece[a:b] != against[a:b])
-    else:
-        at = 0
-    _, _, channel, sequence, time = _head(piece, at)
+    starts = list(tick.block_offsets.values()) if _count(piece, tick) > 1 else [0]
+    at = next(a for a, b in pairwise([*starts, len(piece)]) if piece[a:b] != against[a:b])
+    head = np.frombuffer(piece, RECORD_HEADER, count=1, offset=at)[0]
+    channel, sequence, time = int(head["channel"]), int(head["sequence"]), int(head["log_time"]) / 1e9
     topic = next((name for name, number in tick.channels.items() if number == channel), f"channel {channel}")
-    if _head(piece)[2:4] != _head(against)[2:4]:
-        return f"at {time / 1e9:.3f} s another message stands where message {sequence} of {topic} was"
-    return f"message {sequence} of {topic} at {time / 1e9:.3f} s differs"
+    if _begins(piece) != _begins(against):
+        return f"at {time:.3f} s another message stands where message {sequence} of {topic} was"
+    return f"message {sequence} of {topic} at {time:.3f} s differs"

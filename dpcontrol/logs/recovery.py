@@ -29,7 +29,7 @@ import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_other_file, whole_file
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.logs.container import SUFFIX, ChunkMessages, McapFile, sealed, unsealed
+from dpcontrol.logs.container import CHUNK_HEAD, SUFFIX, ChunkMessages, McapFile, sealed, unsealed
 from dpcontrol.logs.layout import (
     EVENTS,
     LATCHED,
@@ -45,7 +45,6 @@ from dpcontrol.logs.layout import (
     TickLayout,
 )
 from dpcontrol.logs.reader import (
-    CHUNK_HEAD,
     LARGEST_CHUNK,
     MALFORMED,
     Batch,
