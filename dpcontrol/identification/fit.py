@@ -29,7 +29,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
-from dpcontrol.dynamics.chain import ArmChainParameters, Level, base_from_ratios, equations_of, ratio_names
+from dpcontrol.dynamics.chain import (
+    ArmChainParameters,
+    Level,
+    base_from_ratios,
+    equations_of,
+    inertial_count,
+    ratio_names,
+)
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
@@ -278,7 +285,7 @@ class FitSettings(Settings, table="fit"):
 
 @dataclass(frozen=True, eq=False)
 class SwingFit:
-    """Ratios (m,) and zeros (groups, n) rad that were found, the starts (S, 2n) of the swings, and what is left.
+    """Ratios (m,) and zeros (groups, n) rad that were found, and what is left.
 
     residuals: of each swing (K, n), rad, measured less predicted. information: of the free unknowns (see `unknowns`),
     with the starts eliminated; scores: of each swing (K, f), each sample's part of the gradient, starts eliminated.
@@ -288,7 +295,6 @@ class SwingFit:
 
     parameters: Array
     zeros: Array
-    starts: Array
     residuals: list[Array]
     information: Array
     scores: list[Array]
@@ -315,14 +321,13 @@ def fit_swings(
     zeros: Array,
     free: NDArray[np.bool_],
     free_zeros: bool,
-    friction_from: int,
     settings: FitSettings,
     near: Array | None = None,
 ) -> SwingFit:
     """Fit the swings' starts, and those of the parameters (m,) that are `free` (m,), and the zeros if asked.
 
     parameters and zeros (groups, n) are the first guess, or what is held; near (W, 2n): that of the windows' starts, in
-    place of the measured angles. From index `friction_from` on parameters stay at zero or above.
+    place of the measured angles. Coefficients of friction stay at zero or above.
 
     Raises:
         InputError: a swing is too short.
@@ -333,7 +338,8 @@ def fit_swings(
     m, arms = model.parameters, model.arms.count
     unknown = np.concatenate([free, np.full(zeros.size, free_zeros)])
     values = np.concatenate([parameters, zeros.ravel()])
-    lower = np.where((np.arange(len(values)) >= friction_from) & (np.arange(len(values)) < m), 0.0, -np.inf)
+    lower = np.full(len(values), -np.inf)
+    lower[inertial_count(arms) : m] = 0.0
     where = np.flatnonzero(unknown)
     starts = cut.guess() if near is None else near.copy()
     if near is None:
@@ -379,7 +385,6 @@ def fit_swings(
     return SwingFit(
         parameters=values[:m],
         zeros=values[m:].reshape(zeros.shape),
-        starts=np.array([starts[windows[0]] for windows in cut.of_swing]),
         residuals=[one.residual for one in now.swings],
         information=normal.reduced,
         scores=[_scores(one, mixed, threshold) for one, mixed in zip(now.swings, normal.mixed, strict=True)],

@@ -94,15 +94,12 @@ def cut_into_swings(
             edges = np.linspace(0, len(part.time), pieces + 1).round().astype(int)
             filled = _filled(part)
             for a, b in pairwise(edges):
-                angles = filled[a:b]
                 # Turns counted before a segment say nothing about it.
-                angles = angles - 2 * np.pi * np.rint(angles[0] / (2 * np.pi))
-                u = None if cart is None else cart.acceleration[a:b]
-                v = None if cart is None else cart.velocity[a:b]
-                about.append(
-                    Segment(len(about), recording.name, float(part.time[a]), float((b - a - 1) * part.dt), True, np.nan)
-                )
-                swings.append(Swing(angles, part.dt, group, u, v))
+                angles = filled[a:b] - 2 * np.pi * np.rint(filled[a] / (2 * np.pi))
+                driven = () if cart is None else (cart.acceleration[a:b], cart.velocity[a:b])
+                swings.append(Swing(angles, part.dt, group, *driven))
+                seconds = float((b - a - 1) * part.dt)
+                about.append(Segment(len(about), recording.name, float(part.time[a]), seconds, True, np.nan))
     if not swings:
         raise InputError("the recordings hold no segment; import them again")
     if max(float(np.ptp(s.angles, axis=0).max()) for s in swings) < _STILL:
@@ -169,16 +166,14 @@ def covariance_at_bounds(fit: SwingFit, bound: NDArray[np.bool_]) -> tuple[Array
     bound (f,): which lie on a bound. They are taken as held there for the others' sake, and have no variance; their own
     standard errors are those that they would have without it.
     """
-    errors = np.sqrt(np.diag(covariance_of(fit)))
     covariance = np.zeros((len(bound), len(bound)))
-    covariance[np.ix_(~bound, ~bound)] = covariance_of(fit, ~bound)
-    errors[~bound] = np.sqrt(np.diag(covariance)[~bound])
-    return covariance, errors
+    covariance[np.ix_(~bound, ~bound)] = _covariance(fit, ~bound)
+    free = _covariance(fit, np.ones_like(bound))
+    return covariance, np.sqrt(np.where(bound, np.diag(free), np.diag(covariance)))
 
 
-def covariance_of(fit: SwingFit, among: NDArray[np.bool_] | None = None) -> Array:
+def _covariance(fit: SwingFit, among: NDArray[np.bool_]) -> Array:
     """Return the covariance of the unknowns that are `among`, the others held; what the data do not see: infinite."""
-    among = np.ones(len(fit.unknowns), dtype=bool) if among is None else among
     information, f = fit.information[np.ix_(among, among)], int(among.sum())
     lengths = [len(s) for s in fit.scores]
     block = max(int(_BLOCK_TIMES * correlation_time(fit.residuals)), _LEAST_BLOCK)
@@ -203,30 +198,36 @@ def covariance_of(fit: SwingFit, among: NDArray[np.bool_] | None = None) -> Arra
 
 
 def undetermined_of(
-    names: Sequence[str], values: Array, errors: Array, *, covariance: Array, friction: slice
+    names: Sequence[str], values: Array, errors: Array, *, covariance: Array, friction: NDArray[np.bool_]
 ) -> list[str]:
-    """Return sentences on numbers that the data leave open, and on pairs that they cannot distinguish."""
-    deviations = np.sqrt(np.diag(covariance))
+    """Return sentences on numbers (f,) that the data leave open, and on pairs that they cannot distinguish.
+
+    friction (f,): which are coefficients of friction.
+    """
     sentences: list[str] = []
     for k, name in enumerate(names):
         if not np.isfinite(errors[k]):
             sentences.append(f"{name}: these swings do not depend on it, or only together with another")
-        elif k in range(*friction.indices(len(names))) and abs(values[k]) < 2 * errors[k]:
+        elif friction[k] and abs(values[k]) < 2 * errors[k]:
             sentences.append(f"{name}: {values[k]:.3g} ± {errors[k]:.2g} (standard error) may as well be zero")
-    for i in range(len(names)):
-        for j in range(i):
-            product = deviations[i] * deviations[j]
-            if not np.isfinite(product) or product == 0:
-                continue
-            alike = covariance[i, j] / product
-            if abs(alike) >= ALIKE:
-                factor = np.sqrt((1 + abs(alike)) / max(1 - abs(alike), 1e-12))
-                kind = "sum" if alike < 0 else "difference"
-                sentences.append(
-                    f"{names[j]} and {names[i]} apart (correlation {alike:+.3f}): their {kind}, each over its standard "
-                    f"error, is known {factor:.0f} times better than what is across it"
-                )
+    with np.errstate(invalid="ignore"):
+        correlation = correlation_of(covariance)
+    for i, j in np.argwhere(np.tril(np.abs(correlation) >= ALIKE, -1)):
+        alike = correlation[i, j]
+        factor = np.sqrt((1 + abs(alike)) / max(1 - abs(alike), 1e-12))
+        kind = "sum" if alike < 0 else "difference"
+        sentences.append(
+            f"{names[j]} and {names[i]} apart (correlation {alike:+.3f}): their {kind}, each over its standard "
+            f"error, is known {factor:.0f} times better than what is across it"
+        )
     return sentences
+
+
+def correlation_of(covariance: Array) -> Array:
+    """Return the correlation matrix (f, f), zero for what has no variance or is not determined."""
+    deviations = np.sqrt(np.diag(covariance))
+    scale = np.where((deviations > 0) & np.isfinite(deviations), deviations, np.inf)
+    return covariance / np.outer(scale, scale)
 
 
 _ROUNDING = 1e-9
@@ -296,7 +297,6 @@ class Identification:
     segment.
     """
 
-    start: ArmChainParameters
     arms: ArmChainParameters
     names: tuple[str, ...]
     values: Array
@@ -323,9 +323,7 @@ class Identification:
     @property
     def correlation(self) -> Array:
         """Correlation matrix (f, f), zero for what lies on a bound or is not determined."""
-        deviations = np.sqrt(np.diag(self.covariance))
-        scale = np.where((deviations > 0) & np.isfinite(deviations), deviations, np.inf)
-        return self.covariance / np.outer(scale, scale)
+        return correlation_of(self.covariance)
 
     def document(self) -> dict[str, Any]:
         """Return what `dpcontrol identify --json` prints, the file's name apart."""
@@ -380,7 +378,8 @@ def identify(
     candidates: list[Candidate] = []
     reasons: list[str] = []
     for number, (laws, zeros) in enumerate(ways):
-        progress(_doing(laws, zeros), number / (len(ways) + 1))
+        doing = ", ".join(["viscous", *laws, *(["zeros"] if zeros else [])])
+        progress(f"fit {doing}", number / (len(ways) + 1))
         near = candidates[-1] if candidates and candidates[-1].laws == laws else None
         candidate = _fitted(fitted, left_out, with_laws(start, laws), zeros, settings.fit, near)
         if candidate.fit.converged and candidate.predicted.converged:
@@ -395,20 +394,20 @@ def identify(
     chosen = choose(candidates)
     best = candidates[chosen]
     arms = with_laws(start, best.laws)
-    names = (*ratio_names(arms), *_zero_names(recordings, best.fit.zeros, best.zeros))
-    values = np.concatenate([best.fit.parameters, best.fit.zeros.ravel() if best.zeros else []])
-    friction = slice(inertial_count(arms.count), len(best.fit.parameters))
-    bound = np.zeros(len(values), dtype=bool)
-    bound[friction] = values[friction] <= 0
+    names, values = ratio_names(arms), best.fit.parameters
+    if best.zeros:
+        of = [f" {recording.name}" if len(recordings) > 1 else "" for recording in recordings]
+        names = (*names, *(f"zero_{i + 1}{name}" for name in of for i in range(start.count)))
+        values = np.concatenate([values, best.fit.zeros.ravel()])
+    rubbing = np.arange(len(values)) >= inertial_count(arms.count)
+    rubbing[len(best.fit.parameters) :] = False
+    bound = rubbing & (values <= 0)
     covariance, errors = covariance_at_bounds(best.fit, bound)
-    rms = np.empty(len(swings))
-    rms[used], rms[~used] = best.fit.rms, best.left_out
     of_used, of_left = iter(best.fit.residuals), iter(best.predicted.residuals)
     residuals = [next(of_used if one else of_left) for one in used]
     progress("done", 1.0)
     failed = f"; {len(reasons)} candidates failed ({reasons[0]})" if reasons else ""
     return Identification(
-        start=start,
         arms=nearest_arms(best.fit.parameters, arms),
         names=names,
         values=values,
@@ -418,27 +417,19 @@ def identify(
         undetermined=(
             f"{unit_name(arms.count)} itself: masses, inertias and friction may all grow in proportion and the arms "
             "swing the same; only ratios to it are known",
-            *undetermined_of(names, values, errors, covariance=covariance, friction=friction),
+            *undetermined_of(names, values, errors, covariance=covariance, friction=rubbing),
         ),
         candidates=tuple(candidates),
         chosen=chosen,
         started_at=before,
-        segments=tuple(replace(one, used=bool(used[k]), rms=float(rms[k])) for k, one in enumerate(about)),
+        segments=tuple(
+            replace(one, used=bool(fitted_to), rms=float(np.sqrt((residual**2).mean())))
+            for one, fitted_to, residual in zip(about, used, residuals, strict=True)
+        ),
         swings=tuple(swings),
         residuals=tuple(residuals),
         status=f"{' + '.join(best.terms)}: {best.fit.status}{failed}",
     )
-
-
-def _doing(laws: tuple[Friction, ...], zeros: bool) -> str:
-    return "fit " + ", ".join(["viscous", *laws, *(["zeros"] if zeros else [])])
-
-
-def _zero_names(recordings: Sequence[Recording], zeros: Array, free: bool) -> list[str]:
-    if not free:
-        return []
-    of = [f" {r.name}" if len(recordings) > 1 else "" for r in recordings]
-    return [f"zero_{i + 1}{of[k]}" for k in range(zeros.shape[0]) for i in range(zeros.shape[1])]
 
 
 def choose(candidates: Sequence[Candidate]) -> int:
@@ -463,7 +454,7 @@ def _fitted(
     near: Candidate | None,
 ) -> Candidate:
     model = Swings(arms)
-    m, from_ = model.parameters, inertial_count(arms.count)
+    m = model.parameters
     groups = 1 + max(s.group for s in (*fitted, *left_out))
     fit = fit_swings(
         model,
@@ -472,7 +463,6 @@ def _fitted(
         zeros=np.zeros((groups, arms.count)),
         free=np.ones(m, dtype=bool),
         free_zeros=zeros,
-        friction_from=from_,
         settings=settings,
         near=None if near is None else near.fit.window_starts,
     )
@@ -490,7 +480,6 @@ def _predicted(model: Swings, swings: list[Swing], parameters: Array, zeros: Arr
         zeros=zeros,
         free=np.zeros(model.parameters, dtype=bool),
         free_zeros=False,
-        friction_from=model.parameters,
         settings=replace(settings, robust=0.0),
     )
 
@@ -550,7 +539,6 @@ def profiles(
                 free=free,
                 # A zero is held together with the others of its kind: they hardly mix.
                 free_zeros=len(fit.unknowns) > m and index < m,
-                friction_from=inertial_count(found.arms.count),
                 settings=settings,
                 near=fit.window_starts,
             )

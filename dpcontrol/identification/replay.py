@@ -38,7 +38,6 @@ from dpcontrol.control.estimator_settings import EstimatorSettings, chi_square_b
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import compiled_step
-from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
@@ -100,14 +99,16 @@ class FreeMotion:
         inputs[where["parameters"]] = self._base[:, None]
         whole, following = inputs[where["state"]], np.empty((self._step.size_out, lanes))
         whole[:size] = states
-        copies = 1 if cart is None else lanes // len(cart.velocities)
+        held = np.zeros((samples, lanes))
         if cart is not None:
+            copies = lanes // len(cart.velocities)
             whole[size + 1] = np.tile(cart.velocities, copies)
+            held = np.tile(cart.accelerations, copies)
         out = np.empty((samples, size, lanes))
         out[0] = states
         for k in range(1, samples):
-            if cart is not None:
-                inputs[where["inputs"]] = np.tile(cart.accelerations[k - 1], copies)
+            if self.moving:
+                inputs[where["inputs"]] = held[k - 1]
             self._step(inputs, following)
             whole[:] = following
             out[k] = following[:size]
@@ -132,6 +133,11 @@ class FittedPath:
     residual: Array
     converged: bool
     status: str
+
+    @property
+    def rms(self) -> float:
+        """Root mean square over all angles, rad."""
+        return float(np.sqrt(np.mean(np.square(self.residual))))
 
 
 def fit_initial_states(
@@ -208,14 +214,8 @@ def _fitted(path: Array, angles: Array, converged: bool) -> FittedPath:
     if not known.any():
         return FittedPath(path.copy(), np.zeros(angles.shape[1]), False, "it holds no reading")
     residual = np.sqrt(np.mean(np.square((path[:, : angles.shape[1]] - angles)[known]), axis=0))
-    status = (
-        "the initial state is fitted"
-        if converged
-        else (
-            "no initial state was found that the model follows the angles from: shorten the span, or identify the model"
-        )
-    )
-    return FittedPath(path.copy(), residual, converged, status)
+    lost = "no initial state was found that the model follows the angles from: shorten the span, or identify the model"
+    return FittedPath(path.copy(), residual, converged, "the initial state is fitted" if converged else lost)
 
 
 _INDEPENDENT = 1e-3
@@ -235,7 +235,7 @@ def estimate_recording(
     recording: Recording,
     arms: ArmChainParameters,
     filters: EstimatorSettings,
-    carts: Sequence[CartMotion] = (),
+    carts: Sequence[CartMotion],
     *,
     counts: int,
     mean_over: float,
@@ -258,17 +258,24 @@ def estimate_recording(
     """
     n, total = recording.arms, len(recording.time)
     mean_of = max(1, round(mean_over / recording.dt))
-    model = SampledModel(equations_of(arms, Level.CART), arms.base(), period=mean_of * recording.dt)
-    change = _Change(arms, moving=bool(carts))
+    equations = equations_of(arms, Level.CART)
+    model, rate = SampledModel(equations, arms.base(), period=mean_of * recording.dt), equations.function()
     noise = SensorSettings(counts=counts).covariance(n)
     noise[:n, :n] /= max(1.0, mean_of * min(1.0, recording.dt / _INDEPENDENT))
     estimator = make_estimator(filters, model, noise=noise)
+
+    def change(state: Array, drive: Array) -> Array:
+        """Return how the arms' state (2n,) changes while the cart has a velocity and an acceleration."""
+        whole = np.concatenate([state, [0.0, drive[0]]])
+        return np.asarray(rate(whole, drive[1], arms.base())).ravel()[: 2 * n]
+
     # The cart's own measurement says nothing of the arms: its motion is given, and a clamped one stands still.
     present = np.array([True] * n + [False])
     times: Array = np.asarray((np.arange(mean_of) - (mean_of - 1) / 2) * recording.dt, dtype=np.float64)
     out = RecordedEstimate(np.zeros((total, 2 * n)), np.zeros((total, 2 * n)), np.full(total, np.nan))
     for index, (first, end) in enumerate(recording.segments):
-        cart = _Cart(carts[index] if carts else None, mean_of)
+        still = np.zeros(end - first)
+        cart = carts[index] if carts else CartMotion(still, still, still, commanded=False)
         blocks = (end - first) // mean_of
         if not blocks:
             raise InputError(
@@ -276,16 +283,21 @@ def estimate_recording(
             )
         used = recording.angles[first : first + blocks * mean_of]
         means: Array = np.asarray(np.mean(used.reshape(blocks, mean_of, n), axis=1), dtype=float)
+        at_middle = np.arange(blocks) * mean_of + mean_of // 2
+        felt = cart.acceleration[: blocks * mean_of].reshape(blocks, mean_of).mean(axis=1)
+        between = _between_means(cart.acceleration, mean_of, blocks)
+        drives = np.column_stack([cart.velocity[at_middle], felt])
         guess = first_guess(recording.angles[first:end], recording.dt)
-        middle = _nearby(guess, change(guess, cart, 0)[n:], -times[:1])[0]
-        estimate = estimator.first(np.concatenate([middle, cart.start]))
+        middle = _nearby(guess, change(guess, drives[0])[n:], -times[:1])[0]
+        start = [cart.position[at_middle[0]], cart.velocity[at_middle[0]]]
+        estimate = estimator.first(np.concatenate([middle, start]))
         rows = slice(first, first)
         try:
             for k in range(blocks):
                 rows = slice(first + k * mean_of, first + (k + 1) * mean_of)
-                moved = cart.between(k)
+                moved = float(between[k - 1]) if k else 0.0
                 expected = estimate.state if not k else estimator.ahead(estimate, [moved])
-                bend = change(np.asarray(expected[: 2 * n]), cart, k)[n:] * np.mean(times**2) / 2
+                bend = change(np.asarray(expected[: 2 * n]), drives[k])[n:] * np.mean(times**2) / 2
                 # A mean that lacks a sample is not of this time, and is left out.
                 known = bool(np.isfinite(means[k]).all())
                 measured = np.concatenate([means[k] - bend if known else np.zeros(n), [0.0]])
@@ -295,7 +307,7 @@ def estimate_recording(
                 else:
                     estimate = estimator.update(estimate, measured, present & known)
                 state = np.asarray(estimate.state[: 2 * n])
-                out.states[rows] = _nearby(state, change(state, cart, k)[n:], times)
+                out.states[rows] = _nearby(state, change(state, drives[k])[n:], times)
                 out.sigmas[rows] = estimate.sigmas[: 2 * n]
                 if not k % 256:
                     progress("running the estimator", rows.stop / total)
@@ -304,8 +316,8 @@ def estimate_recording(
         for row in range(rows.stop, end):
             # Too few for a mean.
             state = out.states[row - 1]
-            halfway = state + recording.dt / 2 * change(state, cart, blocks - 1)
-            out.states[row] = state + recording.dt * change(halfway, cart, blocks - 1)
+            halfway = state + recording.dt / 2 * change(state, drives[-1])
+            out.states[row] = state + recording.dt * change(halfway, drives[-1])
             out.sigmas[row] = out.sigmas[row - 1]
     return out
 
@@ -317,48 +329,12 @@ def _nearby(state: Array, acceleration: Array, times: Array) -> Array:
     return np.column_stack([angles, state[n:] + np.outer(times, acceleration)])
 
 
-class _Cart:
-    """A segment's cart by means of `mean_of` samples: how it moves in each, and from one's middle to the next."""
-
-    def __init__(self, motion: CartMotion | None, mean_of: int) -> None:
-        self.start = np.zeros(2)
-        self._motion, self._mean_of, self._within, self._between = motion, mean_of, np.zeros(0), np.zeros(0)
-        if motion is not None:
-            middle = mean_of // 2
-            self.start = np.array([motion.position[middle], motion.velocity[middle]])
-            blocks = len(motion.acceleration) // mean_of
-            self._within = motion.acceleration[: blocks * mean_of].reshape(blocks, mean_of).mean(axis=1)
-            total = np.concatenate([[0.0], np.cumsum(motion.acceleration)])
-            # A middle between two samples stands half a sample on.
-            steps = np.arange(len(total))
-            middles = mean_of * np.arange(blocks) + (mean_of - 1) / 2
-            self._between = np.diff(np.interp(middles, steps, total)) / mean_of
-
-    def between(self, k: int) -> float:
-        """Return the mean acceleration m/s² from the middle of mean k - 1 to that of mean k."""
-        return float(self._between[k - 1]) if self._motion is not None and k else 0.0
-
-    def within(self, k: int) -> tuple[float, float]:
-        """Return the mean acceleration m/s² in mean k, and the velocity m/s at its middle."""
-        if self._motion is None:
-            return 0.0, 0.0
-        return float(self._within[k]), float(self._motion.velocity[k * self._mean_of + self._mean_of // 2])
-
-
-class _Change:
-    """How the arms' states (2n,) change, in the middle of mean k of a segment."""
-
-    def __init__(self, arms: ArmChainParameters, *, moving: bool) -> None:
-        self._size, self._base = 2 * arms.count, arms.base()
-        self._still = NumericEquations(equations_of(arms, Level.DISSIPATIVE), self._base)
-        self._moved = equations_of(arms, Level.CART).function() if moving else None
-
-    def __call__(self, state: Array, cart: _Cart, k: int) -> Array:
-        if self._moved is None:
-            return self._still.rate(state)
-        acceleration, velocity = cart.within(k)
-        whole = np.concatenate([state, [0.0, velocity]])
-        return np.asarray(self._moved(whole, acceleration, self._base)).ravel()[: self._size]
+def _between_means(acceleration: Array, mean_of: int, blocks: int) -> Array:
+    """Return the mean accelerations m/s² from the middle of each mean of `mean_of` samples to that of the next."""
+    total = np.concatenate([[0.0], np.cumsum(acceleration)])
+    # A middle between two samples stands half a sample on.
+    middles = mean_of * np.arange(blocks) + (mean_of - 1) / 2
+    return np.diff(np.interp(middles, np.arange(len(total)), total)) / mean_of
 
 
 _SETTLED = 0.1
@@ -413,7 +389,7 @@ class Replay:
 
     def summary(self, model: str) -> str:
         """Return a sentence: how well this model predicts, and whether the estimator agrees with it."""
-        rms = sorted(1e3 * float(np.sqrt(np.mean(np.square(fit.residual)))) for fit in self.fits)
+        rms = sorted(1e3 * fit.rms for fit in self.fits)
         seconds = max(end - first for _, first, end in self.stretches) * self.recording.dt
         whole = len(self.nis) * self.recording.dt
         return (
@@ -451,9 +427,8 @@ class Replay:
         rows: list[dict[str, Any]] = []
         for (index, first, _), fit in zip(self.stretches, self.fits, strict=True):
             own = {f"rms_angle_{i + 1}": float(value) for i, value in enumerate(fit.residual)}
-            rms = float(np.sqrt(np.mean(np.square(fit.residual))))
             start = float(self.recording.time[first])
-            rows.append({"index": index, "start": start, **own, "rms": rms, "converged": fit.converged})
+            rows.append({"index": index, "start": start, **own, "rms": fit.rms, "converged": fit.converged})
         return rows
 
     def document(self) -> dict[str, Any]:
@@ -511,8 +486,8 @@ def replay_recording(
         raise InputError(f"{recording.source}: the recording has {n} arms and the model {arms.count}; choose another")
     if len(zeros) not in (0, n):
         raise InputError(f"{len(zeros)} zeros for {n} arms; give one for each")
-    shown = np.array([*zeros, *[0.0] * (2 * n - len(zeros))])
-    shown_recording = recording
+    shown, shown_recording = np.zeros(2 * n), recording
+    shown[: len(zeros)] = zeros
     recording = replace(recording, angles=recording.angles - shown[:n])
     carts = _carts(recording)
     motion = FreeMotion(arms, period=recording.dt, moving=bool(carts))
@@ -521,7 +496,6 @@ def replay_recording(
     velocity, acceleration = driven(recording, carts)
     moved = [(velocity[first:end], acceleration[first:end]) for _, first, end in stretches] if carts else []
     fits = fit_initial_states(motion, pieces, moved, progress=part_of(progress, 0.0, 0.5))
-    predicted = np.concatenate([fit.states for fit in fits])
     found = estimate_recording(
         recording,
         arms,
@@ -531,22 +505,21 @@ def replay_recording(
         mean_over=_MEAN_OVER[bool(carts)] if settings.mean_over is None else settings.mean_over,
         progress=part_of(progress, 0.5, 0.9),
     )
-    estimated, nis = found.states, found.nis
     settled = np.concatenate([np.arange(end - first) * recording.dt >= _SETTLED for first, end in recording.segments])
     if not settled.any():
         settled[:] = True
-    known = nis[settled & np.isfinite(nis)]
+    known = found.nis[settled & np.isfinite(found.nis)]
     low, high = chi_square_band(n)
     progress("predicting", 0.9)
     rates_rms = None
     if recording.rates is not None:
-        rates_rms = np.sqrt(np.mean(np.square(estimated[settled, n:] - recording.rates[settled]), axis=0))
+        rates_rms = np.sqrt(np.mean(np.square(found.states[settled, n:] - recording.rates[settled]), axis=0))
     return Replay(
         recording=shown_recording,
-        predicted=predicted + shown,
-        estimated=estimated + shown,
+        predicted=np.concatenate([fit.states for fit in fits]) + shown,
+        estimated=found.states + shown,
         sigmas=found.sigmas,
-        nis=nis,
+        nis=found.nis,
         carts=carts,
         stretches=stretches,
         fits=tuple(fits),
@@ -642,7 +615,7 @@ def write_replay(result: Replay, path: Path | str, *, model: str, model_text: st
             first,
             end,
             "info" if fit.converged else "warn",
-            f"segment {index}: predicted to {1e3 * np.sqrt(np.mean(fit.residual**2)):.2f} mrad rms",
+            f"segment {index}: predicted to {1e3 * fit.rms:.2f} mrad rms",
         )
         for (index, first, end), fit in zip(result.stretches, result.fits, strict=True)
     ]

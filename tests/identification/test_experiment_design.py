@@ -33,7 +33,6 @@ def test_information_is_that_of_a_fit_to_the_same_swing(design: Design) -> None:
         zeros=np.zeros((1, 2)),
         free=np.ones(6, dtype=bool),
         free_zeros=True,
-        friction_from=6,
         settings=FitSettings(robust=0.0, window=0.4),
     )
     # The zeros are eliminated as well, and slopes are taken over logarithms; one variance of rounding to both angles.

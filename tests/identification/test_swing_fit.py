@@ -13,7 +13,6 @@ from dpcontrol.dynamics.chain import (
     base_from_ratios,
     base_ratios,
     equations_of,
-    inertial_count,
     with_laws,
 )
 from dpcontrol.foundation.errors import InputError
@@ -94,7 +93,6 @@ def fitted(
         zeros=np.zeros((1, 2)),
         free=np.ones(len(first), dtype=bool),
         free_zeros=zeros,
-        friction_from=inertial_count(2),
         settings=settings or FitSettings(),
     )
 
