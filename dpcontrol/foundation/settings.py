@@ -26,8 +26,8 @@ from dpcontrol.foundation.errors import InputError
 T = TypeVar("T")
 
 
-_SIMPLE = (float, int, str, tuple[str, ...])
-"""Types of settings that a table can fill."""
+_READERS = {float: "number", int: "integer", str: "text", tuple[str, ...]: "texts"}
+"""Types of settings that a table can fill, and by which of its methods."""
 
 
 class Table:
@@ -124,20 +124,10 @@ class Table:
         """
         hints = get_type_hints(kind)
         values = dict(given)
-        for one in fields(kind):  # type: ignore[arg-type]
-            if one.name in given or one.name not in self:
-                continue
-            hint = hints[one.name]
-            if hint is float:
-                values[one.name] = self.number(one.name)
-            elif hint is int:
-                values[one.name] = self.integer(one.name)
-            elif hint is str:
-                values[one.name] = self.text(one.name)
-            elif hint == tuple[str, ...]:
-                values[one.name] = self.texts(one.name)
-        simple = [f.name for f in fields(kind) if hints[f.name] in _SIMPLE]  # type: ignore[arg-type]
-        self.finish(also=[*(name for name in simple if name not in given), *also])
+        readers = {f.name: _READERS[hints[f.name]] for f in fields(kind) if hints[f.name] in _READERS}  # type: ignore[arg-type]
+        simple = [name for name in readers if name not in given]
+        values.update({name: getattr(self, readers[name])(name) for name in simple if name in self})
+        self.finish(also=[*simple, *also])
         return self.checked(kind, **values)
 
     def checked(self, kind: type[T], /, **values: Any) -> T:

@@ -294,7 +294,29 @@ def _account(
         missing += at_end
         gaps.append((end_s, end_s + at_end * period))
     names = json.loads(described["attachments"])
-    done = Recovery(
+    attachments_lost = tuple(name for name in names if name not in found.attachments)
+    before = _only(path, found, RECOVERY_RECORD) or {}
+    lost = [before[LOST]] if before.get(LOST) else []
+    if missing:
+        shown = ", ".join(f"{a:.3f} to {b:.3f} s" for a, b in gaps[:_SHOWN_GAPS])
+        more = f" and {len(gaps) - _SHOWN_GAPS} more" if len(gaps) > _SHOWN_GAPS else ""
+        lost.append(f"{missing} ticks ({1e3 * missing * period:.0f} ms): {shown}{more}")
+    if result is None:
+        most = 1e3 * max(CHUNK_SECONDS, period)
+        lost.append(f"what came after {end_s:.3f} s (at most {most:.0f} ms if the run was killed)")
+    events, robots = (
+        sorted(c.sequences[channel] for c in chunks if channel in c.sequences)
+        for channel in (tick.channels[EVENTS], tick.channels[ROBOT])
+    )
+    if gone := sum(b[0] - a[1] - 1 for a, b in pairwise([(-1, -1), *events])):
+        lost.append(f"{gone} events")
+    if not robots:
+        lost.append("the arms' description for viewers")
+    if attachments_lost:
+        lost.append(f"the attachment{'s'[: len(attachments_lost) > 1]} {', '.join(attachments_lost)}")
+    if RUN_RECORD not in found.metadata:
+        lost.append("the metadata of the run")
+    return Recovery(
         source=path,
         log=path,
         ticks=sum(last - first + 1 for first, last, _, _ in ticked),
@@ -307,43 +329,9 @@ def _account(
         chunks_repeated=len(found.chunks) - len(chunks),
         chunks_moved=list(dict.fromkeys(c.identity for c in found.chunks)) != [c.identity for c in chunks],
         attachments=tuple(name for name in found.attachments if name in names),
-        attachments_lost=tuple(name for name in names if name not in found.attachments),
-        lost="",
+        attachments_lost=attachments_lost,
+        lost="; ".join(lost),
     )
-    return replace(done, lost=_lost(path, found, chunks, done=done, tick=tick, period=period))
-
-
-def _lost(
-    path: Path,
-    found: Salvage,
-    chunks: Sequence[SoundChunk],
-    *,
-    done: Recovery,
-    tick: TickLayout,
-    period: float,
-) -> str:
-    """Return what is missing as a sentence, empty where nothing is."""
-    before = _only(path, found, RECOVERY_RECORD) or {}
-    parts = [before[LOST]] if before.get(LOST) else []
-    if done.ticks_lost:
-        shown = ", ".join(f"{a:.3f} to {b:.3f} s" for a, b in done.gaps[:_SHOWN_GAPS])
-        more = f" and {len(done.gaps) - _SHOWN_GAPS} more" if len(done.gaps) > _SHOWN_GAPS else ""
-        parts.append(f"{done.ticks_lost} ticks ({done.milliseconds_lost:.0f} ms): {shown}{more}")
-    if not done.end_known:
-        most = 1e3 * max(CHUNK_SECONDS, period)
-        parts.append(f"what came after {done.end_s:.3f} s (at most {most:.0f} ms if the run was killed)")
-    for topic, what in ((EVENTS, "events"), (ROBOT, "the arms' description for viewers")):
-        spans = sorted(c.sequences[tick.channels[topic]] for c in chunks if tick.channels[topic] in c.sequences)
-        gone = sum(b[0] - a[1] - 1 for a, b in pairwise([(-1, -1), *spans]))
-        if topic == EVENTS and gone:
-            parts.append(f"{gone} {what}")
-        elif topic == ROBOT and not spans:
-            parts.append(what)
-    if done.attachments_lost:
-        parts.append(f"the attachment{'s'[: len(done.attachments_lost) > 1]} {', '.join(done.attachments_lost)}")
-    if RUN_RECORD not in found.metadata:
-        parts.append("the metadata of the run")
-    return f"{'; '.join(parts)}" if parts else ""
 
 
 def _write(
@@ -359,9 +347,8 @@ def _write(
     with whole_file(done.log) as temporary:
         with FileIO(temporary, "wb") as stream:
             file = McapFile(stream, library=f"dpcontrol {dpcontrol.__version__}")
-            for name, values in found.metadata.items():
-                if name == RUN_RECORD:
-                    file.add_metadata(name, sealed(name, values[0]))
+            for values in found.metadata.get(RUN_RECORD, [])[:1]:
+                file.add_metadata(RUN_RECORD, sealed(RUN_RECORD, values))
             for name in done.attachments:
                 file.add_attachment(name, found.attachments[name])
             file.add_metadata(LAYOUT_RECORD, sealed(LAYOUT_RECORD, described))

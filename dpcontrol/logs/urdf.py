@@ -6,6 +6,7 @@ multiplier -1), so that the next arm hangs at zero. Source: the URDF specificati
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,18 +26,11 @@ _INK = {
 
 def frames(arms: int, *, has_cart: bool, prefix: str = "") -> tuple[tuple[str, str], ...]:
     """Return (parent, child) of every frame that moves, in the order of `poses`, after `world` to the base."""
-    base = f"{prefix}base"
-    found = [(WORLD, base)]
-    last = base
-    if has_cart:
-        found.append((base, f"{prefix}cart_link"))
-        last = f"{prefix}cart_link"
+    names = ["base", *(["cart_link"] if has_cart else [])]
     for i in range(1, arms + 1):
-        found.append((last, f"{prefix}arm_{i}_link"))
-        if i < arms:
-            found.append((f"{prefix}arm_{i}_link", f"{prefix}elbow_{i}_link"))
-            last = f"{prefix}elbow_{i}_link"
-    return tuple(found)
+        names += [f"arm_{i}_link", f"elbow_{i}_link"]
+    chain = [WORLD, *(prefix + name for name in names[:-1])]
+    return tuple(pairwise(chain))
 
 
 def poses(states: NDArray[np.float64], *, arm_lengths: Sequence[float], has_cart: bool) -> NDArray[np.float64]:
@@ -102,36 +96,33 @@ def robot_description(
 def _visuals(
     name: str, arm_lengths: Sequence[float], *, depth: float, reach: float, prefix: str, track: bool
 ) -> list[str]:
-    def box(size: tuple[float, float, float], at: tuple[float, float, float], part: str) -> str:
-        return _visual(f'<box size="{size[0]:g} {size[1]:g} {size[2]:g}"/>', (at[0], at[1] + depth, at[2]), part)
-
-    def disc(radius: float, at: tuple[float, float, float], part: str) -> str:
-        shape = f'<cylinder radius="{radius:g}" length="{1.4 * _THICKNESS:g}"/>'
-        return _visual(shape, (at[0], at[1] + depth, at[2]), part, turn="1.5707963 0 0")
-
-    def _visual(shape: str, at: tuple[float, float, float], part: str, *, turn: str = "0 0 0") -> str:
+    def visual(shape: str, at: tuple[float, float, float], part: str, *, turn: str = "0 0 0") -> str:
+        x, y, z = at
         return (
-            f'    <visual><origin xyz="{at[0]:g} {at[1]:g} {at[2]:g}" rpy="{turn}"/><geometry>{shape}</geometry>'
+            f'    <visual><origin xyz="{x:g} {y + depth:g} {z:g}" rpy="{turn}"/><geometry>{shape}</geometry>'
             f'<material name="{prefix}{part}"/></visual>'
         )
 
+    def box(x: float, y: float, z: float, at: tuple[float, float, float], part: str) -> str:
+        return visual(f'<box size="{x:g} {y:g} {z:g}"/>', at, part)
+
+    def disc(radius: float, at: tuple[float, float, float], part: str) -> str:
+        shape = f'<cylinder radius="{radius:g}" length="{1.4 * _THICKNESS:g}"/>'
+        return visual(shape, at, part, turn="1.5707963 0 0")
+
     wide = 0.06
     if name == "base" and track:
-        stop = (_THICKNESS, wide, 0.03)
-        return [
-            box((2 * reach + 0.1, wide, 0.01), (0, 0.06, -0.02), "track"),
-            box(stop, (-reach - 0.05, 0.06, 0), "track"),
-            box(stop, (reach + 0.05, 0.06, 0), "track"),
-        ]
+        stops = [box(_THICKNESS, wide, 0.03, (side * (reach + 0.05), 0.06, 0), "track") for side in (-1, 1)]
+        return [box(2 * reach + 0.1, wide, 0.01, (0, 0.06, -0.02), "track"), *stops]
     if name == "cart_link":
-        return [box((0.1, wide, 0.03), (0, 0.06, 0), "cart"), disc(0.6 * _THICKNESS, (0, 0.02, 0), "cart")]
+        return [box(0.1, wide, 0.03, (0, 0.06, 0), "cart"), disc(0.6 * _THICKNESS, (0, 0.02, 0), "cart")]
     if name.startswith("arm_"):
         i = int(name.split("_")[1]) - 1
         length = arm_lengths[i]
         # Each arm swings in front of the last, as on the rig, and so is drawn whole.
         y = -1.6 * _THICKNESS * i
         return [
-            box((1.6 * _THICKNESS, _THICKNESS, length), (0, y, -length / 2), "arm"),
+            box(1.6 * _THICKNESS, _THICKNESS, length, (0, y, -length / 2), "arm"),
             disc(1.3 * _THICKNESS, (0, y, 0), "cart"),
             disc(1.3 * _THICKNESS, (0, y, -length), "tip" if i == len(arm_lengths) - 1 else "cart"),
         ]
