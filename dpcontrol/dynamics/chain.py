@@ -1,54 +1,35 @@
-"""The chain of arms on a cart: parameters, Lagrangian, levels, identifiable ratios, arms drawn from a covariance.
+"""A planar chain of n arms on a cart: parameters, one Lagrangian, its levels, identifiable ratios, drawn arms.
 
-Parameters of a planar chain of arms on a cart, physical and base.
-
-The physical parameters (masses, centres, lengths, inertias) enter the equations only through the base
-parameters
+    L = ½ Σ M_ij cos(θ_i-θ_j) ω_i ω_j + Σ S_i cos θ_i ω_i ẋ + ½ ẋ² + Σ G_i cos θ_i
+    D = Σ ½ k_i ρ_i² + c_i √(ρ_i² + w²) + ⅓ b_i (v_i² + (λ_i w)²)^{3/2},      ρ_i = ω_i - ω_{i-1}
 
     M_ii = J_i + m_i a_i² + (m_{i+1} + … + m_n) l_i²
     M_ij = (m_j a_j + (m_{j+1} + … + m_n) l_j) l_i        for j > i
     S_i  = m_i a_i + (m_{i+1} + … + m_n) l_i,             G_i = g S_i
 
-so that T = ½ Σ M_ij cos(θ_i-θ_j) ω_i ω_j and V = -Σ G_i cos θ_i; S_i couples arm i to the cart. This form has a
-third of the instructions of the form from positions. The friction coefficients of each joint follow: viscous, then
-those of the laws in use beyond it, and their smoothing rate.
-
-A planar chain of n arms on a cart: one Lagrangian, one dissipation function, the levels made from them.
-
-    L = ½ Σ M_ij cos(θ_i-θ_j) ω_i ω_j + Σ S_i cos θ_i ω_i ẋ + ½ ẋ² + Σ G_i cos θ_i
-    D = Σ ½ k_i ρ_i² + c_i √(ρ_i² + w²) + ⅓ b_i (v_i² + (λ_i w)²)^{3/2},      ρ_i = ω_i - ω_{i-1}
-
-in the base parameters. The cart's own inertia does not matter where its
-acceleration is the input; ½ ẋ² stands in for it. Besides viscous friction k a joint may have Coulomb friction c, and
-each arm the air's drag b v², where v_i is the speed of the arm's centre of oscillation, λ_i = M_ii/S_i from its joint,
-in air at rest: on a free swing the drag at this true speed explains the data and a torque b ρ|ρ| in the joint does not.
-The smoothing rate w keeps both analytic, which Taylor's method and collocation need; unlike tanh(ρ/w) through
-log cosh, √ cannot overflow at high rates.
-
-Sources: Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models ... of machines with friction (1994), section
-2; Batchelor, An introduction to fluid dynamics (1967), section 5.11, for the drag.
-
-What free swings identify of a chain of arms: base parameters over one of them, and arms that have given ones.
+Masses, centres, lengths and inertias enter through the base parameters M, G, S alone; this form has a third of the
+instructions of the form from positions. The cart's own inertia does not matter where its acceleration is the input;
+½ ẋ² stands in for it. Besides viscous friction k a joint may have Coulomb friction c, and each arm the air's drag b v²,
+where v_i is the speed of the arm's centre of oscillation, λ_i = M_ii/S_i from its joint, in air at rest: on a free
+swing the drag at this true speed explains the data and a torque b ρ|ρ| in the joint does not. The smoothing rate w
+keeps both analytic, which Taylor's method and collocation need; unlike tanh(ρ/w) through log cosh, √ cannot overflow.
 
 On a cart that is clamped, or driven in acceleration, the equations stay the same when masses, inertias and friction all
-grow in proportion. What can be identified are, with g known, over C = M_12 (M_11 of a single arm),
+grow in proportion. Swings identify, with g known, the ratios over C = M_12 (M_11 of a single arm)
 
     M_ii/C, G_i/C,  l_2 … l_{n-1} (three arms and more),  viscous_i/C, coulomb_i/C, quadratic_i/C
 
 since M_ij = l_i G_j/g for i < j and l_1 = g C/G_2. Of the many arms with the same ratios `nearest_arms` gives those
-whose masses, centres, lengths and inertias differ least from given ones, in the sum of squared logarithms.
+whose masses, centres, lengths and inertias differ least from given ones, in the sum of squared logarithms. Arms as
+likely as a covariance Σ of the ratios r says have r + s Σ^½ z, z standard normal and s a factor on the standard errors.
 
-Source: Gautier, Khalil, Direct calculation of minimum set of inertial parameters of serial robots (1990).
-
-How well identified arms are known, and arms drawn as likely as that says.
-
-    r' = r + s Σ^½ z,      z standard normal,      arms' = the nearest to the model's with the ratios r'
-
-r: the f ratios; Σ their covariance; s a factor on their standard errors.
-
-Source: Hastie, Tibshirani, Friedman, The elements of statistical learning (2009), section 8.2 (parametric bootstrap).
+Sources: Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models ... of machines with friction (1994), section
+2; Batchelor, An introduction to fluid dynamics (1967), section 5.11, for the drag; Gautier, Khalil, Direct calculation
+of minimum set of inertial parameters of serial robots (1990); Hastie, Tibshirani, Friedman, The elements of statistical
+learning (2009), section 8.2 (parametric bootstrap).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from fractions import Fraction
@@ -64,12 +45,15 @@ from dpcontrol.dynamics.equations import Energy, Equations, mechanics, state_equ
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, described_system
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.settings import Settings, bounds_of, setting
 
 Array = NDArray[np.float64]
 
 LARGEST = 1e6
 """No mass, length, inertia or friction of a bench is larger in SI units; beyond it products overflow."""
+_INERTIAL = {"mass": "m", "centre_of_mass": "a", "length": "l", "inertia": "J"}
+_FRICTION = {"viscous": "k", "coulomb": "c", "quadratic": "b"}
+"""The fields of numbers for each arm, with their short names."""
 
 
 class Friction(StrEnum):
@@ -125,20 +109,13 @@ class ArmChainParameters(Settings):
 
     def named(self) -> dict[str, tuple[float, str]]:
         """Return {name: (value, unit)} with the field's short names: m1, a1, l1, J1, g, k1 …"""
-        units = (("m", "mass", "kg"), ("a", "centre_of_mass", "m"), ("l", "length", "m"),
-                 ("J", "inertia", "kg m^2"))  # fmt: skip
+        units = {name: bounds.unit.replace("²", "^2") for name, bounds in bounds_of(type(self)).items()}
+        shown = {**_INERTIAL, "gravity": "g", **_FRICTION, **({"smoothing": "w"} if self.friction else {})}
         out: dict[str, tuple[float, str]] = {}
-        for letter, field, unit in units:
-            for i, value in enumerate(getattr(self, field)):
-                out[f"{letter}{i + 1}"] = (value, unit)
-        out["g"] = (self.gravity, "m/s^2")
-        for i, value in enumerate(self.viscous):
-            out[f"k{i + 1}"] = (value, "N m s/rad")
-        for law, letter, unit in ((Friction.COULOMB, "c", "N m"), (Friction.QUADRATIC, "b", "N s^2/m^2")):
-            for i, value in enumerate(getattr(self, law)):
-                out[f"{letter}{i + 1}"] = (value, unit)
-        if self.friction:
-            out["w"] = (self.smoothing, "rad/s")
+        for field, letter in shown.items():
+            value = getattr(self, field)
+            many = enumerate(value, start=1) if isinstance(value, tuple) else [("", value)]
+            out |= {f"{letter}{place}": (one, units[field]) for place, one in many}
         return out
 
     def base(self) -> Array:
@@ -147,26 +124,30 @@ class ArmChainParameters(Settings):
         The friction is viscous (n,), then coulomb (n,) and quadratic (n,) where these arms have them, then their
         smoothing rate.
         """
-        m, a, joint, j = (np.asarray(v) for v in (self.mass, self.centre_of_mass, self.length, self.inertia))
-        return _base(m, a, joint, j, np.asarray(self._dissipative()), self.gravity)
-
-    def _dissipative(self) -> tuple[float, ...]:
-        """Return all numbers of friction that the equations take."""
-        further = sum((getattr(self, law) for law in self.friction), ())
-        return (*self.viscous, *further, *((self.smoothing,) if further else ()))
+        return self._base(np.asarray)
 
     def decimal_base(self) -> tuple[Fraction, ...]:
         """Return the base parameters without rounding, the physical ones taken as the decimals a file gives.
 
         That is the shortest decimal that reads as the same double, which is what was typed up to 15 digits.
         """
-
-        def exact(values: tuple[float, ...]) -> Any:
-            return np.array([Fraction(repr(float(v))) for v in values], dtype=object)
-
-        m, a, joint, j = exact(self.mass), exact(self.centre_of_mass), exact(self.length), exact(self.inertia)
-        base = _base(m, a, joint, j, exact(self._dissipative()), Fraction(repr(float(self.gravity))))
+        base = self._base(lambda values: np.array([Fraction(repr(float(v))) for v in values], dtype=object))
         return tuple(Fraction(value) for value in base)
+
+    def _base(self, numbers: Callable[[tuple[float, ...]], NDArray[Any]]) -> Any:
+        """Return the base parameters in the arithmetic of what `numbers` makes of the physical ones."""
+        m, a, joint, j = (numbers(getattr(self, name)) for name in _INERTIAL)
+        laws = sum((getattr(self, law) for law in self.friction), ())
+        friction = numbers((*self.viscous, *laws, *((self.smoothing,) if laws else ())))
+        n = self.count
+        beyond = np.array([m[i + 1 :].sum() for i in range(n)])
+        coupling = m * a + beyond * joint
+        inertia = [
+            j[i] + m[i] * a[i] ** 2 + beyond[i] * joint[i] ** 2 if i == k else coupling[k] * joint[i]
+            for i in range(n)
+            for k in range(i, n)
+        ]
+        return np.concatenate([inertia, numbers((self.gravity,)) * coupling, coupling, friction])
 
     def frictionless(self) -> "ArmChainParameters":
         """Return the same arms without friction."""
@@ -187,30 +168,9 @@ class ArmChainParameters(Settings):
             factors = np.maximum(1 + random.uniform(-by, by, len(values)), 0.0)
             return tuple(float(v) for v in np.asarray(values) * factors)
 
-        return replace(
-            self,
-            mass=vary(self.mass, fraction),
-            centre_of_mass=vary(self.centre_of_mass, fraction),
-            length=vary(self.length, fraction),
-            inertia=vary(self.inertia, fraction),
-            viscous=vary(self.viscous, 5 * fraction),
-            # Drawn last, so that a seed gives the same arms with and without them.
-            coulomb=vary(self.coulomb, 5 * fraction),
-            quadratic=vary(self.quadratic, 5 * fraction),
-        )
-
-
-def _base(m: Any, a: Any, joint: Any, j: Any, friction: Any, gravity: Any) -> Any:
-    """Return the base parameters of the chain, in the arithmetic of its arguments (n,), friction last."""
-    n = len(m)
-    beyond = np.array([m[i + 1 :].sum() for i in range(n)])
-    coupling = m * a + beyond * joint
-    inertia = [
-        j[i] + m[i] * a[i] ** 2 + beyond[i] * joint[i] ** 2 if i == k else coupling[k] * joint[i]
-        for i in range(n)
-        for k in range(i, n)
-    ]
-    return np.concatenate([inertia, gravity * coupling, coupling, friction])
+        # Friction beyond the viscous is drawn last, so that a seed gives the same arms with and without it.
+        spread = dict.fromkeys(_INERTIAL, fraction) | dict.fromkeys(_FRICTION, 5 * fraction)
+        return replace(self, **{name: vary(getattr(self, name), by) for name, by in spread.items()})
 
 
 class Level(StrEnum):
@@ -293,13 +253,6 @@ def equations_of(arms: ArmChainParameters, level: Level) -> Equations:
     return arm_chain_equations(arms.count, level, friction=arms.friction)
 
 
-def _angle_section(name: str, angles: tuple[float, float], along: tuple[float, float]) -> Section:
-    """Return the section angles · θ = 2πk of two arms, with the coordinate that varies along `along`."""
-    # Any arm that moves along the section measures the position on it.
-    measure = (1.0, 0.0) if along[0] else (0.0, 1.0)
-    return Section(name, (*angles, 0.0, 0.0), (*measure, 0.0, 0.0), along, period=2 * np.pi)
-
-
 def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
     """Return the frictionless pendulum on a fixed pivot as a system: level conservative.
 
@@ -313,17 +266,16 @@ def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
     sections: dict[str, Section] = {}
     between: dict[tuple[str, str], str] = {}
     if n == 2:
-        sections = {
-            "outer-down": _angle_section("angle_2 = 2 pi k", (0.0, 1.0), (1.0, 0.0)),
-            "inner-down": _angle_section("angle_1 = 2 pi k", (1.0, 0.0), (0.0, 1.0)),
-            "aligned": _angle_section("angle_1 = angle_2 + 2 pi k", (1.0, -1.0), (1.0, 1.0)),
+        # Rows: n, the coordinate (of any arm that moves along the section), and the direction along the section.
+        rows = {
+            "outer-down": ("angle_2 = 2 pi k", (0.0, 1.0), (1.0, 0.0), (1.0, 0.0)),
+            "inner-down": ("angle_1 = 2 pi k", (1.0, 0.0), (0.0, 1.0), (0.0, 1.0)),
+            "aligned": ("angle_1 = angle_2 + 2 pi k", (1.0, -1.0), (1.0, 0.0), (1.0, 1.0)),
         }
-        between = {
-            ("down-up", "down-up"): "outer-down",
-            ("up-down", "up-down"): "inner-down",
-            ("down-up", "up-down"): "aligned",
-            ("up-down", "down-up"): "aligned",
-        }
+        for key, (title, normal, measure, along) in rows.items():
+            sections[key] = Section(title, (*normal, 0.0, 0.0), (*measure, 0.0, 0.0), along, period=2 * np.pi)
+        between = {("down-up", "down-up"): "outer-down", ("up-down", "up-down"): "inner-down"}
+        between |= dict.fromkeys([("down-up", "up-down"), ("up-down", "down-up")], "aligned")
     still, one = np.ones(n), np.ones(n)
     return described_system(
         name,
@@ -340,10 +292,6 @@ def pendulum_system(name: str, parameters: ArmChainParameters) -> System:
         between=between,
         section_scale=1.0,
     )
-
-
-_STEPS = 100
-_CLOSE = 1e-13
 
 
 def unit_name(count: int) -> str:
@@ -366,15 +314,18 @@ def inertial_count(count: int) -> int:
 
 def base_ratios(arms: ArmChainParameters) -> Array:
     """Return the ratios (m,) that swings on a clamped or driven cart identify, in SI units."""
-    n = arms.count
-    base = arms.base()
-    pairs = [(i, j) for i in range(n) for j in range(i, n)]
-    inertia = {pair: base[k] for k, pair in enumerate(pairs)}
-    weights = base[len(pairs) : len(pairs) + n]
-    unit = inertia[0, 1] if n > 1 else inertia[0, 0]
-    diagonal = [inertia[i, i] / unit for i in range(n) if n > 1]
-    friction = [value / unit for law in ("viscous", *arms.friction) for value in getattr(arms, law)]
-    return np.array([*diagonal, *(weights / unit), *arms.length[1 : n - 1], *friction])
+    n, base = arms.count, arms.base()
+    diagonal = np.cumsum([0, *range(n, 1, -1)])
+    weights = base[n * (n + 1) // 2 :][:n]
+    friction = [value for law in ("viscous", *arms.friction) for value in getattr(arms, law)]
+    unit = _unit(base, n)
+    inertial = [*(base[diagonal[: n if n > 1 else 0]] / unit), *(weights / unit)]
+    return np.array([*inertial, *arms.length[1 : n - 1], *(np.array(friction) / unit)])
+
+
+def _unit(base: Array, count: int) -> float:
+    """Return the base parameter over which the others are taken."""
+    return float(base[1] if count > 1 else base[0])
 
 
 def base_from_ratios(ratios: Any, arms: ArmChainParameters) -> list[Any]:
@@ -424,30 +375,24 @@ def nearest_arms(ratios: Array, start: ArmChainParameters) -> ArmChainParameters
     )
     if not np.all(wanted > 0) or not np.isfinite(ratios).all():
         raise none
-    logs, step = np.zeros(int(free.sum())), 1e-6
-    for _ in range(_STEPS):
+    logs, step, close = np.zeros(int(free.sum())), 1e-6, 1e-13
+    for _ in range(100):
         error = away(logs)
         slope: Array = np.array([(away(logs + e) - away(logs - e)) / (2 * step) for e in step * np.eye(len(logs))]).T
         # The point of least norm among those that solve the linearised equations.
         following: Array = np.linalg.lstsq(slope, slope @ logs - error, rcond=None)[0].astype(np.float64)
         if not np.isfinite(following).all() or np.abs(following).max() > 5:
             raise none
-        done = np.abs(following - logs).max() < _CLOSE or (np.abs(error).max() < _CLOSE and _small(following - logs))
+        change = np.abs(following - logs).max()
         logs = following
-        if done:
+        if change < close or (np.abs(error).max() < close and change < 1e-9):
             break
     if np.abs(away(logs)).max() > 1e-10:
         raise none
     arms = arms_at(logs)
-    base = arms.base()
-    unit = base[1] if n > 1 else base[0]
-    friction = np.maximum(np.asarray(ratios)[count:], 0.0).reshape(-1, n) * unit
+    friction = np.maximum(np.asarray(ratios)[count:], 0.0).reshape(-1, n) * _unit(arms.base(), n)
     names = ("viscous", *start.friction)
     return replace(arms, **{name: tuple(map(float, row)) for name, row in zip(names, friction, strict=True)})
-
-
-def _small(change: Array) -> bool:
-    return bool(np.abs(change).max() < 1e-9)
 
 
 def with_laws(arms: ArmChainParameters, laws: tuple[Friction, ...]) -> ArmChainParameters:

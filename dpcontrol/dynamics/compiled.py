@@ -1,33 +1,24 @@
-"""casadi functions as machine code, for one point or for many at once.
+"""casadi functions as machine code, for one point or for many at once, and a plant's step of fixed length.
 
-heyoka compiles the same expression through LLVM twice: for one point, and for as many as the processor's vectors hold.
-One call for one point takes a third of the time of casadi's own machine; among hundreds a point takes a fiftieth.
-Compiled code is kept on disk by heyoka. Source: Biscani & Izzo, Revisiting high-order Taylor methods for
-astrodynamics and celestial mechanics (2021), section 3.
+A casadi function is a list of elementary instructions on a work vector; walking it rebuilds the same graph in heyoka,
+common subexpressions included, so that a model is written once. LLVM compiles it twice: for one point, and for as many
+as the processor's vectors hold. One call for one point takes a third of the time of casadi's own machine; among
+hundreds a point takes a fiftieth.
 
-One step of fixed length, as machine code: for plants whose input changes at known times.
+    k_i = f(x + h Σ_{j<i} a_ij k_j, u; p),      x⁺ = x + h Σ_i b_i k_i        (DOP853: 12 stages, order 8)
 
-    k_i = f(x + h Σ_{j<i} a_ij k_j, u; p),      x⁺ = x + h Σ_i b_i k_i        (12 stages, order 8)
+The step's length is an input, so that one function serves whole periods, parts of them and many plants at once. At 1 ms
+the double pendulum's error is round-off.
 
-The coefficients are those of DOP853, as scipy has them; its own package takes long to import. The step's length is an
-input, so that one function serves whole periods, parts of them and many plants at once. At 1 ms the double pendulum's
-error is round-off.
-
-Source: Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I (1993), section II.5.
-
-casadi expressions as heyoka expressions, so that a model is written once.
-
-A casadi function is a list of elementary instructions on a work vector; walking it rebuilds the same graph in
-heyoka, common subexpressions included.
+Sources: Biscani & Izzo, Revisiting high-order Taylor methods for astrodynamics and celestial mechanics (2021), section
+3; Hairer, Nørsett & Wanner, Solving Ordinary Differential Equations I (1993), section II.5.
 """
 
-import json
 import pickle
 import platform
 from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache, cached_property
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -184,14 +175,16 @@ def _processor() -> str:
 
 def fixed_step(equations: Equations) -> ca.Function:
     """Return (state (N,), inputs (m,), duration, parameters (p,)) -> following (N,), the inputs held."""
-    f = equations.function()
+    # Takes a third of a second, which only those who compile a step need to spend.
+    from scipy.integrate import DOP853
+
+    f, zero = equations.function(), ca.SX.zeros(equations.dimension)
     x, u, p, h = equations.state, equations.inputs, equations.parameters, ca.SX.sym("h")
     stages: list[ca.SX] = []
-    tableau = json.loads(files("dpcontrol.dynamics").joinpath("dop853.json").read_text(encoding="utf-8"))
-    for row in tableau["A"]:
-        shift = sum((a * k for a, k in zip(row, stages, strict=True) if a), ca.SX.zeros(x.shape[0]))
+    for row in DOP853.A[: DOP853.n_stages].tolist():
+        shift = sum((a * k for a, k in zip(row, stages, strict=False) if a), zero)
         stages.append(f(x + h * shift, u, p))
-    sloped = sum((b * k for b, k in zip(tableau["B"], stages, strict=True) if b), ca.SX.zeros(x.shape[0]))
+    sloped = sum((b * k for b, k in zip(DOP853.B.tolist(), stages, strict=True) if b), zero)
     names = ["state", "inputs", "duration", "parameters"]
     return ca.Function("fixed_step", [x, u, h, p], [ca.cse(ca.densify(x + h * sloped))], names, ["following"])
 

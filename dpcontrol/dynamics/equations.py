@@ -1,14 +1,13 @@
-"""State-space equations of one level of a model: ẋ = f(x, u; p), symbolically and as numpy functions.
-
-State order: free positions, their velocities, then position and velocity of what is prescribed (the cart). The
-free part is the prefix at every level, so zeroing what a level adds gives back the level below.
-
-Equations of motion from a Lagrangian and a Rayleigh dissipation function.
+"""Equations of motion from a Lagrangian and a Rayleigh dissipation function, or from a Hamiltonian.
 
     d/dt ∂L/∂v - ∂L/∂q + ∂D/∂v = 0        (Goldstein, Classical Mechanics, 3rd ed., eq. 1.70)
 
-Coordinates are the free ones q (n) followed by prescribed ones, whose accelerations are inputs. The Lagrangian
-may contain terms linear in velocity (rotating frames); nothing assumes that coordinates are angles.
+Coordinates are the free ones q (n) followed by prescribed ones, whose accelerations are inputs. The Lagrangian may
+contain terms linear in velocity (rotating frames); nothing assumes that coordinates are angles.
+
+As ẋ = f(x, u; p), symbolically and as numpy functions, the state holds the free positions, their velocities, then
+position and velocity of what is prescribed (the cart). The free part is the prefix at every level, so zeroing what a
+level adds gives back the level below.
 """
 
 from collections.abc import Callable
@@ -82,14 +81,11 @@ def mechanics(lagrangian: Energy, dissipation: Energy, *, free: int, prescribed:
         ca.gradient(energy, q)[:free]
         - ca.jtimes(all_momenta, q, v)[:free]
         - ca.gradient(dissipation(q, v, parameters), v)[:free]
+        - mass[:, free:] @ u
     )
-    if prescribed:
-        force = force - mass[:, free:] @ u
     # The Hamiltonian of the free coordinates, in a frame where the prescribed ones are at rest.
     rest = ca.vertcat(v[:free], ca.SX.zeros(prescribed))
-    momentum = ca.substitute(all_momenta[:free], v, rest) if prescribed else all_momenta
-    still = ca.substitute(energy, v, rest) if prescribed else energy
-    hamiltonian = ca.dot(momentum, v[:free]) - still
+    momentum, still = ca.substitute([all_momenta[:free], energy], [v], [rest])
     return Mechanics(
         position=q,
         velocity=v,
@@ -97,7 +93,7 @@ def mechanics(lagrangian: Energy, dissipation: Energy, *, free: int, prescribed:
         parameters=parameters,
         free_acceleration=ca.cse(solve_symmetric(mass[:, :free], force)),
         momentum=momentum,
-        hamiltonian=hamiltonian,
+        hamiltonian=ca.dot(momentum, v[:free]) - still,
         mass_matrix=mass[:, :free],
     )
 
@@ -134,7 +130,7 @@ class Equations:
     @cached_property
     def numeric_functions(self) -> dict[str, ca.Function]:
         """What `NumericEquations` evaluates: functions of (state, parameters) with the inputs at zero, by name."""
-        rate = ca.substitute(self.rate, self.inputs, ca.SX.zeros(self.input_count)) if self.input_count else self.rate
+        rate = ca.substitute(self.rate, self.inputs, ca.SX.zeros(self.input_count))
         expressions = {
             "rate": rate,
             "jacobian": ca.vec(ca.jacobian(rate, self.state).T),
@@ -173,27 +169,14 @@ def state_equations(parts: Mechanics, *, with_cart: bool) -> Equations:
     accelerations are the inputs; without, the prescribed coordinates rest at zero and there is no input.
     """
     n = parts.free_acceleration.shape[0]
-    m = parts.acceleration.shape[0]
-    q, v = parts.position, parts.velocity
+    q, v, u = parts.position, parts.velocity, parts.acceleration
+    bodies = [parts.free_acceleration, parts.hamiltonian, parts.momentum, parts.mass_matrix]
+    state, inputs, rest = ca.vertcat(q[:n], v[:n]), ca.SX.zeros(0), [q[n:], v[n:], u]
     if with_cart:
-        state = ca.vertcat(q[:n], v[:n], q[n:], v[n:])
-        rate = ca.vertcat(v[:n], parts.free_acceleration, v[n:], parts.acceleration)
-        inputs = parts.acceleration
-        extra = [parts.hamiltonian, parts.momentum, parts.mass_matrix]
-    else:
-        state = ca.vertcat(q[:n], v[:n])
-        still = [q[n:], v[n:], parts.acceleration]
-        zero = [ca.SX.zeros(m)] * 3
-        bodies = [parts.free_acceleration, parts.hamiltonian, parts.momentum, parts.mass_matrix]
-        acceleration, *extra = ca.substitute(bodies, still, zero) if m else bodies
-        rate = ca.vertcat(v[:n], acceleration)
-        inputs = ca.SX.zeros(0)
-    symbols = ca.SX.sym("x", state.shape[0])
-    controls = ca.SX.sym("u", inputs.shape[0])
-    old = [state[i] for i in range(state.shape[0])] + [inputs[i] for i in range(inputs.shape[0])]
-    new = [symbols[i] for i in range(state.shape[0])] + [controls[i] for i in range(inputs.shape[0])]
-    rate, hamiltonian, momentum, mass_matrix = ca.substitute([rate, *extra], old, new)
-    return Equations(symbols, controls, parts.parameters, ca.cse(rate), hamiltonian, momentum, mass_matrix)
+        state, inputs, rest = ca.vertcat(state, q[n:], v[n:]), u, []
+    acceleration, *extra = ca.substitute(bodies, rest, [ca.SX.zeros(one.shape) for one in rest])
+    rate = ca.vertcat(v[:n], acceleration, *((v[n:], u) if with_cart else ()))
+    return Equations(state, inputs, parts.parameters, ca.cse(rate), *extra)
 
 
 def hamiltonian_equations(energy: Energy, *, count: int, parameters: ca.SX) -> Equations:
@@ -252,38 +235,34 @@ class NumericEquations:
         functions = self.equations.numeric_functions
         return {name: _Buffered(function, self.parameters) for name, function in functions.items()}
 
-    def _call(self, name: str, states: Array) -> Array:
+    def _call(self, name: str, states: Array, *shape: int) -> Array:
         x = np.asarray(states, dtype=float)
-        out = self._functions[name](x.reshape(-1, x.shape[-1]))
-        return out.reshape(*x.shape[:-1], out.shape[1])
+        return self._functions[name](x.reshape(-1, x.shape[-1])).reshape(*x.shape[:-1], *shape)
 
     def rate(self, states: Array) -> Array:
         """Return f(x), shape of `states`."""
-        return self._call("rate", states)
+        return self._call("rate", states, -1)
 
     def jacobian(self, states: Array) -> Array:
         """Return ∂f/∂x, (…, N, N)."""
-        n = self.equations.dimension
-        return self._call("jacobian", states).reshape(*np.shape(states)[:-1], n, n)
+        return self._call("jacobian", states, -1, self.equations.dimension)
 
     def hamiltonian(self, states: Array) -> Array:
         """Return the energy H of the free coordinates in J, (…)."""
-        return self._call("hamiltonian", states)[..., 0]
+        return self._call("hamiltonian", states, 1)[..., 0]
 
     def gradient(self, states: Array) -> Array:
         """Return ∂H/∂x, (…, N)."""
-        return self._call("gradient", states)
+        return self._call("gradient", states, -1)
 
     def momentum(self, states: Array) -> Array:
         """Return the canonical momenta of the free coordinates, (…, n)."""
-        return self._call("momentum", states)
+        return self._call("momentum", states, -1)
 
     def momentum_jacobian(self, states: Array) -> Array:
         """Return ∂p/∂x, (…, n, N)."""
-        n = self.equations.dimension
-        return self._call("momentum_jacobian", states).reshape(*np.shape(states)[:-1], -1, n)
+        return self._call("momentum_jacobian", states, -1, self.equations.dimension)
 
     def mass_matrix(self, states: Array) -> Array:
         """Return the mass matrix of the free coordinates, (…, n, n)."""
-        n = self.equations.momentum.shape[0]
-        return self._call("mass", states).reshape(*np.shape(states)[:-1], n, n)
+        return self._call("mass", states, -1, self.equations.mass_matrix.shape[0])
