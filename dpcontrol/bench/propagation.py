@@ -30,7 +30,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import Compiled, fixed_step
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.dynamics.extended import ExtendedPropagator, extended
-from dpcontrol.dynamics.propagator import PolynomialInputPropagator, Propagator, SegmentPropagator
+from dpcontrol.dynamics.propagator import PolynomialInputPropagator, Propagator
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
@@ -279,7 +279,7 @@ def _taylor(work: Work, *, batches: bool) -> list[Alternative[Array]]:
         alone = not tolerance and not batches
         found.append(Alternative("Taylor", label, _each(one.flow, states, work.duration), alone, units=count))
         if batches:
-            many = partial(SegmentPropagator(one).flows, states, np.full(count, work.duration))
+            many = partial(one.flows, states, np.full(count, work.duration))
             found.append(Alternative("Taylor, 8 at once", label, many, not tolerance, units=count))
     return found
 

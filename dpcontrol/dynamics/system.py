@@ -32,7 +32,7 @@ from dpcontrol.dynamics.equations import (
     mechanics,
     state_equations,
 )
-from dpcontrol.dynamics.propagator import Propagator, Section, SegmentPropagator, taylor_system
+from dpcontrol.dynamics.propagator import Propagator, Section, taylor_system
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import suggest
 
@@ -161,11 +161,6 @@ class System:
     def propagator(self) -> Propagator:
         """The propagator, compiled when first used."""
         return Propagator(self.equations, self.parameters)
-
-    @cached_property
-    def segments(self) -> SegmentPropagator:
-        """The propagator of many segments at once, compiled when first used."""
-        return SegmentPropagator(self.propagator)
 
     @cached_property
     def saddles(self) -> tuple[str, ...]:

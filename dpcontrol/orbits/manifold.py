@@ -216,7 +216,7 @@ class SegmentedManifold(UnstableManifold):
         """Vectors (M, N) at the nodes, v(φ) = e^(-μφ) Φ v(0); the exponent μ = ln |λ|; the sign of λ."""
         orbit = self.orbit
         scale = orbit.system.scale
-        _, stms = orbit.system.segments.flows_with_stm(orbit.node_states[:-1], np.diff(orbit.node_times))
+        _, stms = orbit.system.propagator.flows_with_stm(orbit.node_states[:-1], np.diff(orbit.node_times))
         # A start with a share of every direction.
         vector = np.cos(np.arange(len(scale)) + 1.0)
         lengths, vectors, sign = np.ones(len(stms)), np.empty((len(stms), len(scale))), 1
@@ -308,7 +308,7 @@ def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None, segments: 
     # γ(1 - φ) = R γ(φ) + a whole turn.
     second = (first[:-1][::-1] - rest) @ mirror.T + rest + winding * system.turn_lengths
     states = np.vstack([first, second])
-    _, stms = system.segments.flows_with_stm(states[:-1], np.diff(times))
+    _, stms = system.propagator.flows_with_stm(states[:-1], np.diff(times))
     monodromy = np.eye(2 * n)
     for stm in stms:
         monodromy = stm @ monodromy

@@ -217,7 +217,7 @@ def _newton(
             arrived = np.array([propagator.flow(x, h) for x, h in zip(states[:-1], durations, strict=True)])
             right, residual = exact.residuals(equations, propagator, states, arrived, free[-1])
             doubles, segments = states.astype(float), durations.astype(float)
-            flown, stms = system.segments.flows_with_stm(doubles[:-1], segments)
+            flown, stms = system.propagator.flows_with_stm(doubles[:-1], segments)
         except ArithmeticError as error:
             failure = f" ({error})"
             break

@@ -175,7 +175,7 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
 
 def _linearised(equations: ShootingEquations, now: Unknowns) -> _Linear:
     """Fly all segments with their state-transition matrices and return the Newton step."""
-    arrived, stms = equations.system.segments.flows_with_stm(now.states[:-1], now.durations)
+    arrived, stms = equations.system.propagator.flows_with_stm(now.states[:-1], now.durations)
     right = equations.residuals(now.states, arrived, now.unfolding)
     matrix = equations.matrix(now.states, stms, arrived)
     try:
@@ -210,7 +210,7 @@ def _step(
             continue
         reason = _NO_STEP
         try:
-            landed = equations.system.segments.flows(trial.states[:-1], trial.durations)
+            landed = equations.system.propagator.flows(trial.states[:-1], trial.durations)
         except ArithmeticError as error:
             reason, damping = str(error), damping / 4
             continue
