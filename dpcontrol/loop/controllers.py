@@ -100,7 +100,7 @@ def kept_orbit(reference: Reference, entry: Mapping[str, Any], parameters: ArmCh
     """
     # Runs that keep no orbit do without what finds them.
     from dpcontrol.orbits.lyapunov import lyapunov_orbit
-    from dpcontrol.references.sustained import sustained_from
+    from dpcontrol.references.sustained import SustainedOrbit
 
     part = _part(reference, entry)
     period = replace(part, states=part.states - np.asarray(entry["turns"]))
@@ -109,7 +109,7 @@ def kept_orbit(reference: Reference, entry: Mapping[str, Any], parameters: ArmCh
     lyapunov = lyapunov_orbit(system, saddle, energy=entry["energy"], family=entry["family"])
     if not lyapunov.converged or not np.isclose(lyapunov.period, entry["lyapunov_period"], rtol=1e-9):
         raise InputError(f"the reference stays on an orbit about {saddle} of other arms; plan it again")
-    return sustained_from(lyapunov, parameters, period)
+    return SustainedOrbit(lyapunov, parameters, period)
 
 
 def stay_orbit(reference: Reference, parameters: ArmChainParameters) -> "SustainedOrbit":

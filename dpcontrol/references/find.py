@@ -1,4 +1,4 @@
-"""A reference from a shadowing orbit: solve, measure between the nodes, refine or tighten, solve again.
+"""A reference from a shadowing orbit, or from one state to another: solve, measure between the nodes, refine, again.
 
 Each round solves the program of `dpcontrol.references.transcription` on the present mesh, from the round before.
 Then intervals whose error between nodes exceeds the tolerance are split, and a limit that a polynomial passes
@@ -7,16 +7,16 @@ the guess's, friction is raised step by step: each solution starts the next, fro
 solution itself; steps are halved where one fails. How far that comes is an answer too. Where it fails, the status says
 why, and what would help: limits, friction, authority, or the guess itself. Without friction and cart the shadowing
 orbit itself is the reference.
+
+A transfer (swing up from rest, come down to rest, change of orbit) follows nothing; its cost is the cart's effort and
+travel. The guess turns each arm by a smooth curve without its ends' rates, from which direct collocation finds a
+swing-up as well as a landing (35 of 36 tried; with the ends' rates in the guess 30, and half as gentle). Several
+durations, and several lattice points to end on, are tried on a coarse mesh; the first that leaves the feedback room is
+refined, or else the gentlest.
+
 Sources: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7; Nocedal &
-Wright, Numerical Optimization, 2nd ed., section 11.3, for continuation.
-
-Getting from one state to another: swing up from rest, come down to rest, change from orbit to orbit.
-
-A transfer follows nothing; its cost is the cart's effort and travel. The guess turns each arm by a smooth curve without
-its ends' rates, from which direct collocation finds a swing-up as well as a landing (35 of 36 tried; with the ends'
-rates in the guess 30, and half as gentle). Several durations, and several lattice points to end on, are tried on a
-coarse mesh; the first that leaves the feedback room is refined, or else the gentlest.
-Source: Kelly, An introduction to trajectory optimization, SIAM Review 59 (2017), for the method.
+Wright, Numerical Optimization, 2nd ed., section 11.3, for continuation; Kelly, An introduction to trajectory
+optimization, SIAM Review 59 (2017), for transfers.
 """
 
 import time
@@ -43,7 +43,7 @@ from dpcontrol.references.problem import (
     ReferenceSettings,
     state_scale,
 )
-from dpcontrol.references.reference import Reference, reference_of
+from dpcontrol.references.reference import Reference
 from dpcontrol.references.trajectory import (
     DENSE,
     Solved,
@@ -51,32 +51,34 @@ from dpcontrol.references.trajectory import (
     away_from_guess,
     error_between_nodes,
     first_trajectory,
-    interval_propagator,
     largest_values,
+    times_on,
     where_largest,
 )
 from dpcontrol.references.transcription import solve
 
 Array = NDArray[np.float64]
 
-STEP = 0.25
-LEAST_STEP = 1 / 32
+_STEP, _LEAST_STEP = 0.25, 1 / 32
+"""Shares of the friction by which it is raised at first, and at least."""
 _ROUNDING = 1e-12
-ITERATIONS = 40
+_ITERATIONS = 40
 """Of the solver in a step: next to a solution it takes ten or so."""
+FARTHEST = 0.45
+"""How far (scaled) a reference may pass from the guess within a third of a second before it is another motion.
 
-
-@dataclass(frozen=True)
-class Raised:
-    """The last solution and the share of the friction it makes up for; not-a-number: none even without friction.
-
-    iterations and seconds are those of all steps.
-    """
-
-    solved: Solved | None
-    share: float
-    iterations: int
-    seconds: float
+Outer turn at -0.07 J and crossing at 0.2 J: 0.37 at the most that friction did to the itinerary itself (15 times the
+arms' own); from 0.55 where the search ended at another motion, and 1.8 from straight lines."""
+_UNLIMITED = Limits(1e3, 1e3, 1e5)
+_NO_AUTHORITY = 1e-9
+_LIMIT_SLACK = 1e-10
+"""How far a limit may be passed between nodes: rounding of the polynomials, a tenth of what is promised."""
+_ACCEPTED = 0.8
+_AIMED = 0.4
+"""Shares of the tolerance: accepted, and aimed at in splitting; another dense grid may find a little more."""
+_MOST_PIECES = 4
+_MOST_GROWTH = 8
+"""How many times the first mesh's intervals are worth solving for: beyond, the tolerance is out of reach."""
 
 
 def friction_parameters(problem: ReferenceProblem) -> NDArray[np.bool_]:
@@ -91,19 +93,19 @@ def friction_parameters(problem: ReferenceProblem) -> NDArray[np.bool_]:
 
 
 def raise_friction(
-    problem: ReferenceProblem,
-    first: Trajectory,
-    *,
-    settings: ReferenceSettings,
-    limits: Limits,
-    farthest: float,
-) -> Raised:
-    """Solve with shares of the friction from none to all, never further than `farthest` (scaled) from the guess."""
+    problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits
+) -> tuple[float, Solved | None]:
+    """Solve with shares of the friction from none to all, never as far from the guess as another motion.
+
+    Returns:
+        The largest share that was made up for, and its solution with the iterations and seconds of all steps;
+        not-a-number and None where there is none even without friction.
+    """
     friction = friction_parameters(problem)
-    reached, step, kept = np.nan, STEP, None
+    reached, step, kept = np.nan, _STEP, None
     iterations, seconds = 0, 0.0
-    quick = replace(settings, iterations=min(settings.iterations, ITERATIONS))
-    while not reached >= 1.0 and step >= LEAST_STEP:
+    quick = replace(settings, iterations=min(settings.iterations, _ITERATIONS))
+    while not reached >= 1.0 and step >= _LEAST_STEP:
         share = 0.0 if kept is None else min(1.0, reached + step)
         parameters = np.where(friction, share * problem.parameters, problem.parameters)
         solved = solve(
@@ -111,27 +113,13 @@ def raise_friction(
             limits=limits, warm=kept is not None,
         )  # fmt: skip
         iterations, seconds = iterations + solved.iterations, seconds + solved.seconds
-        if solved.succeeded and away_from_guess(problem, solved.trajectory)[0] <= farthest:
+        if solved.succeeded and away_from_guess(problem, solved.trajectory)[0] <= FARTHEST:
             reached, kept = share, solved
         elif kept is None:
             break
         else:
             step /= 2
-    return Raised(kept, reached, iterations, seconds)
-
-
-FARTHEST = 0.45
-"""How far (scaled) a reference may pass from the guess within a third of a second before it is another motion.
-
-Outer turn at -0.07 J and crossing at 0.2 J: 0.37 at the most that friction did to the itinerary itself (15 times the
-arms' own); from 0.55 where the search ended at another motion, and 1.8 from straight lines."""
-UNLIMITED = Limits(1e3, 1e3, 1e5)
-_NO_AUTHORITY = 1e-9
-
-
-def without_limits(problem: ReferenceProblem, first: Trajectory, settings: ReferenceSettings) -> Solved:
-    """Solve the same program with limits that nothing reaches."""
-    return solve(problem, first, settings=settings, limits=UNLIMITED)
+    return reached, None if kept is None else replace(kept, iterations=iterations, seconds=seconds)
 
 
 def has_authority(problem: ReferenceProblem, times: Array) -> bool:
@@ -164,7 +152,7 @@ def wanting(problem: ReferenceProblem, first: Trajectory, settings: ReferenceSet
     """Say what prevented a solution: the cart's authority, limits, or the guess."""
     if not has_authority(problem, first.mesh):
         return "the cart's acceleration moves no arm, so nothing makes up for friction; check the arms' parameters"
-    free = without_limits(problem, first, settings)
+    free = solve(problem, first, settings=settings, limits=_UNLIMITED)
     if not free.succeeded:
         return (
             "without limits it finds no solution either: check that the guess is an orbit of the same arms, or "
@@ -175,15 +163,15 @@ def wanting(problem: ReferenceProblem, first: Trajectory, settings: ReferenceSet
     )
 
 
-def friction_text(raised: Raised) -> str:
+def friction_text(share: float) -> str:
     """Say how much of the friction could be made up for."""
-    if np.isnan(raised.share):
+    if np.isnan(share):
         return (
             "even without friction and limits the guess leads to no motion near it: check that it is an orbit of the "
             "same arms"
         )
     return (
-        f"friction is out of reach: {raised.share:.0%} of it can be made up for within the limits; lower the friction, "
+        f"friction is out of reach: {share:.0%} of it can be made up for within the limits; lower the friction, "
         "widen the limits or choose a gentler itinerary"
     )
 
@@ -218,16 +206,6 @@ def another_motion(away: float, when: float) -> str:
     )
 
 
-LIMIT_SLACK = 1e-10
-"""How far a limit may be passed between nodes: rounding of the polynomials, a tenth of what is promised."""
-_ACCEPTED = 0.8
-_AIMED = 0.4
-"""Shares of the tolerance: accepted, and aimed at in splitting; another dense grid may find a little more."""
-_MOST_PIECES = 4
-_MOST_GROWTH = 8
-"""How many times the first mesh's intervals are worth solving for: beyond, the tolerance is out of reach."""
-
-
 def split_mesh(mesh: Array, errors: Array, *, tolerance: float, order: int) -> Array:
     """Return `mesh` (N+1,) with the intervals split whose error (N,) exceeds `tolerance`.
 
@@ -248,7 +226,7 @@ def first_mesh(problem: ReferenceProblem, settings: ReferenceSettings, *, method
     count = max(int(np.ceil(problem.duration / settings.interval - 1e-9)), 1)
     mesh = np.linspace(0.0, problem.duration, count + 1)
     tau = np.linspace(0.0, 1.0, DENSE)
-    times = np.minimum(mesh[:-1, None] + np.diff(mesh)[:, None] * tau, problem.duration)
+    times = np.minimum(times_on(mesh, tau), problem.duration)
     dense = problem.guess_at(times.ravel()).reshape(count, DENSE, -1)
     nodes = first_trajectory(problem, method, mesh).states[..., : problem.pendulum_dimension]
     smooth = np.einsum("dk,ikn->idn", interpolation_matrix(method.support, tau), nodes)
@@ -260,21 +238,16 @@ def first_mesh(problem: ReferenceProblem, settings: ReferenceSettings, *, method
 def on_mesh(trajectory: Trajectory, mesh: Array) -> Trajectory:
     """Return `trajectory` evaluated on another mesh of the same span."""
     # Places belong to the interval that holds the middle of their own, also at shared ends.
-    middle = (mesh[:-1] + mesh[1:]) / 2
-    index = np.searchsorted(trajectory.mesh, middle, side="right") - 1
-    method = trajectory.method
-    empty = Trajectory(method, mesh, np.empty(0), np.empty(0))
+    index = np.searchsorted(trajectory.mesh, (mesh[:-1] + mesh[1:]) / 2, side="right") - 1
+    starts, lengths = trajectory.mesh[index][:, None], np.diff(trajectory.mesh)[index][:, None]
 
-    def moved(times: Array, places: Array, values: Array) -> Array:
-        tau = (times - trajectory.mesh[index][:, None]) / np.diff(trajectory.mesh)[index][:, None]
+    def moved(places: Array, values: Array) -> Array:
+        tau = (times_on(mesh, places) - starts) / lengths
         rows = interpolation_matrix(places, tau.ravel()).reshape(*tau.shape, -1)
         return np.asarray(np.einsum("ikj,ijn->ikn", rows, values[index]), dtype=np.float64)
 
-    return replace(
-        empty,
-        states=moved(empty.node_times, method.support, trajectory.states),
-        inputs=moved(empty.input_times, method.points, trajectory.inputs),
-    )
+    method = trajectory.method
+    return Trajectory(method, mesh, moved(method.support, trajectory.states), moved(method.points, trajectory.inputs))
 
 
 def _tightened(limits: Limits, asked: Limits, largest: dict[str, float]) -> Limits | None:
@@ -282,7 +255,7 @@ def _tightened(limits: Limits, asked: Limits, largest: dict[str, float]) -> Limi
     changes = {}
     for name, bound in asked.named().items():
         over = largest[name] - bound
-        if over > LIMIT_SLACK:
+        if over > _LIMIT_SLACK:
             # More than the excess, which shifts to other intervals as the limit moves: this ends in a few rounds.
             changes[name] = max(limits.named()[name] - 1.5 * over - 1e-4 * bound, 0.5 * bound)
     return replace(limits, **changes) if changes else None
@@ -296,7 +269,7 @@ def _is_another_motion(problem: ReferenceProblem, solved: Solved, settings: Refe
 
 def _once_more(
     problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits, failed: Solved
-) -> tuple[Raised | None, str]:
+) -> tuple[Solved | None, str]:
     """Return a solution found by raising the friction, or none and a sentence that says why."""
     head = f"no reference: the solver stopped with {failed.outcome!r}"
     if failed.succeeded:
@@ -304,13 +277,13 @@ def _once_more(
     if settings.pendulum_weight == 0 or not has_authority(problem, first.mesh):
         return None, f"{head}; {wanting(problem, first, settings)}"
     if not failed.succeeded:
-        free = without_limits(problem, first, settings)
+        free = solve(problem, first, settings=settings, limits=_UNLIMITED)
         near = free.succeeded and not _is_another_motion(problem, free, settings)
         passed = limits_passed(problem, free.trajectory) if near else ""
         if passed:
             return None, f"{head}; {passed}"
-    raised = raise_friction(problem, first, settings=settings, limits=limits, farthest=FARTHEST)
-    return (raised, "") if raised.share >= 1.0 else (None, f"{head}; {friction_text(raised)}")
+    share, raised = raise_friction(problem, first, settings=settings, limits=limits)
+    return (raised, "") if share >= 1.0 else (None, f"{head}; {friction_text(share)}")
 
 
 def find_reference(
@@ -341,31 +314,26 @@ def find_reference(
         raise InputError(apart)
     first = near or first_trajectory(problem, method, first_mesh(problem, settings, method=method))
     most = _MOST_GROWTH * len(first.mesh)
-    limits, propagator = problem.limits, interval_propagator(problem, method)
-    iterations, seconds = 0, 0.0
+    limits, iterations, seconds = problem.limits, 0, 0.0
 
     def result(solved: Solved, status: str, *, converged: bool, error: float = np.inf) -> Reference:
-        return reference_of(
-            solved.trajectory, problem.limits, status=status, converged=converged, error=error,
-            violation=solved.violation, iterations=iterations, seconds=seconds,
+        return Reference.of(
+            solved.trajectory, problem.limits, status=status, converged=converged, max_error_between_nodes=error,
+            constraint_violation=solved.violation, iterations=iterations, solve_seconds=seconds,
         )  # fmt: skip
 
-    round_number = 0
-    while True:
-        progress(f"reference, {len(first.mesh) - 1} intervals", round_number / settings.rounds)
-        round_number += 1
+    for round_number in range(1, settings.rounds + 1):
+        progress(f"reference, {len(first.mesh) - 1} intervals", (round_number - 1) / settings.rounds)
         solved = solve(problem, first, settings=settings, limits=limits, warm=bool(near) or round_number > 1)
-        iterations += solved.iterations
-        seconds += solved.seconds
+        iterations, seconds = iterations + solved.iterations, seconds + solved.seconds
         if not solved.succeeded or _is_another_motion(problem, solved, settings):
             start = first_trajectory(problem, method, first.mesh)
             raised, why = _once_more(problem, start, settings=settings, limits=limits, failed=solved)
-            if raised is None or raised.solved is None:
+            if raised is None:
                 return result(replace(solved, trajectory=first), why, converged=False)
-            solved = raised.solved
-            iterations += raised.iterations
-            seconds += raised.seconds
-        errors = error_between_nodes(problem, solved.trajectory, propagator=propagator)
+            solved = raised
+            iterations, seconds = iterations + raised.iterations, seconds + raised.seconds
+        errors = error_between_nodes(problem, solved.trajectory)
         worst = float(errors.max())
         largest = largest_values(solved.trajectory, problem.limits)
         tighter = _tightened(limits, problem.limits, largest)
@@ -385,7 +353,7 @@ def find_reference(
     passed = ", ".join(
         f"cart {name} passes its limit by {largest[name] - bound:.1e} {LIMIT_UNITS[name]}"
         for name, bound in problem.limits.named().items()
-        if largest[name] > bound + LIMIT_SLACK
+        if largest[name] > bound + _LIMIT_SLACK
     )
     return result(
         solved,
@@ -397,9 +365,6 @@ def find_reference(
     )
 
 
-AIMED = 0.8
-
-
 def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Reference:
     """Return the guess of `problem` as a reference with the cart at rest; its parameters must be frictionless.
 
@@ -408,13 +373,12 @@ def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Referenc
     """
     began = time.perf_counter()
     method = method_named(settings.method)
-    mesh, propagator = first_mesh(problem, settings, method=method), interval_propagator(problem, method)
-    rounds = 0
-    while True:
+    mesh = first_mesh(problem, settings, method=method)
+    for round_number in range(1, settings.rounds + 1):
         trajectory = first_trajectory(problem, method, mesh)
-        errors = error_between_nodes(problem, trajectory, propagator=propagator)
-        worst, rounds = float(errors.max()), rounds + 1
-        if worst <= AIMED * settings.tolerance or rounds == settings.rounds:
+        errors = error_between_nodes(problem, trajectory)
+        worst = float(errors.max())
+        if worst <= _ACCEPTED * settings.tolerance or round_number == settings.rounds:
             break
         mesh = split_mesh(mesh, errors, tolerance=settings.tolerance, order=len(method.points))
     converged = worst <= settings.tolerance
@@ -424,9 +388,9 @@ def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Referenc
             f"not converged: the guess is {worst:.1e} from a frictionless motion where {settings.tolerance:.1e} is "
             'asked; check that it is an orbit of the same arms, or use level "cart"'
         )
-    return reference_of(
-        trajectory, problem.limits, status=status, converged=converged, error=worst,
-        seconds=time.perf_counter() - began,
+    return Reference.of(
+        trajectory, problem.limits, status=status, converged=converged, max_error_between_nodes=worst,
+        solve_seconds=time.perf_counter() - began,
     )  # fmt: skip
 
 

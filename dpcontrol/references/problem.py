@@ -8,6 +8,7 @@ acceleration. Without w_z the optimiser wanders off the itinerary.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,9 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, bounds_of, setting
+
+if TYPE_CHECKING:
+    from dpcontrol.dynamics.propagator import PolynomialInputPropagator
 
 Array = NDArray[np.float64]
 Guess = Callable[[Array], Array]
@@ -80,7 +84,8 @@ class ReferenceProblem:
     equations: at the cart level, state (N,) = angles, rates, cart position and velocity, one input;
     parameters (p,): base parameters with friction; guess: the orbit to follow from time 0 to `duration` s;
     limits of the cart; ends: what holds at start and end. cart_guess: from times (K,) to cart position, velocity and
-    acceleration (K, 3) where the search starts; None: at rest in the middle.
+    acceleration (K, 3) where the search starts; None: at rest in the middle. propagators: by degree of the input, for
+    the errors between nodes; each is compiled once.
     """
 
     equations: Equations
@@ -90,6 +95,9 @@ class ReferenceProblem:
     limits: Limits = field(default_factory=Limits)
     ends: EndConditions = field(default_factory=EndConditions)
     cart_guess: Guess | None = None
+    propagators: "dict[int, PolynomialInputPropagator]" = field(
+        default_factory=dict, init=False, repr=False, compare=False
+    )
 
     def __post_init__(self) -> None:
         """Reject problems that cannot be transcribed.

@@ -1,7 +1,4 @@
-"""A reference: what the bench shall do, as polynomials on a mesh, and how good it is.
-
-State: the polynomial of degree K through the interval's start and its K points. Input: of degree K - 1 through the
-points. Both are evaluated in barycentric form (Berrut & Trefethen, SIAM Review 46 (2004), eq. 4.2).
+"""A reference: what the bench shall do, as polynomials on a mesh; its file, its figures, and the notes of its plan.
 
 References that end where the next begins can be joined to one. On disk a reference is one .npz file, readable with
 numpy alone (`numpy.load(path)`). Keys, all float64 unless said otherwise:
@@ -16,27 +13,27 @@ numpy alone (`numpy.load(path)`). Keys, all float64 unless said otherwise:
     inputs   (N, K, nu)    at the points: cart acceleration, m/s²
     extra_*  any shape     arrays the caller stored, by name
 
-A reference in figures: its use of each limit, its effort, and its error measured again on every interval.
-
-The error between nodes and the energy need the arms that it was made for, which a plan's notes carry: `made_from`,
+The notes are `PlanNotes`; arrays that go with them stand among the extra ones: `orbit_K` (M, 2n), samples of the K-th
+orbit over a period. The error between nodes and the energy need the arms that a reference was made for: `made_from`,
 whose `parameters` are those of `dpcontrol.dynamics.chain.ArmChainParameters` by name.
 """
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive, picked, plain, write_archive
-from dpcontrol.references.method import Method, interpolation_matrix, method_named
+from dpcontrol.references.method import Method, method_named
 from dpcontrol.references.problem import LIMIT_UNITS, Limits, ReferenceProblem, state_scale
 from dpcontrol.references.trajectory import Trajectory, error_between_nodes, largest_values, where_largest
 
@@ -44,46 +41,32 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
-class Reference:
+class Reference(Trajectory):
     """A trajectory of pendulum and cart, with its input, to be tracked.
 
-    mesh (N+1,) s; method; states (N, K+1, nx) at each interval's start and points; inputs (N, K, nu) at the
-    points, cart acceleration in m/s²; limits it was made for. status: a sentence; converged: whether it may be
-    used. max_error_between_nodes: scaled, infinite where it was not measured; constraint_violation: scaled, at
-    the nodes; max_cart_… in m, m/s, m/s², between nodes too; iterations of the solver in all; solve_seconds.
-    extra: arrays, and notes: JSON values, that the caller stores with it.
+    mesh, states, inputs, method: see `Trajectory`; the input is the cart's acceleration in m/s². limits it was made
+    for. status: a sentence; converged: whether it may be used. max_error_between_nodes: scaled, infinite where it was
+    not measured; constraint_violation: scaled, at the nodes; iterations of the solver in all; solve_seconds. extra:
+    arrays, and notes: JSON values, that the caller stores with it.
     """
 
-    mesh: Array
-    method: Method
-    states: Array
-    inputs: Array
     limits: Limits
     status: str
     converged: bool
     max_error_between_nodes: float
-    constraint_violation: float
-    max_cart_position: float
-    max_cart_velocity: float
-    max_cart_acceleration: float
-    rms_cart_acceleration: float
-    iterations: int
-    solve_seconds: float
+    constraint_violation: float = 0.0
+    iterations: int = 0
+    solve_seconds: float = 0.0
     extra: Mapping[str, Array] = field(default_factory=lambda: MappingProxyType({}))
     notes: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
 
+    @classmethod
+    def of(cls, trajectory: Trajectory, limits: Limits, **about: Any) -> "Reference":
+        """Return the reference that a trajectory is; about: the fields after `limits`, by name."""
+        return cls(trajectory.method, trajectory.mesh, trajectory.states, trajectory.inputs, limits, **about)
+
     def __repr__(self) -> str:
         return f"<reference of {self.duration:.4g} s: {self.status}>"
-
-    @property
-    def trajectory(self) -> Trajectory:
-        """Return its values on the mesh alone."""
-        return Trajectory(self.method, self.mesh, self.states, self.inputs)
-
-    @property
-    def duration(self) -> float:
-        """Return its length in s."""
-        return float(self.mesh[-1] - self.mesh[0])
 
     @property
     def residual(self) -> float:
@@ -93,64 +76,34 @@ class Reference:
     @property
     def stats(self) -> dict[str, float]:
         """Return the cost of finding it."""
-        return {
-            "intervals": len(self.mesh) - 1,
-            "iterations": self.iterations,
-            "solve_seconds": self.solve_seconds,
-        }
+        return {"intervals": len(self.mesh) - 1, **picked(self, "iterations", "solve_seconds")}
 
-    def _evaluate(self, times: ArrayLike, points: Array, values: Array) -> Array:
-        at = np.clip(np.asarray(times, dtype=float), self.mesh[0], self.mesh[-1])
-        flat = at.ravel()
-        index = np.clip(np.searchsorted(self.mesh, flat, side="right") - 1, 0, len(self.mesh) - 2)
-        tau = (flat - self.mesh[index]) / (self.mesh[index + 1] - self.mesh[index])
-        rows = interpolation_matrix(points, tau)
-        return np.einsum("mk,mkn->mn", rows, values[index]).reshape(*at.shape, -1)
+    @cached_property
+    def largest(self) -> dict[str, float]:
+        """The largest size of each of the cart's limited quantities by name, in SI units, between nodes too."""
+        return largest_values(self, self.limits)
 
-    def state(self, times: ArrayLike) -> Array:
-        """Return states (…, nx) at `times` (…) s; times outside count as the nearest end."""
-        return self._evaluate(times, self.method.support, self.states)
+    @property
+    def max_cart_position(self) -> float:
+        """Return the cart's largest distance from the middle, m."""
+        return self.largest["position"]
 
-    def input(self, times: ArrayLike) -> Array:
-        """Return inputs (…, nu) at `times` (…) s; times outside count as the nearest end."""
-        return self._evaluate(times, self.method.points, self.inputs)
+    @property
+    def max_cart_velocity(self) -> float:
+        """Return the cart's largest speed, m/s."""
+        return self.largest["velocity"]
 
+    @property
+    def max_cart_acceleration(self) -> float:
+        """Return the cart's largest acceleration, m/s²."""
+        return self.largest["acceleration"]
 
-def reference_of(
-    trajectory: Trajectory,
-    limits: Limits,
-    *,
-    status: str,
-    converged: bool,
-    error: float,
-    violation: float = 0.0,
-    iterations: int = 0,
-    seconds: float = 0.0,
-) -> Reference:
-    """Return the reference that a trajectory is, with what it asks of the cart.
-
-    error: between nodes, and violation: of constraints, both scaled; iterations and seconds: of the search.
-    """
-    lengths = np.diff(trajectory.mesh)
-    square = (trajectory.inputs[..., 0] ** 2) @ trajectory.method.weights
-    largest = largest_values(trajectory, limits)
-    return Reference(
-        mesh=trajectory.mesh,
-        method=trajectory.method,
-        states=trajectory.states,
-        inputs=trajectory.inputs,
-        limits=limits,
-        status=status,
-        converged=converged,
-        max_error_between_nodes=error,
-        constraint_violation=violation,
-        max_cart_position=largest["position"],
-        max_cart_velocity=largest["velocity"],
-        max_cart_acceleration=largest["acceleration"],
-        rms_cart_acceleration=float(np.sqrt(square @ lengths / lengths.sum())),
-        iterations=iterations,
-        solve_seconds=seconds,
-    )
+    @property
+    def rms_cart_acceleration(self) -> float:
+        """Return the root of the cart's mean squared acceleration, m/s²."""
+        lengths = np.diff(self.mesh)
+        square = (self.inputs[..., 0] ** 2) @ self.method.weights
+        return float(np.sqrt(square @ lengths / lengths.sum()))
 
 
 def still(state: Array, seconds: float, *, method: Method, limits: Limits, interval: float) -> Reference:
@@ -158,8 +111,9 @@ def still(state: Array, seconds: float, *, method: Method, limits: Limits, inter
     count = max(1, int(np.ceil(seconds / interval)))
     states = np.tile(np.asarray(state, dtype=float), (count, len(method.support), 1))
     mesh = np.linspace(0.0, seconds, count + 1)
-    resting = Trajectory(method, mesh, states, np.zeros((count, len(method.points), 1)))
-    return reference_of(resting, limits, status=f"at rest for {seconds:g} s", converged=True, error=0.0)
+    inputs = np.zeros((count, len(method.points), 1))
+    status = f"at rest for {seconds:g} s"
+    return Reference(method, mesh, states, inputs, limits, status, converged=True, max_error_between_nodes=0.0)
 
 
 def joined(pieces: Sequence[Reference]) -> tuple[Reference, Array]:
@@ -183,14 +137,12 @@ def joined(pieces: Sequence[Reference]) -> tuple[Reference, Array]:
         float(np.max(np.abs(before.state(before.mesh[-1]) - after.state(after.mesh[0])) / scale))
         for before, after in pairwise(pieces)
     ]
-    lengths = np.diff(begins)
-    square = sum(piece.rms_cart_acceleration**2 * length for piece, length in zip(pieces, lengths, strict=True))
     bad = [piece for piece in pieces if not piece.converged]
     error = max(piece.max_error_between_nodes for piece in pieces)
-    count = len(mesh) - 1
+    iterations = sum(piece.iterations for piece in pieces)
     status = bad[0].status if bad else (
-        f"converged in {sum(piece.iterations for piece in pieces)} iterations; error between nodes {error:.1e} on "
-        f"{count} intervals of {len(pieces)} pieces"
+        f"converged in {iterations} iterations; error between nodes {error:.1e} on {len(mesh) - 1} intervals of "
+        f"{len(pieces)} pieces"
     )  # fmt: skip
     together = replace(
         first,
@@ -201,11 +153,7 @@ def joined(pieces: Sequence[Reference]) -> tuple[Reference, Array]:
         converged=not bad,
         max_error_between_nodes=error,
         constraint_violation=max([*jumps, *(piece.constraint_violation for piece in pieces)]),
-        max_cart_position=max(piece.max_cart_position for piece in pieces),
-        max_cart_velocity=max(piece.max_cart_velocity for piece in pieces),
-        max_cart_acceleration=max(piece.max_cart_acceleration for piece in pieces),
-        rms_cart_acceleration=float(np.sqrt(square / lengths.sum())),
-        iterations=sum(piece.iterations for piece in pieces),
+        iterations=iterations,
         solve_seconds=sum(piece.solve_seconds for piece in pieces),
     )
     return together, begins
@@ -216,16 +164,9 @@ VERSION = 2
 READ = (1, 2)
 """Versions that are read."""
 _EXTRA = "extra_"
-_NUMBERS = (
-    "max_error_between_nodes",
-    "constraint_violation",
-    "max_cart_position",
-    "max_cart_velocity",
-    "max_cart_acceleration",
-    "rms_cart_acceleration",
-    "iterations",
-    "solve_seconds",
-)
+_FOUND = ("max_error_between_nodes", "constraint_violation", "iterations", "solve_seconds")
+"""Figures of the search; those of the cart follow from the trajectory."""
+_CART = ("max_cart_position", "max_cart_velocity", "max_cart_acceleration", "rms_cart_acceleration")
 
 
 def save_reference(path: Path, reference: Reference) -> None:
@@ -239,7 +180,7 @@ def save_reference(path: Path, reference: Reference) -> None:
         "version": VERSION,
         "method": reference.method.name,
         "limits": reference.limits.named(),
-        "numbers": plain(picked(reference, *_NUMBERS)),
+        "numbers": plain(picked(reference, *_FOUND, *_CART)),
         "notes": dict(reference.notes),
         **picked(reference, "status", "converged"),
     }
@@ -266,19 +207,13 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
         raise ValueError(f"states {states.shape} and inputs {inputs.shape} do not fit its mesh")
     if states.ndim != 3 or inputs.ndim != 3 or not (np.isfinite(states).all() and np.isfinite(inputs).all()):
         raise ValueError("its states or inputs are not finite")
-    numbers: dict[str, Any] = {k: np.inf if header["numbers"][k] is None else header["numbers"][k] for k in _NUMBERS}
+    found = {k: np.inf if header["numbers"][k] is None else header["numbers"][k] for k in _FOUND}
     return Reference(
-        mesh=mesh,
-        method=method,
-        states=states,
-        inputs=inputs,
-        limits=Limits(**header["limits"]),
-        status=str(header["status"]),
-        converged=bool(header["converged"]),
+        method, mesh, states, inputs, Limits(**header["limits"]),
+        status=str(header["status"]), converged=bool(header["converged"]), **found,
         extra=MappingProxyType({k[len(_EXTRA) :]: v for k, v in arrays.items() if k.startswith(_EXTRA)}),
         notes=MappingProxyType(dict(header["notes"])),
-        **numbers,
-    )
+    )  # fmt: skip
 
 
 def load_reference(path: Path | IO[bytes]) -> Reference:
@@ -312,15 +247,40 @@ class LimitUse:
 class ReferenceSummary:
     """A reference and what follows from it.
 
-    uses of the limits. effort: ∫u² dt in m²/s³. arms that it was made for and errors between nodes (N,), scaled, on
-    each interval: None where the notes do not say for which arms it was made.
+    arms that it was made for: None where the notes do not say.
     """
 
     reference: Reference
-    uses: tuple[LimitUse, ...]
-    effort: float
     arms: ArmChainParameters | None
-    errors: Array | None
+
+    @cached_property
+    def uses(self) -> tuple[LimitUse, ...]:
+        """How much of each limit it uses."""
+        reference = self.reference
+        return tuple(
+            LimitUse(name, LIMIT_UNITS[name], bound, reference.largest[name], where_largest(reference, name))
+            for name, bound in reference.limits.named().items()
+        )
+
+    @property
+    def effort(self) -> float:
+        """∫u² dt in m²/s³."""
+        return self.reference.rms_cart_acceleration**2 * self.reference.duration
+
+    @cached_property
+    def errors(self) -> Array | None:
+        """Errors between nodes (N,), scaled, measured again on each interval; None where the arms are not known."""
+        if self.arms is None:
+            return None
+        nothing = np.zeros(self.reference.states.shape[-1] - 2)
+        problem = ReferenceProblem(
+            equations=equations_of(self.arms, Level.CART),
+            parameters=self.arms.base(),
+            guess=lambda times: np.broadcast_to(nothing, (len(times), len(nothing))),
+            duration=self.reference.duration,
+            limits=self.reference.limits,
+        )
+        return error_between_nodes(problem, self.reference)
 
     def energies(self, states: Array) -> Array | None:
         """Return the pendulum's energy in J at states (K, N), or None where the arms are not known."""
@@ -366,25 +326,14 @@ class ReferenceSummary:
 
 
 def summarised(reference: Reference) -> ReferenceSummary:
-    """Return the summary of a reference, its error between nodes measured again.
+    """Return the summary of a reference.
 
     Raises:
         InputError: the notes name arms that cannot be, or others than it has.
     """
-    arms = _arms(reference)
-    return ReferenceSummary(
-        reference=reference,
-        uses=_uses(reference),
-        effort=reference.rms_cart_acceleration**2 * reference.duration,
-        arms=arms,
-        errors=None if arms is None else _errors(reference, arms),
-    )
-
-
-def _arms(reference: Reference) -> ArmChainParameters | None:
     made_from = reference.notes.get("made_from")
     if not isinstance(made_from, Mapping) or "parameters" not in made_from:
-        return None
+        return ReferenceSummary(reference, None)
     try:
         values: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value
@@ -398,25 +347,4 @@ def _arms(reference: Reference) -> ArmChainParameters | None:
             f"the reference's notes name {arms.count} arms but its states have {reference.states.shape[-1]} entries; "
             "plan again"
         )
-    return arms
-
-
-def _errors(reference: Reference, arms: ArmChainParameters) -> Array:
-    nothing = np.zeros(reference.states.shape[-1] - 2)
-    problem = ReferenceProblem(
-        equations=equations_of(arms, Level.CART),
-        parameters=arms.base(),
-        guess=lambda times: np.broadcast_to(nothing, (len(times), len(nothing))),
-        duration=reference.duration,
-        limits=reference.limits,
-    )
-    return error_between_nodes(problem, reference.trajectory)
-
-
-def _uses(reference: Reference) -> tuple[LimitUse, ...]:
-    trajectory = reference.trajectory
-    largest = largest_values(trajectory, reference.limits)
-    return tuple(
-        LimitUse(name, LIMIT_UNITS[name], bound, largest[name], where_largest(trajectory, name))
-        for name, bound in reference.limits.named().items()
-    )
+    return ReferenceSummary(reference, arms)

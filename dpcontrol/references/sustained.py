@@ -44,6 +44,7 @@ from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import gauss
 from dpcontrol.references.problem import EndConditions, Limits, ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.reference import Reference
+from dpcontrol.references.trajectory import times_on
 
 Array = NDArray[np.float64]
 Signal = Callable[[Array], Array]
@@ -51,81 +52,23 @@ Signal = Callable[[Array], Array]
 
 _METHOD = gauss(8)
 """Of order 16: on intervals that resolve the reference its own error is at rounding."""
+_SMALL = 0.5
 
 
-@dataclass(frozen=True, eq=False)
-class LinearFlow:
-    """A reference with the equations and base parameters (p,) that it solves, linearised along it."""
+def _multipliers(parts: Array) -> NDArray[np.complex128]:
+    """Return the eigenvalues of parts[-1] … parts[0] (P, n, n) and the cart's 1, 1, largest modulus first.
 
-    equations: Equations
-    parameters: Array
-    reference: Reference
-
-    @cached_property
-    def _jacobians(self) -> ca.Function:
-        e = self.equations
-        parts = [ca.densify(ca.jacobian(e.rate, e.state)), ca.densify(ca.jacobian(e.rate, e.inputs))]
-        return ca.Function("linear", [e.state, e.inputs, e.parameters], parts, {"cse": True})
-
-    def pieces(self, begin: float, end: float, *, pulse: Signal | None = None) -> tuple[Array, Array]:
-        """Return transition matrices (P, N, N) and pulse responses (P, N) of the pieces between two times in s.
-
-        A piece ends where an interval of the reference does. pulse: v(t), zero if there is none.
-        """
-        mesh = self.reference.mesh
-        ends = np.concatenate([[begin], mesh[(mesh > begin + 1e-12) & (mesh < end - 1e-12)], [end]])
-        lengths, n, count = np.diff(ends), self.equations.dimension, len(_METHOD.points)
-        times = ends[:-1, None] + lengths[:, None] * _METHOD.points
-        flat = times.ravel()
-        values = self._jacobians.map(len(flat))(
-            self.reference.state(flat).T, self.reference.input(flat).T, ca.repmat(ca.DM(self.parameters), 1, len(flat))
-        )
-        a, b = (np.array(v).reshape(n, len(flat), -1).transpose(1, 0, 2) for v in values)
-        forced = b[..., 0] * (np.zeros(len(flat)) if pulse is None else np.asarray(pulse(flat)))[:, None]
-        a, forced = a.reshape(-1, count, n, n), forced.reshape(-1, count, n)
-        # Unknowns: δx at the points, for each unit vector at the start and for the pulse.
-        system = np.tile(np.kron(_METHOD.differentiation[:, 1:], np.eye(n)), (len(lengths), 1, 1))
-        right = np.empty((len(lengths), count * n, n + 1))
-        right[..., :n] = -np.kron(_METHOD.differentiation[:, :1], np.eye(n))
-        right[..., n] = (lengths[:, None, None] * forced).reshape(len(lengths), -1)
-        for k in range(count):
-            rows = slice(k * n, (k + 1) * n)
-            system[:, rows, rows] -= lengths[:, None, None] * a[:, k]
-        inner = np.linalg.solve(system, right).reshape(len(lengths), count, n, n + 1)
-        found = np.einsum("k,pkij->pij", _METHOD.end[1:], inner)
-        found[..., :n] += _METHOD.end[0] * np.eye(n)
-        return found[..., :n], found[..., n]
-
-    def over(self, begin: float, end: float, *, pulse: Signal | None = None) -> tuple[Array, Array]:
-        """Return Φ (N, N) and Γ (N,) from `begin` to `end` s; pulse as in `pieces`."""
-        n = self.equations.dimension
-        matrix, response = np.eye(n), np.zeros(n)
-        for part, forced in zip(*self.pieces(begin, end, pulse=pulse), strict=True):
-            matrix, response = part @ matrix, part @ response + forced
-        return matrix, response
-
-
-def products(parts: Array) -> tuple[Array, Array]:
-    """Return parts[-1] … parts[0] (P, n, n) and its inverse, each (n, n), with errors relative to their own size."""
+    Those well inside the unit circle are taken from the inverse, made of the parts' own: the product knows them only to
+    rounding times its largest. The pendulum's motion does not depend on the cart.
+    """
     forward, backward = np.eye(parts.shape[-1]), np.eye(parts.shape[-1])
     for part in parts:
         forward = part @ forward
         backward = backward @ np.linalg.inv(part)
-    return forward, backward
-
-
-def eigenvalues_of_both(forward: Array, backward: Array) -> NDArray[np.complex128]:
-    """Return the eigenvalues (n,) of a matrix given with its inverse, largest modulus first.
-
-    Those well inside the unit circle are taken from the inverse: the matrix knows them only to rounding times its
-    largest.
-    """
     values, small = np.linalg.eigvals(forward).astype(complex), 1 / np.linalg.eigvals(backward).astype(complex)
     values, small = (v[np.argsort(-np.abs(v), kind="stable")] for v in (values, small))
-    return np.where(np.abs(small) < _SMALL, small, values)
-
-
-_SMALL = 0.5
+    every = np.concatenate([np.where(np.abs(small) < _SMALL, small, values), [1.0, 1.0]])
+    return every[np.argsort(-np.abs(every), kind="stable")]
 
 
 STRETCH = 0.2
@@ -196,22 +139,62 @@ class SectionMap:
 class SustainedOrbit:
     """A periodic orbit of pendulum and cart with the input that sustains it; time 0 is its phase 0.
 
-    lyapunov: the conservative orbit it grew from. equations, parameters (p,): cart level, with friction. reference:
-    one period. multipliers (N,): of the period map with the input replayed; largest first,
-    the cart's 1, 1 among them; not-a-number where it is not converged.
-    energies: least and largest along the orbit, J. departure: largest scaled distance from the Lyapunov orbit.
+    lyapunov: the conservative orbit it grew from. arms: with friction. reference: one period.
     """
 
     lyapunov: LyapunovOrbit
-    equations: Equations
-    parameters: Array
+    arms: ArmChainParameters
     reference: Reference
-    energy: float
-    energies: tuple[float, float]
-    departure: float
-    multipliers: NDArray[np.complex128]
-    converged: bool
-    status: str
+
+    @property
+    def converged(self) -> bool:
+        """Whether it may be used."""
+        return self.reference.converged
+
+    @property
+    def status(self) -> str:
+        """How it was found, or why not and what to try."""
+        return self.reference.status
+
+    @property
+    def energy(self) -> float:
+        """The pendulum's energy where the orbit starts, J."""
+        return self.lyapunov.energy
+
+    @property
+    def equations(self) -> Equations:
+        """The equations that it solves, at the cart level."""
+        return equations_of(self.arms, Level.CART)
+
+    @cached_property
+    def parameters(self) -> Array:
+        """The equations' base parameters (p,)."""
+        return self.arms.base()
+
+    @property
+    def _pendulum(self) -> Array:
+        """The pendulum's states (K, 2n) at all nodes."""
+        n = self.lyapunov.system.dimension
+        return self.reference.states[..., :n].reshape(-1, n)
+
+    @cached_property
+    def energies(self) -> tuple[float, float]:
+        """The pendulum's least and largest energy along the orbit, J."""
+        energies = self.lyapunov.system.numeric.hamiltonian(self._pendulum)
+        return float(energies.min()), float(energies.max())
+
+    @cached_property
+    def departure(self) -> float:
+        """The largest scaled distance from the Lyapunov orbit."""
+        return float(OrbitCurve(self.lyapunov).distances(self._pendulum)[1].max())
+
+    @cached_property
+    def multipliers(self) -> NDArray[np.complex128]:
+        """Those (N,) of the period map with the input replayed, largest first; not-a-number if not converged."""
+        n = self.lyapunov.system.dimension
+        if not self.converged:
+            return np.full(n + 2, np.nan, dtype=complex)
+        return _multipliers(self.pieces(0.0, self.period)[0][:, :n, :n])
 
     @property
     def period(self) -> float:
@@ -232,9 +215,52 @@ class SustainedOrbit:
         return self.reference.input(np.mod(times, self.period))[..., 0]
 
     @cached_property
-    def linear(self) -> LinearFlow:
-        """The equations linearised along one period."""
-        return LinearFlow(self.equations, self.parameters, self.reference)
+    def _jacobians(self) -> ca.Function:
+        e = self.equations
+        parts = [ca.densify(ca.jacobian(e.rate, e.state)), ca.densify(ca.jacobian(e.rate, e.inputs))]
+        return ca.Function("linear", [e.state, e.inputs, e.parameters], parts, {"cse": True})
+
+    def pieces(self, begin: float, end: float, *, pulse: Signal | None = None) -> tuple[Array, Array]:
+        """Return transition matrices (P, N, N) and pulse responses (P, N) of the pieces between two times in s.
+
+        A piece ends where an interval of the reference does. pulse: v(t), zero if there is none.
+        """
+        mesh = self.reference.mesh
+        ends = np.concatenate([[begin], mesh[(mesh > begin + 1e-12) & (mesh < end - 1e-12)], [end]])
+        lengths, n, count = np.diff(ends), self.equations.dimension, len(_METHOD.points)
+        flat = times_on(ends, _METHOD.points).ravel()
+        values = self._jacobians.map(len(flat))(
+            self.reference.state(flat).T, self.reference.input(flat).T, ca.repmat(ca.DM(self.parameters), 1, len(flat))
+        )
+        a, b = (np.array(v).reshape(n, len(flat), -1).transpose(1, 0, 2) for v in values)
+        forced = b[..., 0] * (np.zeros(len(flat)) if pulse is None else np.asarray(pulse(flat)))[:, None]
+        a, forced = a.reshape(-1, count, n, n), forced.reshape(-1, count, n)
+        # Unknowns: δx at the points, for each unit vector at the start and for the pulse.
+        system = np.tile(np.kron(_METHOD.differentiation[:, 1:], np.eye(n)), (len(lengths), 1, 1))
+        right = np.empty((len(lengths), count * n, n + 1))
+        right[..., :n] = -np.kron(_METHOD.differentiation[:, :1], np.eye(n))
+        right[..., n] = (lengths[:, None, None] * forced).reshape(len(lengths), -1)
+        for k in range(count):
+            rows = slice(k * n, (k + 1) * n)
+            system[:, rows, rows] -= lengths[:, None, None] * a[:, k]
+        inner = np.linalg.solve(system, right).reshape(len(lengths), count, n, n + 1)
+        found = np.einsum("k,pkij->pij", _METHOD.end[1:], inner)
+        found[..., :n] += _METHOD.end[0] * np.eye(n)
+        return found[..., :n], found[..., n]
+
+    def over(self, begin: float, end: float, *, pulse: Signal | None = None) -> tuple[Array, Array]:
+        """Return Φ (N, N) and Γ (N,) from `begin` to `end` s, past the period's end on its clock; pulse as in `pieces`."""
+        n, period = self.equations.dimension, self.period
+        matrix, response = np.eye(n), np.zeros(n)
+        # What is left after the period's end belongs to its clock's start, unless it is rounding.
+        spans = [(begin, min(end, period), 0.0)]
+        if end - period > 1e-12 * period:
+            spans.append((0.0, end - period, period))
+        for first, last, lap in spans:
+            shifted = None if pulse is None else lambda t, lap=lap: pulse(t + lap)
+            for part, forced in zip(*self.pieces(first, last, pulse=shifted), strict=True):
+                matrix, response = part @ matrix, part @ response + forced
+        return matrix, response
 
     def section(self, phase: float) -> PhaseSection:
         """Return the section at a phase, counted modulo 1."""
@@ -268,11 +294,7 @@ class SustainedOrbit:
 
     def _map(self, start: PhaseSection, end: PhaseSection, duration: float) -> SectionMap:
         bare = SectionMap(start, end, duration, np.empty(0), np.empty(0))
-        matrix, response = np.eye(len(start.state)), np.zeros(len(start.state))
-        for begin, until, before in self._spans(start.time, duration):
-            shift = before - begin
-            part, forced = self.linear.over(begin, until, pulse=lambda t, shift=shift: bare.pulse(t + shift))
-            matrix, response = part @ matrix, part @ response + forced
+        matrix, response = self.over(start.time, start.time + duration, pulse=lambda t: bare.pulse(t - start.time))
         return replace(bare, matrix=end.projection @ matrix, response=end.projection @ response)
 
     def section_multipliers(self, count: int) -> NDArray[np.complex128]:
@@ -287,7 +309,7 @@ class SustainedOrbit:
             after.T @ m.matrix[:n, :n] @ before
             for m, before, after in zip(maps, bases, bases[1:] + bases[:1], strict=True)
         ]
-        return _with_cart(eigenvalues_of_both(*products(np.array(parts))))
+        return _multipliers(np.array(parts))
 
     def document(self, sections: int) -> dict[str, Any]:
         """Return what `dpcontrol orbit --sustained --json` prints, with the multipliers of so many sections."""
@@ -306,14 +328,6 @@ class SustainedOrbit:
             "error_between_nodes": reference.max_error_between_nodes,
             "intervals": len(reference.mesh) - 1,
         }
-
-    def _spans(self, begin: float, duration: float) -> list[tuple[float, float, float]]:
-        """Return (from, to, time before) of the one or two stretches of the period's clock that make up a time."""
-        first = min(duration, self.period - begin)
-        spans = [(begin, begin + first, 0.0)]
-        if duration - first > 1e-12 * self.period:
-            spans.append((0.0, duration - first, first))
-        return spans
 
 
 def sustained_orbit(
@@ -335,13 +349,12 @@ def sustained_orbit(
     if arms.count != n or not np.array_equal(arms.frictionless().base(), _frictionless(lyapunov, n)):
         raise InputError(f"the orbit about {lyapunov.saddle} is of other arms than the {arms.count} given")
     curve = OrbitCurve(lyapunov)
-    equations = equations_of(arms, Level.CART)
     # The arm that moves fastest tells the phase best.
     leading = int(np.argmax(np.abs(lyapunov.state[n : 2 * n])))
     start = np.full(2 * n + 2, np.nan)
     start[leading] = lyapunov.state[leading]
     problem = ReferenceProblem(
-        equations=equations,
+        equations=equations_of(arms, Level.CART),
         parameters=arms.base(),
         guess=lambda times: curve.states(np.asarray(times) / lyapunov.period),
         duration=lyapunov.period,
@@ -356,46 +369,10 @@ def sustained_orbit(
             status=f"no sustained orbit: the period left that of the Lyapunov orbit, {lyapunov.period:.4g} s, by "
             f"{STRETCH:.0%}, so that it is of another kind; choose an energy nearer to the saddle's or less friction",
         )
-    return _described(lyapunov, curve, equations, arms.base(), reference)
-
-
-def sustained_from(lyapunov: LyapunovOrbit, arms: ArmChainParameters, reference: Reference) -> SustainedOrbit:
-    """Return the sustained orbit that a reference of one period is, found before by `sustained_orbit`."""
-    return _described(lyapunov, OrbitCurve(lyapunov), equations_of(arms, Level.CART), arms.base(), reference)
+    return SustainedOrbit(lyapunov, arms, reference)
 
 
 def _frictionless(lyapunov: LyapunovOrbit, n: int) -> Array:
     base = np.array(lyapunov.system.parameters, dtype=float)
     base[len(base) - n :] = 0.0
     return base
-
-
-def _described(
-    lyapunov: LyapunovOrbit, curve: OrbitCurve, equations: Equations, parameters: Array, reference: Reference
-) -> SustainedOrbit:
-    """Return the orbit with its multipliers, energies and departure."""
-    n = lyapunov.system.dimension
-    pendulum = reference.states[..., :n].reshape(-1, n)
-    energies = lyapunov.system.numeric.hamiltonian(pendulum)
-    orbit = SustainedOrbit(
-        lyapunov=lyapunov,
-        equations=equations,
-        parameters=parameters,
-        reference=reference,
-        energy=lyapunov.energy,
-        energies=(float(energies.min()), float(energies.max())),
-        departure=float(curve.distances(pendulum)[1].max()),
-        multipliers=np.full(n + 2, np.nan, dtype=complex),
-        converged=reference.converged,
-        status=reference.status,
-    )
-    if not orbit.converged:
-        return orbit
-    parts = orbit.linear.pieces(0.0, orbit.period)[0][:, :n, :n]
-    return replace(orbit, multipliers=_with_cart(eigenvalues_of_both(*products(parts))))
-
-
-def _with_cart(values: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return the pendulum's multipliers and the cart's, which the pendulum's motion does not depend on."""
-    every = np.concatenate([values, [1.0, 1.0]])
-    return every[np.argsort(-np.abs(every), kind="stable")]

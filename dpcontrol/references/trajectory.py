@@ -1,10 +1,11 @@
-"""A motion as values on a mesh, each interval with a collocation method's own places, and what a solver made of it.
+"""A motion as polynomials on a mesh, what a solver made of it, and how good it is.
 
 An interval of length h from t_i has its states at t_i + h σ_k, its input at t_i + h τ_k; σ and τ: the method's support
-and points. How wrong it is between its nodes: a propagator at machine precision restarts at each interval's start under
-the interval's own input polynomial; the largest scaled difference from the state's polynomial on a dense grid counts.
-Limits: the extrema of the polynomials of cart position, velocity and acceleration, from the roots of their derivatives.
-And how far from its guess a solution lies, which tells an itinerary from another motion.
+and points. Both polynomials are evaluated in barycentric form (Berrut & Trefethen, SIAM Review 46 (2004), eq. 4.2).
+Error between nodes: a propagator at machine precision restarts at each interval's start under the interval's own input
+polynomial; the largest scaled difference from the state's polynomial on a dense grid counts. Limits: the extrema of the
+polynomials of cart position, velocity and acceleration, from the roots of their derivatives. How far from its guess a
+solution lies tells an itinerary from another motion.
 Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., sections 4.5 and 4.7.
 """
 
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from dpcontrol.references.method import Method, differentiation_matrix, interpolation_matrix
 from dpcontrol.references.problem import Limits, ReferenceProblem, state_scale
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trajectory:
     """Values on a mesh: mesh (N+1,) s, states (N, K+1, nx) at the method's support, inputs (N, K, nu) at its points."""
 
@@ -33,14 +34,35 @@ class Trajectory:
     inputs: Array
 
     @property
-    def node_times(self) -> Array:
-        """Return the times (N, K+1) of `states`."""
-        return self.mesh[:-1, None] + np.diff(self.mesh)[:, None] * self.method.support
+    def duration(self) -> float:
+        """Return its length in s."""
+        return float(self.mesh[-1] - self.mesh[0])
 
     @property
     def input_times(self) -> Array:
         """Return the times (N, K) of `inputs`."""
-        return self.mesh[:-1, None] + np.diff(self.mesh)[:, None] * self.method.points
+        return times_on(self.mesh, self.method.points)
+
+    def _evaluate(self, times: ArrayLike, places: Array, values: Array) -> Array:
+        at = np.clip(np.asarray(times, dtype=float), self.mesh[0], self.mesh[-1])
+        flat = at.ravel()
+        index = np.clip(np.searchsorted(self.mesh, flat, side="right") - 1, 0, len(self.mesh) - 2)
+        tau = (flat - self.mesh[index]) / (self.mesh[index + 1] - self.mesh[index])
+        rows = interpolation_matrix(places, tau)
+        return np.einsum("mk,mkn->mn", rows, values[index]).reshape(*at.shape, -1)
+
+    def state(self, times: ArrayLike) -> Array:
+        """Return states (…, nx) at `times` (…) s; times outside count as the nearest end."""
+        return self._evaluate(times, self.method.support, self.states)
+
+    def input(self, times: ArrayLike) -> Array:
+        """Return inputs (…, nu) at `times` (…) s; times outside count as the nearest end."""
+        return self._evaluate(times, self.method.points, self.inputs)
+
+
+def times_on(mesh: Array, places: Array) -> Array:
+    """Return the times (N, K) of places (K,) from 0 to 1 in each interval of a mesh (N+1,)."""
+    return mesh[:-1, None] + np.diff(mesh)[:, None] * places
 
 
 @dataclass(frozen=True)
@@ -58,8 +80,7 @@ class Solved:
 
 def first_trajectory(problem: ReferenceProblem, method: Method, mesh: Array) -> Trajectory:
     """Return the guess on the mesh; the cart rests in the middle unless the problem says where it goes."""
-    empty = Trajectory(method, mesh, np.empty(0), np.empty(0))
-    times, input_times = empty.node_times, empty.input_times
+    times, input_times = times_on(mesh, method.support), times_on(mesh, method.points)
     states = np.zeros((*times.shape, problem.equations.dimension))
     states[..., : problem.pendulum_dimension] = problem.guess_at(times.ravel()).reshape(*times.shape, -1)
     inputs = np.zeros((*input_times.shape, 1))
@@ -82,19 +103,9 @@ def power_coefficients(points: Array, values: Array) -> Array:
     return np.asarray(np.einsum("pk,...k->...p", np.linalg.inv(powers), values), dtype=np.float64)
 
 
-def error_between_nodes(
-    problem: ReferenceProblem,
-    trajectory: Trajectory,
-    *,
-    propagator: "PolynomialInputPropagator | None" = None,
-) -> Array:
-    """Return the largest scaled error in each interval, (N,); infinite where the propagation fails.
-
-    propagator: one of the problem's equations with inputs of degree K - 1, to spare its compilation.
-    """
-    method = trajectory.method
-    if propagator is None:
-        propagator = interval_propagator(problem, method)
+def error_between_nodes(problem: ReferenceProblem, trajectory: Trajectory) -> Array:
+    """Return the largest scaled error in each interval, (N,); infinite where the propagation fails."""
+    method, propagator = trajectory.method, interval_propagator(problem, trajectory.method)
     scale = state_scale(problem.equations.dimension, problem.limits)
     tau = np.linspace(0.0, 1.0, DENSE)
     lengths = np.diff(trajectory.mesh)
@@ -112,10 +123,13 @@ def error_between_nodes(
 
 
 def interval_propagator(problem: ReferenceProblem, method: Method) -> "PolynomialInputPropagator":
-    """Return the propagator for intervals of `method`, compiled when first used."""
+    """Return the propagator for intervals of `method`, compiled when first used and kept with the problem."""
     from dpcontrol.dynamics.propagator import PolynomialInputPropagator
 
-    return PolynomialInputPropagator(problem.equations, problem.parameters, degree=len(method.points) - 1)
+    degree = len(method.points) - 1
+    if degree not in problem.propagators:
+        problem.propagators[degree] = PolynomialInputPropagator(problem.equations, problem.parameters, degree=degree)
+    return problem.propagators[degree]
 
 
 def largest_on_intervals(points: Array, values: Array, *, above: float) -> float:
@@ -140,14 +154,11 @@ def away_from_guess(problem: ReferenceProblem, trajectory: Trajectory) -> tuple[
 
     At each time the nearest of the guess's states within LATENESS before and after counts: friction makes late.
     """
-    mesh, nz = trajectory.mesh, problem.pendulum_dimension
-    factor = problem.duration / (mesh[-1] - mesh[0])
+    nz = problem.pendulum_dimension
     times = np.linspace(0.0, problem.duration, max(2, int(np.ceil(problem.duration / _LOOK)) + 1))
-    at = mesh[0] + times / factor
-    index = np.clip(np.searchsorted(mesh, at, side="right") - 1, 0, len(mesh) - 2)
-    rows = interpolation_matrix(trajectory.method.support, (at - mesh[index]) / np.diff(mesh)[index])
+    at = trajectory.mesh[0] + times / (problem.duration / trajectory.duration)
     scale = state_scale(problem.equations.dimension, problem.limits)[:nz]
-    found = np.einsum("mk,mkn->mn", rows, trajectory.states[index])[:, :nz] / scale
+    found = trajectory.state(at)[:, :nz] / scale
     guess = problem.guess_at(times) / scale
     nearest = np.full(len(times), np.inf)
     most = min(round(LATENESS / _LOOK), len(times) - 1)

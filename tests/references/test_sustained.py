@@ -128,7 +128,7 @@ def test_multipliers_are_those_of_a_period_flown_with_the_input_replayed() -> No
         ends = [flow(orbit, orbit.state(0.0) + sign * step, 0.0, orbit.period) for sign in (1, -1)]
         columns.append((ends[0] - ends[1]) / (2 * DIFFERENCE))
     monodromy = np.column_stack(columns)
-    matrix, _ = orbit.linear.over(0.0, orbit.period)
+    matrix, _ = orbit.over(0.0, orbit.period)
     assert matrix == pytest.approx(monodromy, abs=SLOPE * np.abs(monodromy).max())
     values = orbit.multipliers
     assert values[0].real == pytest.approx(np.abs(np.linalg.eigvals(monodromy)).max(), rel=1e-5)
@@ -139,7 +139,7 @@ def test_multipliers_are_those_of_a_period_flown_with_the_input_replayed() -> No
 
 
 def _jacobian(orbit: SustainedOrbit, time: float) -> Array:
-    return np.array(orbit.linear._jacobians(orbit.state(time), orbit.input(time), orbit.parameters)[0])
+    return np.array(orbit._jacobians(orbit.state(time), orbit.input(time), orbit.parameters)[0])
 
 
 @pytest.mark.slow
