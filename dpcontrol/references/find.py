@@ -314,7 +314,7 @@ def find_reference(
         raise InputError(apart)
     first = near or first_trajectory(problem, method, first_mesh(problem, settings, method=method))
     most = _MOST_GROWTH * len(first.mesh)
-    limits, iterations, seconds = problem.limits, 0, 0.0
+    limits, iterations, seconds, round_number = problem.limits, 0, 0.0, 0
 
     def result(solved: Solved, status: str, *, converged: bool, error: float = np.inf) -> Reference:
         return Reference.of(
@@ -322,8 +322,9 @@ def find_reference(
             constraint_violation=solved.violation, iterations=iterations, solve_seconds=seconds,
         )  # fmt: skip
 
-    for round_number in range(1, settings.rounds + 1):
-        progress(f"reference, {len(first.mesh) - 1} intervals", (round_number - 1) / settings.rounds)
+    while True:
+        progress(f"reference, {len(first.mesh) - 1} intervals", round_number / settings.rounds)
+        round_number += 1
         solved = solve(problem, first, settings=settings, limits=limits, warm=bool(near) or round_number > 1)
         iterations, seconds = iterations + solved.iterations, seconds + solved.seconds
         if not solved.succeeded or _is_another_motion(problem, solved, settings):
@@ -373,12 +374,12 @@ def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Referenc
     """
     began = time.perf_counter()
     method = method_named(settings.method)
-    mesh = first_mesh(problem, settings, method=method)
-    for round_number in range(1, settings.rounds + 1):
+    mesh, rounds = first_mesh(problem, settings, method=method), 0
+    while True:
         trajectory = first_trajectory(problem, method, mesh)
         errors = error_between_nodes(problem, trajectory)
-        worst = float(errors.max())
-        if worst <= _ACCEPTED * settings.tolerance or round_number == settings.rounds:
+        worst, rounds = float(errors.max()), rounds + 1
+        if worst <= _ACCEPTED * settings.tolerance or rounds == settings.rounds:
             break
         mesh = split_mesh(mesh, errors, tolerance=settings.tolerance, order=len(method.points))
     converged = worst <= settings.tolerance

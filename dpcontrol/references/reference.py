@@ -207,7 +207,7 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
         raise ValueError(f"states {states.shape} and inputs {inputs.shape} do not fit its mesh")
     if states.ndim != 3 or inputs.ndim != 3 or not (np.isfinite(states).all() and np.isfinite(inputs).all()):
         raise ValueError("its states or inputs are not finite")
-    found = {k: np.inf if header["numbers"][k] is None else header["numbers"][k] for k in _FOUND}
+    found: dict[str, Any] = {k: np.inf if header["numbers"][k] is None else header["numbers"][k] for k in _FOUND}
     return Reference(
         method, mesh, states, inputs, Limits(**header["limits"]),
         status=str(header["status"]), converged=bool(header["converged"]), **found,

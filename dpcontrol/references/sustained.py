@@ -249,7 +249,7 @@ class SustainedOrbit:
         return found[..., :n], found[..., n]
 
     def over(self, begin: float, end: float, *, pulse: Signal | None = None) -> tuple[Array, Array]:
-        """Return Φ (N, N) and Γ (N,) from `begin` to `end` s, past the period's end on its clock; pulse as in `pieces`."""
+        """Return Φ (N, N) and Γ (N,) from `begin` to `end` s, which may be past the period; pulse as in `pieces`."""
         n, period = self.equations.dimension, self.period
         matrix, response = np.eye(n), np.zeros(n)
         # What is left after the period's end belongs to its clock's start, unless it is rounding.
