@@ -1,6 +1,4 @@
-"""Multiple shooting: orbits as nodes, and the equations they satisfy.
-
-The equations of multiple shooting with free segment lengths, as residuals and a sparse Jacobian.
+"""Multiple shooting with free segment lengths: orbits as nodes, and their equations as residuals and a sparse Jacobian.
 
 Nodes x_0 … x_K and durations τ_0 … τ_{K-1} satisfy
 
@@ -12,13 +10,13 @@ Open: x_0 = γ(φ₀) + a₀ v(φ₀) and x_K alike, phases fixed, amplitudes fr
 H(x_0) = h. Energy makes one equation redundant; ε makes the system square and vanishes at the solution
 (Muñoz-Almaraz et al., Continuation of periodic orbits in conservative and Hamiltonian systems, 2003).
 
-An orbit as nodes of multiple shooting: from one periodic orbit to another, between local manifolds, or closed.
-
 Short segments keep rounding from growing: the gap at a node stays near 1e-14 where single shooting from a distance δ
 is limited to 1e-15/δ.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,40 +53,30 @@ class ManifoldEnd:
         fixed = float(orbit.system.scaled_distance(turned, orbit.state)) < 1e-9
         return (0.0 if fixed else 0.5) - self.phase
 
-    def point(self) -> tuple[Array, Array, Array]:
-        """Return the state (N,) and its derivatives by phase (N,) and amplitude (N,)."""
-        frame = self.manifold.frame(np.array([self.phase]))
-        state = frame.states[0] + self.amplitude * frame.vectors[0]
-        by_phase = frame.state_slopes[0] + self.amplitude * frame.vector_slopes[0]
-        by_amplitude = frame.vectors[0]
-        orbit = self.manifold.orbit
-        system = orbit.system
-        if self.stable:
-            reverser = orbit.reverser
-            state = reverser @ (state - orbit.centre) + orbit.centre
-            by_phase, by_amplitude = reverser @ by_phase, reverser @ by_amplitude
-        return state + np.asarray(self.turns) * system.turn_lengths, by_phase, by_amplitude
+    def _periods(self, seconds: Any) -> Any:
+        """Return by how many periods the manifold's own phase grows in a time: a stable one runs backward."""
+        return seconds / self.manifold.orbit.period * (-1.0 if self.stable else 1.0)
+
+    def point(self) -> tuple[Array, Array]:
+        """Return the state (N,) and its derivative by amplitude (N,)."""
+        along = self.manifold.frame(np.array([self.phase])).vectors[0]
+        return self.states(np.zeros(1))[0], self.manifold.orbit.reverser @ along if self.stable else along
 
     def moved(self, seconds: float) -> "ManifoldEnd":
         """Return the end after the flow has carried it on by `seconds` (negative: back)."""
-        periods = seconds / self.manifold.orbit.period * (-1.0 if self.stable else 1.0)
-        return replace(
-            self,
-            phase=self.phase + periods,
-            amplitude=self.amplitude * float(np.exp(self.manifold.exponent * periods)),
-        )
+        periods = self._periods(seconds)
+        grown = self.amplitude * float(np.exp(self.manifold.exponent * periods))
+        return replace(self, phase=self.phase + periods, amplitude=grown)
 
     def states(self, seconds: Array) -> Array:
         """Return states (K, N) on the manifold at times (K,) s from the end, by the linear flow on it."""
-        periods = np.asarray(seconds) / self.manifold.orbit.period * (-1.0 if self.stable else 1.0)
+        periods, orbit = self._periods(np.asarray(seconds)), self.manifold.orbit
         frame = self.manifold.frame(self.phase + periods)
         amplitudes = self.amplitude * np.exp(self.manifold.exponent * periods)
         states = frame.states + amplitudes[:, None] * frame.vectors
-        orbit = self.manifold.orbit
-        system = orbit.system
         if self.stable:
             states = (states - orbit.centre) @ orbit.reverser.T + orbit.centre
-        return states + np.asarray(self.turns) * system.turn_lengths
+        return states + np.asarray(self.turns) * orbit.system.turn_lengths
 
 
 @dataclass(frozen=True)
@@ -183,91 +171,76 @@ class Guess:
 
 
 @dataclass(frozen=True)
-class Ends:
-    """Points and vectors of both manifold ends at their fixed phases: point = base + amplitude · slope."""
+class Unknowns:
+    """A point of Newton's method: states (K + 1, N), durations (K,) s, amplitudes (2,) or (0,), and ε."""
 
-    bases: tuple[Array, ...]
-    slopes: tuple[Array, ...]
-
-    @staticmethod
-    def of(guess: Guess) -> "Ends":
-        if guess.ends is None:
-            return Ends((), ())
-        points = [end.point() for end in guess.ends]
-        slopes = tuple(point[2] for point in points)
-        bases = tuple(
-            point[0] - end.amplitude * slope for point, end, slope in zip(points, guess.ends, slopes, strict=True)
-        )
-        return Ends(bases, slopes)
+    states: Array
+    durations: Array
+    amplitudes: Array
+    unfolding: Any
 
 
 class ShootingEquations:
-    """The equations of one guess, their sparsity worked out once; unknowns are scaled."""
+    """The equations of one guess, their sparsity worked out once; unknowns are scaled.
+
+    bases, slopes: of both manifold ends at their fixed phases, point = base + amplitude · slope. These, the markers'
+    levels, the turn, the energy and its function may be replaced by ones in another arithmetic, which `numbers` turns
+    doubles into: residuals and unknowns are then in that arithmetic.
+    """
+
+    numbers: Callable[[Any], Any] = staticmethod(np.asarray)
 
     def __init__(self, guess: Guess) -> None:
-        self.guess, self.system, self.ends = guess, guess.system, Ends.of(guess)
+        self.guess, self.system = guess, guess.system
+        points = [(end, *end.point()) for end in guess.ends or ()]
+        self.slopes: list[Any] = [slope for *_, slope in points]
+        self.bases: list[Any] = [state - end.amplitude * slope for end, state, slope in points]
+        self.levels: dict[int, Any] = {node: level for node, (_, level) in guess.markers.items()}
+        self.turn: Any = guess.turn
+        self.energy: Any = guess.energy
+        self.hamiltonian: Callable[[Any], Any] = guess.system.numeric.hamiltonian
         self.n, self.count = guess.system.dimension, len(guess.durations)
-        n, count = self.n, self.count
-        closed = guess.closed
+        n, count, closed = self.n, self.count, guess.closed
         # Columns: each node's state but for the open ends', then the durations, then (a₀, a_K) if open, then ε.
         # A jump leaves the energy by its square: where ε takes it up, the pieces between the jumps keep theirs.
         self.unfolded = list(guess.joints) or [0]
-        self.first_node = 0 if closed else 1
-        self.nodes = count if closed else count - 1
+        self.first_node, self.nodes = (0, count) if closed else (1, count - 1)
+        self.inner = slice(self.first_node, self.first_node + self.nodes)
         self.states_end = n * self.nodes
         self.durations_end = self.states_end + count
         self.size = self.durations_end + (1 if closed else 3)
         scale = guess.system.scale
-        lengths = np.abs(guess.durations)
         # Amplitudes stay in scaled length: relative to themselves they would be 1e10 times worse conditioned.
-        ends = [] if closed else [1.0, 1.0]
-        self.columns = np.concatenate([np.tile(scale, self.nodes), np.full(count, lengths.mean()), ends, [1.0]])
         # ε multiplies an energy gradient: rad/s per unit of energy.
-        self.columns[-1] = guess.system.energy_scale
-        flow = np.ones(self.nodes)
-        self.rows = np.concatenate([np.tile(1 / scale, count), flow, [1 / guess.system.energy_scale] if closed else []])
+        amplitudes, unit = [] if closed else [1.0, 1.0], guess.system.energy_scale
+        lengths = np.full(count, np.abs(guess.durations).mean())
+        self.columns = np.concatenate([np.tile(scale, self.nodes), lengths, amplitudes, [unit]])
+        self.rows = np.concatenate([np.tile(1 / scale, count), np.ones(self.nodes), [1 / unit] if closed else []])
         self._places()
-
-    def _column(self, node: int) -> int:
-        """Return the first column of a node's state; -1 for an open end."""
-        node = node % self.count if self.guess.closed else node
-        inside = self.first_node <= node < self.first_node + self.nodes
-        return self.n * (node - self.first_node) if inside else -1
 
     def _places(self) -> None:
         """List the rows and columns of all entries, in the order in which `matrix` fills them."""
-        n, count = self.n, self.count
-        rows, columns = [], []
-
-        def block(row: int, column: int, height: int, width: int) -> None:
-            r, c = np.indices((height, width))
-            rows.append((row + r).ravel())
-            columns.append((column + c).ravel())
-
-        for k in range(count):
-            if self._column(k) >= 0:
-                block(n * k, self._column(k), n, n)
-        for k in range(count):
-            if self._column(k + 1) >= 0:
-                block(n * k, self._column(k + 1), n, n)
-        for k in range(count):
-            block(n * k, self.states_end + k, n, 1)
-        for j in range(self.nodes):
-            block(n * count + j, n * j, 1, n)
-        if self.guess.closed:
-            block(self.size - 1, 0, 1, n)
-        else:
-            block(0, self.durations_end, n, 1)
-            block(n * (count - 1), self.durations_end + 1, n, 1)
-        for k in self.unfolded:
-            block(n * k, self.size - 1, n, 1)
-        self._row, self._col = np.concatenate(rows), np.concatenate(columns)
+        n, count, closed = self.n, self.count, self.guess.closed
+        # Open ends have no columns of their own; the last node of a closed orbit has its first one's.
+        column = {node: n * k for k, node in enumerate(range(count + 1)[self.inner])} | ({count: 0} if closed else {})
+        self.starting = [k for k in range(count) if k in column]
+        self.arriving = [k for k in range(count) if k + 1 in column]
+        ends = [(0, self.durations_end, n, 1), (n * (count - 1), self.durations_end + 1, n, 1)]
+        blocks = [
+            *((n * k, column[k], n, n) for k in self.starting),
+            *((n * k, column[k + 1], n, n) for k in self.arriving),
+            *((n * k, self.states_end + k, n, 1) for k in range(count)),
+            *((n * count + j, n * j, 1, n) for j in range(self.nodes)),
+            *([(self.size - 1, 0, 1, n)] if closed else ends),
+            *((n * k, self.size - 1, n, 1) for k in self.unfolded),
+        ]
+        places = [np.indices((high, wide)).reshape(2, -1) + [[row], [left]] for row, left, high, wide in blocks]
+        self._row, self._col = np.hstack(places)
         self._scaling = self.rows[self._row] * self.columns[self._col]
 
     def normals(self, states: Array) -> Array:
         """Return the rows (nodes, N) on which inner nodes stay: a section's where marked, else the flow's."""
-        inner = states[self.first_node : self.first_node + self.nodes]
-        rates = self.system.numeric.rate(inner)
+        rates = self.system.numeric.rate(states[self.inner])
         normals = rates / self.system.scale**2
         normals /= np.sum(normals * rates, axis=1, keepdims=True)
         for node, (normal, _) in self.guess.markers.items():
@@ -275,67 +248,56 @@ class ShootingEquations:
         return normals
 
     def matrix(self, states: Array, stms: Array, arrived: Array) -> csc_array:
-        """Return the scaled Jacobian; arrived (K, N): where the segments end."""
-        n, count = self.n, self.count
-        rates = self.system.numeric.rate(arrived)
-        gradients = self.system.numeric.gradient(states[1:][self.unfolded])
-        minus = -np.eye(n).ravel()
-        inner = [k for k in range(count) if self._column(k) >= 0]
-        following = sum(self._column(k + 1) >= 0 for k in range(count))
-        values = [stms[inner].ravel(), np.tile(minus, following), rates.ravel(), self.normals(states).ravel()]
+        """Return the scaled Jacobian, from doubles in any arithmetic; arrived (K, N): where the segments end."""
+        numeric = self.system.numeric
+        minus = np.tile(-np.eye(self.n).ravel(), len(self.arriving))
+        values = [stms[self.starting].ravel(), minus, numeric.rate(arrived).ravel(), self.normals(states).ravel()]
         if self.guess.closed:
-            values.append(self.system.numeric.gradient(states[0]))
+            values.append(numeric.gradient(states[0]))
         else:
-            values += [stms[0] @ self.ends.slopes[0], -self.ends.slopes[1]]
-        values.append(gradients.ravel())
+            values += [stms[0] @ np.asarray(self.slopes[0], dtype=float), -np.asarray(self.slopes[1], dtype=float)]
+        values.append(numeric.gradient(states[1:][self.unfolded]).ravel())
         entries = np.concatenate(values) * self._scaling
         return csc_array((entries, (self._row, self._col)), shape=(self.size, self.size))
 
-    def residuals(self, states: Array, arrived: Array, unfolding: float) -> Array:
-        """Return the scaled right-hand side: gaps, distances from marked sections, and the energy if closed."""
-        gaps = arrived - states[1:]
-        gaps[self.unfolded] += unfolding * self.system.numeric.gradient(states[1:][self.unfolded])
-        off = np.zeros(self.nodes)
-        for node, (normal, value) in self.guess.markers.items():
-            off[node - self.first_node] = (normal @ states[node] - value) / np.linalg.norm(normal)
+    def residuals(self, now: Unknowns, arrived: Array) -> Array:
+        """Return gaps, distances from marked sections, and the energy's error if closed, not scaled."""
+        numbers, gaps = self.numbers, arrived - now.states[1:]
+        gradients = self.system.numeric.gradient(now.states[1:][self.unfolded].astype(float))
+        gaps[self.unfolded] = gaps[self.unfolded] + numbers(gradients) * now.unfolding
+        off = numbers(np.zeros(self.nodes))
+        for node, level in self.levels.items():
+            normal = self.guess.markers[node][0]
+            distance = numbers(normal) @ now.states[node] - level
+            off[node - self.first_node] = distance / numbers(np.linalg.norm(normal))
         parts = [gaps.ravel(), off]
         if self.guess.closed:
-            parts.append(np.array([float(self.system.numeric.hamiltonian(states[0])) - self.guess.energy]))
-        return np.concatenate(parts) * self.rows
+            parts.append(np.array([self.hamiltonian(now.states[0]) - self.energy]))
+        return np.concatenate(parts)
 
-    def moved(self, unknowns: "Unknowns", step: Array) -> "Unknowns":
-        """Return the unknowns after a scaled step."""
-        change = step * self.columns
-        states = unknowns.states.copy()
-        inner = slice(self.first_node, self.first_node + self.nodes)
-        states[inner] += change[: self.states_end].reshape(-1, self.n)
-        durations = unknowns.durations + change[self.states_end : self.durations_end]
-        amplitudes = unknowns.amplitudes + change[self.durations_end : -1]
-        return self.placed(Unknowns(states, durations, amplitudes, unknowns.unfolding + float(change[-1])))
+    def moved(self, now: Unknowns, change: Array) -> Unknowns:
+        """Return the unknowns after a change of all, not scaled."""
+        states = now.states.copy()
+        states[self.inner] = states[self.inner] + change[: self.states_end].reshape(-1, self.n)
+        durations = now.durations + change[self.states_end : self.durations_end]
+        amplitudes = now.amplitudes + change[self.durations_end : -1]
+        return self.placed(Unknowns(states, durations, amplitudes, now.unfolding + change[-1]))
 
-    def placed(self, unknowns: "Unknowns") -> "Unknowns":
+    def placed(self, unknowns: Unknowns) -> Unknowns:
         """Return the unknowns with the last node (and the first, if open) where amplitudes, or closure, put them."""
         states = unknowns.states
-        if self.guess.turn is not None:
-            states[-1] = states[0] + self.guess.turn
+        if self.guess.closed:
+            states[-1] = states[0] + self.turn
         else:
-            for k, place in enumerate((0, -1)):
-                states[place] = self.ends.bases[k] + unknowns.amplitudes[k] * self.ends.slopes[k]
+            for place, base, slope, amplitude in zip((0, -1), self.bases, self.slopes, unknowns.amplitudes, strict=True):
+                states[place] = base + slope * amplitude
         return unknowns
 
     def sizes(self, step: Array) -> Array:
-        """Return the largest scaled change (K,) of each node and of the segment that leaves it."""
+        """Return the largest scaled change (K,) of each node and of the segment that leaves it.
+
+        ε does not belong to the orbit.
+        """
         out = np.abs(step[self.states_end : self.durations_end])
-        inner = slice(self.first_node, self.first_node + self.nodes)
-        out[inner] = np.maximum(out[inner], np.abs(step[: self.states_end]).reshape(-1, self.n).max(axis=1))
+        out[self.inner] = np.maximum(out[self.inner], np.abs(step[: self.states_end]).reshape(-1, self.n).max(axis=1))
         return out
-
-
-@dataclass(frozen=True)
-class Unknowns:
-    """A point of Newton's method: states (K + 1, N), durations (K,) s, amplitudes (2,) or (0,), and ε."""
-
-    states: Array
-    durations: Array
-    amplitudes: Array
-    unfolding: float

@@ -1,8 +1,7 @@
 """Orbits refined in 113-bit arithmetic, 30 digits instead of 12: periodic ones, connections, and orbits of walks.
 
-The equations are those of module `equations`. Their residuals are evaluated in 113 bits and
-divided by the largest before the step is solved for in double, where nothing underflows; so each Newton step leaves
-about 1e-12 of the residual. Open orbits are led out along both local manifolds until their amplitude is a < 1e-20: what
+The equations are those in double, with their residuals evaluated in 113 bits and divided by the largest before the
+step is solved for in double, where nothing underflows; so each Newton step leaves about 1e-12 of the residual. Open orbits are led out along both local manifolds until their amplitude is a < 1e-20: what
 the linear manifold leaves out, a², and the double Floquet vector's share, a · 1e-12, are then far below what is asked.
 Closed orbits close, at the exact energy, and need no manifold.
 
@@ -23,7 +22,7 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import local_manifold
-from dpcontrol.shooting.equations import Guess, ManifoldEnd, ShootingEquations
+from dpcontrol.shooting.equations import Guess, ManifoldEnd, ShootingEquations, Unknowns
 
 Array = NDArray[np.float64]
 
@@ -205,37 +204,32 @@ def _newton(
 
     kept: the nodes whose correction is reported; ends: the refined periodic orbits of an open orbit.
     """
-    system, equations = guess.system, ShootingEquations(guess)
-    exact = _ExactTerms(guess, energy, ends)
-    states, durations = extended(guess.states), extended(guess.durations)
-    free = extended(np.array([0.0] if guess.ends is None else [*(e.amplitude for e in guess.ends), 0.0]))
-    best: tuple[Any, Extended, Extended] = (np.inf, states, durations)
+    system, equations = guess.system, _ExactEquations(guess, propagator, energy, ends)
+    amplitudes = extended(np.array([end.amplitude for end in guess.ends or ()]))
+    now = equations.placed(Unknowns(extended(guess.states), extended(guess.durations), amplitudes, extended(0.0)[()]))
+    best: tuple[Any, Unknowns] = (np.inf, now)
     iteration, failure = 0, ""
     for iteration in range(settings.iterations + 1):
-        exact.place_ends(states, equations, free)
         try:
-            arrived = np.array([propagator.flow(x, h) for x, h in zip(states[:-1], durations, strict=True)])
-            right, residual = exact.residuals(equations, propagator, states, arrived, free[-1])
-            doubles, segments = states.astype(float), durations.astype(float)
+            flights = zip(now.states[:-1], now.durations, strict=True)
+            right = equations.residuals(now, arrived := np.array([propagator.flow(x, h) for x, h in flights]))
+            residual = equations.largest(now, arrived, right)
+            doubles, segments = now.states.astype(float), now.durations.astype(float)
             flown, stms = system.propagator.flows_with_stm(doubles[:-1], segments)
         except ArithmeticError as error:
             failure = f" ({error})"
             break
         previous = best[0]
         if residual < previous:
-            best = (residual, states.copy(), durations.copy())
+            best = (residual, now)
         if residual == 0 or residual > settings.stalled * previous or iteration == settings.iterations:
             break
         matrix = equations.matrix(doubles, stms, flown)
         # The right-hand side is as large as its own largest entry here, whatever the residual has shrunk to.
         scaled = (right / residual).astype(float) * equations.rows
-        change = extended(splu(matrix).solve(-scaled) * equations.columns) * residual
-        inner = slice(equations.first_node, equations.first_node + equations.nodes)
-        states[inner] = states[inner] + change[: equations.states_end].reshape(-1, system.dimension)
-        durations = durations + change[equations.states_end : equations.durations_end]
-        free = free + change[equations.durations_end :]
-    residual, states, durations = best
-    correction = float(np.abs(states[kept] - extended(guess.states[kept])).max())
+        now = equations.moved(now, extended(splu(matrix).solve(-scaled) * equations.columns) * residual)
+    residual, now = best
+    correction = float(np.abs(now.states[kept] - extended(guess.states[kept])).max())
     converged = bool(residual <= settings.tolerance)
     status = f"refined in {iteration} iterations to a gap of {float(residual):.1e}; the double nodes were off by "
     status += f"{correction:.1e}"
@@ -245,54 +239,34 @@ def _newton(
             "nodes nearer together, or use double precision"
         )
     marked = np.array(sorted(guess.markers))
-    times = np.concatenate([extended(np.zeros(1)), np.cumsum(durations)])
+    times = np.concatenate([extended(np.zeros(1)), np.cumsum(now.durations)])
     return ExtendedOrbit(
-        guess, propagator, times - times[marked[0]], states, marked, residual, correction, iteration, converged, status,
+        guess, propagator, times - times[marked[0]], now.states, marked, residual, correction, iteration, converged, status,
         ends,
     )  # fmt: skip
 
 
-class _ExactTerms:
-    """What the equations need at full precision: levels of the marked nodes' sections, ends or closure, energy."""
+class _ExactEquations(ShootingEquations):
+    """The equations in 113 bits: levels of the marked nodes' sections, ends or closure, and energy at full precision."""
 
-    def __init__(self, guess: Guess, energy: Any, ends: tuple[ExtendedOrbit, ...]) -> None:
-        self.energy = energy
-        self.levels = {node: _exact_level(guess.system, level) for node, (_, level) in guess.markers.items()}
+    numbers = staticmethod(extended)
+
+    def __init__(
+        self, guess: Guess, propagator: ExtendedPropagator, energy: Any, ends: tuple[ExtendedOrbit, ...]
+    ) -> None:
+        super().__init__(guess)
+        self.energy, self.hamiltonian = energy, propagator.energy
+        self.levels = {node: _exact_level(guess.system, level) for node, level in self.levels.items()}
         self.turn = None if guess.turn is None else exact_position(guess.system, guess.turn)
+        self.slopes = [extended(slope) for slope in self.slopes]
         self.bases = [_base(end, known) for end, known in zip(guess.ends or (), ends, strict=True)]
 
-    def place_ends(self, states: Extended, equations: ShootingEquations, free: Extended) -> None:
-        """Put the last node (and the first, if open) where closure, or the amplitudes, have it."""
-        if self.turn is not None:
-            states[-1] = states[0] + self.turn
-            return
-        for place, base, slope, amplitude in zip((0, -1), self.bases, equations.ends.slopes, free[:2], strict=True):
-            states[place] = base + extended(slope) * amplitude
-
-    def residuals(
-        self,
-        equations: ShootingEquations,
-        propagator: ExtendedPropagator,
-        states: Extended,
-        arrived: Extended,
-        unfolding: Any,
-    ) -> tuple[Extended, Any]:
-        """Return the right-hand side, unscaled, and the largest gap, distance from a section or energy error."""
-        gaps = arrived - states[1:]
-        off = extended(np.zeros(equations.nodes))
-        for node, level in self.levels.items():
-            normal = equations.guess.markers[node][0]
-            length = extended(np.linalg.norm(normal))
-            off[node - equations.first_node] = (extended(normal) @ states[node] - level) / length
-        first = states[0] if self.turn is not None else states[min(self.levels)]
-        wrong = propagator.energy(first) - self.energy
-        residual = max(np.abs(gaps).max(), np.abs(off).max(), abs(wrong))
-        gradients = equations.system.numeric.gradient(states[1:][equations.unfolded].astype(float))
-        gaps[equations.unfolded] = gaps[equations.unfolded] + extended(gradients) * unfolding
-        parts = [gaps.ravel(), off]
-        if self.turn is not None:
-            parts.append(np.array([wrong]))
-        return np.concatenate(parts), residual
+    def largest(self, now: Unknowns, arrived: Extended, right: Extended) -> Any:
+        """Return the largest gap, distance from a section or energy error of the unknowns with these residuals."""
+        first = now.states[0 if self.guess.closed else min(self.levels)]
+        off = right[self.n * self.count :][: self.nodes]
+        wrong = self.hamiltonian(first) - self.energy
+        return max(np.abs(arrived - now.states[1:]).max(), np.abs(off).max(), abs(wrong))
 
 
 def _base(end: ManifoldEnd, known: ExtendedOrbit) -> Extended:

@@ -2,18 +2,14 @@
 
 Steps are damped by the natural monotonicity test, which does not depend on how the equations are scaled: a step counts
 as good when the simplified step from its end (same Jacobian) is shorter than itself. Lengths are largest scaled
-components. Source: Deuflhard, Newton Methods for Nonlinear Problems (2011), section 3.3, algorithm NLEQ-ERR.
-
-How far a solved orbit may be from a true one, as double precision can estimate it, and its multipliers.
-
-With h = ω ‖Δx‖ < 1/2, ω the affine-invariant Lipschitz constant and Δx the last Newton step, a solution lies within
-(1 - √(1 - 2h))/ω. Here ω is what one step showed and all is computed in double: an estimate, no proof.
+components. With h = ω ‖Δx‖ < 1/2, ω the affine-invariant Lipschitz constant and Δx the last Newton step, a solution
+lies within (1 - √(1 - 2h))/ω. Here ω is what one step showed and all is computed in double: an estimate, no proof.
 
 A periodic orbit that shadows a walk of eight symbols has λ ≈ 1e100: its monodromy matrix holds nothing but λ_u in
 double precision. The segments' matrices are small, and products of vectors through them keep their logarithms.
 
-Source: Deuflhard, Newton Methods for Nonlinear Problems (2011), theorem 2.3 (Newton–Kantorovich in affine-covariant
-form).
+Source: Deuflhard, Newton Methods for Nonlinear Problems (2011), section 3.3, algorithm NLEQ-ERR, and theorem 2.3
+(Newton–Kantorovich in affine-covariant form).
 """
 
 from collections.abc import Sequence
@@ -112,7 +108,7 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
     """Refine a guess into an orbit by damped Newton steps on all nodes and durations at once."""
     settings = settings or NewtonSettings()
     equations = ShootingEquations(guess)
-    amplitudes = np.array([] if guess.ends is None else [end.amplitude for end in guess.ends])
+    amplitudes = np.array([end.amplitude for end in guess.ends or ()])
     now = equations.placed(Unknowns(guess.states.copy(), guess.durations.copy(), amplitudes, 0.0))
     linear: _Linear | None = None
     taken: _Step | None = None
@@ -124,12 +120,12 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
             linear = _linearised(equations, now)
             fault = linear.fault
             done = linear.residual <= settings.tolerance
-            if done and (linear.length <= settings.settled or linear.residual > lowest / 4):
-                break
             stalled = 0 if linear.residual < lowest / 2 else stalled + 1
-            if stalled == settings.stalled and linear.length <= settings.certain:
-                break
-            if iteration == settings.iterations:
+            if (
+                (done and (linear.length <= settings.settled or linear.residual > lowest / 4))
+                or (stalled == settings.stalled and linear.length <= settings.certain)
+                or iteration == settings.iterations
+            ):
                 break
             lowest = min(lowest, linear.residual)
             first = 1.0 if taken is None or before is None else _predicted(equations, before, linear, taken)
@@ -146,7 +142,10 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
     except (_Lost, ArithmeticError) as error:
         failure = str(error)
     residual = np.inf if linear is None else linear.residual
-    if not failure and _on_the_other_side(guess, now):
+    # On the way an amplitude may change its sign: so small are they that any error of the guess moves them across and
+    # the next step back.
+    crossed = (float(a) * end.amplitude <= 0 for a, end in zip(now.amplitudes, guess.ends or (), strict=True))
+    if not failure and any(crossed):
         failure = "the orbit left its first orbit, or met its last, on the other side of the tube"
     converged = residual <= settings.tolerance and not failure
     if converged:
@@ -176,7 +175,7 @@ def solve_shooting(guess: Guess, settings: NewtonSettings | None = None) -> Shot
 def _linearised(equations: ShootingEquations, now: Unknowns) -> _Linear:
     """Fly all segments with their state-transition matrices and return the Newton step."""
     arrived, stms = equations.system.propagator.flows_with_stm(now.states[:-1], now.durations)
-    right = equations.residuals(now.states, arrived, now.unfolding)
+    right = equations.residuals(now, arrived) * equations.rows
     matrix = equations.matrix(now.states, stms, arrived)
     try:
         factors = splu(matrix)
@@ -191,10 +190,10 @@ def _linearised(equations: ShootingEquations, now: Unknowns) -> _Linear:
 
 def _predicted(equations: ShootingEquations, before: _Linear, linear: _Linear, taken: _Step) -> float:
     """Return the damping that the last step's error suggests (NLEQ-ERR, equation 3.48)."""
-    wrong = _length(equations, taken.simplified - linear.step)
+    wrong, after = (float(equations.sizes(x).max()) for x in (taken.simplified - linear.step, taken.simplified))
     if wrong == 0.0 or linear.length == 0.0:
         return 1.0
-    return min(1.0, before.length * _length(equations, taken.simplified) / (wrong * linear.length) * taken.damping)
+    return min(1.0, before.length * after / (wrong * linear.length) * taken.damping)
 
 
 def _step(
@@ -203,49 +202,29 @@ def _step(
     """Return the longest damped step that passes the natural monotonicity test."""
     reason = _NO_STEP
     while damping >= settings.smallest_damping:
-        trial = equations.moved(now, damping * linear.step)
-        reason = _lost_guess(equations, trial, settings)
-        if reason:
+        trial = equations.moved(now, damping * linear.step * equations.columns)
+        ratios = trial.durations / equations.guess.durations
+        if ratios.min() < 1 / settings.stretched or ratios.max() > settings.stretched:
+            reason = "a segment lost its length: the walk needs more wraps, or nodes nearer together"
             damping /= 4
             continue
-        reason = _NO_STEP
         try:
             landed = equations.system.propagator.flows(trial.states[:-1], trial.durations)
         except ArithmeticError as error:
             reason, damping = str(error), damping / 4
             continue
-        simplified = linear.factors.solve(-equations.residuals(trial.states, landed, trial.unfolding))
-        after = _length(equations, simplified)
-        bent = _length(equations, simplified - (1 - damping) * linear.step)
+        reason = _NO_STEP
+        simplified = linear.factors.solve(-(equations.residuals(trial, landed) * equations.rows))
+        after, bent = (
+            float(equations.sizes(x).max()) for x in (simplified, simplified - (1 - damping) * linear.step)
+        )
+        length = damping * linear.length
         # Steps this short are good; what rounding leaves of the test would refuse them.
-        if after <= (1 - damping / 4) * linear.length or damping * linear.length <= settings.certain:
+        if after <= (1 - damping / 4) * linear.length or length <= settings.certain:
             # Below 1e-7 the bend of the equations is hidden in rounding.
-            lipschitz = 2 * bent / (damping * linear.length) ** 2 if damping * linear.length > 1e-7 else None
-            return _Step(trial, damping, simplified, lipschitz)
-        damping = min(damping / 2, damping**2 * linear.length / (2 * bent))
+            return _Step(trial, damping, simplified, 2 * bent / length**2 if length > 1e-7 else None)
+        damping = min(damping / 2, damping * length / (2 * bent))
     raise _Lost(reason)
-
-
-def _lost_guess(equations: ShootingEquations, trial: Unknowns, settings: NewtonSettings) -> str:
-    """Say why a trial is no longer the orbit that was guessed; empty if it is."""
-    ratios = trial.durations / equations.guess.durations
-    if ratios.min() < 1 / settings.stretched or ratios.max() > settings.stretched:
-        return "a segment lost its length: the walk needs more wraps, or nodes nearer together"
-    return ""
-
-
-def _on_the_other_side(guess: Guess, found: Unknowns) -> bool:
-    """Whether an end's amplitude changed its sign.
-
-    On the way it may: amplitudes are so small that any error of the guess moves them across and the next step back.
-    """
-    ends = guess.ends or ()
-    return any(float(a) * end.amplitude <= 0 for a, end in zip(found.amplitudes, ends, strict=True))
-
-
-def _length(equations: ShootingEquations, step: Array) -> float:
-    """Return the length of a step: that of nodes and durations, since ε does not belong to the orbit."""
-    return float(equations.sizes(step).max())
 
 
 def _condition(linear: _Linear, columns: int = 4, rounds: int = 5) -> float:
@@ -290,7 +269,7 @@ def closed_multipliers(stms: Array, scale: Array) -> ClosedMultipliers:
 
     The unstable direction is carried around forward until it repeats, the stable one backward.
     """
-    scaled = stms * scale[None, None, :] / scale[None, :, None]
+    scaled = stms * scale / scale[:, None]
     forward, sign = _growth(scaled)
     backward, _ = _growth(np.asarray(np.linalg.inv(scaled)[::-1], dtype=float))
     return ClosedMultipliers(forward, -backward, sign)

@@ -137,11 +137,11 @@ def transversality_angle(orbit: ShadowingOrbit, node: int) -> float:
     shot = orbit.shot
     section, system = orbit.connections[0].section, shot.guess.system
     scale = system.scale
-    unstable = shot.orbit.start.point()[2] / scale
+    unstable = shot.orbit.start.point()[1] / scale
     for stm in shot.stms[:node]:
         unstable = (stm @ (unstable * scale)) / scale
         unstable = unstable / np.linalg.norm(unstable)
-    stable = shot.orbit.end.point()[2] / scale
+    stable = shot.orbit.end.point()[1] / scale
     for stm in shot.stms[node:][::-1]:
         stable = np.linalg.solve(stm, stable * scale) / scale
         stable = stable / np.linalg.norm(stable)
