@@ -234,7 +234,7 @@ class ShootingEquations:
             *([(self.size - 1, 0, 1, n)] if closed else ends),
             *((n * k, self.size - 1, n, 1) for k in self.unfolded),
         ]
-        places = [np.indices((high, wide)).reshape(2, -1) + [[row], [left]] for row, left, high, wide in blocks]
+        places = [np.indices(shape).reshape(2, -1) + np.array([[row], [left]]) for row, left, *shape in blocks]
         self._row, self._col = np.hstack(places)
         self._scaling = self.rows[self._row] * self.columns[self._col]
 
@@ -289,8 +289,8 @@ class ShootingEquations:
         if self.guess.closed:
             states[-1] = states[0] + self.turn
         else:
-            for place, base, slope, amplitude in zip((0, -1), self.bases, self.slopes, unknowns.amplitudes, strict=True):
-                states[place] = base + slope * amplitude
+            for k, amplitude in zip((0, -1), unknowns.amplitudes, strict=True):
+                states[k] = self.bases[k] + self.slopes[k] * amplitude
         return unknowns
 
     def sizes(self, step: Array) -> Array:

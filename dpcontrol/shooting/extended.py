@@ -1,11 +1,10 @@
 """Orbits refined in 113-bit arithmetic, 30 digits instead of 12: periodic ones, connections, and orbits of walks.
 
-The equations are those in double, with their residuals evaluated in 113 bits and divided by the largest before the
-step is solved for in double, where nothing underflows; so each Newton step leaves about 1e-12 of the residual. Open orbits are led out along both local manifolds until their amplitude is a < 1e-20: what
-the linear manifold leaves out, a², and the double Floquet vector's share, a · 1e-12, are then far below what is asked.
-Closed orbits close, at the exact energy, and need no manifold.
-
-Angles are lifted about resting positions, which are π times whole numbers at full precision.
+The equations are those in double, their residuals evaluated in 113 bits and divided by the largest before the step is
+solved for in double, where nothing underflows; so each Newton step leaves about 1e-12 of the residual. Open orbits are
+led out along both local manifolds until their amplitude is a < 1e-20: what the linear manifold leaves out, a², and the
+double Floquet vector's share, a · 1e-12, are then far below what is asked. Closed orbits close, at the exact energy,
+and need no manifold. Angles are lifted about resting positions, which are π times whole numbers at full precision.
 Source: Higham, Accuracy and Stability of Numerical Algorithms (2002), chapter 12 (refinement with extended residuals).
 """
 
@@ -241,13 +240,13 @@ def _newton(
     marked = np.array(sorted(guess.markers))
     times = np.concatenate([extended(np.zeros(1)), np.cumsum(now.durations)])
     return ExtendedOrbit(
-        guess, propagator, times - times[marked[0]], now.states, marked, residual, correction, iteration, converged, status,
-        ends,
+        guess, propagator, times - times[marked[0]], now.states, marked, residual, correction, iteration, converged,
+        status, ends,
     )  # fmt: skip
 
 
 class _ExactEquations(ShootingEquations):
-    """The equations in 113 bits: levels of the marked nodes' sections, ends or closure, and energy at full precision."""
+    """The equations in 113 bits: levels of marked sections, ends or closure, and energy at full precision."""
 
     numbers = staticmethod(extended)
 

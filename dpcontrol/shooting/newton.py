@@ -215,9 +215,7 @@ def _step(
             continue
         reason = _NO_STEP
         simplified = linear.factors.solve(-(equations.residuals(trial, landed) * equations.rows))
-        after, bent = (
-            float(equations.sizes(x).max()) for x in (simplified, simplified - (1 - damping) * linear.step)
-        )
+        after, bent = (float(equations.sizes(x).max()) for x in (simplified, simplified - (1 - damping) * linear.step))
         length = damping * linear.length
         # Steps this short are good; what rounding leaves of the test would refuse them.
         if after <= (1 - damping / 4) * linear.length or length <= settings.certain:
