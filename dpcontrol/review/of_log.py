@@ -25,8 +25,15 @@ from dpcontrol.logs import RunLog
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.recordings.recording import SUMMARY
-from dpcontrol.references.notes import OrbitNote, PlanNotes, plan_notes
-from dpcontrol.references.reference import Reference, ReferenceSummary, load_reference, summarised
+from dpcontrol.references.reference import (
+    OrbitNote,
+    PlanNotes,
+    Reference,
+    ReferenceSummary,
+    load_reference,
+    plan_notes,
+    summarised,
+)
 from dpcontrol.references.sustained import SustainedOrbit
 from dpcontrol.review.motion import PlacedOrbit, PlanView, RunView, Stay, TubeCurve, series_of
 from dpcontrol.review.score import (

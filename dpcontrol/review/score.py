@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from dpcontrol.control.estimator_settings import chi_square_band
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog
-from dpcontrol.references.notes import PlanNotes, StopNote, plan_notes
-from dpcontrol.references.reference import Reference, load_reference
+from dpcontrol.references.reference import PlanNotes, Reference, StopNote, load_reference, plan_notes
 
 Array = NDArray[np.float64]
 

@@ -21,8 +21,7 @@ import numpy as np
 
 import dpcontrol
 from dpcontrol.dynamics.chain import ArmChainParameters, Friction, Uncertainty, pendulum_system, ratio_names, unit_name
-from dpcontrol.dynamics.system import System
-from dpcontrol.dynamics.three_body import ThreeBodyParameters, three_body_system
+from dpcontrol.dynamics.system import System, ThreeBodyParameters, three_body_system
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.settings import Table, parse_toml, read_toml

@@ -3,7 +3,7 @@
 Each piece is solved on its own, from a state that is known to a state that is known, and they are joined end to end:
 the cost grows with the sum of their lengths, and an infeasible piece is reported by name.
 
-The notes of a plan, from its pieces: what score, review and controllers need, by the types of `references.notes`.
+The notes of a plan, from its pieces: what score, review and controllers need, by the types of `references.reference`.
 """
 
 import json
@@ -24,9 +24,8 @@ from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.orbits.symmetric_shooting import equilibria
 from dpcontrol.references.find import find_reference, find_transfer, shadowed
 from dpcontrol.references.method import method_named
-from dpcontrol.references.notes import OrbitNote, PlanNotes, StopNote, SymbolNote
 from dpcontrol.references.problem import EndConditions, Guess, ReferenceProblem
-from dpcontrol.references.reference import Reference, still
+from dpcontrol.references.reference import OrbitNote, PlanNotes, Reference, StopNote, SymbolNote, still
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit

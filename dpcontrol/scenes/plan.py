@@ -15,8 +15,7 @@ from dpcontrol.foundation.cache import cache_folder, code_hash
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.references.notes import PlanNotes, plan_notes
-from dpcontrol.references.reference import Reference, load_reference, save_reference
+from dpcontrol.references.reference import PlanNotes, Reference, load_reference, plan_notes, save_reference
 from dpcontrol.scenes.itinerary import Itinerary, itinerary_from
 from dpcontrol.scenes.model import model_from
 

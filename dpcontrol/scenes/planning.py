@@ -26,9 +26,8 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.find import find_reference
-from dpcontrol.references.notes import PlanNotes, SegmentNote
 from dpcontrol.references.problem import EndConditions
-from dpcontrol.references.reference import Reference, joined
+from dpcontrol.references.reference import PlanNotes, Reference, SegmentNote, joined
 from dpcontrol.references.sustained import SustainedOrbit, SustainedSettings, sustained_orbit
 from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart
 from dpcontrol.scenes.pieces import (
