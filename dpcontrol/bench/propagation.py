@@ -29,8 +29,7 @@ from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import Compiled, fixed_step
 from dpcontrol.dynamics.equations import Equations
-from dpcontrol.dynamics.extended import ExtendedPropagator, extended
-from dpcontrol.dynamics.propagator import PolynomialInputPropagator, Propagator
+from dpcontrol.dynamics.propagator import ExtendedPropagator, PolynomialInputPropagator, Propagator, extended
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import lyapunov_orbit

@@ -132,17 +132,13 @@ class Compiled:
             # Damaged, or kept by a program that this one cannot read: compiled anew.
             with suppress(Exception):
                 return pickle.loads(file.read_bytes())
-        machine = self._compiled()
+        variables = [hy.expression(f"v{i}") for i in range(self.size_in)]
+        outputs = to_heyoka(self._function, [variables[where] for where in self.slices.values()])
+        machine = hy.cfunc(outputs, variables, compact_mode=False, batch_size=VECTOR, force_avx512=True)
         if file is not None:
             with suppress(InputError):
                 write_whole(file, pickle.dumps(machine))
         return machine
-
-    def _compiled(self) -> Any:
-        variables = hy.make_vars(*[f"v{i}" for i in range(self.size_in)])
-        variables = variables if isinstance(variables, list) else [variables]
-        outputs = to_heyoka(self._function, [variables[where] for where in self.slices.values()])
-        return hy.cfunc(outputs, variables, compact_mode=False, batch_size=VECTOR, force_avx512=True)
 
     def __call__(self, inputs: Array, out: Array) -> Array:
         """Evaluate at `inputs` (size_in,) or (size_in, S) into `out` (size_out,) or (size_out, S), and return it."""

@@ -15,6 +15,7 @@ import math
 from dataclasses import dataclass, replace
 from enum import StrEnum
 from functools import cache
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -95,15 +96,10 @@ class PlantParameters(Settings):
         return np.concatenate([upright.base(), further])
 
 
-@dataclass(frozen=True)
-class _Symbols:
-    """Those that all levels share: b, τ, M, k_c and F."""
-
-    pull: ca.SX
-    lag: ca.SX
-    mass: ca.SX
-    drag: ca.SX
-    force: ca.SX
+@cache
+def _symbols() -> SimpleNamespace:
+    """Return those that all levels share: b, τ, M, k_c and F."""
+    return SimpleNamespace(**{name: ca.SX.sym(name) for name in ("pull", "lag", "mass", "drag", "force")})
 
 
 @cache
@@ -122,11 +118,6 @@ def _parts(count: int, friction: tuple[Friction, ...], *, free_cart: bool) -> tu
     free, prescribed = (n + 1, 0) if free_cart else (n, 1)
     parts = mechanics(lagrangian, dissipation, free=free, prescribed=prescribed, parameters=chain.parameters)
     return parts.position, parts.velocity, parts.acceleration, parts.free_acceleration, parts.mass_matrix
-
-
-@cache
-def _symbols() -> _Symbols:
-    return _Symbols(*(ca.SX.sym(name) for name in ("b", "tau", "M", "k_c", "F")))
 
 
 def _parameters(count: int, level: PlantLevel, friction: tuple[Friction, ...]) -> ca.SX:

@@ -201,10 +201,7 @@ class System:
 
     def nearest_turns(self, difference: Array) -> Array:
         """Return the whole periods (…, N) nearest to a difference of states: integers, zero off angles."""
-        angular = np.isfinite(self.periods)
-        turns = np.zeros(np.shape(difference))
-        turns[..., angular] = np.rint(np.asarray(difference)[..., angular] / self.periods[angular])
-        return turns
+        return np.rint(np.asarray(difference) / self.periods)
 
     def scaled_distance(self, first: Array, second: Array) -> Array:
         """Return the largest scaled component of the difference of states (…, N), angles modulo a turn."""

@@ -162,10 +162,10 @@ def nearest_keeper(
 
 def _sought(saddle: str, energy: float, reference: Reference, parameters: ArmChainParameters) -> "SustainedOrbit":
     from dpcontrol.orbits.lyapunov import lyapunov_orbit
-    from dpcontrol.references.sustained import SustainedSettings, sustained_orbit
+    from dpcontrol.references.sustained import sustained_orbit
 
     lyapunov = lyapunov_orbit(pendulum_system(saddle, parameters), saddle, energy=energy)
-    found = sustained_orbit(lyapunov, parameters, settings=SustainedSettings(limits=reference.limits))
+    found = sustained_orbit(lyapunov, parameters, limits=reference.limits)
     if not found.converged:
         raise GoalMissed(
             f'hold = "nearest": {_orbit_name(saddle, energy)} cannot be held: {found.status}; remove hold under '

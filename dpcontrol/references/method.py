@@ -82,6 +82,9 @@ def differentiation_matrix(points: Array) -> Array:
     return matrix
 
 
+_LEGENDRE = np.polynomial.Legendre.basis
+
+
 def _roots(polynomial: np.polynomial.Legendre) -> Array:
     """Return the real roots of a Legendre series on -1 … 1, rising, polished by Newton steps, as places in 0 … 1."""
     slope = polynomial.deriv()
@@ -91,37 +94,21 @@ def _roots(polynomial: np.polynomial.Legendre) -> Array:
     return (roots + 1) / 2
 
 
-def _checked_count(name: str, count: int, least: int) -> None:
-    if not least <= count <= 12:
-        raise InputError(f"{name}-{count}: the method has {least} to 12 points here; radau-7 serves the pendulum")
-
-
 @cache
 def radau(count: int) -> Method:
     """Return the flipped Legendre–Gauss–Radau method with `count` points, the last at the interval's end.
 
     State of degree `count`, input of degree `count` - 1; exact quadrature to degree 2 `count` - 2; order 2 `count` - 1.
-
-    Raises:
-        InputError: `count` is not between 2 and 12.
     """
-    _checked_count("radau", count, 2)
     # The points are 1 and the zeros of (P_{K-1} - P_K)/(1 - x), on -1 to 1.
-    legendre = np.polynomial.Legendre
-    inner = _roots(legendre.basis(count - 1) - legendre.basis(count))[:-1]
-    points = np.concatenate([inner, [1.0]])
-    return collocation_method(f"radau-{count}", points, order=2 * count - 1)
+    inner = _roots(_LEGENDRE(count - 1) - _LEGENDRE(count))[:-1]
+    return collocation_method(f"radau-{count}", np.concatenate([inner, [1.0]]), order=2 * count - 1)
 
 
 @cache
 def gauss(count: int) -> Method:
-    """Return the Legendre–Gauss method with `count` points inside the interval; order 2 `count`.
-
-    Raises:
-        InputError: `count` is not between 1 and 12.
-    """
-    _checked_count("gauss", count, 1)
-    return collocation_method(f"gauss-{count}", _roots(np.polynomial.Legendre.basis(count)), order=2 * count)
+    """Return the Legendre–Gauss method with `count` points inside the interval; order 2 `count`."""
+    return collocation_method(f"gauss-{count}", _roots(_LEGENDRE(count)), order=2 * count)
 
 
 @cache
@@ -130,12 +117,8 @@ def lobatto(count: int, *, name: str = "") -> Method:
 
     The state is of degree `count`, one more than its points bear: its value halfway to the second point is free and
     makes up for the rate that is matched at τ = 0.
-
-    Raises:
-        InputError: `count` is not between 2 and 12.
     """
-    _checked_count("lobatto", count, 2)
-    inner = _roots(np.polynomial.Legendre.basis(count - 1).deriv()) if count > 2 else np.empty(0)
+    inner = _roots(_LEGENDRE(count - 1).deriv()) if count > 2 else np.empty(0)
     points = np.concatenate([[0.0], inner, [1.0]])
     return collocation_method(name or f"lobatto-{count}", points, order=2 * count - 2)
 
@@ -163,21 +146,28 @@ def collocation_method(name: str, points: Array, *, order: int) -> Method:
     )
 
 
-FAMILIES = {"radau": radau, "gauss": gauss, "lobatto": lobatto}
+_FAMILIES = {"radau": (radau, 2), "gauss": (gauss, 1), "lobatto": (lobatto, 2)}
+"""The methods that a name with a number of points may mean, and the least number."""
 
 
 def method_named(name: str) -> Method:
     """Return the method of a name such as "radau-5", "gauss-4", "lobatto-4" or "hermite-simpson".
 
     Raises:
-        InputError: there is no such method.
+        InputError: there is no such method, or not with so many points.
     """
     if name == "hermite-simpson":
         return lobatto(3, name=name)
     family, _, count = name.partition("-")
-    if family not in FAMILIES or not (count.isascii() and count.isdecimal()):
+    if family not in _FAMILIES or not (count.isascii() and count.isdecimal()):
         raise InputError(
             f"method = {name!r}: allowed are radau-2 to radau-12, gauss-1 to gauss-12, lobatto-2 to lobatto-12 and "
             "hermite-simpson"
         )
-    return FAMILIES[family](int(count))
+    make, least = _FAMILIES[family]
+    number = int(count)
+    if not least <= number <= 12:
+        raise InputError(
+            f"{family}-{int(count)}: the method has {least} to 12 points here; radau-7 serves the pendulum"
+        )
+    return make(number)

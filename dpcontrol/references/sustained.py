@@ -24,7 +24,7 @@ Hairer, Lubich & Wanner, Geometric Numerical Integration, section II.1, for the 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
@@ -75,19 +75,8 @@ STRETCH = 0.2
 """Share by which the period may differ from the Lyapunov orbit's; one at the bound is of another orbit."""
 
 
-@dataclass(frozen=True)
-class SustainedSettings:
-    """How sustained orbits are sought. limits of the cart; reference: method, mesh and error between nodes.
-
-    Its pendulum weight is zero: the orbit is to be the cheapest, not the nearest to the Lyapunov orbit.
-    """
-
-    limits: Limits = field(default_factory=Limits)
-    reference: ReferenceSettings = field(
-        default_factory=lambda: ReferenceSettings(
-            method="radau-8", tolerance=1e-9, pendulum_weight=0.0, cart_weight=1.0, iterations=60
-        )
-    )
+SUSTAINED = ReferenceSettings(method="radau-8", tolerance=1e-9, pendulum_weight=0.0, cart_weight=1.0, iterations=60)
+"""How sustained orbits are sought: the cheapest, not the nearest to the Lyapunov orbit, so without pendulum weight."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,19 +323,21 @@ def sustained_orbit(
     lyapunov: LyapunovOrbit,
     arms: ArmChainParameters,
     *,
-    settings: SustainedSettings | None = None,
+    limits: Limits | None = None,
+    settings: ReferenceSettings = SUSTAINED,
     progress: Progress = no_progress,
 ) -> SustainedOrbit:
     """Return the orbit that friction and cart sustain where there was a Lyapunov orbit of the same arms.
 
-    Where `converged` is false it must not be used, and `status` says why and what to try.
+    limits of the cart. Where `converged` is false it must not be used, and `status` says why and what to try.
 
     Raises:
         InputError: the Lyapunov orbit is not one of these arms.
     """
-    settings = settings or SustainedSettings()
     n = lyapunov.system.dimension // 2
-    if arms.count != n or not np.array_equal(arms.frictionless().base(), _frictionless(lyapunov, n)):
+    # The last of a system's parameters are its friction, which it may have but does not use.
+    conservative = lyapunov.system.parameters[:-n]
+    if arms.count != n or not np.array_equal(arms.frictionless().base()[:-n], conservative):
         raise InputError(f"the orbit about {lyapunov.saddle} is of other arms than the {arms.count} given")
     curve = OrbitCurve(lyapunov)
     # The arm that moves fastest tells the phase best.
@@ -358,10 +349,10 @@ def sustained_orbit(
         parameters=arms.base(),
         guess=lambda times: curve.states(np.asarray(times) / lyapunov.period),
         duration=lyapunov.period,
-        limits=settings.limits,
+        limits=limits or Limits(),
         ends=EndConditions(start=start, closing=np.zeros(2 * n + 2), energy=lyapunov.energy, stretch=STRETCH),
     )
-    reference = find_reference(problem, settings.reference, progress=progress)
+    reference = find_reference(problem, settings, progress=progress)
     if reference.converged and abs(reference.duration / lyapunov.period - 1) > 0.999 * STRETCH:
         reference = replace(
             reference,
@@ -370,9 +361,3 @@ def sustained_orbit(
             f"{STRETCH:.0%}, so that it is of another kind; choose an energy nearer to the saddle's or less friction",
         )
     return SustainedOrbit(lyapunov, arms, reference)
-
-
-def _frictionless(lyapunov: LyapunovOrbit, n: int) -> Array:
-    base = np.array(lyapunov.system.parameters, dtype=float)
-    base[len(base) - n :] = 0.0
-    return base

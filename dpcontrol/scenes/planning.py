@@ -28,7 +28,7 @@ from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import EndConditions
 from dpcontrol.references.reference import PlanNotes, Reference, SegmentNote, joined
-from dpcontrol.references.sustained import SustainedOrbit, SustainedSettings, sustained_orbit
+from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
 from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart
 from dpcontrol.scenes.pieces import (
     REST,
@@ -169,11 +169,10 @@ def _sustained(itinerary: Itinerary, chain: Sequence[Connection]) -> dict[str, S
     """Return the sustained orbits of a walk by saddle, with the intervals of the itinerary's own method."""
     # The cheapest orbit, not the nearest to the Lyapunov orbit.
     sought = replace(itinerary.reference, pendulum_weight=0.0, cart_weight=1.0)
-    settings = SustainedSettings(limits=itinerary.limits, reference=sought)
     orbits: dict[str, SustainedOrbit] = {}
     for lyapunov in (chain[0].source, *(connection.target for connection in chain)):
         if lyapunov.saddle not in orbits:
-            found = sustained_orbit(lyapunov, itinerary.model.arms, settings=settings)
+            found = sustained_orbit(lyapunov, itinerary.model.arms, limits=itinerary.limits, settings=sought)
             if not found.converged:
                 where = f"about {lyapunov.saddle} at {lyapunov.energy:g} J"
                 raise GoalMissed(f"the sustained orbit {where}, which is to be kept: {found.status}")
@@ -301,8 +300,7 @@ def _kept_orbit(
     lyapunov = lyapunov_orbit(system, part.orbit, energy=part.energy, family=part.family)
     if not lyapunov.converged:
         raise GoalMissed(f"the Lyapunov orbit {place}: {lyapunov.status}")
-    settings = SustainedSettings(limits=itinerary.limits)
-    found = sustained_orbit(lyapunov, itinerary.model.arms, settings=settings, progress=progress)
+    found = sustained_orbit(lyapunov, itinerary.model.arms, limits=itinerary.limits, progress=progress)
     if not found.converged:
         raise GoalMissed(f"the sustained orbit {place}: {found.status}")
     one = found.reference

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from dpcontrol.dynamics.extended import Exact, digits
+from dpcontrol.dynamics.propagator import Exact, digits
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import picked, plain, write_archive
 from dpcontrol.shooting.extended import ExtendedOrbit, refine

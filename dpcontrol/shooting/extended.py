@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
-from dpcontrol.dynamics.extended import Exact, Extended, ExtendedPropagator, digits, extended, pi_times
+from dpcontrol.dynamics.propagator import Exact, Extended, ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
@@ -119,27 +119,9 @@ def refine(
     for end in led.ends:
         vertex = end.manifold.orbit
         if vertex.saddle not in known:
-            known[vertex.saddle] = _refined_end(vertex, propagator, height, settings)
+            known[vertex.saddle] = refine_orbit(vertex, energy=height, propagator=propagator, settings=settings)
     ends = tuple(known[end.manifold.orbit.saddle] for end in led.ends)
     return _newton(led, propagator, height, settings, kept=slice(first, first + len(solution.states)), ends=ends)
-
-
-def refine_orbit(
-    orbit: LyapunovOrbit,
-    *,
-    energy: Exact | None = None,
-    parameters: Sequence[Exact] | None = None,
-    settings: RefinementSettings | None = None,
-) -> ExtendedOrbit:
-    """Refine a periodic orbit in 113-bit arithmetic; energy and parameters as in `refine`.
-
-    Raises:
-        GoalMissed: the residual stays above the tolerance, or heyoka has no 113-bit reals.
-    """
-    system = orbit.system
-    propagator = ExtendedPropagator(system.equations, system.parameters if parameters is None else parameters)
-    height = extended(np.array(orbit.energy if energy is None else energy))[()]
-    return _refined_end(orbit, propagator, height, settings or RefinementSettings())
 
 
 def exact_position(system: System, state: Array) -> Extended:
@@ -161,14 +143,23 @@ def _exact_level(system: System, level: float) -> Any:
     return extended(level)[()]
 
 
-def _refined_end(
-    orbit: LyapunovOrbit, propagator: ExtendedPropagator, energy: Any, settings: RefinementSettings
+def refine_orbit(
+    orbit: LyapunovOrbit,
+    *,
+    energy: Any = None,
+    propagator: ExtendedPropagator | None = None,
+    settings: RefinementSettings | None = None,
 ) -> ExtendedOrbit:
     """Refine a periodic orbit as a closed one; its first node, which a mirror keeps, stays on that mirror.
 
+    energy: a 113-bit real, that of the double orbit by default, as is the propagator of the system's doubles.
+
     Raises:
-        GoalMissed: the residual stays above the tolerance; says how large it is.
+        GoalMissed: the residual stays above the tolerance, or heyoka has no 113-bit reals.
     """
+    settings = settings or RefinementSettings()
+    energy = extended(orbit.energy)[()] if energy is None else energy
+    propagator = propagator or ExtendedPropagator(orbit.system.equations, orbit.system.parameters)
     system, count = orbit.system, 2 * settings.segments
     states = local_manifold(orbit).frame(np.linspace(0.0, 1.0, count + 1)).states
     moving = int(np.argmax(np.abs(system.numeric.rate(states[0])) / system.scale))

@@ -25,7 +25,7 @@ from dpcontrol.bench.propagation import (
 )
 from dpcontrol.bench.run import earlier_panels, less_accurate
 from dpcontrol.dynamics.compiled import fixed_step
-from dpcontrol.dynamics.extended import ExtendedPropagator
+from dpcontrol.dynamics.propagator import ExtendedPropagator
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import no_progress
 from dpcontrol.orbits.lyapunov import lyapunov_orbit

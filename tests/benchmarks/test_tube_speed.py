@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dpcontrol.dynamics.extended import ExtendedPropagator, extended, pi_times
+from dpcontrol.dynamics.propagator import ExtendedPropagator, extended, pi_times
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.scenes.model import load_model

@@ -10,7 +10,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.problem import Limits
-from dpcontrol.references.sustained import SectionMap, SustainedOrbit, SustainedSettings, sustained_orbit
+from dpcontrol.references.sustained import SectionMap, SustainedOrbit, sustained_orbit
 from dpcontrol.scenes.model import load_model
 
 ERROR_BETWEEN_NODES = 1e-9  # What is promised, scaled.
@@ -220,9 +220,7 @@ def test_effort_grows_in_proportion_to_friction_and_to_small_amplitudes() -> Non
 
 def test_limits_that_are_too_tight_are_a_status_that_says_which() -> None:
     lyapunov = lyapunov_orbit(LAB.system, "down-up", energy=0.2)
-    settings = SustainedSettings()
-    tight = replace(settings, limits=Limits(acceleration=0.05))
-    orbit = sustained_orbit(lyapunov, LAB.arms, settings=tight)
+    orbit = sustained_orbit(lyapunov, LAB.arms, limits=Limits(acceleration=0.05))
     assert not orbit.converged
     assert "acceleration" in orbit.status
     assert np.isnan(orbit.multipliers).all()

@@ -10,7 +10,7 @@ import pytest
 
 from dpcontrol.cli.main import main
 from dpcontrol.dynamics.compiled import to_heyoka
-from dpcontrol.dynamics.extended import ExtendedPropagator, digits, extended, pi_times
+from dpcontrol.dynamics.propagator import ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.scenes.model import load_model

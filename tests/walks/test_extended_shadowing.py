@@ -5,7 +5,7 @@ from decimal import Decimal
 import numpy as np
 import pytest
 
-from dpcontrol.dynamics.extended import ExtendedPropagator, digits, extended, pi_times
+from dpcontrol.dynamics.propagator import ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import rotating_vertex
 from dpcontrol.orbits.rotating import rotating_orbits
