@@ -15,7 +15,6 @@ from dpcontrol.foundation.progress import progress_bar
 if TYPE_CHECKING:
     from dpcontrol.logs import LogSummary, Recovery
     from dpcontrol.review.campaign import CampaignSummary
-    from dpcontrol.review.picture import Picture
     from dpcontrol.review.score import Score
 
 
@@ -70,6 +69,8 @@ def review_command(
     reference (.npz) as its motion, command and limits. With --save or --picture the viewer is not opened; where no
     renderer is installed the picture is drawn by matplotlib, and the message says so.
     """
+    from dpcontrol.review.picture import open_viewer, write_picture, write_recording
+
     first = files[0]
     with progress_bar("review") as progress:
         progress("reading", 0.05)
@@ -80,14 +81,12 @@ def review_command(
         if save is not None or picture is None:
             progress("recording", 0.2)
             document["recording"] = save or Path(tempfile.mkdtemp(prefix="dpcontrol-")) / f"{first.stem}.rrd"
-            _record(shown, document["recording"])
+            write_recording(shown, document["recording"])
         if picture is not None:
             progress("picture", 0.5)
-            drawn = _drawn(shown, picture)
+            drawn = write_picture(shown, picture)
             document |= {"picture": drawn.path, "renderer": drawn.renderer, "status": drawn.status}
     if save is None and picture is None:
-        from dpcontrol.review.picture import open_viewer
-
         open_viewer(document["recording"])
     kinds = ("recording", "picture", "aligned")
     lines = [f"{kind:<10} {document[kind]}" for kind in kinds if document.get(kind)]
@@ -117,30 +116,6 @@ def _opened(files: tuple[Path, ...], symbol: int) -> Any:
 
         return load_atlas(first)
     return run_view(read_log(first))
-
-
-def _record(shown: Any, path: Path) -> None:
-    from dpcontrol.review.atlas import write_atlas_recording
-    from dpcontrol.review.comparison import RunComparison, write_comparison_recording
-    from dpcontrol.review.rerun_recording import write_recording
-    from dpcontrol.walks.atlas import Atlas
-
-    if isinstance(shown, RunComparison):
-        write_comparison_recording(shown, path)
-    elif isinstance(shown, Atlas):
-        write_atlas_recording(shown, path)
-    else:
-        write_recording(shown, path)
-
-
-def _drawn(shown: Any, path: Path) -> "Picture":
-    from dpcontrol.review.comparison import RunComparison
-    from dpcontrol.review.picture import write_atlas_picture, write_comparison_picture, write_picture
-    from dpcontrol.walks.atlas import Atlas
-
-    if isinstance(shown, RunComparison):
-        return write_comparison_picture(shown, path)
-    return write_atlas_picture(shown, path) if isinstance(shown, Atlas) else write_picture(shown, path)
 
 
 @verb("report", example="dpcontrol report logs/outer-turn-0.mcap --picture outer-turn.pdf")

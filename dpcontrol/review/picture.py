@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
@@ -53,13 +53,8 @@ def open_viewer(recording: Path) -> None:
         raise InputError(f"there is no recording {recording}; write one with `dpcontrol review LOG --save {recording}`")
     if program is None:
         raise InputError("the installed rerun-sdk holds no viewer; install rerun-sdk from PyPI again")
-    subprocess.Popen(
-        [str(program), str(recording)],
-        start_new_session=True,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
+    silent = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+    subprocess.Popen([str(program), str(recording)], start_new_session=True, **silent)
 
 
 def missing_renderer() -> str | None:
@@ -109,22 +104,15 @@ def picture_of(write: Callable[[Path], None], path: Path, *, moment: float, seco
 
 def _run(arguments: list[str], environment: dict[str, str], *, seconds: float) -> str | None:
     """Run a program with all its children until it ends or time is up; return what went wrong, if anything."""
-    with subprocess.Popen(
-        arguments,
-        env=environment,
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    ) as child:
+    quiet: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+    with subprocess.Popen(arguments, env=environment, stdout=subprocess.PIPE, text=True, **quiet) as child:
         try:
             output, _ = child.communicate(timeout=seconds)
-        except subprocess.TimeoutExpired:
+        except BaseException as error:
             _end(child.pid)
+            if not isinstance(error, subprocess.TimeoutExpired):
+                raise
             return f"the viewer took longer than {seconds:g} s"
-        except BaseException:
-            _end(child.pid)
-            raise
     lines = output.strip().splitlines()
     if child.returncode == 0:
         return None
@@ -161,55 +149,49 @@ class Picture:
     status: str
 
 
-def write_picture(view: RunView, path: Path | str) -> Picture:
-    """Write a PNG of a run or a reference: of the Rerun viewer if this machine can render it, else by matplotlib.
+Shown: TypeAlias = "RunView | RunComparison | Atlas"
+"""What can be reviewed: a run or a reference, several runs, an atlas."""
+
+
+def write_recording(shown: Shown, path: Path) -> None:
+    """Write the Rerun recording (`*.rrd`) of what is reviewed.
+
+    Raises:
+        InputError: it cannot be written, or the log that it shows has gone.
+    """
+    _renderers(shown)[0](shown, path)
+
+
+def write_picture(shown: Shown, path: Path | str) -> Picture:
+    """Write a PNG of what is reviewed: of the Rerun viewer if this machine can render it, else by matplotlib.
 
     Raises:
         InputError: the file cannot be written.
     """
-    from dpcontrol.review.page import draw
-    from dpcontrol.review.rerun_recording import write_recording
-
-    return _written(path, lambda file: write_recording(view, file), lambda: draw(view), moment=view.moment)
-
-
-def write_comparison_picture(comparison: "RunComparison", path: Path | str) -> Picture:
-    """Write a PNG of several runs, by the viewer or by matplotlib.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    from dpcontrol.review.comparison import draw_comparison, write_comparison_recording
-
-    return _written(
-        path, lambda file: write_comparison_recording(comparison, file), lambda: draw_comparison(comparison),
-        moment=comparison.moment,
-    )  # fmt: skip
-
-
-def write_atlas_picture(atlas: "Atlas", path: Path | str) -> Picture:
-    """Write a PNG of an atlas, by the viewer or by matplotlib.
-
-    Raises:
-        InputError: the file cannot be written.
-    """
-    from dpcontrol.review.atlas import draw_atlas, write_atlas_recording
-
-    return _written(path, lambda file: write_atlas_recording(atlas, file), lambda: draw_atlas(atlas), moment=0.0)
-
-
-def _written(
-    path: Path | str, record: Callable[[Path], None], draw: Callable[[], "Figure"], *, moment: float
-) -> Picture:
-    """Write a PNG of what `record` writes, as the viewer shows it at `moment` (s), else what `draw` draws."""
     from dpcontrol.review.page import save_figure
 
     path = Path(path)
-    reason = picture_of(record, path, moment=moment)
+    record, draw = _renderers(shown)
+    reason = picture_of(lambda file: record(shown, file), path, moment=getattr(shown, "moment", 0.0))
     if reason is None:
         return Picture(path, "viewer", f"{path} shows the Rerun viewer, rendered without a screen.")
-    save_figure(draw(), path)
+    save_figure(draw(shown), path)
     return Picture(path, "matplotlib", f"{path} was drawn by matplotlib, not by the Rerun viewer: {reason}.")
+
+
+def _renderers(shown: Shown) -> tuple[Callable[[Any, Path], None], Callable[[Any], "Figure"]]:
+    """Return what writes the recording and what draws the page; viewer and matplotlib are imported where needed."""
+    if isinstance(shown, RunView):
+        from dpcontrol.review import page, rerun_recording
+
+        return rerun_recording.write_recording, page.draw
+    if hasattr(shown, "runs"):
+        from dpcontrol.review import comparison
+
+        return comparison.write_comparison_recording, comparison.draw_comparison
+    from dpcontrol.review import atlas
+
+    return atlas.write_atlas_recording, atlas.draw_atlas
 
 
 _POLL = 0.1
@@ -217,19 +199,15 @@ _SETTLED = 1.0
 """Seconds without a report from any view before the picture is taken: software rendering needs some frames."""
 
 
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return probe.getsockname()[1]
-
-
 def take(program: Path, recording: Path, picture: Path, *, moment: float) -> str | None:
     """Write `picture`; return None, or why there is none. Waits as long as the viewer loads: time it from outside."""
     from rerun.experimental import ViewerClient
 
-    with ViewerClient.spawn(
-        headless=True, executable_path=str(program), port=_free_port(), hide_welcome_screen=True
-    ) as viewer:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    look: dict[str, Any] = {"headless": True, "hide_welcome_screen": True}
+    with ViewerClient.spawn(executable_path=str(program), port=port, **look) as viewer:
         viewer.open(str(recording))
         state = viewer.get_state()
         while state.loading or not any(item.timelines for item in state.recordings):

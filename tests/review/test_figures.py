@@ -22,7 +22,7 @@ from dpcontrol.review.atlas import (
 )
 from dpcontrol.review.figures import FIGURES, Gallery, draw_figures
 from dpcontrol.review.page import wrapped_runs
-from dpcontrol.review.picture import viewer_program, write_atlas_picture
+from dpcontrol.review.picture import viewer_program, write_picture
 from dpcontrol.review.style import in_pi
 from dpcontrol.scenes.atlas import AtlasSettings, compute_atlas, make_atlas, make_branches
 from dpcontrol.scenes.model import load_model
@@ -192,7 +192,7 @@ def test_a_model_without_connections_can_be_reviewed(tmp_path, monkeypatch):
     monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
     triple = compute_atlas(load_model("triple"), 0.0)
     write_atlas_recording(triple, tmp_path / "a.rrd")
-    picture = write_atlas_picture(triple, tmp_path / "a.png")
+    picture = write_picture(triple, tmp_path / "a.png")
     assert picture.renderer == "matplotlib"
     assert picture.path.stat().st_size > LEAST_BYTES
 
