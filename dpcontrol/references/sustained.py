@@ -237,18 +237,30 @@ class SustainedOrbit:
         found[..., :n] += _METHOD.end[0] * np.eye(n)
         return found[..., :n], found[..., n]
 
-    def over(self, begin: float, end: float, *, pulse: Signal | None = None) -> tuple[Array, Array]:
-        """Return Φ (N, N) and Γ (N,) from `begin` to `end` s, which may be past the period; pulse as in `pieces`."""
+    def over(self, begin: float, duration: float, *, pulse: Signal | None = None) -> tuple[Array, Array]:
+        """Return Φ (N, N) and Γ (N,) from `begin` s to `duration` s later, past the period's end too.
+
+        pulse: v of the time from `begin` on, zero if there is none.
+        """
         n, period = self.equations.dimension, self.period
         matrix, response = np.eye(n), np.zeros(n)
+        first = min(duration, period - begin)
+        spans = [(begin, begin + first, -begin)]
         # What is left after the period's end belongs to its clock's start, unless it is rounding.
-        spans = [(begin, min(end, period), 0.0)]
-        if end - period > 1e-12 * period:
-            spans.append((0.0, end - period, period))
-        for first, last, lap in spans:
-            shifted = None if pulse is None else lambda t, lap=lap: pulse(t + lap)
-            for part, forced in zip(*self.pieces(first, last, pulse=shifted), strict=True):
-                matrix, response = part @ matrix, part @ response + forced
+        if duration - first > 1e-12 * period:
+            spans.append((0.0, duration - first, first))
+        for start, end, shift in spans:
+            shifted = None if pulse is None else lambda t, shift=shift: pulse(t + shift)
+            part, forced = self._span(start, end, pulse=shifted)
+            matrix, response = part @ matrix, part @ response + forced
+        return matrix, response
+
+    def _span(self, begin: float, end: float, *, pulse: Signal | None) -> tuple[Array, Array]:
+        """Return Φ (N, N) and Γ (N,) between two times of one period's clock; pulse as in `pieces`."""
+        n = self.equations.dimension
+        matrix, response = np.eye(n), np.zeros(n)
+        for part, forced in zip(*self.pieces(begin, end, pulse=pulse), strict=True):
+            matrix, response = part @ matrix, part @ response + forced
         return matrix, response
 
     def section(self, phase: float) -> PhaseSection:
@@ -283,7 +295,7 @@ class SustainedOrbit:
 
     def _map(self, start: PhaseSection, end: PhaseSection, duration: float) -> SectionMap:
         bare = SectionMap(start, end, duration, np.empty(0), np.empty(0))
-        matrix, response = self.over(start.time, start.time + duration, pulse=lambda t: bare.pulse(t - start.time))
+        matrix, response = self.over(start.time, duration, pulse=bare.pulse)
         return replace(bare, matrix=end.projection @ matrix, response=end.projection @ response)
 
     def section_multipliers(self, count: int) -> NDArray[np.complex128]:
