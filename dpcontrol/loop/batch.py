@@ -9,7 +9,7 @@ Supervisors and stuck sensors of many runs in lockstep: `Supervisor` and `StuckW
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -47,13 +47,13 @@ class BatchStuck:
         self._sent = np.zeros(runs)
 
     def seen(
-        self, positions: Array, wanted: Array, sent: Array, nis: Array, *, judged: NDArray[np.bool_] | None = None
+        self, positions: Array, wanted: Array, sent: Array, nis: Array, *, judged: NDArray[np.bool_]
     ) -> Mapping[int, str]:
         """Return what is stuck by the number of the run.
 
         positions (n+1, S): absolute angles and the carts' positions; wanted (n, 1) or (n, S): the references' angles;
         sent (S,) m/s: the velocities that the carts were sent to; nis (S,): their means of late, for each position.
-        judged (S,): which runs are asked about; all by default.
+        judged (S,): which runs are asked about.
         """
         n, one = self._arms, self._one
         # In place, and one operation for each thing: this is a tenth of a tick's time.
@@ -79,51 +79,30 @@ class BatchStuck:
         self._same *= same
         if np.maximum.reduce(self._same, axis=None) < self._soonest:
             return {}
-        still = (self._same >= self._still) & (self._moved >= self._least) & ~(nis <= self._doubt)
-        if judged is not None:
-            still &= judged
-        if not still.any():
-            return {}
+        still = (self._same >= self._still) & (self._moved >= self._least) & ~(nis <= self._doubt) & judged
         out: dict[int, str] = {}
-        for i, lane in zip(*np.nonzero(still), strict=True):
-            if int(lane) not in out:
-                words = one.sentence(
-                    int(i), same=int(self._same[i, lane]), moved=float(self._moved[i, lane]),
-                    step=float(self._steps[i, lane]),
-                )  # fmt: skip
-                if words:
-                    out[int(lane)] = words
+        for i, lane in np.argwhere(still).tolist():
+            same, moved, step = int(self._same[i, lane]), self._moved[i, lane], self._steps[i, lane]
+            if lane not in out and (words := one.sentence(i, same=same, moved=float(moved), step=float(step))):
+                out[lane] = words
         return out
 
 
 class BatchWatch:
     """The supervisors of S runs. A single one is asked, for its words, only where it has to step in."""
 
-    def __init__(self, settings: LoopSettings, limits: Limits, *, runs: int) -> None:
-        self._settings, self._limits, self._runs = settings, limits, runs
-        self._period = 1 / settings.rate
-        one = loop_supervisor(settings, limits)
-        self._one: Supervisor = one
-        self._error, self._nis = np.zeros(runs), np.zeros(runs)
+    def __init__(self, supervisor: Supervisor, arms: int, runs: int) -> None:
+        self._one, self._period = supervisor, supervisor.period
+        self._stuck = BatchStuck(arms, period=supervisor.period, reaction=supervisor.reaction, runs=runs)
+        self._error, self._nis, self._since = np.zeros(runs), np.zeros(runs), np.full(runs, np.inf)
         self._restarts = np.zeros(runs, dtype=int)
-        self._stuck: BatchStuck | None = None
-        self._alive = np.ones(runs, dtype=bool)
-        self._going: NDArray[np.bool_] | None = None
-        self._since = np.full(runs, np.inf)
+        self._alive, self._going = np.ones(runs, dtype=bool), np.ones(runs, dtype=bool)
         self.braking = np.zeros(runs, dtype=bool)
         """Which runs (S,) are being brought to rest."""
-        self.any_braking = False
-        self.counts = [2**62] * runs
-        """Ticks of each run that has ended."""
-        self.stopped_at = [2**62] * runs
-        """Tick at which each run was stopped."""
-        self.endings = [Ending.FINISHED] * runs
-        self.reasons = ["came to the reference's end"] * runs
-
-    @property
-    def all_ended(self) -> bool:
-        """Tell whether no run goes on."""
-        return self._going is not None and not self._alive.any()
+        self.any_braking, self.all_ended = False, False
+        self.counts, self.stopped_at = [2**62] * runs, [2**62] * runs
+        """Ticks of each run that has ended; tick at which each was stopped."""
+        self.endings, self.reasons = [Ending.FINISHED] * runs, ["came to the reference's end"] * runs
 
     def judge(
         self,
@@ -138,85 +117,58 @@ class BatchWatch:
         readings: tuple[Array, Array],
         switch: NDArray[np.bool_],
         fault: NDArray[np.bool_] | None,
-    ) -> tuple[NDArray[np.intp] | None, list[int] | None]:
+    ) -> tuple[list[int], list[int]]:
         """Judge tick k; return which runs are to be stopped now and whose estimators are to be restarted.
 
         readings: positions (n+1, S) and the references' angles (n, 1) or (n, S).
         """
-        one = self._one
-        if fault is not None:
-            self._fail(k, fault)
-        mean_nis = self._nis + (nis / used - self._nis) * one.estimate_share
-        mean_error = self._error + (error - self._error) * one.tracking_share
-        positions, wanted = readings
-        if self._stuck is None:
-            self._stuck = BatchStuck(len(wanted), period=self._period, reaction=one.reaction, runs=self._runs)
-        before = (self._error, self._nis)
-        self._error, self._nis = mean_error, mean_nis
+        one, settings, now = self._one, self._one.settings, k * self._period
+        for lane in () if fault is None else np.flatnonzero(fault & self._alive).tolist():
+            why = f"plant failed at t = {now:.3f} s: its state is no longer finite"
+            self._end(lane, k, Ending.PLANT_FAILED, why)
+        before = self._error, self._nis
+        self._nis = self._nis + (nis / used - self._nis) * one.estimate_share
+        self._error = self._error + (error - self._error) * one.tracking_share
+        # NaN fails both comparisons.
+        sure = self._nis <= settings.lost_estimate
         # Those that are restarted in this tick have no NIS to doubt by.
-        doubt = np.where(mean_nis <= one.settings.lost_estimate, mean_nis, 0.0)
-        stuck = self._stuck.seen(positions, wanted, sent, doubt, judged=self._going)
-        if not stuck and self._all_well(mean_nis, mean_error, position, velocity, sent, switch):
-            return None, None
-        bad = (
-            ~(mean_nis <= one.settings.lost_estimate) | ~np.isfinite(error) | (mean_error > one.settings.lost_tracking)
-        )
-        bad |= np.maximum(one.stopping_point(position, velocity), one.stopping_point(position, sent)) >= one.travel
-        bad |= switch
+        stuck = self._stuck.seen(*readings, sent, np.where(sure, self._nis, 0.0), judged=self._going)
+        near = ~one.far_from_ends(np.abs(position), np.maximum(np.abs(velocity), np.abs(sent)))
+        bad = ~(sure & (self._error <= settings.lost_tracking)) | near | switch
+        bad &= self._going
         bad[list(stuck)] = True
-        if self._going is not None:
-            bad &= self._going
-        if not bad.any():
-            return None, None
-        stopped, restarted = [], []
-        for lane in np.flatnonzero(bad):
-            supervisor = loop_supervisor(self._settings, self._limits)
-            supervisor.error, supervisor.nis = float(before[0][lane]), float(before[1][lane])
-            supervisor.restarts = int(self._restarts[lane])
-            now = k * self._period
+        stopped: list[int] = []
+        restarted: list[int] = []
+        for lane in np.flatnonzero(bad).tolist() if bad.any() else ():
+            supervisor = replace(
+                one, error=float(before[0][lane]), nis=float(before[1][lane]), restarts=int(self._restarts[lane])
+            )
             verdict = supervisor.judge(
                 now, error=float(error[lane]), nis=float(nis[lane]), used=int(used[lane]),
                 position=float(position[lane]), velocity=float(velocity[lane]), sent=float(sent[lane]),
             )  # fmt: skip
             self._nis[lane], self._restarts[lane] = supervisor.nis, supervisor.restarts
             outcome, ending, why = supervisor.overruled(
-                verdict, now, stuck=stuck.get(int(lane), ""), switch=bool(switch[lane])
+                verdict, now, stuck=stuck.get(lane, ""), switch=bool(switch[lane])
             )
             if outcome is Outcome.RESTART:
-                restarted.append(int(lane))
+                restarted.append(lane)
             elif outcome is Outcome.STOP:
                 stopped.append(lane)
                 self.endings[lane], self.reasons[lane], self.stopped_at[lane] = ending, why, k
         if stopped:
-            self.braking[stopped] = True
-            self._since[stopped] = k * self._period
+            self.braking[stopped], self._since[stopped] = True, now
             self._note()
-        return np.array(stopped, dtype=np.intp) if stopped else None, restarted or None
-
-    def _all_well(
-        self, nis: Array, error: Array, position: Array, velocity: Array, sent: Array, switch: NDArray[np.bool_]
-    ) -> bool:
-        """Tell whether even the worst value of each kind among all runs, taken together, is well within bounds.
-
-        Quicker than asking run by run, while all of them go well. NaN fails every comparison.
-        """
-        one, most = self._one, self._most
-        if not (most(nis) <= one.settings.lost_estimate and most(error) <= one.settings.lost_tracking):
-            return False
-        fastest = max(most(np.abs(velocity)), most(np.abs(sent)))
-        switched = switch if self._going is None else switch & self._going
-        return one.far_from_ends(float(most(np.abs(position))), fastest) and not switched.any()
-
-    def _most(self, values: Array) -> float:
-        """Return the greatest of values (S,) among the runs that are judged."""
-        if self._going is None:
-            return np.maximum.reduce(values)
-        return np.maximum.reduce(values, where=self._going, initial=-np.inf)
+        return stopped, restarted
 
     def _note(self) -> None:
         """Note which runs are judged, and whether any is being brought to rest: some runs have just changed."""
         self._going = self._alive & ~self.braking
-        self.any_braking = bool((self._alive & self.braking).any())
+        self.any_braking, self.all_ended = bool((self._alive & self.braking).any()), not self._alive.any()
+
+    def _end(self, lane: int, count: int, ending: Ending, reason: str) -> None:
+        self.endings[lane], self.reasons[lane], self.counts[lane], self._alive[lane] = ending, reason, count, False
+        self._note()
 
     def brake(self, k: int, velocity: Array) -> None:
         """Note which carts still move by the commands sent, `velocity` (S,) m/s, before tick k's."""
@@ -226,24 +178,11 @@ class BatchWatch:
         """End the runs whose carts have stood long enough at tick k, and those that hit a stop."""
         if self.any_braking:
             over = self._alive & self.braking & (k * self._period > self._since + SETTLING)
-            if over.any():
-                for lane in np.flatnonzero(over):
-                    self.counts[lane] = k + 1
-                self._alive &= ~over
-                self._note()
+            for lane in np.flatnonzero(over).tolist():
+                self._end(lane, k + 1, self.endings[lane], self.reasons[lane])
         for lane, fault in faults.items():
             if self._alive[lane] and self.endings[lane] is not Ending.CART_STOP:
-                self.endings[lane], self.reasons[lane], self.counts[lane] = Ending.CART_STOP, fault, k + 1
-                self._alive[lane] = False
-                self._note()
-
-    def _fail(self, k: int, failed: NDArray[np.bool_]) -> None:
-        for lane in np.flatnonzero(failed & self._alive):
-            self.endings[lane] = Ending.PLANT_FAILED
-            self.reasons[lane] = f"plant failed at t = {k * self._period:.3f} s: its state is no longer finite"
-            self.counts[lane] = k
-            self._alive[lane] = False
-            self._note()
+                self._end(lane, k + 1, Ending.CART_STOP, fault)
 
 
 class BatchBench(SimulatedBench):
@@ -273,7 +212,7 @@ class BatchBench(SimulatedBench):
         """Send the carts' wanted accelerations (S,), m/s², at tick k."""
         self._demand(k, accelerations)
 
-    def stop(self, runs: NDArray[np.intp]) -> None:
+    def stop(self, runs: list[int]) -> None:
         """Brake the carts of these runs to a standstill from now on, without the commands' delay."""
         if self._braking is None:
             self._braking = np.zeros(self.truth.shape[1], dtype=bool)
@@ -405,7 +344,7 @@ class _Lockstep:
         self.bench = BatchBench(draws, settings.bench, limits=limits, start=first, queued=queued, lanes=MANY)
         rate_noise = [d.rate_noise for d in draws if d.rate_noise is not None]
         self.rate_noise = np.stack(rate_noise, axis=2) if rate_noise else None
-        self.watch = BatchWatch(settings, limits, runs=self.runs)
+        self.watch = BatchWatch(loop_supervisor(settings, limits), arms, self.runs)
         self.way: list[Array] = []
         self.sound: NDArray[np.bool_] | None = None
 
@@ -486,10 +425,8 @@ class _Lockstep:
                     sent=path.velocity, readings=(positions, self.wanted[k]), switch=switch, fault=bench.failed,
                 )  # fmt: skip
                 feedback = back
-                if restarts is not None:
-                    for lane in restarts:
-                        memory, _ = self.program.restarted(states[:, lane].copy(), positions[:, lane])
-                        self.memory[:, lane] = memory
+                for lane in restarts:
+                    self.memory[:, lane], _ = self.program.restarted(states[:, lane].copy(), positions[:, lane])
                 command = forward + back
                 if watch.any_braking:
                     braking = watch.braking
@@ -498,7 +435,7 @@ class _Lockstep:
                     watch.brake(k, path.velocity)
                 path.send(command)
                 bench.command(k, command)
-                if stopped is not None:
+                if stopped:
                     bench.stop(stopped)
                 acted = path.acted(self.memory[n - 1])
                 turn = k % _TURN
@@ -506,10 +443,10 @@ class _Lockstep:
                 if turn == _TURN - 1:
                     truth[:, k - turn : k + 1] = latest.transpose(2, 0, 1)
                 applied[k], feedbacks[k] = acted, feedback
-                if restarts is not None or watch.any_braking:
+                if restarts or watch.any_braking:
                     # As in the loop: a filter that failed shows its last NIS, one that restarts has none.
                     nis = np.where(np.isfinite(nis), nis, nis_rows[k - 1] if k else np.nan)
-                    nis[restarts or []] = np.nan
+                    nis[restarts] = np.nan
                 nis_rows[k] = nis
                 watch.ended(k, bench.faults)
                 if watch.all_ended:

@@ -109,8 +109,11 @@ class Supervisor:
         side = np.copysign(1.0, velocity)
         return side * (position + velocity * self.reaction) + velocity * velocity / self.brake + self.settings.margin
 
-    def far_from_ends(self, distance: float, speed: float) -> bool:
-        """Tell whether a cart so far (m) from the centre and so fast (m/s) stops well inside, whichever way it goes."""
+    def far_from_ends(self, distance: Any, speed: Any) -> Any:
+        """Tell whether a cart so far (m) from the centre and so fast (m/s) stops well inside, whichever way it goes.
+
+        Of one run or, as arrays, of many.
+        """
         reach = distance + speed * self.reaction + speed * speed / self.brake + self.settings.margin
         return reach < _NEARLY * self.travel
 
