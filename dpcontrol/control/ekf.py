@@ -1,10 +1,7 @@
 """The extended Kalman filter as machine code: one tick at a time, or one tick of many runs at once.
 
-The equations are those of `dpcontrol.control.ekf`. `EkfProgram` is the function, with its inputs and outputs
-in arrays (M,) or (M, S); `CompiledEkf` calls it for one run. Both therefore give the same estimates.
-Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking and Navigation, section 10.3.
-
-The extended Kalman filter's step as one expression: state and extras, covariance, innovation, NIS.
+`EkfProgram` is the filter's step as one function, with its inputs and outputs in arrays (M,) or (M, S); `CompiledEkf`
+calls it for one run. Both therefore give the same estimates. State and extras, covariance, innovation, NIS:
 
     predict:  z⁻ = F(z, u),  P⁻ = A P Aᵀ + Q(z)         update:  y = wrap(m - H z⁻),  S = W (H P⁻ Hᵀ + R) W + I - W,
     K = P⁻ Hᵀ W S⁻¹,  z = z⁻ + K y,  P = (I - K H) P⁻ (I - K H)ᵀ + K R Kᵀ,  NIS = yᵀ S⁻¹ y
@@ -28,8 +25,16 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.estimator_settings import Augment, FilterSettings, extra_names
-from dpcontrol.control.interface import Estimate, Present, SampledModel
+from dpcontrol.control.estimator_settings import (
+    Augment,
+    EkfSettings,
+    EstimatorSettings,
+    FilterpyEkfSettings,
+    FilterSettings,
+    UkfSettings,
+    extra_names,
+)
+from dpcontrol.control.interface import Estimate, Estimator, Present, SampledModel
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.errors import InputError
@@ -173,12 +178,10 @@ class FilterEquations:
         block = np.array([[step**3 / 3, step**2 / 2], [step**2 / 2, step]])
         noise = ca.SX(self.dimension, self.dimension)
         densities = [process[0] + process[1] * (following[n + i] - x[n + i]) ** 2 for i in range(n)]
-        for density, pair in zip(
-            [*densities, process[2]], [*((i, n + i) for i in range(n)), (2 * n, 2 * n + 1)], strict=True
-        ):
-            for a, i in enumerate(pair):
-                for b, j in enumerate(pair):
-                    noise[i, j] = density * block[a, b]
+        pairs = [*((i, n + i) for i in range(n)), (2 * n, 2 * n + 1)]
+        for density, (i, j) in zip([*densities, process[2]], pairs, strict=True):
+            noise[i, i], noise[j, j] = density * block[0, 0], density * block[1, 1]
+            noise[i, j] = noise[j, i] = density * block[0, 1]
         for i in range(extras):
             noise[size + i, size + i] = process[3 + extras + i]
         return following, jacobian, noise
@@ -231,19 +234,12 @@ class FilterEquations:
         coming = ca.SX.sym("coming")
         later = self.prediction(with_jacobian=False)(after, coming, parameters, process)
         out = ca.vertcat(after, _pack(covariance), sigmas, y, later, nis, ca.sum1(present), sound)
-        inputs = {
-            "memory": ca.vertcat(z, triangle),
-            "command": command,
-            "measured": measured,
-            "present": present,
-            "noise": noise,
-            "parameters": parameters,
-            "process": process,
-            "coming": coming,
-        }
         memory = ca.SX.sym("memory", size + triangle.shape[0])
-        out = ca.substitute(ca.densify(out), inputs["memory"], memory)
-        inputs["memory"] = memory
+        out = ca.substitute(ca.densify(out), ca.vertcat(z, triangle), memory)
+        inputs = {
+            "memory": memory, "command": command, "measured": measured, "present": present, "noise": noise,
+            "parameters": parameters, "process": process, "coming": coming,
+        }  # fmt: skip
         return ca.Function("filter", [*inputs.values()], [ca.cse(out)], [*inputs], ["out"], {"cse": True})
 
     def prediction(self, *, with_jacobian: bool) -> ca.Function:
@@ -534,3 +530,24 @@ class CompiledEkf(KalmanFilter):
     def covariance(self, estimate: Estimate) -> Array:
         """Return the covariance (N+E, N+E) of state and extra."""
         return unpacked(estimate.memory.kept[self._z :])
+
+
+ESTIMATORS: dict[str, type[EstimatorSettings]] = {
+    settings.kind: settings for settings in (EkfSettings, UkfSettings, FilterpyEkfSettings)
+}
+"""The settings of each kind of estimator, by its name in an itinerary."""
+
+
+def make_estimator(settings: EstimatorSettings, model: SampledModel, *, noise: Array) -> Estimator:
+    """Return the estimator of `settings` for `model`; noise (n+1, n+1): of the measured positions.
+
+    Raises:
+        InputError: the noise has the wrong shape or is no covariance.
+    """
+    if isinstance(settings, EkfSettings):
+        return CompiledEkf(model, settings, noise=noise)
+    # filterpy takes a second to import.
+    from dpcontrol.control.ukf import FilterpyEkf, Ukf
+
+    kind = Ukf if isinstance(settings, UkfSettings) else FilterpyEkf
+    return kind(model, settings, noise=noise)

@@ -21,7 +21,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 
 import dpcontrol
-from dpcontrol.control.estimation import ESTIMATORS
+from dpcontrol.control.ekf import ESTIMATORS
 from dpcontrol.control.interface import Controller
 from dpcontrol.dynamics.chain import Uncertainty
 from dpcontrol.foundation.cache import commit
