@@ -376,20 +376,10 @@ class KalmanFilter(ABC):
     """
 
     def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
-        self.model = model
-        self.settings = settings
+        self.model, self.settings = model, settings
         self.noise = checked_noise(noise, model.arms)
         self.program = EkfProgram(model, settings)
-
-    @property
-    def kind(self) -> str:
-        """Return the name of its kind."""
-        return self.settings.kind
-
-    @property
-    def extra_names(self) -> tuple[str, ...]:
-        """Return the names of what it is augmented by."""
-        return self.program.equations.extra_names
+        self.kind, self.extra_names = settings.kind, self.program.equations.extra_names
 
     def first(self, state: Array) -> Estimate:
         """Return the estimate before any measurement: `state` (N,) with the settings' standard deviations.
@@ -469,11 +459,7 @@ class CompiledEkf(KalmanFilter):
     ) -> Estimate:
         """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came.
 
-        present, coming: as in `update`.
-
-        Raises:
-            InputError: the measurement or the estimate has the wrong shape.
-            ArithmeticError: the estimate is no longer finite, or its covariance no longer positive.
+        present, coming, what is raised: as in `update`.
         """
         self._inputs[self._command_at] = command
         return self._called(self.program.step, estimate, measured, present, coming)

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.interface import Action, Session, whole_turns
-from dpcontrol.control.lqr import HoldController
 from dpcontrol.control.ogy import OgyController, OgySession
 from dpcontrol.control.periodic import OrbitController, OrbitSession
 from dpcontrol.control.tracking import PhaseController, TrackingController
@@ -51,12 +50,11 @@ class Keeper(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Keep:
-    """A stay: at an orbit for `wraps` periods, half a one more or less; at an equilibrium for `seconds`."""
+    """A stay at an orbit for `wraps` periods, half a one more or less."""
 
     name: str
-    controller: OgyController | OrbitController | HoldController
+    controller: OgyController | OrbitController
     wraps: float = 0.0
-    seconds: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,11 +105,6 @@ class ProgramSession:
         self._session: Session = program.segments[0].controller.begin()
         self._past = np.nan
 
-    @property
-    def segment(self) -> int:
-        """Return the index of the segment under way."""
-        return self._index
-
     def command(self, tick: int, state: Array, extra: Array) -> Action:
         """Return what to do in the period from `tick` at `state` (N,)."""
         event = self._hand_over(tick, state) if self._due(tick) else ""
@@ -153,7 +146,7 @@ def program(segments: Sequence[Segment], *, period: float, kind: str = "program"
     """Return the program of these segments at the loop's period in s; kind: what logs call it.
 
     Raises:
-        InputError: no segments, two flights in a row that do not meet, or a stay that has no length.
+        InputError: no segments, two flights in a row that do not meet, or a stay of less than no periods.
         GoalMissed: a flight does not begin or end at the orbit before or after it.
     """
     if not segments:
@@ -161,7 +154,6 @@ def program(segments: Sequence[Segment], *, period: float, kind: str = "program"
     waits, lasts, total = [], [], 0
     for k, segment in enumerate(segments):
         after = segments[k + 1] if k + 1 < len(segments) else None
-        controller = segment.controller
         wait, room = np.nan, 0
         if isinstance(segment, Fly):
             last = segment.controller.ticks
@@ -169,20 +161,16 @@ def program(segments: Sequence[Segment], *, period: float, kind: str = "program"
                 _meet(segment, after)
             if isinstance(after, Keep):
                 _near(after, segment.controller.reference_states[-1], f"{segment.name} ends")
-        elif isinstance(controller, HoldController):
-            if not segment.seconds > 0:
-                raise InputError(f"{segment.name}: seconds = {segment.seconds!r}: a hold must last")
-            last = round(segment.seconds / period)
         else:
             if segment.wraps < 0:
                 raise InputError(f"{segment.name}: wraps = {segment.wraps!r}: must be zero or positive")
-            assert isinstance(controller, OgyController | OrbitController)
-            whole = controller.table.period
+            table = segment.controller.table
+            whole = table.period
             spare = 0.0 if after is None else 0.5
             last = max(round((segment.wraps - spare) * whole / period), 0)
             room = round((2 * spare + SLOWER * segment.wraps) * whole / period)
             if isinstance(after, Fly):
-                wait = float(controller.table.nearest(after.controller.first_state)[0])
+                wait = float(table.nearest(after.controller.first_state)[0])
         if isinstance(segment, Keep) and isinstance(after, Fly):
             _near(segment, after.controller.first_state, f"{after.name} begins")
         waits.append(wait)

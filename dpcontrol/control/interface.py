@@ -8,7 +8,7 @@ The casadi function is called through its buffers, without a copy: 2 µs a step 
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
@@ -260,24 +260,13 @@ class SampledModel:
             raise InputError(
                 f"parameters have shape {np.shape(parameters)}: the equations take ({equations.parameters.shape[0]},)"
             )
-        self.equations = equations
+        self.equations, self.period = equations, period
         self.parameters = np.array(parameters, dtype=float)
-        self.period = period
-
-    @cached_property
-    def dimension(self) -> int:
+        self.dimension = equations.dimension
         """Length of the state."""
-        return self.equations.dimension
-
-    @cached_property
-    def arms(self) -> int:
-        """Number of arms."""
-        return (self.dimension - 2) // 2
-
-    @cached_property
-    def position_indices(self) -> NDArray[np.intp]:
-        """Return where the measured positions stand in a state: the angles, then the cart."""
-        return np.array([*range(self.arms), 2 * self.arms])
+        self.arms = (self.dimension - 2) // 2
+        self.position_indices = np.array([*range(self.arms), 2 * self.arms])
+        """Where the measured positions stand in a state: the angles, then the cart."""
 
     @cached_property
     def _function(self) -> Any:
@@ -302,15 +291,6 @@ class SampledModel:
         u[0] = command
         trigger()
         return following.copy()
-
-    def ahead(self, state: Array, commands: Iterable[float]) -> Array:
-        """Return the state (N,) after the commands that are already on their way, one per period.
-
-        This compensates the delay: a new command is computed for the state at which it will act.
-        """
-        for command in commands:
-            state = self.step(state, command)
-        return state
 
     def linearised(self, states: Array, commands: Array) -> tuple[Array, Array]:
         """Return A (K, N, N) and B (K, N) at `states` (K, N) and `commands` (K,)."""

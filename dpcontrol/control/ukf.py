@@ -7,14 +7,13 @@ All sigma points go through the compiled equations in one call.
 Source: Wan & van der Merwe, The Unscented Kalman Filter, in Haykin (ed.), Kalman Filtering and Neural Networks (2001),
 chapter 7, table 7.3.
 
-What the filters with filterpy's arithmetic share: the compiled prediction, and the estimate as (z, P).
-
 They exist to check and to be compared with: the equations of motion and Q are those of the compiled filter, the
 estimate's arithmetic is not.
 """
 
 from abc import abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -28,6 +27,14 @@ from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.errors import InputError
 
 Array = NDArray[np.float64]
+
+
+@contextmanager
+def _arithmetic() -> Iterator[None]:
+    try:
+        yield
+    except (ValueError, np.linalg.LinAlgError) as error:
+        raise ArithmeticError(f"the filter's covariance is no longer positive ({error})") from error
 
 
 class FilterpyEstimator(KalmanFilter):
@@ -93,10 +100,8 @@ class FilterpyEstimator(KalmanFilter):
         # Wrapped: a whole turn in a measured angle makes no difference.
         away = measured[rows] - h @ z
         turns = np.where(rows < m - 1, np.round(away / (2 * np.pi)), 0.0)
-        try:
+        with _arithmetic():
             after, left, y, nis = self._updated(z, covariance, measured[rows] - 2 * np.pi * turns, h, r)
-        except (ValueError, np.linalg.LinAlgError) as error:
-            raise ArithmeticError(f"the filter's covariance is no longer positive ({error})") from error
         innovation[rows] = y
         return self._estimate(after, left, innovation, nis, len(rows))
 
@@ -105,15 +110,10 @@ class FilterpyEstimator(KalmanFilter):
     ) -> Estimate:
         """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came.
 
-        Raises:
-            InputError: the measurement has the wrong shape.
-            ArithmeticError: the covariance is singular or no longer finite.
+        Raises: as `update`.
         """
-        try:
-            z, covariance = estimate.memory
-            memory = self._predicted(z, covariance, command)
-        except (ValueError, np.linalg.LinAlgError) as error:
-            raise ArithmeticError(f"the filter's covariance is no longer positive ({error})") from error
+        with _arithmetic():
+            memory = self._predicted(*estimate.memory, command)
         return self.update(estimate._replace(memory=memory), measured, present)
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:

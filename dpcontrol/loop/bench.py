@@ -106,12 +106,7 @@ class DriveSettings(Settings, table="drive"):
     """
 
     delay: float = setting(1.0, least=0, most=1000, unit="periods")
-    lag: float = setting(
-        0.0,
-        least=0,
-        most=1,
-        unit="s",
-    )
+    lag: float = setting(0.0, least=0, most=1, unit="s")
     cart_mass: float = setting(0.0, least=0, most=1e6, unit="kg")
     cart_viscous: float = setting(0.0, least=0, most=1e6, unit="N s/m")
     velocity: float = setting(math.inf, above=0, infinite="none of its own", unit="m/s")
@@ -316,11 +311,9 @@ def draw_bench(
     if model_uncertainty and uncertainty is not None and plant is None:
         likely = uncertainty.drawn(arms, random("model"), scale=model_uncertainty)
     true_arms = plant or likely.mismatched(mismatch, random("plant"))
+    strokes = shares("pushes", blows.pushes, 3), shares("knocks", blows.knocks, 2)
     return BenchDraw(
-        seed=seed,
-        ticks=ticks,
-        period=period,
-        plant=settings.plant(true_arms),
+        seed=seed, ticks=ticks, period=period, plant=settings.plant(true_arms),
         initial_error=within("initial_error", initial_error),
         zeros=within("zero_errors", sensors.zero_error),
         command_noise=None if command_noise is None else command_noise[:, 0],
@@ -330,9 +323,7 @@ def draw_bench(
         missed=np.floor(random("missed").uniform(size=(ticks, n)) + lost).astype(np.int64) if lost else None,
         noise=normal("noise", np.array([*[sensors.noise] * n, sensors.cart_noise])),
         rate_noise=normal("rate_noise", np.full(n, sensors.rate_noise)),
-        blows=_blows(
-            settings, n, (ticks, period), shares("pushes", blows.pushes, 3), shares("knocks", blows.knocks, 2)
-        ),
+        blows=_blows(settings, n, (ticks, period), *strokes),
     )  # fmt: skip
 
 

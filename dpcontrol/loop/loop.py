@@ -1,11 +1,7 @@
-"""One run of the closed loop: tick by tick on any rig, and simulated with what its seed draws.
+"""One run of the closed loop, on any rig or simulated: tick by tick read, estimate, decide, command.
 
-A simulated run: plant, sensors and drive drawn from a seed, a controller and an estimator with the model.
-
-All that is random comes from the seed; the controller and the estimator know the model's parameters and the drive's
-nominal limits and delay, and nothing of what was drawn.
-
-The control loop, tick by tick, on any rig: read, estimate, decide, command.
+All that is random in a simulated run comes from its seed; the controller and the estimator know the model's parameters
+and the drive's nominal limits and delay, and nothing of what was drawn.
 
 At tick k the positions are read and the estimate updated; the command computed then acts from tick k + delay on, and
 is computed for the estimate predicted to that tick through the commands on their way. The supervisor judges every
@@ -68,6 +64,7 @@ AT_REST = 1e-12
 """m/s: slower than any cart."""
 LONGEST_DELAY = 1000.0
 """Periods."""
+Array = NDArray[np.float64]
 
 
 class CommandPath:
@@ -133,8 +130,6 @@ class CommandPath:
         newer = (sent[min(k + 1, len(sent) - 1)] for k in range(1, self.lead + 1))
         return [self._share * sent[k] + (1 - self._share) * new for k, new in enumerate(newer, start=1)]
 
-
-Array = NDArray[np.float64]
 
 _GO_ON = Outcome.CONTINUE
 _FLUSH_SECONDS = 0.02
@@ -233,11 +228,10 @@ class ControlLoop:
         path.start(self.queued, velocity=float(self.controller.first_state[-1]))
         ticks = f"{self.count - 1} ticks at {1 / period:g} Hz"
         self._event(0.0, "info", "start", f"{self.controller.kind}, {self.estimator.kind}, {ticks}")
-        thinking = np.zeros(self.count)
         most, fastest = path.limits.acceleration, path.limits.velocity
         acted, was_saturated, late, quiet_until, aborted = 0.0, False, 0, 0.0, Mode.ABORTED
-        clock, step, take = time.perf_counter, self.estimator.step, rows.take
-        began = clock()
+        step, take = self.estimator.step, rows.take
+        began = time.perf_counter()
         for k in range(self.count):
             now = k * period
             try:
@@ -245,7 +239,6 @@ class ControlLoop:
             except ArithmeticError as failure:
                 self.ending, self.reason = Ending.PLANT_FAILED, str(failure)
                 break
-            before = clock()
             way = path.on_their_way()
             coming = way[0] if way else 0.0
             try:
@@ -259,7 +252,6 @@ class ControlLoop:
             action, wanted, estimate = self._decided(k, now, estimate, reading, nis, way)
             command = action.feedforward + action.feedback
             path.send(command)
-            thinking[k] = clock() - before
             rig.command(command)
             if self._braking_since is not None:
                 # The drive brakes by itself; what is sent meanwhile is what the loop believes it does.
@@ -290,13 +282,13 @@ class ControlLoop:
                 self._flush(done)
                 if not done % _PROGRESS_EVERY:
                     self.progress("run", done / self.count)
-        elapsed, done = clock() - began, self._done
+        elapsed, done = time.perf_counter() - began, self._done
         rig.stop()
         self._flush(done)
         fine = self.ending is Ending.FINISHED
         self._event(max(done - 1, 0) * period, "info" if fine else "error", self.ending.value, self.reason)
         self.progress("run", 1.0)
-        return LoopResult(rows.head(done), self.ending, self.reason, thinking[:done], late, elapsed)
+        return LoopResult(rows.between(0, done), self.ending, self.reason, late, elapsed)
 
     def _decided(
         self, k: int, now: float, estimate: Estimate, reading: Reading, nis: float, way: list[float]
@@ -496,15 +488,10 @@ def control_loop(
     estimator = make_estimator(settings.estimator, model, noise=noise)
     delay = settings.drive.delay if believed_delay is None else believed_delay
     return ControlLoop(
-        estimator,
-        controller,
-        path=CommandPath(limits, delay=delay, period=1 / settings.rate),
-        supervisor=loop_supervisor(settings, limits, can_hold=fallback is not None),
-        sink=NoSink() if sink is None else sink,
-        rate_noise=rate_noise,
-        fallback=fallback,
-        progress=progress,
-    )
+        estimator, controller, path=CommandPath(limits, delay=delay, period=1 / settings.rate),
+        supervisor=loop_supervisor(settings, limits, can_hold=fallback is not None), sink=sink or NoSink(),
+        rate_noise=rate_noise, fallback=fallback, progress=progress,
+    )  # fmt: skip
 
 
 def run_loop(

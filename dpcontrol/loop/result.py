@@ -110,15 +110,11 @@ class Ticks:
     def empty(cls, count: int, arms: int, *, has_truth: bool, period: float) -> "Ticks":
         """Return room for `count` ticks, `period` s apart."""
         n = 2 * arms + 2
-        measured, estimates, references = (np.empty((count, size)) for size in (arms + 1, n, n))
-        return cls(
-            times=np.asarray(np.arange(count) * period, dtype=np.float64),
-            measured=measured,
-            estimates=estimates,
-            references=references,
-            truth=np.empty((count, n)) if has_truth else None,
-            control=np.empty((count, CONTROL_HEAD + n)),
+        measured, estimates, references, control = (
+            np.empty((count, size)) for size in (arms + 1, n, n, CONTROL_HEAD + n)
         )
+        times = np.asarray(np.arange(count) * period, dtype=np.float64)
+        return cls(times, measured, estimates, references, np.empty((count, n)) if has_truth else None, control)
 
     def take(
         self,
@@ -152,18 +148,11 @@ class Ticks:
     def between(self, first: int, end: int) -> "Ticks":
         """Return the ticks from `first` up to `end`, sharing memory."""
         rows = slice(first, end)
+        truth = None if self.truth is None else self.truth[rows]
         return Ticks(
-            times=self.times[rows],
-            measured=self.measured[rows],
-            estimates=self.estimates[rows],
-            references=self.references[rows],
-            truth=None if self.truth is None else self.truth[rows],
-            control=self.control[rows],
-        )
-
-    def head(self, count: int) -> "Ticks":
-        """Return the first `count` ticks."""
-        return self.between(0, count)
+            self.times[rows], self.measured[rows], self.estimates[rows], self.references[rows], truth,
+            self.control[rows],
+        )  # fmt: skip
 
 
 class LoopSink(Protocol):
@@ -192,14 +181,13 @@ class NoSink:
 class LoopResult:
     """A run of K ticks, n arms.
 
-    ticks: its rows. ending, and reason, a sentence. thinking (K,) s: what estimator, controller and supervisor took in
-    each tick; late: ticks that began too late; elapsed s. plant: the parameters that were simulated, if any.
+    ticks: its rows. ending, and reason, a sentence. late: ticks that began too late; elapsed s. plant: the parameters
+    that were simulated, if any.
     """
 
     ticks: Ticks
     ending: Ending
     reason: str
-    thinking: Array
     late: int
     elapsed: float
     plant: ArmChainParameters | None = None
@@ -262,13 +250,9 @@ class LogSink:
     def ticks(self, rows: Ticks) -> None:
         """Write the next ticks."""
         self._writer.ticks(
-            rows.times,
-            measured=rows.measured,
-            estimate=rows.estimates,
-            reference=rows.references,
-            truth=rows.truth,
-            control=rows.control,
-        )
+            rows.times, measured=rows.measured, estimate=rows.estimates, reference=rows.references,
+            truth=rows.truth, control=rows.control,
+        )  # fmt: skip
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
         """Write one event."""

@@ -6,7 +6,7 @@ import pytest
 from bench_stand_in import PERIOD, Flight, fly, model_of, plant_of
 from shadowing_stand_in import LAB, StandIn
 
-from dpcontrol.control.handover import Fly, Keep, NearestKeeper, Program, ProgramSession, program
+from dpcontrol.control.handover import Fly, Keep, NearestKeeper, Program, program
 from dpcontrol.control.interface import Action
 from dpcontrol.control.lqr import HoldSettings, hold_controller
 from dpcontrol.control.ogy import OgyController, OgySession, OgySettings, ogy_controller
@@ -103,17 +103,6 @@ def test_feedback_at_every_tick_hands_over_as_well(turn: tuple[StandIn, Referenc
     assert keeper.distance(result.states[-1]) < JOIN
 
 
-def test_a_hold_lasts_its_seconds() -> None:
-    state = load_model("lab").system.equilibrium("down-up")
-    hold = hold_controller(state, model_of(), HoldSettings(), seconds=60.0)
-    made = program([Keep("still", hold, seconds=0.5), Keep("on", hold, seconds=0.5)], period=PERIOD)
-    assert made.ticks == 1000
-    session = made.begin()
-    assert isinstance(session, ProgramSession)
-    events = [session.command(k, hold.first_state, NONE).event for k in range(made.ticks)]
-    assert [k for k, event in enumerate(events) if event] == [500]
-
-
 def test_what_does_not_meet_is_refused_by_name(turn: tuple[StandIn, Reference]) -> None:
     away = flight(turn[1])
     other = ogy_controller(orbit(0.2), model_of(), OgySettings(), seconds=60.0)
@@ -123,10 +112,6 @@ def test_what_does_not_meet_is_refused_by_name(turn: tuple[StandIn, Reference]) 
         program([Fly("turn", away), Keep("high", other, wraps=1)], period=PERIOD)
     with pytest.raises(InputError, match="wraps = -1"):
         program([Keep("low", wobble(), wraps=-1)], period=PERIOD)
-    state = load_model("lab").system.equilibrium("up-up")
-    hold = hold_controller(state, model_of(), HoldSettings(), seconds=1.0)
-    with pytest.raises(InputError, match="a hold must last"):
-        program([Keep("still", hold)], period=PERIOD)
     with pytest.raises(InputError, match="one segment at least"):
         program([], period=PERIOD)
 

@@ -47,11 +47,9 @@ def test_jacobians_are_those_of_differences_of_the_exact_flow(model: SampledMode
         assert b[k] == pytest.approx(column, abs=1e-6 * SLOPE**0.5)
 
 
-def test_looking_ahead_is_stepping_through_the_commands_on_their_way(model: SampledModel) -> None:
-    assert (model.ahead(STATE, []) == STATE).all()
-    assert model.ahead(STATE, [1.0, -2.0]) == pytest.approx(
-        exact_flow(exact_flow(STATE, 1.0, 1e-3), -2.0, 1e-3), abs=2 * STEP
-    )
+def test_steps_follow_one_another(model: SampledModel) -> None:
+    expected = exact_flow(exact_flow(STATE, 1.0, 1e-3), -2.0, 1e-3)
+    assert model.step(model.step(STATE, 1.0), -2.0) == pytest.approx(expected, abs=2 * STEP)
 
 
 def test_many_steps_leave_other_results_alone(model: SampledModel) -> None:
