@@ -45,6 +45,11 @@ def checked_other_file(out: Path, source: Path | str, *, what: str) -> None:
         raise InputError(f"--out {out}: that is {what}; choose another name")
 
 
+def unwritable(path: Path, error: OSError) -> InputError:
+    """Return the error of a file that cannot be written."""
+    return InputError(f"cannot write {path}: {error.strerror or error}; choose another file or folder")
+
+
 @contextmanager
 def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` when the block ends without an error.
@@ -61,7 +66,7 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=suffix or ".partial", dir=path.parent)
     except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror or error}; choose another file or folder") from error
+        raise unwritable(path, error) from error
     os.close(handle)
     temporary = Path(name)
     try:
@@ -71,7 +76,7 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
         temporary.chmod(0o666 & ~umask)
         temporary.replace(path)
     except OSError as error:
-        raise InputError(f"cannot write {path}: {error.strerror or error}; choose another file or folder") from error
+        raise unwritable(path, error) from error
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -91,6 +96,10 @@ def content_hash(*parts: str | bytes) -> str:
         digest.update(len(data).to_bytes(8, "little"))
         digest.update(data)
     return digest.hexdigest()[:16]
+
+
+_DAMAGED = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error)
+"""What reading a damaged archive may raise."""
 
 
 def write_archive(
@@ -114,7 +123,7 @@ def archive_format(path: Path | str) -> str:
     try:
         with np.load(path, allow_pickle=False) as file:
             return str(json.loads(str(file["header"]))["format"])
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
+    except _DAMAGED:
         return ""
 
 
@@ -151,18 +160,7 @@ def archive(
         yield header, arrays
     except FileNotFoundError as error:
         raise InputError(f"there is no {what.partition(' ')[2]} {path}; {make}") from error
-    except (
-        OSError,
-        ValueError,
-        TypeError,
-        KeyError,
-        AttributeError,
-        EOFError,
-        IndexError,
-        InputError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
+    except (*_DAMAGED, AttributeError, IndexError, InputError) as error:
         reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
         # What is no archive at all numpy takes for pickled data, and advises to trust it.
         reason = "it is no .npz file" if "pickle" in reason else reason

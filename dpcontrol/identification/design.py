@@ -125,10 +125,13 @@ def design_experiments(
     grid = [a for a in product(half[half > -1e-9], *[half] * (n - 1)) if np.abs(a).max() > 1e-9]
     sines = list(product(settings.amplitudes, settings.frequencies))
     times = np.arange(round(settings.seconds / settings.period) + 1) * settings.period
-    starts = np.zeros((len(grid) + len(sines), 2 * n))
-    starts[: len(grid), :n] = grid
-    u, v = np.zeros((2, len(starts), len(times)))
-    for row, (amplitude, frequency) in enumerate(sines, start=len(grid)):
+    plans = [("swing", a, 0.0, 0.0) for a in grid] + [("cart", (0.0,) * n, *sine) for sine in sines]
+    starts = np.zeros((len(plans), 2 * n))
+    u, v = np.zeros((2, len(plans), len(times)))
+    for row, (kind, angles, amplitude, frequency) in enumerate(plans):
+        starts[row, :n] = angles
+        if kind == "swing":
+            continue
         turning = 2 * np.pi * frequency
         u[row] = amplitude * np.cos(turning * (times + settings.period / 2))
         v[row] = amplitude / turning * np.sin(turning * times)
@@ -148,23 +151,12 @@ def design_experiments(
         found += [_information(one[:, :n], values, used, settings.counts) for one in slopes]
     progress("swings", 1.0)
     experiments: list[Experiment] = []
-    for k, (matrix, growth) in enumerate(found):
-        swings = k < len(grid)
-        amplitude, frequency = (0.0, 0.0) if swings else sines[k - len(grid)]
-        reach = 0.0 if swings else amplitude / (2 * np.pi * frequency) ** 2
-        digit_count = digits(matrix)
-        experiments.append(
-            Experiment(
-                kind="swing" if swings else "cart",
-                angles=tuple(float(a) for a in starts[k, :n]),
-                amplitude=amplitude,
-                frequency=frequency,
-                information=digit_count,
-                amplification=growth,
-                usable=growth < _CHAOTIC and 2 * reach <= settings.track and bool(np.isfinite(digit_count)),
-                matrix=matrix,
-            )
-        )
+    for (kind, angles, amplitude, frequency), (matrix, growth) in zip(plans, found, strict=True):
+        reach = amplitude / (2 * np.pi * frequency) ** 2 if kind == "cart" else 0.0
+        information = digits(matrix)
+        usable = growth < _CHAOTIC and 2 * reach <= settings.track and bool(np.isfinite(information))
+        turns = tuple(float(angle) for angle in angles)
+        experiments.append(Experiment(kind, turns, amplitude, frequency, information, growth, usable, matrix))
     usable = sum(e.usable for e in experiments)
     if not usable:
         raise InputError("no experiment is usable: none determines the arms' ratios; check the model's friction")

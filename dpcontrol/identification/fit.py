@@ -40,6 +40,7 @@ from dpcontrol.dynamics.chain import (
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.recordings.recording import smoothed_derivative
 
 Array = NDArray[np.float64]
 
@@ -178,13 +179,9 @@ class Windows:
 
     def guess(self) -> Array:
         """Return starts (W, 2n) from the measured angles, rates by a local polynomial."""
-        # It brings all of scipy.stats, which runs on a model that was identified elsewhere do not need.
-        from scipy.signal import savgol_filter
-
         starts = []
         for swing, windows in zip(self.swings, self.of_swing, strict=True):
-            width = min(max(int(0.02 / swing.period) | 1, 5), (len(swing.angles) - 1) | 1)
-            rates = np.asarray(savgol_filter(swing.angles, width, 3, deriv=1, delta=swing.period, axis=0), dtype=float)
+            rates = smoothed_derivative(swing.angles, swing.period)
             starts += [np.concatenate([swing.angles[self.first[w]], rates[self.first[w]]]) for w in windows]
         return np.array(starts)
 

@@ -270,7 +270,6 @@ class Candidate:
 
     laws: tuple[Friction, ...]
     zeros: bool
-    unknowns: int
     left_out: Array
     fit: SwingFit
     predicted: SwingFit
@@ -442,7 +441,7 @@ def choose(candidates: Sequence[Candidate]) -> int:
     best = min(squares, key=lambda s: float(s.mean()))
     most = float(best.mean()) + (float(best.std(ddof=1)) / np.sqrt(len(best)) if len(best) > 1 else 0.0)
     within = [k for k, s in enumerate(squares) if s.mean() <= most * (1 + _ROUNDING)]
-    return min(within, key=lambda k: (candidates[k].unknowns, float(squares[k].mean())))
+    return min(within, key=lambda k: (len(candidates[k].fit.unknowns), float(squares[k].mean())))
 
 
 def _fitted(
@@ -454,21 +453,19 @@ def _fitted(
     near: Candidate | None,
 ) -> Candidate:
     model = Swings(arms)
-    m = model.parameters
     groups = 1 + max(s.group for s in (*fitted, *left_out))
     fit = fit_swings(
         model,
         fitted,
         parameters=base_ratios(arms) if near is None else near.fit.parameters,
         zeros=np.zeros((groups, arms.count)),
-        free=np.ones(m, dtype=bool),
+        free=np.ones(model.parameters, dtype=bool),
         free_zeros=zeros,
         settings=settings,
         near=None if near is None else near.fit.window_starts,
     )
     predicted = _predicted(model, left_out, fit.parameters, fit.zeros, settings)
-    unknowns = m + (fit.zeros.size if zeros else 0)
-    return Candidate(arms.friction, zeros, unknowns, predicted.rms, fit, predicted)
+    return Candidate(arms.friction, zeros, predicted.rms, fit, predicted)
 
 
 def _predicted(model: Swings, swings: list[Swing], parameters: Array, zeros: Array, settings: FitSettings) -> SwingFit:

@@ -30,7 +30,7 @@ from numpy.typing import ArrayLike, NDArray
 
 import dpcontrol
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import checked_target
+from dpcontrol.foundation.files import checked_target, unwritable
 from dpcontrol.logs import urdf
 from dpcontrol.logs.container import COMPRESSION, ChunkMessages, McapFile, moved_away, open_partial, sealed, sync_folder
 from dpcontrol.logs.layout import (
@@ -314,9 +314,12 @@ class LogWriter:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             checked_target(self.path)
             self.partial, self._stream = open_partial(self.path)
-            self._start(self._stream)
+            self._file = McapFile(self._stream, library=f"dpcontrol {dpcontrol.__version__}", level=self._compression)
+            self._file.add_metadata(RUN_RECORD, self._metadata)
+            for name, data in self._attachments.items():
+                self._file.add_attachment(name, data)
         except OSError as error:
-            raise self._unwritable(error) from error
+            raise unwritable(self.path, error) from error
         return self
 
     def __exit__(
@@ -330,7 +333,7 @@ class LogWriter:
             else:
                 self._give_up(error)
         except OSError as failure:
-            raise self._unwritable(failure) from failure
+            raise unwritable(self.path, failure) from failure
         finally:
             self._stream.close()
             self._stream = self._file = None
@@ -362,15 +365,6 @@ class LogWriter:
                 f"{self.partial} keeps the run up to {self._buffer.last:.3f} s at most; "
                 f"`dpcontrol recover {self.partial}` makes a log of it"
             )
-
-    def _unwritable(self, error: OSError) -> InputError:
-        return InputError(f"cannot write {self.path}: {error.strerror or error}; choose another file or folder")
-
-    def _start(self, stream: FileIO) -> None:
-        self._file = McapFile(stream, library=f"dpcontrol {dpcontrol.__version__}", level=self._compression)
-        self._file.add_metadata(RUN_RECORD, self._metadata)
-        for name, data in self._attachments.items():
-            self._file.add_attachment(name, data)
 
     def ticks(
         self,
@@ -465,7 +459,7 @@ class LogWriter:
                 self._encoder = self._prepare(self._file)
             self._file.add_chunk(*self._encoder.encode(*self._buffer.ticks(), self._notes))
         except OSError as error:
-            raise self._unwritable(error) from error
+            raise unwritable(self.path, error) from error
         self._notes.clear()
         self._ticks += count
         self._buffer.filled = 0

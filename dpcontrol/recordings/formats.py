@@ -36,14 +36,18 @@ def read_table(path: Path, columns: Sequence[str]) -> dict[str, Array]:
         table = _parquet(path, columns) if path.suffix.lower() == ".parquet" else _csv(path, columns)
     except OSError as error:
         # pyarrow's damage reports are OSError as well, and longer than a line.
-        reason = error.strerror or str(error).strip().splitlines()[0]
-        raise InputError(f"cannot read {path}: {reason}; check the name, or save the recording again") from error
+        raise InputError(
+            f"cannot read {path}: {error.strerror or _reason(error)}; check the name, or save the recording again"
+        ) from error
     except (pa.ArrowException, UnicodeError, csv.Error, MemoryError) as error:
-        reason = str(error).strip().splitlines() or [type(error).__name__]
-        raise InputError(f"{path} is not a readable table ({reason[0]}); save the recording again") from error
+        raise InputError(f"{path} is not a readable table ({_reason(error)}); save the recording again") from error
     if table.num_rows == 0:
         raise InputError(f"{path} holds no rows; save the recording again")
     return {name: _numbers(table.column(name), name, path) for name in columns}
+
+
+def _reason(error: BaseException) -> str:
+    return next(iter(str(error).strip().splitlines()), type(error).__name__)
 
 
 def _check(path: Path, header: Sequence[str], columns: Sequence[str]) -> None:
@@ -148,10 +152,8 @@ def read_matlab(path: Path) -> dict[str, Any]:
         else:
             variables = _plain(path, size)
     except UNREADABLE as error:
-        reason = str(error).strip().splitlines()
         raise InputError(
-            f"{path} is not a MATLAB file, or is cut off or damaged ({reason[0] if reason else type(error).__name__}); "
-            "save or copy it again"
+            f"{path} is not a MATLAB file, or is cut off or damaged ({_reason(error)}); save or copy it again"
         ) from error
     named = {name: value for name, value in variables.items() if isinstance(name, str) and not name.startswith("__")}
     if not named:

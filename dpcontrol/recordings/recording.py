@@ -273,15 +273,14 @@ def cart_motion(part: Recording) -> CartMotion | None:
     # A reading now and then that is missing leaves the position on the line through its neighbours.
     position = part.cart
     if not known.all():
-        # Each takes long to import, and models that come from recordings need neither.
         from scipy.interpolate import make_interp_spline
 
         between = make_interp_spline(part.time[known], part.cart[known], k=1)
         position = np.asarray(between(part.time), dtype=np.float64)
-    velocity, felt = (_derivative(position, period, order) for order in (1, 2))
+    velocity, felt = (smoothed_derivative(position, period, order) for order in (1, 2))
     if command is not None:
         sent = period * np.concatenate([[0.0], np.cumsum(command[:-1])])
-        told = _derivative(_integral(sent, command, period), period, 2)
+        told = smoothed_derivative(_integral(sent, command, period), period, 2)
         missed, moved = (float(np.sqrt(np.mean(np.square(a)))) for a in (told - felt, felt))
         if missed <= _EXPLAINED * moved:
             return CartMotion(position, velocity, command, True)
@@ -289,13 +288,15 @@ def cart_motion(part: Recording) -> CartMotion | None:
     return CartMotion(position, velocity, acceleration, False)
 
 
-def _derivative(position: Array, period: float, order: int) -> Array:
-    width = min(max(round(_SMOOTHED / period) | 1, 5), len(position) if len(position) % 2 else len(position) - 1)
-    if width < 5:
-        return np.zeros(len(position))
+def smoothed_derivative(values: Array, period: float, order: int = 1) -> Array:
+    """Return the derivative of samples (K, …) by cubics through 20 ms of them, zero where there are fewer than five."""
+    # It takes long to import, and models that come from recordings do not need it.
     from scipy.signal import savgol_filter
 
-    return np.asarray(savgol_filter(position, width, 3, deriv=order, delta=period), dtype=np.float64)
+    width = min(max(round(_SMOOTHED / period) | 1, 5), (len(values) - 1) | 1)
+    if width < 5:
+        return np.zeros_like(values)
+    return np.asarray(savgol_filter(values, width, 3, deriv=order, delta=period, axis=0), dtype=np.float64)
 
 
 def _integral(velocity: Array, acceleration: Array, period: float) -> Array:
