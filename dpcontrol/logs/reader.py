@@ -30,30 +30,9 @@ from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs import layout
 from dpcontrol.logs.container import CHUNK_HEAD, MAGIC, ZSTD, partials_of, unsealed
-from dpcontrol.logs.layout import (
-    CONTROL,
-    EVENTS,
-    FORMAT,
-    LAYOUT_RECORD,
-    LENGTH_FROM,
-    LEVELS,
-    LOST,
-    MEASURED,
-    MESSAGE_OPCODE,
-    PARTS,
-    RECORD_HEADER,
-    RECOVERY_RECORD,
-    RESULT_RECORD,
-    RUN_RECORD,
-    STATE_TOPICS,
-    TICKS,
-    UNITS,
-    TickLayout,
-    read_log_message,
-    record_type,
-    state_names,
-)
+from dpcontrol.logs.layout import TickLayout
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -132,15 +111,15 @@ class VerifiedFile:
     @cached_property
     def tick(self) -> TickLayout:
         """What a tick of the log holds, by its own description."""
-        described = self.metadata.get(LAYOUT_RECORD)
+        described = self.metadata.get(layout.LAYOUT_RECORD)
         if described is None:
             writer = f" (written by {self.library})" if self.library else ""
             raise InputError(
-                f"{self.path}{writer} is not a log of dpcontrol: it lacks the metadata record {LAYOUT_RECORD}; "
+                f"{self.path}{writer} is not a log of dpcontrol: it lacks the metadata record {layout.LAYOUT_RECORD}; "
                 "give a log of `dpcontrol run`"
             )
-        if unsealed(LAYOUT_RECORD, described) is None and described.get("format") == FORMAT:
-            raise ValueError(f"the checksum of {LAYOUT_RECORD} differs")
+        if unsealed(layout.LAYOUT_RECORD, described) is None and described.get("format") == layout.FORMAT:
+            raise ValueError(f"the checksum of {layout.LAYOUT_RECORD} differs")
         return described_layout(self.path, described)
 
     def batches(self) -> "Iterator[Batch]":
@@ -240,12 +219,12 @@ def _walk(path: Path, data: bytes) -> list[tuple[int, int, int]]:
     """Return opcode, start and end of the body of each record up to the footer."""
     found: list[tuple[int, int, int]] = []
     place, closed = len(MAGIC), False
-    while place + LENGTH_FROM <= len(data) and not closed:
-        opcode, length = data[place], int.from_bytes(data[place + 1 : place + LENGTH_FROM], "little")
-        end = place + LENGTH_FROM + length
+    while place + layout.LENGTH_FROM <= len(data) and not closed:
+        opcode, length = data[place], int.from_bytes(data[place + 1 : place + layout.LENGTH_FROM], "little")
+        end = place + layout.LENGTH_FROM + length
         if end > len(data) or opcode == 0:
             break
-        found.append((opcode, place + LENGTH_FROM, end))
+        found.append((opcode, place + layout.LENGTH_FROM, end))
         place, closed = end, opcode == Opcode.FOOTER
     if closed and data[place:] == MAGIC and any(opcode == Opcode.DATA_END for opcode, _, _ in found):
         return found
@@ -275,11 +254,11 @@ def _check(path: Path, data: bytes, records: list[tuple[int, int, int]]) -> bool
     if end - start < 4 or footer_end - footer_start < 20:
         damaged(path, "its closing records are too short")
     (stored,) = struct.unpack_from("<I", data, start)
-    computed = zlib.crc32(memoryview(data)[: start - LENGTH_FROM])
+    computed = zlib.crc32(memoryview(data)[: start - layout.LENGTH_FROM])
     if stored and stored != computed:
         damaged(path, f"the checksum of its data is {computed:#010x} instead of {stored:#010x}")
     summary, _, summary_crc = struct.unpack_from("<QQI", data, footer_start)
-    computed = zlib.crc32(memoryview(data)[summary or footer_start - LENGTH_FROM : footer_start + 16])
+    computed = zlib.crc32(memoryview(data)[summary or footer_start - layout.LENGTH_FROM : footer_start + 16])
     if summary_crc and summary_crc != computed:
         damaged(path, f"the checksum of its summary is {computed:#010x} instead of {summary_crc:#010x}")
     return bool(stored)
@@ -341,11 +320,11 @@ class Batch:
                 place += size
                 continue
             opcode, length, channel = unpack(data, place)
-            end = place + LENGTH_FROM + length
-            if opcode == MESSAGE_OPCODE:
+            end = place + layout.LENGTH_FROM + length
+            if opcode == layout.MESSAGE_OPCODE:
                 self.others.setdefault(channel, []).append(place)
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self.declared.append((opcode, place + LENGTH_FROM, end))
+                self.declared.append((opcode, place + layout.LENGTH_FROM, end))
             place = end
         if place != whole:
             raise ValueError("a record runs over the end of its chunk")
@@ -357,14 +336,14 @@ class Batch:
             ValueError: the ticks' messages are not those of the layout.
         """
         ticks = gathered(self.data, self.ticks, tick.block_type)
-        times = ticks[MEASURED]["log_time"]
+        times = ticks[layout.MEASURED]["log_time"]
         for topic, message in tick.messages.items():
-            length = record_type(message).itemsize - LENGTH_FROM
-            due = {"opcode": MESSAGE_OPCODE, "length": length, "channel": tick.channels[topic]}
+            length = layout.record_type(message).itemsize - layout.LENGTH_FROM
+            due = {"opcode": layout.MESSAGE_OPCODE, "length": length, "channel": tick.channels[topic]}
             if any((ticks[topic][name] != value).any() for name, value in due.items()):
                 raise ValueError(f"a tick lacks its message of {topic}")
             if (ticks[topic]["log_time"] != times).any():
-                raise ValueError(f"the messages of {topic} do not pair with those of {MEASURED}")
+                raise ValueError(f"the messages of {topic} do not pair with those of {layout.MEASURED}")
         found = {part: np.empty((len(ticks), tick.widths[part])) for part in ("measured", *tick.parts)}
         for topic, field_name, part, columns in tick.rooms:
             found[part][:, columns] = ticks[topic][field_name]
@@ -388,18 +367,18 @@ def gathered(data: bytes, offsets: list[int], kind: np.dtype) -> NDArray:
 
 def described_layout(path: Path, described: Mapping[str, str]) -> TickLayout:
     """Return what a tick holds by a metadata record that describes it; errors as in `VerifiedFile.tick`."""
-    if described.get("format") != FORMAT:
+    if described.get("format") != layout.FORMAT:
         raise InputError(
             f"{path} has layout {described.get('format')!r}, and this version of dpcontrol reads layout "
-            f"{FORMAT!r}; read it with the version that wrote it, or run the itinerary again"
+            f"{layout.FORMAT!r}; read it with the version that wrote it, or run the itinerary again"
         )
     parts = frozenset(described["parts"].split())
-    if not parts <= set(PARTS):
+    if not parts <= set(layout.PARTS):
         raise ValueError(f"unknown parts {sorted(parts)}")
     return TickLayout(len(described["arm_lengths"].split()), described["has_cart"] == "1", parts)
 
 
-_LEVEL_NAMES = {number: name for name, number in LEVELS.items()}
+_LEVEL_NAMES = {number: name for name, number in layout.LEVELS.items()}
 
 
 class Event(NamedTuple):
@@ -487,12 +466,12 @@ class RunLog:
             InputError: no controller ran.
         """
         if not self.controls:
-            raise self._lacks(CONTROL)
+            raise self._lacks(layout.CONTROL)
         return self.controls
 
     def _state(self, part: str) -> Array:
         if part not in self.states:
-            raise self._lacks(STATE_TOPICS[part])
+            raise self._lacks(layout.STATE_TOPICS[part])
         return self.states[part]
 
     def _lacks(self, topic: str) -> InputError:
@@ -514,7 +493,7 @@ class RunLog:
         columns = {f"measured.{name}": self.measured[:, i] for i, name in enumerate(self.joint_names)}
         if self.rates is not None:
             columns |= {f"rates.{name}": self.rates[:, i] for i, name in enumerate(self.joint_names)}
-        names = state_names(len(self.arm_lengths), has_cart=self.has_cart)
+        names = layout.state_names(len(self.arm_lengths), has_cart=self.has_cart)
         for part, values in self.states.items():
             columns |= {f"{part}.{name}": values[:, i] for i, name in enumerate(names)}
         columns |= {f"control.{name}": values for name, values in self.controls.items()}
@@ -539,7 +518,7 @@ def _decode(file: VerifiedFile) -> RunLog:
     for batch in file.batches():
         for name, values in batch.rows(tick).items():
             rows[name].append(values)
-        events += [_event(batch.data, offset) for offset in batch.others.get(tick.channels[EVENTS], ())]
+        events += [_event(batch.data, offset) for offset in batch.others.get(tick.channels[layout.EVENTS], ())]
     if not file.has_checksum:
         raise InputError(f"{file.path} carries no checksum of its data, so nothing vouches for it; {_AGAIN}")
     if not sum(map(len, rows["time"])):
@@ -550,24 +529,24 @@ def _decode(file: VerifiedFile) -> RunLog:
 
 
 def _event(data: bytes, offset: int) -> Event:
-    head = np.frombuffer(data, RECORD_HEADER, count=1, offset=offset)[0]
-    end = offset + LENGTH_FROM + int(head["length"])
-    level, name, text = read_log_message(data[offset + RECORD_HEADER.itemsize : end])
+    head = np.frombuffer(data, layout.RECORD_HEADER, count=1, offset=offset)[0]
+    end = offset + layout.LENGTH_FROM + int(head["length"])
+    level, name, text = layout.read_log_message(data[offset + layout.RECORD_HEADER.itemsize : end])
     return Event(int(head["log_time"]) / 1e9, _LEVEL_NAMES.get(level, "info"), name, text)
 
 
 def _run_log(file: VerifiedFile, *, rows: dict[str, Array], events: list[Event]) -> RunLog:
-    tick, described = file.tick, file.metadata[LAYOUT_RECORD]
+    tick, described = file.tick, file.metadata[layout.LAYOUT_RECORD]
     limits = tuple(float(text) for text in described["limits"].split())
     columns = _frozen(np.ascontiguousarray(rows.pop("control").T)) if "control" in rows else ()
-    metadata = {**file.values(RESULT_RECORD), **file.values(RUN_RECORD)}
-    metadata.pop(TICKS, None)
+    metadata = {**file.values(layout.RESULT_RECORD), **file.values(layout.RUN_RECORD)}
+    metadata.pop(layout.TICKS, None)
     return RunLog(
         path=file.path,
         time=rows["time"],
         measured=rows["measured"],
         rates=rows.get("rates"),
-        states={part: rows[part] for part in STATE_TOPICS if part in rows},
+        states={part: rows[part] for part in layout.STATE_TOPICS if part in rows},
         controls=dict(zip(tick.fields, columns, strict=False)),
         events=tuple(events),
         metadata={**metadata, "program": described["program"]},
@@ -577,7 +556,7 @@ def _run_log(file: VerifiedFile, *, rows: dict[str, Array], events: list[Event])
         has_cart=tick.has_cart,
         rate_hz=float(described["rate_hz"]),
         limits=(limits[0], limits[1], limits[2]) if limits else None,
-        recovered=file.values(RECOVERY_RECORD).get(LOST) or None,
+        recovered=file.values(layout.RECOVERY_RECORD).get(layout.LOST) or None,
     )
 
 
@@ -637,12 +616,12 @@ def summarise(path: Path | str) -> LogSummary:
 
 
 def _summary(file: VerifiedFile) -> LogSummary:
-    tick, described = file.tick, file.metadata[LAYOUT_RECORD]
+    tick, described = file.tick, file.metadata[layout.LAYOUT_RECORD]
     spans: dict[int, tuple[int, int, int]] = {}
     for batch in file.batches():
-        ticks = gathered(batch.data, batch.ticks, RECORD_HEADER)
+        ticks = gathered(batch.data, batch.ticks, layout.RECORD_HEADER)
         found = {tick.channels[topic]: ticks for topic in tick.messages}
-        found |= {k: gathered(batch.data, places, RECORD_HEADER) for k, places in batch.others.items()}
+        found |= {k: gathered(batch.data, places, layout.RECORD_HEADER) for k, places in batch.others.items()}
         for channel, heads in found.items():
             if len(heads):
                 low, high = int(heads["log_time"].min()), int(heads["log_time"].max())
@@ -657,21 +636,21 @@ def _summary(file: VerifiedFile) -> LogSummary:
         duration=(max(last for _, last in ends) - min(first for first, _ in ends)) / 1e9 if ends else 0.0,
         rate_hz=float(described["rate_hz"]),
         joints=tick.names,
-        parts=tuple(part for part in PARTS if part in tick.parts),
+        parts=tuple(part for part in layout.PARTS if part in tick.parts),
         topics=tuple(_topic(topic, kind, spans.get(tick.channels[topic])) for topic, (kind, _) in tick.schemas.items()),
         attachments={name: len(data) for name, data in file.attachments.items()},
-        metadata={**file.values(RESULT_RECORD), **file.values(RUN_RECORD)},
-        recovered=file.values(RECOVERY_RECORD).get(LOST) or None,
+        metadata={**file.values(layout.RESULT_RECORD), **file.values(layout.RUN_RECORD)},
+        recovered=file.values(layout.RECOVERY_RECORD).get(layout.LOST) or None,
         partials=tuple(str(other) for other in partials_of(file.path)),
     )
 
 
 def _topic(topic: str, kind: str, span: tuple[int, int, int] | None) -> TopicSummary:
     if span is None:
-        return TopicSummary(topic, kind, UNITS[topic], 0, None, None, None)
+        return TopicSummary(topic, kind, layout.UNITS[topic], 0, None, None, None)
     count, first, last = span
     rate = (count - 1) * 1e9 / (last - first) if last > first else None
-    return TopicSummary(topic, kind, UNITS[topic], count, first / 1e9, last / 1e9, rate)
+    return TopicSummary(topic, kind, layout.UNITS[topic], count, first / 1e9, last / 1e9, rate)
 
 
 @dataclass(frozen=True)
@@ -694,7 +673,7 @@ def compare_messages(one: Path | str, other: Path | str) -> Comparison:
     tick = sides[0].tick
     if tick != sides[1].tick:
         return Comparison(0, f"{one} and {other} do not have the same topics")
-    partial = bool(sides[0].metadata.get(RECOVERY_RECORD, {}).get(LOST))
+    partial = bool(sides[0].metadata.get(layout.RECOVERY_RECORD, {}).get(layout.LOST))
     first, second = (_pieces(side) for side in sides)
     same = 0
     for piece in first:
@@ -728,14 +707,14 @@ def _count(piece: bytes, tick: TickLayout) -> int:
 
 def _begins(piece: bytes) -> tuple[int, int]:
     """Return channel and sequence number of a piece's first message."""
-    head = np.frombuffer(piece, RECORD_HEADER, count=1)[0]
+    head = np.frombuffer(piece, layout.RECORD_HEADER, count=1)[0]
     return int(head["channel"]), int(head["sequence"])
 
 
 def _differs(piece: bytes, against: bytes, tick: TickLayout) -> str:
     starts = list(tick.block_offsets.values()) if _count(piece, tick) > 1 else [0]
     at = next(a for a, b in pairwise([*starts, len(piece)]) if piece[a:b] != against[a:b])
-    head = np.frombuffer(piece, RECORD_HEADER, count=1, offset=at)[0]
+    head = np.frombuffer(piece, layout.RECORD_HEADER, count=1, offset=at)[0]
     channel, sequence, time = int(head["channel"]), int(head["sequence"]), int(head["log_time"]) / 1e9
     topic = next((name for name, number in tick.channels.items() if number == channel), f"channel {channel}")
     if _begins(piece) != _begins(against):

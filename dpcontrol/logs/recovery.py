@@ -29,21 +29,9 @@ import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_other_file, whole_file
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.logs import layout
 from dpcontrol.logs.container import CHUNK_HEAD, SUFFIX, ChunkMessages, McapFile, sealed, unsealed
-from dpcontrol.logs.layout import (
-    EVENTS,
-    LATCHED,
-    LAYOUT_RECORD,
-    LOST,
-    MEASURED_CHANNEL,
-    RECORD_HEADER,
-    RECOVERY_RECORD,
-    RESULT_RECORD,
-    ROBOT,
-    RUN_RECORD,
-    TICKS,
-    TickLayout,
-)
+from dpcontrol.logs.layout import TickLayout
 from dpcontrol.logs.reader import (
     LARGEST_CHUNK,
     MALFORMED,
@@ -87,7 +75,7 @@ class SoundChunk:
         start, batch = _walked(self.body)
         found = []
         for channel, offsets in batch.others.items():
-            times = gathered(batch.data, offsets, RECORD_HEADER)["log_time"].astype(np.int64)
+            times = gathered(batch.data, offsets, layout.RECORD_HEADER)["log_time"].astype(np.int64)
             found.append(ChunkMessages(channel=channel, times=times, offsets=np.array(offsets) - start))
         return batch.data[start:], found
 
@@ -151,9 +139,9 @@ def _chunk(body: memoryview) -> SoundChunk:
     _, batch = _walked(body)
     sequences, times = {}, None
     for channel, offsets in batch.others.items():
-        heads = gathered(batch.data, [offsets[0], offsets[-1]], RECORD_HEADER)
+        heads = gathered(batch.data, [offsets[0], offsets[-1]], layout.RECORD_HEADER)
         sequences[channel] = (int(heads["sequence"][0]), int(heads["sequence"][1]))
-        if channel == MEASURED_CHANNEL:
+        if channel == layout.MEASURED_CHANNEL:
             times = (int(heads["log_time"][0]), int(heads["log_time"][1]))
     return SoundChunk(body, size, checksum, sequences, times)
 
@@ -210,7 +198,7 @@ def recover(path: Path | str, out: Path | None = None, *, progress: Progress = n
     if out is not None:
         checked_other_file(Path(out), path, what="the log to recover")
     found = salvage(data, progress=part_of(progress, 0.0, 0.6))
-    described = _only(path, found, LAYOUT_RECORD)
+    described = _only(path, found, layout.LAYOUT_RECORD)
     if described is None or not any(chunk.times for chunk in found.chunks):
         raise InputError(f"{path} cannot be recovered: {_nothing(found)}; make the log again with `dpcontrol run`")
     try:
@@ -254,7 +242,7 @@ def _several(path: Path) -> InputError:
 
 
 def _nothing(found: Salvage) -> str:
-    if LAYOUT_RECORD in found.metadata:
+    if layout.LAYOUT_RECORD in found.metadata:
         return "not one whole tick is in it"
     return "the description of its layout is damaged" if found.chunks else "it ends before its first tick"
 
@@ -265,7 +253,7 @@ def _in_order(path: Path, chunks: Sequence[SoundChunk]) -> list[SoundChunk]:
     after_all_ticks = (1 << 32, 0)
 
     def key(chunk: SoundChunk) -> tuple:
-        return chunk.sequences.get(MEASURED_CHANNEL, after_all_ticks), sorted(chunk.sequences.items())
+        return chunk.sequences.get(layout.MEASURED_CHANNEL, after_all_ticks), sorted(chunk.sequences.items())
 
     ordered = sorted(once, key=key)
     last: dict[int, int] = {}
@@ -281,22 +269,22 @@ def _account(
     path: Path, found: Salvage, chunks: Sequence[SoundChunk], *, described: dict[str, str], tick: TickLayout
 ) -> Recovery:
     """Say what is there and what is not."""
-    ticked = [(*c.sequences[MEASURED_CHANNEL], *c.times) for c in chunks if c.times is not None]
+    ticked = [(*c.sequences[layout.MEASURED_CHANNEL], *c.times) for c in chunks if c.times is not None]
     period = 1 / float(described["rate_hz"])
-    result = _only(path, found, RESULT_RECORD)
+    result = _only(path, found, layout.RESULT_RECORD)
     end_s = ticked[-1][3] / 1e9
     missing, gaps = ticked[0][0], [(0.0, ticked[0][2] / 1e9)] if ticked[0][0] else []
     for (_, last, _, before), (first, _, after, _) in pairwise(ticked):
         if first > last + 1:
             missing += first - last - 1
             gaps.append((before / 1e9, after / 1e9))
-    if result is not None and (at_end := int(result[TICKS]) - ticked[-1][1] - 1):
+    if result is not None and (at_end := int(result[layout.TICKS]) - ticked[-1][1] - 1):
         missing += at_end
         gaps.append((end_s, end_s + at_end * period))
     names = json.loads(described["attachments"])
     attachments_lost = tuple(name for name in names if name not in found.attachments)
-    before = _only(path, found, RECOVERY_RECORD) or {}
-    lost = [before[LOST]] if before.get(LOST) else []
+    before = _only(path, found, layout.RECOVERY_RECORD) or {}
+    lost = [before[layout.LOST]] if before.get(layout.LOST) else []
     if missing:
         shown = ", ".join(f"{a:.3f} to {b:.3f} s" for a, b in gaps[:_SHOWN_GAPS])
         more = f" and {len(gaps) - _SHOWN_GAPS} more" if len(gaps) > _SHOWN_GAPS else ""
@@ -306,7 +294,7 @@ def _account(
         lost.append(f"what came after {end_s:.3f} s (at most {most:.0f} ms if the run was killed)")
     events, robots = (
         sorted(c.sequences[channel] for c in chunks if channel in c.sequences)
-        for channel in (tick.channels[EVENTS], tick.channels[ROBOT])
+        for channel in (tick.channels[layout.EVENTS], tick.channels[layout.ROBOT])
     )
     if gone := sum(b[0] - a[1] - 1 for a, b in pairwise([(-1, -1), *events])):
         lost.append(f"{gone} events")
@@ -314,7 +302,7 @@ def _account(
         lost.append("the arms' description for viewers")
     if attachments_lost:
         lost.append(f"the attachment{'s'[: len(attachments_lost) > 1]} {', '.join(attachments_lost)}")
-    if RUN_RECORD not in found.metadata:
+    if layout.RUN_RECORD not in found.metadata:
         lost.append("the metadata of the run")
     return Recovery(
         source=path,
@@ -347,19 +335,19 @@ def _write(
     with whole_file(done.log) as temporary:
         with FileIO(temporary, "wb") as stream:
             file = McapFile(stream, library=f"dpcontrol {dpcontrol.__version__}")
-            for values in found.metadata.get(RUN_RECORD, [])[:1]:
-                file.add_metadata(RUN_RECORD, sealed(RUN_RECORD, values))
+            for values in found.metadata.get(layout.RUN_RECORD, [])[:1]:
+                file.add_metadata(layout.RUN_RECORD, sealed(layout.RUN_RECORD, values))
             for name in done.attachments:
                 file.add_attachment(name, found.attachments[name])
-            file.add_metadata(LAYOUT_RECORD, sealed(LAYOUT_RECORD, described))
-            said = {LOST: done.lost, "source": done.source.name}
-            file.add_metadata(RECOVERY_RECORD, sealed(RECOVERY_RECORD, said))
-            file.add_channels(tick.schemas, latched=LATCHED)
+            file.add_metadata(layout.LAYOUT_RECORD, sealed(layout.LAYOUT_RECORD, described))
+            said = {layout.LOST: done.lost, "source": done.source.name}
+            file.add_metadata(layout.RECOVERY_RECORD, sealed(layout.RECOVERY_RECORD, said))
+            file.add_channels(tick.schemas, latched=layout.LATCHED)
             for k, chunk in enumerate(chunks):
                 file.add_chunk(*chunk.messages())
                 progress("writing what is sound", k / len(chunks))
-            for values in found.metadata.get(RESULT_RECORD, []):
-                file.add_metadata(RESULT_RECORD, sealed(RESULT_RECORD, values))
+            for values in found.metadata.get(layout.RESULT_RECORD, []):
+                file.add_metadata(layout.RESULT_RECORD, sealed(layout.RESULT_RECORD, values))
             file.finish()
             os.fsync(stream.fileno())
         written = read_log(temporary)

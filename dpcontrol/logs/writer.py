@@ -31,31 +31,9 @@ from numpy.typing import ArrayLike, NDArray
 import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_target, unwritable
-from dpcontrol.logs import urdf
+from dpcontrol.logs import layout, urdf
 from dpcontrol.logs.container import COMPRESSION, ChunkMessages, McapFile, moved_away, open_partial, sealed, sync_folder
-from dpcontrol.logs.layout import (
-    CONTROL,
-    ENCAPSULATION,
-    EVENTS,
-    FORMAT,
-    GHOST,
-    LATCHED,
-    LAYOUT_RECORD,
-    LENGTH_FROM,
-    LEVELS,
-    MESSAGE_OPCODE,
-    PARTS,
-    RECORD_HEADER,
-    RESULT_RECORD,
-    RUN_RECORD,
-    TICKS,
-    TRANSFORM_RATE,
-    TRANSFORMS,
-    TickLayout,
-    log,
-    string,
-    transforms,
-)
+from dpcontrol.logs.layout import TickLayout
 
 REFERENCE_PREFIX = "reference/"
 _SECOND = 1_000_000_000
@@ -95,14 +73,14 @@ class ChunkEncoder:
         self._rooms = [(block[topic][field], part, columns) for topic, field, part, columns in tick.rooms]
         raw, self._heads = block.view(np.uint8).reshape(rows, -1), []
         for topic, offset in tick.block_offsets.items():
-            first = offset + RECORD_HEADER.fields["sequence"][1]  # type: ignore[index]
-            self._heads.append(raw[:, first : first + (_UNSTAMPED if topic == CONTROL else _TICK_HEAD.itemsize)])
+            first = offset + layout.RECORD_HEADER.fields["sequence"][1]  # type: ignore[index]
+            self._heads.append(raw[:, first : first + (_UNSTAMPED if topic == layout.CONTROL else _TICK_HEAD.itemsize)])
         self._ticks = 0
         prefixes = ("", REFERENCE_PREFIX) if "reference" in tick.parts else ("",)
         frames = [
             frame for prefix in prefixes for frame in urdf.frames(tick.arms, has_cart=tick.has_cart, prefix=prefix)
         ]
-        message = transforms(frames)
+        message = layout.transforms(frames)
         self._template = np.frombuffer(message.data, np.uint8)
         stamp_starts = [message.fields[f"{i}.stamp.sec"][1] for i in range(len(frames))]
         pose_starts = [message.fields[f"{i}.pose"][1] for i in range(len(frames))]
@@ -148,7 +126,7 @@ class ChunkEncoder:
         head = np.empty(count, _TICK_HEAD)
         head["sequence"] = np.arange(self._ticks, self._ticks + count)
         head["log_time"] = head["publish_time"] = times
-        head["encapsulation"] = ENCAPSULATION
+        head["encapsulation"] = layout.ENCAPSULATION
         head["sec"], head["nanosec"] = np.divmod(times, _SECOND)
         self._ticks += count
         raw = head.view(np.uint8).reshape(count, _TICK_HEAD.itemsize)
@@ -168,7 +146,7 @@ class ChunkEncoder:
         return states
 
     def _transform_notes(self, times: NDArray[np.int64], rows: Mapping[str, Row]) -> list[Note]:
-        number = np.floor(times * (TRANSFORM_RATE / _SECOND) + 1e-6).astype(np.int64)
+        number = np.floor(times * (layout.TRANSFORM_RATE / _SECOND) + 1e-6).astype(np.int64)
         chosen: list[int] = []
         for row, due in enumerate(number.tolist()):
             if due > self._last_transform:
@@ -193,15 +171,15 @@ class ChunkEncoder:
         records[:, self._stamp_bytes] = stamps.view(np.uint8).reshape(len(chosen), 1, _STAMP.itemsize)
         records[:, self._pose_bytes] = poses.view(np.uint8).reshape(len(chosen), *self._pose_bytes.shape)
         return [
-            Note(row, TRANSFORMS, time, record.tobytes())
+            Note(row, layout.TRANSFORMS, time, record.tobytes())
             for row, time, record in zip(chosen, times[chosen].tolist(), records, strict=True)
         ]
 
     def _record(self, note: Note) -> bytes:
-        number, length = self._counts[note.topic], RECORD_HEADER.itemsize - LENGTH_FROM + len(note.content)
+        length = layout.RECORD_HEADER.itemsize - layout.LENGTH_FROM + len(note.content)
+        number, channel = self._counts[note.topic], self.tick.channels[note.topic]
         self._counts[note.topic] += 1
-        channel = self.tick.channels[note.topic]
-        return _HEAD.pack(MESSAGE_OPCODE, length, channel, number, note.time_ns, note.time_ns) + note.content
+        return _HEAD.pack(layout.MESSAGE_OPCODE, length, channel, number, note.time_ns, note.time_ns) + note.content
 
 
 class TickBuffer:
@@ -228,7 +206,7 @@ class TickBuffer:
             raise ValueError("the times of ticks must not decrease")
         parts = frozenset(rows) - {"measured"}
         if self.parts is not None and parts != self.parts:
-            names = (part for part in PARTS if part in parts ^ self.parts)
+            names = (part for part in layout.PARTS if part in parts ^ self.parts)
             raise ValueError(f"{', '.join(names)} must be given in every tick of a run or in none")
         self.parts = parts
         return rows
@@ -293,13 +271,13 @@ class LogWriter:
         self._lengths = tuple(float(length) for length in arm_lengths)
         self._has_cart = has_cart
         self._limits = limits
-        self._metadata = sealed(RUN_RECORD, dict(metadata or {}))
+        self._metadata = sealed(layout.RUN_RECORD, dict(metadata or {}))
         self._attachments = dict(attachments or {})
         self._rate = float(rate_hz)
         self._compression = compression
         if not self._lengths or not self._rate > 0:
             raise ValueError(f"a log needs arms and a positive rate; got {len(self._lengths)} arms at {rate_hz} Hz")
-        tick = TickLayout(len(self._lengths), has_cart, frozenset(PARTS))
+        tick = TickLayout(len(self._lengths), has_cart, frozenset(layout.PARTS))
         self._buffer = TickBuffer(tick, size=max(1, round(chunk_seconds * self._rate)))
         self._ticks = 0
         self._notes: list[Note] = []
@@ -315,7 +293,7 @@ class LogWriter:
             checked_target(self.path)
             self.partial, self._stream = open_partial(self.path)
             self._file = McapFile(self._stream, library=f"dpcontrol {dpcontrol.__version__}", level=self._compression)
-            self._file.add_metadata(RUN_RECORD, self._metadata)
+            self._file.add_metadata(layout.RUN_RECORD, self._metadata)
             for name, data in self._attachments.items():
                 self._file.add_attachment(name, data)
         except OSError as error:
@@ -342,8 +320,8 @@ class LogWriter:
         if self._encoder is None:
             self._encoder = self._prepare(file)
         self._write_chunk()
-        values = {**self._result, TICKS: str(self._ticks)}
-        file.add_metadata(RESULT_RECORD, sealed(RESULT_RECORD, values))
+        values = {**self._result, layout.TICKS: str(self._ticks)}
+        file.add_metadata(layout.RESULT_RECORD, sealed(layout.RESULT_RECORD, values))
         file.finish()
         os.fsync(stream.fileno())
         stream.close()
@@ -415,36 +393,36 @@ class LogWriter:
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
         """Log an event: `level` is debug, info, warn, error or fatal, `name` the part it came from."""
-        if level not in LEVELS:
-            raise ValueError(f"event level {level!r}: must be one of {', '.join(LEVELS)}")
+        if level not in layout.LEVELS:
+            raise ValueError(f"event level {level!r}: must be one of {', '.join(layout.LEVELS)}")
         time_ns = round(time_s * 1e9)
-        message = log(time_ns, LEVELS[level], name=name, text=text)
-        self._notes.append(Note(self._buffer.filled, EVENTS, time_ns, message))
+        message = layout.log(time_ns, layout.LEVELS[level], name=name, text=text)
+        self._notes.append(Note(self._buffer.filled, layout.EVENTS, time_ns, message))
 
     def _prepare(self, file: McapFile) -> ChunkEncoder:
         # Done with the first chunk: only then is it known what a tick holds.
         tick = TickLayout(len(self._lengths), self._has_cart, self._buffer.parts or frozenset())
         described = {
-            "format": FORMAT,
+            "format": layout.FORMAT,
             "arm_lengths": " ".join(repr(length) for length in self._lengths),
             "has_cart": "1" if tick.has_cart else "0",
             "rate_hz": repr(self._rate),
             "limits": " ".join(repr(float(limit)) for limit in self._limits or ()),
-            "parts": " ".join(part for part in PARTS if part in tick.parts),
+            "parts": " ".join(part for part in layout.PARTS if part in tick.parts),
             "attachments": json.dumps(list(self._attachments)),
             "program": f"dpcontrol {dpcontrol.__version__}",
         }
-        file.add_metadata(LAYOUT_RECORD, sealed(LAYOUT_RECORD, described))
-        file.add_channels(tick.schemas, latched=LATCHED)
+        file.add_metadata(layout.LAYOUT_RECORD, sealed(layout.LAYOUT_RECORD, described))
+        file.add_channels(tick.schemas, latched=layout.LATCHED)
         times, _ = self._buffer.ticks()
         first = int(times[0]) if len(times) else 0
-        for topic in (topic for topic in tick.channels if topic in LATCHED):
-            ghost = topic == GHOST
+        for topic in (topic for topic in tick.channels if topic in layout.LATCHED):
+            ghost = topic == layout.GHOST
             prefix = REFERENCE_PREFIX if ghost else ""
             text = urdf.robot_description(
                 self._lengths, has_cart=tick.has_cart, limits=self._limits, prefix=prefix, ghost=ghost
             )
-            self._notes.insert(0, Note(0, topic, first, string(text)))
+            self._notes.insert(0, Note(0, topic, first, layout.string(text)))
         return ChunkEncoder(tick, self._lengths, rows=self._buffer.size)
 
     def _write_chunk(self) -> None:
