@@ -87,17 +87,14 @@ class UdpBench:
             why = getattr(error, "strerror", None) or error
             raise InputError(f"rig: port {port} of {host}: {why}; choose another --port, or 0 for any") from error
         self._socket.setblocking(False)
+        self.address: tuple[str, int] = self._socket.getsockname()
+        """Where the bench can be spoken to."""
 
     def __enter__(self) -> "UdpBench":
         return self
 
     def __exit__(self, *exception: object) -> None:
         self._socket.close()
-
-    @property
-    def address(self) -> tuple[str, int]:
-        """Return where the bench can be spoken to."""
-        return self._socket.getsockname()
 
     def serve(self, *, runs: int = 0) -> None:
         """Serve so many runs, one after the other; 0: until interrupted."""

@@ -137,16 +137,21 @@ class UdpRig:
     """A bench at `address` (host, port) behind the `Rig` protocol; a context manager, which says goodbye.
 
     queued m/s²: the commands to be on their way when the run begins, oldest first. The first `read` lets the
-    bench begin.
+    bench begin. fault: why the bench says that it has failed, or "".
 
     Raises:
         InputError: no such address, or no bench answers there.
     """
 
+    # Nobody knows the true state, nor what acted.
+    truth: None = None
+    acted: None = None
+
     def __init__(
         self, address: tuple[str, int], *, queued: Sequence[float] = (), settings: LinkSettings | None = None
     ) -> None:
         self._settings = settings or LinkSettings()
+        self.fault = ""
         self.address = f"{SCHEME}://{address[0]}:{address[1]}"
         try:
             family = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)[0][0]
@@ -161,7 +166,7 @@ class UdpRig:
         self._poll.register(self._socket, select.POLLIN)
         self._waiting: dict[int, ReadingPacket] = {}
         self._tick, self._begin = -1, math.inf
-        self._fault, self._stopped, self._gone = "", False, ""
+        self._stopped, self._gone = False, ""
         self._lateness: list[float] = []
         self._trips: list[float] = []
         self._heard, self._held, self._missed, self._lost, self._stale = -1, 0, 0, 0, 0
@@ -170,6 +175,7 @@ class UdpRig:
         except BaseException:
             self._socket.close()
             raise
+        self.period = self.welcome.period
         self._last_packet = 0.0
         self._nothing = np.zeros(self.welcome.arms + 1, dtype=bool)
         self._positions = np.zeros(self.welcome.arms + 1)
@@ -183,26 +189,6 @@ class UdpRig:
         self.stop()
         self._send(packets.bye("the run is over"))
         self._socket.close()
-
-    @property
-    def period(self) -> float:
-        """Return the time between ticks, s."""
-        return self.welcome.period
-
-    @property
-    def truth(self) -> None:
-        """Return None: nobody knows the true state."""
-        return None
-
-    @property
-    def acted(self) -> None:
-        """Return None: nobody knows what acted."""
-        return None
-
-    @property
-    def fault(self) -> str:
-        """Return why the bench says that it has failed, or ""."""
-        return self._fault
 
     @property
     def deadlines(self) -> Deadlines:
@@ -223,7 +209,7 @@ class UdpRig:
         """
         self._tick = k = self._tick + 1
         packet = self._packet_of(k)
-        now, period = time.perf_counter(), self.welcome.period
+        now, period = time.perf_counter(), self.period
         lateness = max(now - (self._begin + k * period), 0.0)
         self._lateness.append(lateness)
         late = max(lateness - period, 0.0)
@@ -238,7 +224,7 @@ class UdpRig:
         if packet.condition is Condition.SILENCE and not self._stopped:
             raise ArithmeticError(f"the bench stopped the cart: {packet.text}")
         if packet.condition is Condition.FAULT:
-            self._fault = packet.text
+            self.fault = packet.text
         self._positions = np.array(packet.positions)
         return Reading(k * period, self._positions, None, packet.switch, late)
 
@@ -276,7 +262,7 @@ class UdpRig:
 
     def _packet_of(self, k: int) -> ReadingPacket | None:
         """Return the reading of tick k, or None where it is lost or overdue."""
-        waiting, settings, period = self._waiting, self._settings, self.welcome.period
+        waiting, settings, period = self._waiting, self._settings, self.period
         if k in waiting:
             return waiting.pop(k)
         if waiting:
