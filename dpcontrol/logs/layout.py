@@ -338,7 +338,7 @@ class TickLayout:
     @cached_property
     def schemas(self) -> dict[str, tuple[str, bytes]]:
         """Name and definition of each topic's message, in the order of the channels."""
-        found = dict.fromkeys(self.messages, JOINT_STATE)
+        found: dict[str, tuple[str, bytes]] = dict.fromkeys(self.messages, JOINT_STATE)
         if CONTROL in found:
             found[CONTROL] = (CONTROL_NAME, "".join(f"float64 {name}\n" for name in self.fields).encode())
         found |= {TRANSFORMS: TF_MESSAGE, EVENTS: LOG, ROBOT: STRING}

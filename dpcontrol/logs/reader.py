@@ -184,7 +184,7 @@ def damaged(path: Path, reason: str, *, cause: BaseException | None = None) -> N
     raise InputError(f"{path} is damaged ({reason}); copy it again from its source, or {_recover(path)}") from cause
 
 
-_PARSED = {
+_PARSED: dict[int, type[Header | Metadata | Attachment | Schema | Channel]] = {
     Opcode.HEADER: Header, Opcode.METADATA: Metadata, Opcode.ATTACHMENT: Attachment, Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
 }  # fmt: skip

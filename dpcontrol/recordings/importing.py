@@ -211,7 +211,7 @@ def _direction(angles: Table) -> tuple[tuple[float, ...], tuple[float, ...], boo
     for value in sign:
         if isinstance(value, bool) or value not in (1, -1):
             raise InputError(f"{angles.where('sign')} = {value!r}: must be 1, counter-clockwise, or -1, clockwise")
-    shown = [ZEROS.get(value) if isinstance(value, str) else value for value in zero]
+    shown: list[Any] = [ZEROS.get(value) if isinstance(value, str) else value for value in zero]
     for value, number in zip(zero, shown, strict=True):
         if isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) <= 100:
             raise InputError(f"{angles.where('zero')} = {value!r}: must be 'hanging', 'upright' or an angle in rad")
