@@ -24,7 +24,6 @@ from functools import cached_property
 from itertools import accumulate
 
 import numpy as np
-from numpy.typing import NDArray
 
 ENCAPSULATION = b"\x00\x01\x00\x00"
 """The first four bytes of every message."""
@@ -304,24 +303,24 @@ class TickLayout:
         return widths | {"measured": joints, "rates": joints, "control": len(self.fields)}
 
     @cached_property
-    def joint_order(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Where positions and velocities of the joints, in the order of their names, stand in a state."""
-        n = self.arms
-        cart = [2 * n] if self.has_cart else []
-        return np.array([*range(n), *cart]), np.array([*range(n, 2 * n), *(k + 1 for k in cart)])
+    def rooms(self) -> tuple[tuple[str, str, slice, str, slice], ...]:
+        """Where numbers stand: topic, field of its message and joints there; part ("measured" or of `PARTS`), columns.
 
-    @cached_property
-    def rooms(self) -> tuple[tuple[str, str, str, NDArray[np.int64] | slice], ...]:
-        """Where numbers stand: topic, field of its message, part ("measured" or of `PARTS`), and columns of that."""
-        positions, velocities = self.joint_order
-        found: list[tuple[str, str, str, NDArray[np.int64] | slice]] = [(MEASURED, "position", "measured", slice(None))]
+        All are slices: for the few ticks of a chunk, columns picked by number cost more than they hold.
+        """
+        n, every = self.arms, slice(None)
+        arms_and_cart = [(slice(n), slice(n), slice(n, 2 * n))]
+        if self.has_cart:
+            arms_and_cart.append((slice(n, n + 1), slice(2 * n, 2 * n + 1), slice(2 * n + 1, 2 * n + 2)))
+        found = [(MEASURED, "position", every, "measured", every)]
         if "rates" in self.parts:
-            found.append((MEASURED, "velocity", "rates", slice(None)))
+            found.append((MEASURED, "velocity", every, "rates", every))
         for part, topic in STATE_TOPICS.items():
-            if part in self.parts:
-                found += [(topic, "position", part, positions), (topic, "velocity", part, velocities)]
+            for joints, positions, velocities in arms_and_cart if part in self.parts else ():
+                found.append((topic, "position", joints, part, positions))
+                found.append((topic, "velocity", joints, part, velocities))
         if "control" in self.parts:
-            found.append((CONTROL, "row", "control", slice(None)))
+            found.append((CONTROL, "row", every, "control", every))
         return tuple(found)
 
     @cached_property

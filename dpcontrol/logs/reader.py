@@ -345,8 +345,8 @@ class Batch:
             if (ticks[topic]["log_time"] != times).any():
                 raise ValueError(f"the messages of {topic} do not pair with those of {layout.MEASURED}")
         found = {part: np.empty((len(ticks), tick.widths[part])) for part in ("measured", *tick.parts)}
-        for topic, field_name, part, columns in tick.rooms:
-            found[part][:, columns] = ticks[topic][field_name]
+        for topic, field_name, joints, part, columns in tick.rooms:
+            found[part][:, columns] = ticks[topic][field_name][:, joints]
         return {"time": times / 1e9, **found}
 
 

@@ -70,7 +70,9 @@ class ChunkEncoder:
         self._counts = dict.fromkeys(tick.channels, 0)
         # Views are made once: for twenty ticks they cost more than what is copied through them.
         block = self._block = np.frombuffer(bytearray(tick.block_template * rows), tick.block_type)
-        self._rooms = [(block[topic][field], part, columns) for topic, field, part, columns in tick.rooms]
+        self._rooms = [
+            (block[topic][field][:, joints], part, columns) for topic, field, joints, part, columns in tick.rooms
+        ]
         raw, self._heads = block.view(np.uint8).reshape(rows, -1), []
         for topic, offset in tick.block_offsets.items():
             first = offset + layout.RECORD_HEADER.fields["sequence"][1]  # type: ignore[index]
@@ -141,8 +143,10 @@ class ChunkEncoder:
         for part in ("truth", "estimate"):
             if part in rows:
                 return rows[part]
-        states = np.zeros((len(rows["measured"]), self.tick.widths["truth"]))
-        states[:, self.tick.joint_order[0]] = rows["measured"]
+        measured, arms = rows["measured"], self.tick.arms
+        states = np.zeros((len(measured), self.tick.widths["truth"]))
+        states[:, :arms] = measured[:, :arms]
+        states[:, 2 * arms : 2 * arms + 1] = measured[:, arms:]
         return states
 
     def _transform_notes(self, times: NDArray[np.int64], rows: Mapping[str, Row]) -> list[Note]:
