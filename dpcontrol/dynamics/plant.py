@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Friction, Level, arm_chain_equations, chain_energies
 from dpcontrol.dynamics.compiled import Compiled, compiled_step
-from dpcontrol.dynamics.equations import Equations, mechanics, solve_symmetric
+from dpcontrol.dynamics.equations import Equations, Mechanics, mechanics, solve_symmetric
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
 
@@ -103,8 +103,8 @@ def _symbols() -> SimpleNamespace:
 
 
 @cache
-def _parts(count: int, friction: tuple[Friction, ...], *, free_cart: bool) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX, ca.SX]:
-    """Return (position, velocity, the cart's acceleration, acceleration of what is free, its mass matrix)."""
+def _parts(count: int, friction: tuple[Friction, ...], *, free_cart: bool) -> Mechanics:
+    """Return arms on a track that may be tilted, with a cart that moves as prescribed or is free."""
     n, chain, s = count, chain_energies(count, friction=friction), _symbols()
 
     def lagrangian(q: ca.SX, v: ca.SX, p: ca.SX) -> ca.SX:
@@ -116,8 +116,7 @@ def _parts(count: int, friction: tuple[Friction, ...], *, free_cart: bool) -> tu
         return chain.dissipation(q, v, p) + (s.drag * v[n] ** 2 / 2 if free_cart else 0)
 
     free, prescribed = (n + 1, 0) if free_cart else (n, 1)
-    parts = mechanics(lagrangian, dissipation, free=free, prescribed=prescribed, parameters=chain.parameters)
-    return parts.position, parts.velocity, parts.acceleration, parts.free_acceleration, parts.mass_matrix
+    return mechanics(lagrangian, dissipation, free=free, prescribed=prescribed, parameters=chain.parameters)
 
 
 def _parameters(count: int, level: PlantLevel, friction: tuple[Friction, ...]) -> ca.SX:
@@ -142,7 +141,8 @@ def plant_equations(count: int, level: PlantLevel, *, friction: tuple[Friction, 
     """
     n, s = count, _symbols()
     u, a = ca.SX.sym("u"), ca.SX.sym("a")
-    q, v, given, free, _ = _parts(count, friction, free_cart=level is PlantLevel.FORCE)
+    parts = _parts(count, friction, free_cart=level is PlantLevel.FORCE)
+    q, v, given, free = parts.position, parts.velocity, parts.acceleration, parts.free_acceleration
     if level is PlantLevel.FORCE:
         moving = ca.substitute(free, s.force, s.mass * a)
     else:
@@ -166,16 +166,17 @@ def blow(count: int, level: PlantLevel, *, friction: tuple[Friction, ...] = ()) 
     which the arms keep their momenta. The drive's loop answers what moves its cart.
     """
     n, s = count, _symbols()
-    q, v, given, free, arms_mass = _parts(count, friction, free_cart=False)
+    parts = _parts(count, friction, free_cart=False)
+    q, v = parts.position, parts.velocity
     impulses, jumps, knock, a = ca.SX.sym("p", n), ca.SX.sym("j", n), ca.SX.sym("k"), ca.SX.sym("a")
     if level is PlantLevel.FORCE:
-        other_q, other_v, *_, whole_mass = _parts(count, friction, free_cart=True)
-        mass = ca.substitute(whole_mass, ca.vertcat(other_q, other_v), ca.vertcat(q, v))
+        whole = _parts(count, friction, free_cart=True)
+        mass = ca.substitute(whole.mass_matrix, ca.vertcat(whole.position, whole.velocity), ca.vertcat(q, v))
         moved = solve_symmetric(mass, ca.vertcat(impulses, 0))
     else:
-        moved = ca.vertcat(solve_symmetric(arms_mass, impulses), 0)
+        moved = ca.vertcat(solve_symmetric(parts.mass_matrix, impulses), 0)
     cart = moved[n] + knock
-    rates = v[:n] + moved[:n] + jumps + ca.jacobian(free, given) * knock
+    rates = v[:n] + moved[:n] + jumps + ca.jacobian(parts.free_acceleration, parts.acceleration) * knock
     after = ca.vertcat(q[:n], rates, q[n], v[n] + cart)
     if level is not PlantLevel.CART:
         after = ca.vertcat(after, a - cart / s.lag)

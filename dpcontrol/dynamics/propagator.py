@@ -165,13 +165,14 @@ class CrossingFinder:
         )
 
     @cached_property
-    def _rates(self) -> Any:
+    def _rate(self) -> Any:
         return hy.cfunc([rate for _, rate in self._system], vars=[x for x, _ in self._system], compact_mode=True)
 
-    @property
-    def _used(self) -> Array:
+    def _rates(self, states: Array) -> Array:
+        """Return the rates (N, K) at states (K, N)."""
         # Parameters that the equations never use are not part of the compiled code.
-        return self.parameters[: self._rates.nparams]
+        used = self.parameters[: self._rate.nparams, None]
+        return self._rate(np.ascontiguousarray(states.T), pars=np.repeat(used, len(states), axis=1))
 
     def find(self, states: Array, section: Section, *, longest: float, hit: int) -> list[Crossing | None]:
         """Return each state's (K, N) `hit`-th crossing within `longest` seconds (negative: backward), or None."""
@@ -219,10 +220,8 @@ class CrossingFinder:
 
         Any other would spoil its lane's clock, which heyoka then refuses to start again.
         """
-        rates = self._rates(np.ascontiguousarray(states.T), pars=np.repeat(self._used[:, None], len(states), axis=1))
-        return [
-            int(k) for k in np.flatnonzero(np.isfinite(states.T).all(axis=0) & np.isfinite(rates).all(axis=0))[::-1]
-        ]
+        rates = self._rates(states).T
+        return np.flatnonzero((np.isfinite(states) & np.isfinite(rates)).all(axis=1))[::-1].tolist()
 
     def _park(self, section: Section, state: Array) -> None:
         """Rest every lane at a finite state, and set what does not change from flight to flight."""
@@ -262,7 +261,7 @@ class CrossingFinder:
         if section.period is None:
             return
         integrator = self._integrator
-        rate = self._rates(integrator.state[:, lane].copy(), pars=self._used)
+        rate = self._rates(integrator.state[None, :, lane])[:, 0]
         onward = float(np.sign(np.dot(section.normal, rate)) * sense)
         crossed = float(integrator.pars[self._sheets.start + sheet, lane])
         self._set_sheet(lane, 1 - sheet, crossed + onward * section.period)

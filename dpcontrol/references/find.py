@@ -459,7 +459,8 @@ def find_transfer(
         attempt = solve(problem, first, settings=tried, limits=limits)
         outcome = attempt.outcome
         if attempt.succeeded:
-            share = _share(attempt.trajectory, limits)
+            largest = largest_values(attempt.trajectory, limits)
+            share = max(largest[name] / bound for name, bound in limits.named().items())
             solved.append((share, problem, attempt.trajectory))
             if share <= transfer.gentle:
                 break
@@ -471,14 +472,5 @@ def find_transfer(
             return found
     seconds = ", ".join(f"{duration:g}" for duration in transfer.durations)
     why = wanting(problem, first, tried)
-    raise GoalMissed(f"no transfer in {seconds} s within the cart's limits ({_named(limits)}): {outcome}; {why}")
-
-
-def _share(trajectory: Trajectory, limits: Limits) -> float:
-    """Return the largest share of a limit that a trajectory uses."""
-    largest = largest_values(trajectory, limits)
-    return max(largest[name] / bound for name, bound in limits.named().items())
-
-
-def _named(limits: Limits) -> str:
-    return ", ".join(f"{name} {bound:g} {LIMIT_UNITS[name]}" for name, bound in limits.named().items())
+    bounds = ", ".join(f"{name} {bound:g} {LIMIT_UNITS[name]}" for name, bound in limits.named().items())
+    raise GoalMissed(f"no transfer in {seconds} s within the cart's limits ({bounds}): {outcome}; {why}")

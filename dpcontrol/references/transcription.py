@@ -106,40 +106,26 @@ def _scattered(values: ca.MX, rows: Indices, columns: Indices, shape: tuple[int,
     return ca.MX(sparsity, ca.mtimes(ca.DM(gather, 1.0), values))
 
 
-Structure = tuple[list[int], list[int], list[int], list[bool]]
-
-
-def solver_options(settings: ReferenceSettings, structure: Structure | None, *, warm: bool = False) -> dict[str, Any]:
-    """Return casadi's options; structure: (states, inputs, constraints by stage, which are equal) for fatrop.
+def solver_options(settings: ReferenceSettings, *, warm: bool = False) -> dict[str, Any]:
+    """Return casadi's options.
 
     warm: the search starts from a solution on another mesh, so a barrier far from it would only lead away.
     """
     shared: dict[str, Any] = {"print_time": False, "error_on_fail": False}
-    if structure is not None:
-        states, inputs, constraints, equal = structure
-        return {
-            **shared,
-            "structure_detection": "manual",
-            "N": len(states) - 1,
-            "nx": states,
-            "nu": inputs,
-            "ng": constraints,
-            "equality": equal,
-            "fatrop.print_level": 0,
-            "fatrop.max_iter": settings.iterations,
-            "fatrop.tolerance": 1e-8,
+    if settings.solver == "fatrop":
+        own = {"print_level": 0, "max_iter": settings.iterations, "tolerance": 1e-8}
+    else:
+        own = {
+            "print_level": 0,
+            "sb": "yes",
+            "max_iter": settings.iterations,
+            "tol": 1e-8,
+            "constr_viol_tol": 1e-10,
+            # IPOPT would otherwise widen every bound by 1e-8 before it starts.
+            "bound_relax_factor": 0.0,
+            "mu_init": 1e-6 if warm else 0.1,
         }
-    return {
-        **shared,
-        "ipopt.print_level": 0,
-        "ipopt.sb": "yes",
-        "ipopt.max_iter": settings.iterations,
-        "ipopt.tol": 1e-8,
-        "ipopt.constr_viol_tol": 1e-10,
-        # IPOPT would otherwise widen every bound by 1e-8 before it starts.
-        "ipopt.bound_relax_factor": 0.0,
-        "ipopt.mu_init": 1e-6 if warm else 0.1,
-    }
+    return shared | {f"{settings.solver}.{name}": value for name, value in own.items()}
 
 
 def interval_function(problem: ReferenceProblem, method: Method, settings: ReferenceSettings) -> ca.Function:
@@ -191,19 +177,18 @@ class _Program:
         self.free = self.count - 1 if self.shared else self.count
         self.stretches = problem.ends.stretch > 0
         self.coupled = self.method.shares_inputs or limits.jerk > 0
-        if self.staged and (self.stretches or self.coupled or problem.ends.closing is not None):
+        joined = self.stretches or self.coupled or problem.ends.closing is not None
+        if self.staged and joined:
             raise InputError(
                 'solver = "fatrop" takes stages one by one: it serves fixed times, open ends and inputs that may jump; '
                 'use "ipopt" for a free duration, a periodic orbit, a jerk limit, lobatto or hermite-simpson'
             )
-        # What couples more than neighbouring intervals is left to casadi's own derivatives.
-        self.plain = not (self.staged or self.stretches or self.coupled or problem.ends.closing is not None)
-        self.plain = self.plain and problem.ends.energy is None
         self.options: dict[str, Any] = {}
-        if self.plain:
-            self._assemble_by_interval()
-        else:
+        # What couples more than neighbouring intervals is left to casadi's own derivatives.
+        if self.staged or joined or problem.ends.energy is not None:
             self._assemble()
+        else:
+            self._assemble_by_interval()
 
     def _assemble_by_interval(self) -> None:
         """Make the program, and its derivatives, from one interval's."""
@@ -269,7 +254,8 @@ class _Program:
         if self.stretches:
             variables.append(factor)
         self.program = {"x": ca.vertcat(*variables), "f": ca.sum2(costs), "g": ca.vertcat(*rows)}
-        self.ng = [matrix.shape[0]] * n
+        if self.staged:
+            self._name_stages(matrix.shape[0] - nx)
 
     def _equal(self, rows: list[ca.MX], expression: ca.MX, values: Array) -> None:
         rows.append(expression)
@@ -296,6 +282,19 @@ class _Program:
             self.low_g[:] = [low[:width], start[fixed], low[width:], end[held] - slack]
             self.high_g[:] = [high[:width], start[fixed], high[width:], end[held] + slack]
             self.fixed_counts = (len(fixed), len(held))
+
+    def _name_stages(self, gaps: int) -> None:
+        """Tell the solver, stage by stage, the numbers of states, inputs and constraints, and which are equal."""
+        n, width = self.intervals, self.nx * self.free + self.count
+        equal = np.concatenate(self.low_g) == np.concatenate(self.high_g)
+        self.options = {
+            "structure_detection": "manual",
+            "N": n,
+            "nx": [self.nx] * (n + 1),
+            "nu": [width] * n + [0],
+            "ng": [gaps + self.fixed_counts[0], *([gaps] * (n - 1)), self.fixed_counts[1]],
+            "equality": equal.tolist(),
+        }
 
     def bounds(self) -> tuple[Array, Array]:
         """Return the lower and upper bounds of the variables."""
@@ -342,14 +341,6 @@ class _Program:
         mesh = self.mesh[0] + (self.mesh - self.mesh[0]) * factor
         return Trajectory(self.method, mesh, states * self.scale, inputs.copy())
 
-    def structure(self) -> tuple[list[int], list[int], list[int], list[bool]]:
-        """Return, stage by stage, the numbers of states, inputs and constraints, and which constraints are equal."""
-        n, width = self.intervals, self.nx * self.free + self.count
-        gaps = self.ng[0] - self.nx
-        counts = [gaps + self.fixed_counts[0], *([gaps] * (n - 1)), self.fixed_counts[1]]
-        equal = np.concatenate(self.low_g) == np.concatenate(self.high_g)
-        return [self.nx] * (n + 1), [width] * n + [0], counts, [bool(value) for value in equal]
-
 
 def solve(
     problem: ReferenceProblem, first: Trajectory, *, settings: ReferenceSettings, limits: Limits, warm: bool = False
@@ -363,7 +354,7 @@ def solve(
     """
     began = time.perf_counter()
     program = _Program(problem, settings, first, limits)
-    options = solver_options(settings, program.structure() if program.staged else None, warm=warm) | program.options
+    options = solver_options(settings, warm=warm) | program.options
     solver = ca.nlpsol("reference", settings.solver, program.program, options)
     low, high = program.bounds()
     x0 = np.clip(program.start(), low, high)

@@ -72,7 +72,7 @@ def solve_by_shooting(
         "f": ca.sum2(costs),
         "g": ca.vec(landed - nodes[:, 1:]),
     }
-    solver = ca.nlpsol("shooting", "ipopt", program, solver_options(settings, None))
+    solver = ca.nlpsol("shooting", "ipopt", program, solver_options(settings))
     low, high = _bounds(problem, settings, count=count, intervals=n)
     first = first_trajectory(problem, method, mesh)
     starts = np.vstack([first.states[:, 0], (method.end @ first.states[-1])[None]]) / scale
