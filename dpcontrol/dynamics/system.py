@@ -239,11 +239,7 @@ def momentum_scale(system: System, section: Section) -> float:
 def _energy(
     name: str, kind: str, function: EnergyFunction, coordinates: Sequence[str], parameters: Mapping[str, float] | None
 ) -> tuple[Energy, ca.SX, Array]:
-    """Return a user's energy as a function of casadi vectors, checked, and its parameters' symbols and values.
-
-    Raises:
-        InputError: what is wrong with it.
-    """
+    """Return a user's energy as a function of casadi vectors, checked, and its parameters' symbols and values."""
     where, given = f"the {kind} of {name}", dict(parameters or {})
     if len(coordinates) != 2 or isinstance(coordinates, str) or len(set(coordinates)) != 2:
         raise InputError(
@@ -338,11 +334,7 @@ def described_system(
 def _equilibria(
     name: str, numeric: NumericEquations, guesses: Mapping[str, Sequence[float]], n: int
 ) -> dict[str, Array]:
-    """Return the equilibria (N,) that Newton's method finds from guesses (n,) or (N,), exact ones unchanged.
-
-    Raises:
-        InputError: names the guess that is none, leads nowhere, or to another's equilibrium.
-    """
+    """Return the equilibria (N,) that Newton's method finds from guesses (n,) or (N,), exact ones unchanged."""
     found: dict[str, Array] = {}
     for key, guess in guesses.items():
         if not isinstance(key, str) or not _NAME.fullmatch(key):
@@ -383,11 +375,7 @@ def _equilibria(
 
 
 def _periods(name: str, numeric: NumericEquations, periods: Sequence[float | None], near: Array) -> Array:
-    """Return the periods (N,) of the coordinates (n,), infinite where there is none.
-
-    Raises:
-        InputError: not one for each, or the energy does not repeat.
-    """
+    """Return the periods (N,) of the coordinates (n,), infinite where there is none."""
     n = len(near) // 2
     if len(periods) != n or any(p is not None and not p > 0 for p in periods):
         raise InputError(f"periods = {list(periods)} of {name}: give {n}, each positive or None")
@@ -405,11 +393,7 @@ def _periods(name: str, numeric: NumericEquations, periods: Sequence[float | Non
 def _scale(
     name: str, given: float | Sequence[float] | None, numeric: NumericEquations, periods: Array, saddle: Array
 ) -> Array:
-    """Return the typical size (N,) of each state, of those of the second half by the fastest eigenvalue at a saddle.
-
-    Raises:
-        InputError: it is not positive, or not one number, one for each coordinate or one for each state.
-    """
+    """Return the typical size (N,) of each state, of those of the second half by the fastest eigenvalue at a saddle."""
     n = len(periods) // 2
     turning = np.isfinite(periods[:n])
     sizes = np.where(turning, periods[:n] / 2, 1.0) if given is None else np.asarray(given, dtype=float)
@@ -448,9 +432,6 @@ def _reversers(
     """Return at most two reversers (N, N) about every saddle: those declared, or sign changes that are found.
 
     The second is one whose product with the first leads each Lyapunov orbit half a period on.
-
-    Raises:
-        InputError: one that is declared is none.
     """
     n = len(scale) // 2
     if declared is None:
