@@ -105,36 +105,28 @@ def main(arguments: list[str] | None = None) -> None:
             stream.reconfigure(errors="replace")
     try:
         cli.main(given, prog_name="dpcontrol", standalone_mode=False)
+        code = 0
     except click.ClickException as error:
         error.show()
         code = error.exit_code
-    except InputError as error:
-        click.echo(f"dpcontrol: {error}", err=True)
-        _echo_notes(error)
-        code = 2
-    except GoalMissed as error:
-        click.echo(f"dpcontrol: {error}", err=True)
-        code = 1
-    except (KeyboardInterrupt, click.Abort) as error:
-        click.echo("dpcontrol: interrupted; what was finished is kept", err=True)
-        _echo_notes(error)
-        code = 130
     except click.exceptions.Exit as done:
         code = done.exit_code
+    except (InputError, GoalMissed) as error:
+        click.echo(f"dpcontrol: {error}", err=True)
+        _echo_notes(error)
+        code = 2 if isinstance(error, InputError) else 1
     except OSError as error:
         if error.errno != errno.ENOSPC:
             raise
         click.echo("dpcontrol: no space left where the output goes; nothing more was written", err=True)
         code = 1
-    except (ImportError, SystemError) as error:
+    except (KeyboardInterrupt, click.Abort, ImportError, SystemError) as error:
         # Compiled code that is interrupted reports it as an error of its own.
-        if not interrupted:
+        if isinstance(error, ImportError | SystemError) and not interrupted:
             raise
         click.echo("dpcontrol: interrupted; what was finished is kept", err=True)
         _echo_notes(error)
         code = 130
-    else:
-        code = 0
     sys.exit(code)
 
 

@@ -1,28 +1,16 @@
 """Campaigns: one itinerary, many seeds, several cases; how often it is completed, and how sure that is.
 
 A case is a controller with values that override the scene's. All cases run the same seeds, so that they can be compared
-in pairs. Jobs of some seeds each go to workers; the table does not depend on how many there are or which of them die.
+in pairs. Jobs of some seeds each go to processes of this machine or to a Dask cluster; the table does not depend on how
+many workers there are or which of them die. A job carries all it needs (reference, parameters, settings), so that a
+worker needs this package and no files; the same job gives the same rows wherever and however often it runs.
 
-One job of a campaign: some seeds of one case, run to rows; what a worker anywhere is given and gives back.
+The rows are one tidy Parquet file. Meanwhile every finished job is kept as NAME.parquet.parts/KEY.parquet, whole or
+absent, its key the hash of all it depends on: a campaign that is started again takes what is there and runs the rest.
 
-A job carries all it needs (reference, parameters, settings), so that a worker needs this package and no files. The same
-job gives the same rows wherever and however often it runs.
-
-Where a campaign's rows live: one tidy Parquet file, and beside it the finished jobs of one that was interrupted.
-
-Every finished job is kept as NAME.parquet.parts/KEY.parquet, whole or absent, its key the hash of all it depends on: a
-campaign that is started again takes what is there and runs the rest. When all jobs are done their rows become one file,
-in the order of the jobs, and the parts are removed.
-
-Where a campaign's jobs run: processes of this machine, or a Dask cluster; finished jobs come back in any order.
-
-A worker that dies takes its job along; the job is run again elsewhere. Local workers are made anew; Dask does that
-itself.
-
-The robustness score: how much of each kind of trouble a controller stands, level by level.
-
-Each kind has 21 levels, on top of what the scene itself asks of its bench. The score of a kind is the share of its runs
-that complete the whole itinerary, symbol by symbol, by the true state; that of the controller the mean over the kinds.
+The robustness score: how much of each kind of trouble a controller stands, level by level. Each kind has 21 levels, on
+top of what the scene itself asks of its bench. The score of a kind is the share of its runs that complete the whole
+itinerary, symbol by symbol, by the true state; that of the controller the mean over the kinds.
 
 The first six kinds are those of the leaderboard of the dfki double pendulum, which swings up under a torque of at most
 6 N m; the last three are of encoders and of the cart's drive. What agrees with theirs, and what does not:

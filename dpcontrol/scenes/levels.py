@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.resources import files
+from typing import Any
 
 from dpcontrol.dynamics.plant import PlantLevel
 from dpcontrol.foundation.files import content_hash
@@ -83,14 +84,11 @@ def known_evidence() -> Mapping[str, Evidence]:
     return {evidence.motion: evidence for evidence in found}
 
 
-def _evidence(name: str, entry: Mapping[str, dict[str, dict[str, float]]]) -> Evidence:
-    def runs(key: str) -> dict[str, LevelRuns]:
-        return {
-            level: LevelRuns(int(v["runs"]), int(v["completed"]), float(v["effort"]), float(v["error"]))
-            for level, v in entry[key].items()
-        }
-
-    return Evidence(name, str(entry["motion"]), runs("reference"), runs("plant"))
+def _evidence(name: str, entry: Mapping[str, dict[str, dict[str, Any]]]) -> Evidence:
+    references, plants = (
+        {level: LevelRuns(**runs) for level, runs in entry[key].items()} for key in ("reference", "plant")
+    )
+    return Evidence(name, str(entry["motion"]), references, plants)
 
 
 def evidence_text(evidence: list[Evidence], *, heading: str) -> str:
@@ -109,27 +107,22 @@ def evidence_text(evidence: list[Evidence], *, heading: str) -> str:
 
 def plan_remarks(itinerary: Itinerary) -> tuple[str, ...]:
     """Return a sentence if the reference's level is more, or less, than the evidence supports; else nothing."""
-    evidence = known_evidence().get(motion_key(itinerary))
-    if evidence is None:
+    if (evidence := known_evidence().get(motion_key(itinerary))) is None:
         return ()
-    level, enough = itinerary.reference.level, evidence.reference_level
-    return _remark(
-        "[reference] level", level, enough, REFERENCE_LEVELS, evidence.references, evidence.references["cart"]
-    )
+    runs, level = evidence.references, itinerary.reference.level
+    return _remark("[reference] level", level, evidence.reference_level, REFERENCE_LEVELS, runs)
 
 
 def run_remarks(itinerary: Itinerary) -> tuple[str, ...]:
     """Return a sentence if the plant's level is more, or less, than the evidence supports; else nothing."""
-    evidence = known_evidence().get(motion_key(itinerary))
-    if evidence is None:
+    if (evidence := known_evidence().get(motion_key(itinerary))) is None:
         return ()
     level = itinerary.loop.bench.plant(itinerary.model.arms).level.value
-    full = evidence.plants[PLANT_LEVELS[-1]]
-    return _remark("[run] plant", level, evidence.plant_level, PLANT_LEVELS, evidence.plants, full)
+    return _remark("[run] plant", level, evidence.plant_level, PLANT_LEVELS, evidence.plants)
 
 
 def _remark(
-    what: str, level: str, enough: str, order: tuple[str, ...], runs: Mapping[str, LevelRuns], full: LevelRuns
+    what: str, level: str, enough: str, order: tuple[str, ...], runs: Mapping[str, LevelRuns]
 ) -> tuple[str, ...]:
     if level == enough:
         return ()
@@ -138,11 +131,11 @@ def _remark(
     shown = enough if more else level
     if shown not in runs:
         return (f'{what} = "{level}" is less than this scene needs: it cannot be made without "{enough}"',)
-    found = runs[shown]
-    verdict = f'less than the evidence asks for, "{enough}"'
-    if more:
-        verdict = f'more than the evidence supports: "{enough}" is enough'
-    return (f'{what} = "{level}" is {verdict}; with "{shown}" {_figures(found)}, with everything {_figures(full)}',)
+    verdict = f'more than the evidence supports: "{enough}" is enough' if more else (
+        f'less than the evidence asks for, "{enough}"'
+    )  # fmt: skip
+    found, full = _figures(runs[shown]), _figures(runs[order[-1]])
+    return (f'{what} = "{level}" is {verdict}; with "{shown}" {found}, with everything {full}',)
 
 
 def _figures(runs: LevelRuns) -> str:

@@ -1,8 +1,7 @@
 """Model files: a pendulum's parameters with their sources, from TOML.
 
-Where models and itineraries are found: by path, in the working folder, then among those shipped.
-
-An installed wheel carries them in `dpcontrol/data`; a checkout has them beside the package.
+Models and itineraries are found by path, in the working folder, then among those shipped: an installed wheel carries
+them in `dpcontrol/data`; a checkout has them beside the package.
 
 Identified arms as a model file: where each number comes from, and how well it is known.
 """
@@ -30,29 +29,21 @@ if TYPE_CHECKING:
     from dpcontrol.identification.identify import Identification
 
 
-def shipped(kind: str) -> Path:
-    """Return the folder of shipped "models" or "itineraries"."""
+def folders(kind: str) -> tuple[Path, Path]:
+    """Return where "models" or "itineraries" are: in the working folder, and shipped, in a wheel or a checkout."""
     package = Path(dpcontrol.__file__).parent
     inside = package / "data" / kind
-    return inside if inside.is_dir() else package.parent / kind
+    return Path(kind), inside if inside.is_dir() else package.parent / kind
 
 
 def known(kind: str) -> list[str]:
     """Return the names that can be given without a path."""
     names: set[str] = set()
-    for folder in (Path(kind), shipped(kind)):
+    for folder in folders(kind):
         # A folder that may not be read names nothing.
         with suppress(OSError):
             names |= {file.stem for file in folder.glob("*.toml")}
     return sorted(names)
-
-
-def _is_file(path: Path) -> bool:
-    """Return whether a readable file has this name; False for a name that no file can have."""
-    try:
-        return path.is_file()
-    except (OSError, ValueError):
-        return False
 
 
 def find(kind: str, name: str) -> Path:
@@ -61,17 +52,15 @@ def find(kind: str, name: str) -> Path:
     Raises:
         InputError: there is none; lists the known names and the nearest one.
     """
-    given = Path(name)
-    looks_like_path = given.suffix == ".toml" or given.name != name
-    if looks_like_path:
-        if _is_file(given):
-            return given
-        raise InputError(f"there is no file {name}; give a TOML file or one of: {', '.join(known(kind))}")
-    for folder in (Path(kind), shipped(kind)):
-        file = folder / f"{name}.toml"
-        if _is_file(file):
-            return file
-    names = known(kind)
+    given, names = Path(name), known(kind)
+    is_path = given.suffix == ".toml" or given.name != name
+    for file in [given] if is_path else [folder / f"{name}.toml" for folder in folders(kind)]:
+        # A name that no file can have is an error of its own.
+        with suppress(OSError, ValueError):
+            if file.is_file():
+                return file
+    if is_path:
+        raise InputError(f"there is no file {name}; give a TOML file or one of: {', '.join(names)}")
     close = difflib.get_close_matches(name, names, n=1)
     hint = f"did you mean {close[0]!r}? " if close else ""
     singular = {"models": "model", "itineraries": "itinerary"}[kind]
@@ -140,15 +129,6 @@ class Model:
                 f"{self.path} has no [uncertainty] to draw from; identify the model from recordings, or use a mismatch"
             )
         return self.uncertainty
-
-    def drawn(self, random: np.random.Generator, *, scale: float = 1.0) -> ArmChainParameters:
-        """Return arms as likely as the identification says, its standard errors taken `scale` times as large.
-
-        Raises:
-            InputError: the file has no [uncertainty].
-            GoalMissed: no arms near these have the ratios drawn, as where an uncertainty is as large as its value.
-        """
-        return self.known_to.drawn(self.arms, random, scale=scale)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from dpcontrol.foundation.cache import cache_folder, code_hash
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import content_hash
+from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.references.reference import PlanNotes, Reference, load_reference, plan_notes, save_reference
 from dpcontrol.scenes.itinerary import Itinerary, itinerary_from
@@ -68,27 +68,15 @@ class Plan:
 
     def document(self) -> dict[str, Any]:
         """Return what `dpcontrol plan --json` prints."""
-        reference, notes = self.reference, self.notes
+        figures = (
+            "duration", "max_error_between_nodes", "constraint_violation", "max_cart_position", "max_cart_velocity",
+            "max_cart_acceleration", "rms_cart_acceleration", "iterations", "solve_seconds", "status",
+        )  # fmt: skip
         return {
-            "walk": notes["walk"],
-            "wraps": notes["wraps"],
-            "shadowing": notes["shadowing"],
-            "reference": {
-                "duration": reference.duration,
-                "intervals": len(reference.mesh) - 1,
-                "max_error_between_nodes": reference.max_error_between_nodes,
-                "constraint_violation": reference.constraint_violation,
-                "max_cart_position": reference.max_cart_position,
-                "max_cart_velocity": reference.max_cart_velocity,
-                "max_cart_acceleration": reference.max_cart_acceleration,
-                "rms_cart_acceleration": reference.rms_cart_acceleration,
-                "iterations": reference.iterations,
-                "solve_seconds": reference.solve_seconds,
-                "status": reference.status,
-            },
-            "file": str(self.file) if self.converged else None,
-            "cached": self.cached,
-            "status": self.status,
+            **{key: self.notes[key] for key in ("walk", "wraps", "shadowing")},
+            "reference": {"intervals": len(self.reference.mesh) - 1, **picked(self.reference, *figures)},
+            "file": self.file if self.converged else None,
+            **picked(self, "cached", "status"),
         }
 
 

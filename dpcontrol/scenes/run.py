@@ -1,13 +1,11 @@
 """Run an itinerary: its plan, the closed loop, the log.
 
-Repeat a run from its log alone: scene, model and reference as attached, settings as noted, message for message.
+A run is determined by scene, model and reference, which its log carries, by its settings, which the log notes, and by
+the program: all that is random comes from the seed. So it can be repeated from its log alone, and on the same version
+the new log holds the same bytes in every message; only what the metadata says of the run's pace may differ.
 
-A run is determined by these and by the program: all that is random comes from the seed. So on the same version the
-new log holds the same bytes in every message; only what the metadata says of the run's pace may differ.
-
-Run an itinerary on a bench in real time, over UDP: the same loop, the same log, and how the deadlines were kept.
-
-The bench may be any that speaks `dpcontrol.rig.packets`; the example is the simulated one, by its own clock.
+On a bench in real time, over UDP: the same loop, the same log, and how the deadlines were kept. The bench may be any
+that speaks `dpcontrol.rig.packets`; the example is the simulated one, by its own clock.
 """
 
 import json
@@ -15,7 +13,7 @@ import types
 from collections.abc import Mapping
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
@@ -23,7 +21,6 @@ from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 import dpcontrol
 from dpcontrol.control.ekf import ESTIMATORS
 from dpcontrol.control.interface import Controller
-from dpcontrol.dynamics.chain import Uncertainty
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import checked_other_file, content_hash
@@ -39,7 +36,7 @@ from dpcontrol.logs import (
     read_log,
 )
 from dpcontrol.loop.loop import ControlLoop, LoopSettings, control_loop, loop_controller, loop_fallback, run_loop
-from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, NoSink
+from dpcontrol.loop.result import LogSink, LoopResult, NoSink
 from dpcontrol.references.reference import load_reference
 from dpcontrol.review.score import MODEL_METADATA, REFERENCE_ATTACHMENT, Score, score
 from dpcontrol.scenes.itinerary import CONTROLLERS, Itinerary, itinerary_from
@@ -128,22 +125,16 @@ def run_plan(plan: Plan, out: Path | None = None, *, progress: Progress = no_pro
             not give.
         GoalMissed: the plan did not converge, or no controller can be made for it, or no plant drawn.
     """
-    itinerary = plan.followed().itinerary
+    scene, sink = plan.followed().itinerary, _Events()
+    run = partial(
+        run_loop, plan.reference, scene.model.arms, settings=scene.loop, uncertainty=scene.uncertainty,
+        progress=progress,
+    )  # fmt: skip
     if out is None:
-        events = _Events()
-        return Run(_log_in_memory(plan, _flown(plan, itinerary.uncertainty, events, progress), events))
-    uncertainty = itinerary.uncertainty
+        return Run(_log_in_memory(plan, run(sink=sink), sink))
     with log_writer(plan, out) as writer:
-        result = _flown(plan, uncertainty, LogSink(writer), progress)
-        writer.result(**_outcome(result))
+        writer.result(**_outcome(run(sink=LogSink(writer))))
     return Run(read_log(out))
-
-
-def _flown(plan: Plan, uncertainty: Uncertainty | None, sink: LoopSink, progress: Progress) -> LoopResult:
-    scene = plan.itinerary
-    return run_loop(
-        plan.reference, scene.model.arms, settings=scene.loop, uncertainty=uncertainty, sink=sink, progress=progress
-    )
 
 
 def _outcome(result: LoopResult) -> dict[str, str]:
@@ -298,26 +289,20 @@ def _with_settings(itinerary: Itinerary, log: RunLog) -> Itinerary:
 def _settings(kind: type, values: Mapping[str, Any]) -> Any:
     """Return settings of dataclass `kind` from what `asdict` and JSON made of them."""
     hints = get_type_hints(kind)
-    given = {}
-    for field in fields(kind):
-        if field.init and field.name in values:
-            given[field.name] = _value(field.name, hints[field.name], values[field.name])
-    return kind(**given)
+    names = [field.name for field in fields(kind) if field.init and field.name in values]
+    return kind(**{name: _value(name, hints[name], values[name]) for name in names})
 
 
 def _value(name: str, hint: Any, value: Any) -> Any:
-    if isinstance(value, Mapping):
-        found = _KINDS[name][value["kind"]] if name in _KINDS else _dataclass_in(hint)
-        return _settings(found, value)
     if isinstance(value, list):
-        inner = get_args(hint)[0] if get_args(hint) else Any
+        inner = next(iter(get_args(hint)), Any)
         return tuple(_value(name, inner, item) for item in value)
-    return value
-
-
-def _dataclass_in(hint: Any) -> type:
+    if not isinstance(value, Mapping):
+        return value
+    if name in _KINDS:
+        return _settings(_KINDS[name][value["kind"]], value)
     options = get_args(hint) if get_origin(hint) is types.UnionType else (hint,)
-    return next(option for option in options if is_dataclass(option) and isinstance(option, type))
+    return _settings(next(option for option in options if is_dataclass(option) and isinstance(option, type)), value)
 
 
 OWN_BENCH = "udp"
@@ -375,13 +360,14 @@ def run_on_rig(
     itinerary, reference = plan.itinerary, plan.followed().reference
     arms, settings = itinerary.model.arms, itinerary.loop
     where = None if address == OWN_BENCH else parse_address(address)
-    limits, controller = settings.limits(reference), loop_controller(reference, arms, settings)
+    controller = loop_controller(reference, arms, settings)
     fallback = loop_fallback(reference, arms, settings)
     process: BenchProcess | None = None
     with log_writer(plan, out) as writer:
         loop = control_loop(
-            arms, settings, controller, limits=limits, sink=LogSink(writer), fallback=fallback, progress=progress
-        )
+            arms, settings, controller, limits=settings.limits(reference), sink=LogSink(writer), fallback=fallback,
+            progress=progress,
+        )  # fmt: skip
         loop.rehearse()
         with ExitStack() as stack:
             if where is None:
@@ -398,10 +384,7 @@ def run_on_rig(
         if not len(result.ticks.times):
             raise GoalMissed(result.reason)
         deadlines = rig.deadlines
-        writer.result(
-            real_time_factor=repr(result.real_time_factor), ending=result.ending.value, rig=rig.address,
-            **deadlines.record(),
-        )  # fmt: skip
+        writer.result(**_outcome(result), rig=rig.address, **deadlines.record())
     return RigRun(score(read_log(out)), result, deadlines, tuple(process.said if process else ()))
 
 
