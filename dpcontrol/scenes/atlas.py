@@ -35,7 +35,7 @@ Connections against energy, kept by content: a sweep takes ten seconds or more, 
 import json
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_type_hints
@@ -49,7 +49,7 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.cache import cache_folder, code_hash
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import archive, content_hash, plain, write_archive, write_whole
+from dpcontrol.foundation.files import archive, content_hash, picked, plain, write_archive, write_whole
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, OrbitRecord
@@ -145,11 +145,9 @@ def make_atlas(
         raise InputError(f"energy = {energy}: must be a finite number of joules")
     file = cache_folder("atlases") / f"{model.name}-{energy:g}-{atlas_key(model, energy, settings)}.npz"
     if not fresh and file.is_file():
-        try:
+        # A damaged cache entry is replaced, as if it were not there.
+        with suppress(InputError):
             return FoundAtlas(load_atlas(file), file, cached=True)
-        except InputError:
-            # A damaged cache entry is replaced, as if it were not there.
-            pass
     atlas = compute_atlas(model, energy, settings=settings, progress=progress)
     save_atlas(file, atlas)
     return FoundAtlas(atlas, file, cached=False)
@@ -213,7 +211,7 @@ def compute_atlas(
         energy=energy,
         periods=system.periods,
         reverser=system.reversers[0],
-        points=tuple(AtlasPoint(p.name, p.state, p.energy, p.kind) for p in points.values()),
+        points=tuple(AtlasPoint(**_fields(AtlasPoint, p)) for p in points.values()),
         orbits=samples,
         rotating_orbits=rotating,
         absent=tuple(absent),
@@ -248,7 +246,7 @@ def _compile(system: System, sections: list[Section]) -> None:
 
 def _fields(kind: type, record: Any) -> dict[str, Any]:
     """Return what `kind` declares of a record of that kind, by name."""
-    return {part.name: getattr(record, part.name) for part in fields(kind)}
+    return picked(record, *(part.name for part in fields(kind)))
 
 
 def _sampled_orbit(orbit: LyapunovOrbit) -> AtlasOrbit:
@@ -290,7 +288,7 @@ def _sampled_cut(manifold: UnstableManifold, cut: Cut, settings: AtlasSettings) 
     """Return the record of a cut with trajectories of each branch."""
     orbit, instants = manifold.orbit, settings.strand_instants
     system = orbit.system
-    flown = [strand for branch in (1, -1) for strand in _strands(manifold, cut, branch, settings.strands, instants)]
+    flown = [strand for branch in (1, -1) for strand in _strands(manifold, cut, branch, settings)]
 
     def piece(one: Piece) -> AtlasPiece:
         turned = (one.states - orbit.centre) @ orbit.reverser.T + orbit.centre
@@ -298,13 +296,9 @@ def _sampled_cut(manifold: UnstableManifold, cut: Cut, settings: AtlasSettings) 
 
     return AtlasCut(
         saddle=orbit.saddle,
-        section=cut.section,
-        hit=cut.hit,
         pieces=tuple(piece(one) for one in cut.pieces),
         open_ends=tuple((end.branch, end.phase_interval, end.reason) for end in cut.open_ends),
-        trajectories=cut.trajectories,
-        resolved=cut.resolved,
-        status=cut.status,
+        **picked(cut, "section", "hit", "trajectories", "resolved", "status"),
         strands=np.array([states for _, _, states in flown]).reshape(-1, instants, system.dimension),
         strand_branches=np.array([branch for branch, _, _ in flown], dtype=np.int64),
         strand_phases=np.array([phase for _, phase, _ in flown], dtype=float),
@@ -312,23 +306,21 @@ def _sampled_cut(manifold: UnstableManifold, cut: Cut, settings: AtlasSettings) 
 
 
 def _strands(
-    manifold: UnstableManifold, cut: Cut, branch: int, count: int, instants: int
-) -> list[tuple[int, float, Array]]:
-    """Return (branch, phase, states) of trajectories that reach the section, spread evenly over the phases."""
+    manifold: UnstableManifold, cut: Cut, branch: int, settings: AtlasSettings
+) -> Iterator[tuple[int, float, Array]]:
+    """Yield (branch, phase, states) of trajectories that reach the section, spread evenly over the phases."""
     pieces = [piece for piece in cut.pieces if piece.branch == branch]
     if not pieces:
-        return []
+        return
     phases = np.concatenate([piece.phases for piece in pieces])
     times = np.concatenate([piece.times for piece in pieces])
+    count, system = settings.strands, manifold.orbit.system
     nearest = [int(np.argmin(np.abs((phases - k / count + 0.5) % 1 - 0.5))) for k in range(count)]
     chosen = list(dict.fromkeys(nearest))
-    seeds, _ = manifold.seeds(phases[chosen], branch)
-    system, flown = manifold.orbit.system, []
-    for seed, k in zip(seeds, chosen, strict=True):
-        dense = np.linspace(0.0, times[k], _DENSE * instants)
+    for seed, k in zip(manifold.seeds(phases[chosen], branch)[0], chosen, strict=True):
+        dense = np.linspace(0.0, times[k], _DENSE * settings.strand_instants)
         states = system.propagator.sample(seed, dense)
-        flown.append((branch, float(phases[k] % 1), states[_evenly(system, dense, states, instants)]))
-    return flown
+        yield branch, float(phases[k] % 1), states[_evenly(system, dense, states, settings.strand_instants)]
 
 
 def _evenly(system: System, times: Array, states: Array, count: int) -> NDArray[np.int64]:
@@ -346,11 +338,9 @@ def _kind(one: PairSearch) -> AtlasKind:
         section=search.cuts[0].section.name,
         hits=(search.cuts[0].hit, search.cuts[1].hit),
         count=len(search.connections),
-        failed=search.failed,
-        complete=search.complete,
         open_ends=tuple((tube, end.branch, end.phase_interval, end.reason) for tube, end in search.open_ends),
         by_reversal=one.by_reversal,
-        status=search.status,
+        **picked(search, "failed", "complete", "status"),
     )
 
 
@@ -503,11 +493,9 @@ def make_branches(
     }
     key = content_hash(json.dumps(content, sort_keys=True))
     file = cache_folder("branches") / f"{model.name}-{source}-{target}-{key}.json"
-    try:
+    # One that was never made, or is damaged, is made.
+    with suppress(OSError, ValueError, KeyError, TypeError):
         return diagram_from(json.loads(file.read_text(encoding="utf-8")))
-    except (OSError, ValueError, KeyError, TypeError):
-        # Never made, or damaged.
-        pass
     found = find_bifurcations(model.system, source, target, energies=energies, settings=settings, progress=progress)
     diagram = branch_diagram(found)
     write_whole(file, json.dumps(diagram.document()) + "\n")
