@@ -28,8 +28,8 @@ from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
     from dpcontrol.scenes.model import Model
-    from dpcontrol.scenes.walks import WalkAnswer, WalkRequest
     from dpcontrol.walks.edges import Edges
+    from dpcontrol.walks.requests import WalkAnswer, WalkRequest
 
 REFINED = 4
 """Walks that --precision extended may refine."""
@@ -104,8 +104,8 @@ def walk_command(
     where a wrap is a turn.
     """
     from dpcontrol.scenes.model import load_model
-    from dpcontrol.scenes.walks import drawn_requests, request
     from dpcontrol.walks.edges import find_edges
+    from dpcontrol.walks.requests import drawn_requests, request
     from dpcontrol.walks.symbols import parse_walk
     from dpcontrol.walks.walks import all_walks, count_walks, is_closed, resolve, vertex_names, ways
     from dpcontrol.walks.walks import through as shortest
@@ -194,7 +194,7 @@ def _solve(
 ) -> Answer:
     """Solve, keep and draw walks; refine them where their energy is given exactly."""
     from dpcontrol import api
-    from dpcontrol.scenes.walks import refined_answer, save_walk, solved
+    from dpcontrol.walks.requests import refined_answer, save_walk, solved
     from dpcontrol.walks.shadowing import WalkSolver
 
     solver = WalkSolver(edges.connections)

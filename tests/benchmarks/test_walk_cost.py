@@ -11,8 +11,8 @@ import pytest
 from walk_classifier import WalkClassifier
 
 from dpcontrol.scenes.model import load_model
-from dpcontrol.scenes.walks import drawn_requests, solved
 from dpcontrol.walks.edges import find_edges
+from dpcontrol.walks.requests import drawn_requests, solved
 from dpcontrol.walks.shadowing import WalkSolver
 from dpcontrol.walks.walks import random_walk
 

@@ -8,8 +8,8 @@ import pytest
 from walk_classifier import WalkClassifier
 
 from dpcontrol.scenes.model import load_model
-from dpcontrol.scenes.walks import drawn_requests
 from dpcontrol.walks.edges import find_edges
+from dpcontrol.walks.requests import drawn_requests
 from dpcontrol.walks.shadowing import WalkSolver
 
 CLOSURE = 1e-11
