@@ -4,7 +4,7 @@ import shutil
 from collections.abc import Iterator
 from decimal import Decimal
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,8 +19,10 @@ from dpcontrol.cli.verbs import (
     extended_text,
     file_option,
     hits_option,
-    multiplier_text,
+    multiplier_texts,
     option,
+    spaced,
+    table,
     verb,
 )
 from dpcontrol.foundation.errors import GoalMissed, InputError
@@ -106,20 +108,15 @@ def connect_command(
     )
 
 
+def _symmetric(one: Any) -> str:
+    return "yes" if one.symmetric else "pair"
+
+
 def _connect_text(title: str, found: "tuple[Connection, ...]", search: "ConnectionSearch") -> Iterator[str | TextTable]:
-    rows = [
-        (
-            c.name,
-            f"{c.sense:+d}",
-            "yes" if c.symmetric else "pair",
-            f"{c.transversality_angle:.3f}",
-            f"{c.residual:.0e}",
-            f"{c.time_out:.4f}",
-            f"{c.time_in:.4f}",
-        )
-        for c in found
-    ]
-    yield TextTable(title, ("name", "sense", "symmetric", "angle (°)", "residual", "time out (s)", "time in (s)"), rows)
+    yield table(title, found, {
+        "name": "{.name}", "sense": "{.sense:+d}", "symmetric": _symmetric, "angle (°)": "{.transversality_angle:.3f}",
+        "residual": "{.residual:.0e}", "time out (s)": "{.time_out:.4f}", "time in (s)": "{.time_in:.4f}",
+    })  # fmt: skip
     yield search.status
     for tube, end in search.open_ends[:SHOWN]:
         low, high = end.phase_interval
@@ -197,21 +194,16 @@ def bifurcations_command(
 
 
 def _bifurcations_text(found: "BifurcationSearch") -> Iterator[str | TextTable]:
-    rows = [
-        (
-            f"{e.energy:.10f}",
-            e.kind,
-            f"{'at least ' if e.at_least else ''}{e.count_below} → {e.count_above}",
-            "yes" if e.symmetric else "pair",
-            ", ".join(str(k) for k in e.winding),
-            f"{e.residual:.0e}",
-            "  ".join(f"{v:.6f}" for v in e.state),
-        )
-        for e in found.events
-    ]
-    columns = ("energy (J)", "kind", "count", "symmetric", "winding", "residual", "state (rad, rad/s)")
     title = f"{found.source} → {found.target}, {found.crossings} crossing(s) of {found.section.name}"
-    yield TextTable(title, columns, rows)
+    yield table(title, found.events, {
+        "energy (J)": "{.energy:.10f}",
+        "kind": "{.kind}",
+        "count": lambda e: f"{'at least ' if e.at_least else ''}{e.count_below} → {e.count_above}",
+        "symmetric": _symmetric,
+        "winding": lambda e: ", ".join(map(str, e.winding)),
+        "residual": "{.residual:.0e}",
+        "state (rad, rad/s)": lambda e: spaced(e.state, ".6f"),
+    })  # fmt: skip
     yield found.status
 
 
@@ -249,35 +241,19 @@ def atlas_command(
 
 
 def _atlas_text(atlas: "Atlas") -> Iterator[str | TextTable]:
-    yield TextTable(
-        f"{atlas.model} at {atlas.energy:g} J: Lyapunov orbits",
-        ("about", "period (s)", "multiplier", "closure"),
-        [
-            (o.name, f"{o.period:.12g}", f"{o.floquet_multipliers[0].real:.10g}", f"{o.residual:.0e}")
-            for o in atlas.orbits
-        ],
-    )
+    yield table(f"{atlas.model} at {atlas.energy:g} J: Lyapunov orbits", atlas.orbits, {
+        "about": "{.name}", "period (s)": "{.period:.12g}", "multiplier": "{0.floquet_multipliers[0].real:.10g}",
+        "closure": "{.residual:.0e}",
+    })  # fmt: skip
     if atlas.rotating_orbits:
-        yield TextTable(
-            "orbits that turn one arm forward",
-            ("arm", "period (s)", "stability", "multipliers", "closure"),
-            [
-                (
-                    ("inner", "outer")[o.arm - 1],
-                    f"{o.period:.12g}",
-                    o.kind,
-                    "  ".join(multiplier_text(m, 8) for m in o.floquet_multipliers),
-                    f"{o.residual:.0e}",
-                )
-                for o in atlas.rotating_orbits
-            ],
-        )
-    rows = [
-        (f"{k.source} → {k.target}", k.section, f"{k.hits[0]}, {k.hits[1]}", str(k.count),
-         "closed" if k.complete else "open")
-        for k in atlas.kinds
-    ]  # fmt: skip
-    yield TextTable("connections", ("from → to", "section", "hits", "count", "cuts"), rows)
+        yield table("orbits that turn one arm forward", atlas.rotating_orbits, {
+            "arm": lambda o: ("inner", "outer")[o.arm - 1], "period (s)": "{.period:.12g}", "stability": "{.kind}",
+            "multipliers": lambda o: multiplier_texts(o.floquet_multipliers, 8), "closure": "{.residual:.0e}",
+        })  # fmt: skip
+    yield table("connections", atlas.kinds, {
+        "from → to": "{0.source} → {0.target}", "section": "{.section}", "hits": "{0.hits[0]}, {0.hits[1]}",
+        "count": "{.count}", "cuts": lambda k: "closed" if k.complete else "open",
+    })  # fmt: skip
     for c in atlas.connections:
         symmetric = ", symmetric" if c.symmetric else ""
         yield f"  {c.name}   {c.transversality_angle:.2f}°, residual {c.residual:.0e}{symmetric}"

@@ -6,20 +6,37 @@ from typing import TYPE_CHECKING
 
 import click
 
-from dpcontrol.cli.verbs import Answer, TextTable, argument, drawn_to, file_option, multiplier_text, option, verb
+from dpcontrol.cli.verbs import (
+    Answer,
+    TextTable,
+    argument,
+    drawn_to,
+    file_option,
+    multiplier_texts,
+    option,
+    spaced,
+    table,
+    verb,
+)
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
     from dpcontrol.orbits.family import LyapunovFamily
     from dpcontrol.orbits.lyapunov import LyapunovOrbit
-    from dpcontrol.orbits.rotating import RotatingFamily, RotatingOrbit
+    from dpcontrol.orbits.rotating import RotatingFamily
     from dpcontrol.references.sustained import SustainedOrbit
     from dpcontrol.scenes.model import Model
 
 ARMS = {"inner": 1, "outer": 2}
 KIND = "Kind of orbit"
-_ROTATING = ("energy (J)", "period (s)", "stability", "multipliers", "state (rad, rad/s)")
+_ROTATING = {
+    "energy (J)": "{.energy:.9g}",
+    "period (s)": "{.period:.12g}",
+    "stability": "{.kind}",
+    "multipliers": lambda o: multiplier_texts(o.floquet_multipliers, 8),
+    "state (rad, rad/s)": lambda o: spaced(o.state, ".9f"),
+}
 Range = tuple[float, float]
 
 
@@ -93,8 +110,8 @@ def _lyapunov(model: "Model", saddle: str, energy: float, family: int) -> "Lyapu
 def _orbit_text(orbit: "LyapunovOrbit") -> Iterator[str]:
     yield f"Lyapunov orbit about {orbit.saddle} at {orbit.energy:g} J: {orbit.status}"
     yield f"  period       {orbit.period:.15g} s"
-    yield f"  state        {'  '.join(f'{v:.15g}' for v in orbit.state)}   (rad, rad/s)"
-    yield f"  multipliers  {'  '.join(multiplier_text(m) for m in orbit.floquet_multipliers)}"
+    yield f"  state        {spaced(orbit.state, '.15g')}   (rad, rad/s)"
+    yield f"  multipliers  {multiplier_texts(orbit.floquet_multipliers)}"
     yield f"  closure      {orbit.residual:.1e} (largest component of x(T) - x(0))"
 
 
@@ -115,17 +132,14 @@ def _family(model: "Model", saddle: str, energies: Range, family: int, picture: 
 
 def _family_text(found: "LyapunovFamily", saddle: str) -> Iterator[str | TextTable]:
     chosen = found.members[:: max(1, len(found.members) // 20)]
-    rows = [
-        (
-            f"{m.energy:.9g}",
-            f"{m.period:.9g}",
-            "  ".join(multiplier_text(v, 6) for v in m.floquet_multipliers if abs(abs(v) - 1) > 1e-3),
-            "  ".join(f"{v:.6f}" for v in m.state),
-        )
-        for m in chosen
-    ]
-    columns = ("energy (J)", "period (s)", "multipliers but the pair at one", "state (rad, rad/s)")
-    yield TextTable(f"Lyapunov orbits about {saddle}, {len(chosen)} of {len(found.members)}", columns, rows)
+    yield table(f"Lyapunov orbits about {saddle}, {len(chosen)} of {len(found.members)}", chosen, {
+        "energy (J)": "{.energy:.9g}",
+        "period (s)": "{.period:.9g}",
+        "multipliers but the pair at one": lambda m: multiplier_texts(
+            (v for v in m.floquet_multipliers if abs(abs(v) - 1) > 1e-3), 6
+        ),
+        "state (rad, rad/s)": lambda m: spaced(m.state, ".6f"),
+    })  # fmt: skip
     for side, end in zip(("from", "to"), found.ends, strict=True):
         yield f"{side:5s}{end.energy:.9g} J: {end.reason}"
 
@@ -152,7 +166,7 @@ def _rotating(model: "Model", arm: str, energy: float | None, energies: Range | 
             "status": f"{len(orbits)} symmetric orbits that turn the {arm} arm forward; each has a reflection",
         }
         note = "each has a reflection that turns backward, (θ, ω) → (−θ, −ω), with the same multipliers"
-        return Answer(document, [TextTable(title, _ROTATING, _rotating_rows(orbits)), note])
+        return Answer(document, [table(title, orbits, _ROTATING), note])
     with progress_bar("families of rotating orbits") as progress:
         families = rotating_families(orbits, energies, progress=progress)
     if picture is not None:
@@ -178,26 +192,13 @@ def _rotating_text(families: "Iterable[RotatingFamily]", arm: str) -> Iterator[s
     for k, family in enumerate(families, start=1):
         chosen = family.members[:: max(1, len(family.members) // 12)]
         title = f"Family {k} of {len(families)}, the {arm} arm turning: {len(chosen)} of {len(family.members)}"
-        yield TextTable(title, _ROTATING, _rotating_rows(chosen))
+        yield table(title, chosen, _ROTATING)
         for change in family.changes:
             yield f"  at {change.orbit.energy:.10g} J: from {change.before} to {change.after}"
         for fold in family.folds:
             yield f"  at {fold.energy:.10g} J the family turns back in energy"
         for side, end in zip(("from", "to"), family.ends, strict=True):
             yield f"  {side}: {end}"
-
-
-def _rotating_rows(orbits: "Iterable[RotatingOrbit]") -> list[tuple[str, ...]]:
-    return [
-        (
-            f"{o.energy:.9g}",
-            f"{o.period:.12g}",
-            o.kind,
-            "  ".join(multiplier_text(m, 8) for m in o.floquet_multipliers),
-            "  ".join(f"{v:.9f}" for v in o.state),
-        )
-        for o in orbits
-    ]
 
 
 def _sustained(model: "Model", saddle: str, energy: float, family: int, sections: int, picture: Path | None) -> Answer:
@@ -222,7 +223,7 @@ def _sustained_text(orbit: "SustainedOrbit", sections: int) -> Iterator[str]:
     reference, lyapunov = orbit.reference, orbit.lyapunov
     yield f"Sustained orbit about {lyapunov.saddle} at {lyapunov.energy:g} J: {orbit.status}"
     yield f"  period       {orbit.period:.15g} s, {lyapunov.period:.15g} s without friction"
-    yield f"  state        {'  '.join(f'{v:.9g}' for v in orbit.state(0.0))}   (rad, rad/s, m, m/s)"
+    yield f"  state        {spaced(orbit.state(0.0), '.9g')}   (rad, rad/s, m, m/s)"
     yield (
         f"  cart         {reference.rms_cart_acceleration:.4g} m/s² rms, {reference.max_cart_acceleration:.4g} "
         f"at most; {1e3 * reference.max_cart_position:.3g} mm at most"
@@ -230,5 +231,5 @@ def _sustained_text(orbit: "SustainedOrbit", sections: int) -> Iterator[str]:
     yield f"  energy       {orbit.energies[0]:.6g} to {orbit.energies[1]:.6g} J along the orbit"
     by_section = orbit.section_multipliers(sections)
     for title, values in (("multipliers", orbit.multipliers), (f"by {sections} sections", by_section)):
-        yield f"  {title:<12} {'  '.join(multiplier_text(m, 9) for m in values)}"
+        yield f"  {title:<12} {multiplier_texts(values, 9)}"
     yield "               the cart's are 1, 1: driven by its acceleration, nothing holds it in place"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.verbs import Answer, TextTable, argument, drawn_to, file_option, option, verb
+from dpcontrol.cli.verbs import Answer, TextTable, argument, drawn_to, file_option, option, table, verb
 from dpcontrol.foundation.errors import InputError
 
 if TYPE_CHECKING:
@@ -105,20 +105,12 @@ def _reference_text(document: Mapping[str, Any]) -> Iterator[str | TextTable]:
     yield f"  effort       {document['rms_cart_acceleration']:.4g} m/s² rms, ∫u² {document['effort']:.4g} m²/s³"
     if origin := document["made_from"]:
         yield "  made from    " + ", ".join(f"{key} {origin.get(key)}" for key in _ORIGIN)
-    rows = [
-        (
-            f"cart {name}",
-            f"±{use['bound']:g} {use['unit']}",
-            f"{use['largest']:.4g}",
-            f"{use['share']:.1%}",
-            f"{use['time']:.3f}",
-        )
-        for name, use in document["limits"].items()
-    ]
-    yield TextTable("", ("limit", "allowed", "largest", "used", "at (s)"), rows)
-    symbols = [
-        (str(k), f"{symbol['time']:.3f}", symbol["text"], symbol["arrives_at"], symbol["name"] or "a transfer")
-        for k, symbol in enumerate(document["symbols"], start=1)
-    ]
-    if symbols:
-        yield TextTable("", ("symbol", "time (s)", "text", "arrives at", "connection"), symbols)
+    yield table("", document["limits"].items(), {
+        "limit": "cart {0[0]}", "allowed": "±{0[1][bound]:g} {0[1][unit]}", "largest": "{0[1][largest]:.4g}",
+        "used": "{0[1][share]:.1%}", "at (s)": "{0[1][time]:.3f}",
+    })  # fmt: skip
+    if document["symbols"]:
+        yield table("", enumerate(document["symbols"], start=1), {
+            "symbol": "{0[0]}", "time (s)": "{0[1][time]:.3f}", "text": "{0[1][text]}",
+            "arrives at": "{0[1][arrives_at]}", "connection": lambda row: row[1]["name"] or "a transfer",
+        })  # fmt: skip

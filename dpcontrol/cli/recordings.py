@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.verbs import Answer, TextTable, argument, drawn_to, file_option, option, verb
+from dpcontrol.cli.verbs import Answer, TextTable, argument, drawn_to, file_option, option, table, verb
 from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -134,11 +134,9 @@ def _identify_text(found: "Identification", target: Path, picture: Path | None) 
         ("terms", "rms (mrad)", "median", "worst", ""),
         [errors("the starting model", found.started_at), *candidates],
     )
-    numbers = [
-        (name, f"{value:.9g}", f"{error:.2g}")
-        for name, value, error in zip(found.names, found.values, found.errors, strict=True)
-    ]
-    yield TextTable("Ratios in SI units, zeros in rad", ("name", "value", "standard error"), numbers)
+    yield table("Ratios in SI units, zeros in rad", zip(found.names, found.values, found.errors, strict=True), {
+        "name": "{0[0]}", "value": "{0[1]:.9g}", "standard error": "{0[2]:.2g}"
+    })  # fmt: skip
     yield "Not determined:"
     yield from (f"  {sentence}" for sentence in found.undetermined)
     yield from (found.status, str(target), *drawn_to(picture))
@@ -162,8 +160,8 @@ def _design(model: str, picture: Path | None) -> Answer:
 
 
 def _design_text(design: "Design", picture: Path | None) -> Iterator[str | TextTable]:
-    rows = [(e.text, f"{e.information:.2f}", f"{e.amplification:.3g}") for e in design.ranked()[:8]]
-    yield TextTable("Most informative experiments", ("experiment", "information", "error growth"), rows)
+    columns = {"experiment": "{.text}", "information": "{.information:.2f}", "error growth": "{.amplification:.3g}"}
+    yield table("Most informative experiments", design.ranked()[:8], columns)
     first, second = design.best_pair()
     yield f"best pair: {first.text}; {second.text}"
     yield from (design.status, *drawn_to(picture))
@@ -213,17 +211,12 @@ def replay_command(
 
 def _replay_text(result: "Replay", model: str, written: Path) -> Iterator[str | TextTable]:
     arms = range(1, result.recording.arms + 1)
-    columns = ("segment", "start (s)", *(f"angle {i} (mrad)" for i in arms), "all (mrad)")
-    rows = [
-        (
-            str(one["index"]),
-            f"{one['start']:.3f}",
-            *(f"{1e3 * one[f'rms_angle_{i}']:.2f}" for i in arms),
-            f"{1e3 * one['rms']:.2f}",
-        )
-        for one in result.stretch_errors
-    ]
-    yield TextTable(f"{model} over {result.recording.name}: rms of whole segments", columns, rows)
+    yield table(f"{model} over {result.recording.name}: rms of whole segments", result.stretch_errors, {
+        "segment": "{0[index]}",
+        "start (s)": "{0[start]:.3f}",
+        **{f"angle {i} (mrad)": lambda one, i=i: f"{1e3 * one[f'rms_angle_{i}']:.2f}" for i in arms},
+        "all (mrad)": lambda one: f"{1e3 * one['rms']:.2f}",
+    })  # fmt: skip
     if result.cart:
         yield f"  cart      moved by {result.cart}"
     for samples, rms in result.ahead.items():

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.verbs import Answer, TextTable, argument, file_option, option, verb
+from dpcontrol.cli.verbs import Answer, TextTable, argument, file_option, option, table, verb
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import progress_bar
 
@@ -162,15 +162,12 @@ def _campaign(file: Path, picture: Path) -> Answer:
 
 def _text(summary: "CampaignSummary") -> Iterator[str | TextTable]:
     yield f"{summary.path}\n  {summary.status}"
-    rows = [
-        [group.label, f"{g.successes} of {g.runs}", f"{g.rate:.1%}", f"{g.low:.1%} to {g.high:.1%}"]
-        for group in summary.groups
-        for g in (group.share,)
-    ]
-    yield TextTable("", ["runs", "completed", "share", "95 % interval"], rows)
+    yield table("", summary.groups, {
+        "runs": "{.label}", "completed": "{0.share.successes} of {0.share.runs}", "share": "{0.share.rate:.1%}",
+        "95 % interval": "{0.share.low:.1%} to {0.share.high:.1%}",
+    })  # fmt: skip
     if summary.reasons:
-        rows = [[text, str(count)] for text, count in summary.reasons[:8]]
-        yield TextTable("", ["reason of failure", "runs"], rows)
+        yield table("", summary.reasons[:8], {"reason of failure": "{0[0]}", "runs": "{0[1]}"})
 
 
 _LONG = 200
@@ -196,11 +193,10 @@ def _info_text(summary: "LogSummary") -> Iterator[str | TextTable]:
     )
     if summary.recovered:
         yield f"  recovered; lost: {summary.recovered}"
-    rows = [
-        (t.topic, t.type, t.units, f"{t.count:,}", "" if t.rate_hz is None else f"{t.rate_hz:.6g}")
-        for t in summary.topics
-    ]
-    yield TextTable("", ("topic", "type", "units", "messages", "Hz"), rows)
+    yield table("", summary.topics, {
+        "topic": "{.topic}", "type": "{.type}", "units": "{.units}", "messages": "{.count:,}",
+        "Hz": lambda topic: "" if topic.rate_hz is None else f"{topic.rate_hz:.6g}",
+    })  # fmt: skip
     for name, size in summary.attachments.items():
         yield f"  attachment {name}: {size:,} bytes"
     for key, value in summary.metadata.items():

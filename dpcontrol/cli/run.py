@@ -11,7 +11,19 @@ import click
 from click.core import ParameterSource
 
 from dpcontrol.cli.review import score_text, shortfall
-from dpcontrol.cli.verbs import FILE, Answer, Option, Several, TextTable, argument, file_option, option, show, verb
+from dpcontrol.cli.verbs import (
+    FILE,
+    Answer,
+    Option,
+    Several,
+    TextTable,
+    argument,
+    file_option,
+    option,
+    show,
+    table,
+    verb,
+)
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import part_of, progress_bar
 from dpcontrol.foundation.settings import suggest
@@ -259,17 +271,12 @@ def _text(found: "Campaign", scores: Sequence["StandardScore"]) -> Iterator[str 
         rows = [[s.controller, f"{s.total:.3f}", *(f"{s.kinds[k].rate:.2f}" for k in kinds)] for s in scores]
         yield TextTable(f"Robustness of {found.itinerary}", ["controller", "score", *kinds], rows)
     else:
-        rows = [
-            [
-                r.case.label,
-                f"{share.successes} of {share.runs}",
-                f"{100 * share.rate:.1f} %",
-                f"{100 * share.low:.1f} … {100 * share.high:.1f} %",
-            ]
-            for r in found.results
-            for share in (r.completed,)
-        ]
-        yield TextTable(f"Campaign of {found.itinerary}", ["case", "completed", "share", "95 % (Wilson)"], rows)
+        yield table(f"Campaign of {found.itinerary}", found.results, {
+            "case": "{0.case.label}",
+            "completed": "{0.completed.successes} of {0.completed.runs}",
+            "share": lambda r: f"{100 * r.completed.rate:.1f} %",
+            "95 % (Wilson)": lambda r: f"{100 * r.completed.low:.1f} … {100 * r.completed.high:.1f} %",
+        })  # fmt: skip
         for first, second, pair in found.pairs:
             yield (
                 f"  same seeds: only {first!r} completed {pair.only_first}, only {second!r} {pair.only_second} "

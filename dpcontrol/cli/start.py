@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dpcontrol.cli.review import score_text, shortfall
-from dpcontrol.cli.verbs import FOLDER, OUTPUT, Answer, TextTable, argument, option, verb
+from dpcontrol.cli.verbs import FOLDER, OUTPUT, Answer, TextTable, argument, option, table, verb
 from dpcontrol.foundation.progress import part_of, progress_bar
 
 if TYPE_CHECKING:
@@ -90,13 +90,12 @@ def model_command(*, model: str = argument()) -> Answer:
 def _text(loaded: "Model", points: "dict[str, Equilibrium]") -> Iterator[str | TextTable]:
     parameters = [(name, f"{value:.12g}", unit) for name, (value, unit) in loaded.parameters.named().items()]
     yield TextTable(f"{loaded.name}: {loaded.title}", ("parameter", "value", "unit"), parameters)
-    rows = [
-        (name, f"{e.energy:+.10f}", e.kind, ", ".join(_eigenvalue(v) for v in e.eigenvalues))
-        for name, e in points.items()
-    ]
-    yield TextTable("equilibria", ("name", "energy (J)", "kind", "eigenvalues (1/s)"), rows)
-    for table, source in loaded.sources.items():
-        yield f"[{table}] {source}"
+    yield table("equilibria", points.items(), {
+        "name": "{0[0]}", "energy (J)": "{0[1].energy:+.10f}", "kind": "{0[1].kind}",
+        "eigenvalues (1/s)": lambda row: ", ".join(_eigenvalue(v) for v in row[1].eigenvalues),
+    })  # fmt: skip
+    for part, source in loaded.sources.items():
+        yield f"[{part}] {source}"
 
 
 def _eigenvalue(value: complex) -> str:

@@ -31,6 +31,17 @@ class TextTable(NamedTuple):
     rows: Iterable[Sequence[str]]
 
 
+def table(title: str, items: Iterable[Any], columns: Mapping[str, str | Callable[[Any], str]]) -> TextTable:
+    """Return a table with a row for each item; a column has a heading, and a format of the item or what writes it."""
+    rows = [[show.format(one) if isinstance(show, str) else show(one) for show in columns.values()] for one in items]
+    return TextTable(title, tuple(columns), rows)
+
+
+def spaced(values: Iterable[float], form: str) -> str:
+    """Return numbers side by side."""
+    return "  ".join(format(value, form) for value in values)
+
+
 @dataclass(frozen=True)
 class Answer:
     """What a verb found: its JSON document, the lines and tables for people, and why the goal was missed, or ""."""
@@ -229,6 +240,11 @@ def multiplier_text(value: complex, digits: int = 11) -> str:
     if abs(value.imag) < 1e-12:
         return f"{value.real:.{digits}g}"
     return f"{value.real:.{min(digits, 10)}g}{value.imag:+.{min(digits, 10)}g}i"
+
+
+def multiplier_texts(values: Iterable[complex], digits: int = 11) -> str:
+    """Return Floquet multipliers side by side."""
+    return "  ".join(multiplier_text(value, digits) for value in values)
 
 
 def extended_text(state: Sequence[str], indent: str) -> list[str]:
