@@ -43,9 +43,8 @@ _SHORT = 0.05
 
 @dataclass(frozen=True)
 class Timed(Generic[T]):
-    """Median seconds of a call, the extra seconds of the first one, and the first one's result.
-
-    yardstick: median seconds of the yardstick meanwhile.
+    """Median seconds of a call, the extra seconds of the first one, the first one's result, and the yardstick's median
+    seconds meanwhile.
     """
 
     seconds: float
@@ -93,8 +92,9 @@ def timed_in_turns(
     for number in range(1, rounds + 1):
         progress(f"round {number} of {rounds}", number / (rounds + 1))
         for own in measured.values():
-            if own.going and own.count < number and (own.spent < most or own.count < least):
-                own.measure()
+            count, spent = len(own.found), sum(end - begin for begin, end in own.found)
+            if own.going and count < number and (spent < most or count < least):
+                own.found.append(own.stretch())
     speed.ask(now=True)
     return {key: own.timed() for key, own in measured.items()}
 
@@ -126,69 +126,50 @@ class _Speed:
 
 
 class _Measured(Generic[T]):
-    """The measurements of one function."""
+    """The measurements of one function: (begin, end) of each, of `calls` calls."""
 
     def __init__(self, function: Callable[[], T], grain: float, speed: _Speed) -> None:
         self._function, self._grain, self._speed = function, grain, speed
         self._calls = 1
-        self._found: list[tuple[float, float]] = []
-        self.spent = 0.0
+        self.found: list[tuple[float, float]] = []
         self.going = True
-
-    @property
-    def count(self) -> int:
-        """How many measurements there are."""
-        return len(self._found)
 
     def start(self, *, worth: Callable[[T], bool], starts_up: bool) -> None:
         """Make the first call, and find how many calls make a measurement."""
-        self._speed.ask()
-        begin = self._speed.clock()
-        self._result = self._function()
-        self._first = begin, self._speed.clock()
-        self._speed.ask()
-        first = self._first[1] - begin
+        self._first = once = self.stretch()
+        self._result = self._last
         self.going = worth(self._result)
         if not self.going:
             return
-        if not starts_up and first >= self._grain:
-            self._keep(*self._first)
+        if starts_up or once[1] - once[0] < self._grain:
+            once = self.stretch()
+        if once[1] - once[0] >= self._grain:
+            self.found.append(once)
             return
-        begin, end = self._stretch(1)
-        if end - begin >= self._grain:
-            self._keep(begin, end)
-            return
-        begin, end = self._stretch(_FIRST_GUESS)
-        once = (end - begin) / _FIRST_GUESS
-        self._calls = max(1, round(self._grain / once)) if once > 0 else 1000
+        self._calls = _FIRST_GUESS
+        begin, end = self.stretch()
+        self._calls = max(1, round(self._grain * _FIRST_GUESS / (end - begin))) if end > begin else 1000
 
-    def measure(self) -> None:
-        """Take one measurement."""
-        self._keep(*self._stretch(self._calls))
+    def stretch(self) -> tuple[float, float]:
+        """Make the calls of one measurement; return when it began and ended."""
+        self._speed.ask()
+        begin = self._speed.clock()
+        for _ in range(self._calls):
+            self._last = self._function()
+        end = self._speed.clock()
+        self._speed.ask()
+        return begin, end
 
     def timed(self) -> Timed[T]:
         """Return what was found."""
         first = self._corrected(*self._first)
-        found = [self._corrected(begin, end) / self._calls for begin, end in self._found]
+        found = [self._corrected(begin, end) / self._calls for begin, end in self.found]
         seconds = statistics.median(found) if found else first
         return Timed(seconds, max(first - seconds, 0.0), self._result, self._speed.usual)
 
     def _corrected(self, begin: float, end: float) -> float:
         took = end - begin
         return took * self._speed.usual / self._speed.at(begin, end) if took < _SHORT else took
-
-    def _keep(self, begin: float, end: float) -> None:
-        self._found.append((begin, end))
-        self.spent += end - begin
-
-    def _stretch(self, calls: int) -> tuple[float, float]:
-        self._speed.ask()
-        begin = self._speed.clock()
-        for _ in range(calls):
-            self._function()
-        end = self._speed.clock()
-        self._speed.ask()
-        return begin, end
 
 
 @contextmanager
@@ -240,43 +221,30 @@ class Compared:
         return Panel(title, x_label, y_label, **{**known, **more})
 
 
-@dataclass(frozen=True)
-class _Failed:
-    reason: str
-
-
 def compare(
-    alternatives: Sequence[Alternative[T]],
-    judge: Callable[[Alternative[T], T], Judged | str],
-    *,
-    rounds: int = 31,
-    most: float = float("inf"),
-    least: int = 3,
-    starts_up: bool = True,
-    progress: Progress = no_progress,
-) -> Compared:
+    alternatives: Sequence[Alternative[T]], judge: Callable[[Alternative[T], T], Judged | str], rounds: int = 31,
+    *, starts_up: bool = True, **turns: Any,
+) -> Compared:  # fmt: skip
     """Time alternatives in turns and judge each with what its first call returns: a text is why it has no point.
 
-    Work that raises an ArithmeticError, RuntimeError or GoalMissed has none either.
-
-    rounds, most, least, starts_up, progress: see `timed_in_turns`.
+    Work that raises an ArithmeticError, RuntimeError or GoalMissed has none either. rounds, starts_up and turns: of
+    `timed_in_turns`.
     """
     judged: dict[int, Judged | str] = {}
 
-    def tried(work: Callable[[], T]) -> T | _Failed:
+    def tried(work: Callable[[], T]) -> T | Exception:
         try:
             return work()
         except (ArithmeticError, RuntimeError, GoalMissed) as failure:
-            return _Failed(str(failure).splitlines()[0][:200])
+            return failure
 
-    def worth(k: int, result: T | _Failed) -> bool:
-        judged[k] = result.reason if isinstance(result, _Failed) else judge(alternatives[k], result)
+    def worth(k: int, result: T | Exception) -> bool:
+        failed = isinstance(result, Exception)
+        judged[k] = str(result).splitlines()[0][:200] if failed else judge(alternatives[k], result)
         return not isinstance(judged[k], str)
 
     works = {k: partial(tried, one.work) for k, one in enumerate(alternatives)}
-    spent = timed_in_turns(
-        works, rounds, most=most, least=least, worth=worth, starts_up=starts_up, progress=progress
-    )  # fmt: skip
+    spent = timed_in_turns(works, rounds, worth=worth, starts_up=starts_up, **turns)
     points, missing = [], []
     start_up: dict[str, float] = {}
     for k, one in enumerate(alternatives):
