@@ -17,9 +17,8 @@ On each line of a map one quantity y is varied between a value that works and on
 
     measured = √(near · far),    far / near ≤ ratio,    off = max(measured / predicted, predicted / measured) - 1
 
-A border agrees where `off` is at most a quarter, or the prediction lies between near and far. Where chance decides,
-near and far may be found otherwise: by a standard error to either side of a mean. What the product itself says on the
-far side is kept with the border: a failure that nobody reports is a complaint.
+A border agrees where `off` is at most a quarter, or the prediction lies between near and far. What the product itself
+says on the far side is kept with the border: a failure that nobody reports is a complaint.
 
 Source: for bisection on a yes-or-no answer, Press et al., Numerical Recipes, 3rd ed., section 9.1.
 """
@@ -27,16 +26,21 @@ Source: for bisection on a yes-or-no answer, Press et al., Numerical Recipes, 3r
 import importlib
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from textwrap import shorten
-from typing import Any, ClassVar, Protocol, TypeVar
+from typing import Any, ClassVar
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress
 
 ALLOWED = 0.2
 """How far off the front a default may stand, with a reason."""
+AGREES = 0.25
+"""How far measured and predicted borders may be apart, as a share."""
 READING_LINES = 3
+_MOST_PROBES = 60
+_SHOWN = 90
+"""Characters of what is said, in a table; the JSON holds all."""
 
 
 @dataclass(frozen=True)
@@ -47,64 +51,6 @@ class ChartTable:
     columns: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     notes: tuple[str, ...] = ()
-
-
-class Part(Protocol):
-    """A diagram of a page."""
-
-    def complaints(self) -> tuple[str, ...]:
-        """Return a sentence for each thing that is not as it should be."""
-        ...
-
-    def document(self) -> dict[str, Any]:
-        """Return everything in JSON's terms."""
-        ...
-
-    def table(self) -> ChartTable:
-        """Return what the terminal shows."""
-        ...
-
-
-@dataclass(frozen=True)
-class ChartPage:
-    """What `dpcontrol bench` draws, saves and prints: its name on the command line and of its files, title, three lines
-    on how to read it, what was chosen.
-
-    PARTS: the field that holds its diagrams, and their name in JSON.
-
-    Raises:
-        ValueError: the reading is not of three lines.
-    """
-
-    PARTS: ClassVar[str]
-
-    name: str
-    title: str
-    reading: tuple[str, str, str]
-    chosen: str
-
-    def __post_init__(self) -> None:
-        if len(self.reading) != READING_LINES:
-            raise ValueError(f"{self.name}: {len(self.reading)} lines on how to read it; write {READING_LINES}")
-
-    @property
-    def parts(self) -> tuple[Part, ...]:
-        """The diagrams."""
-        return getattr(self, self.PARTS)
-
-    @property
-    def complaints(self) -> tuple[str, ...]:
-        """A sentence for each thing that is not as it should be."""
-        return tuple(text for part in self.parts for text in part.complaints())
-
-    def document(self) -> dict[str, Any]:
-        """Return the page in JSON's terms."""
-        head = {name: getattr(self, name) for name in ("name", "title", "reading", "chosen", "complaints")}
-        return {**head, self.PARTS: [part.document() for part in self.parts]}
-
-    def tables(self) -> tuple[ChartTable, ...]:
-        """Return each part's table."""
-        return tuple(part.table() for part in self.parts)
 
 
 @dataclass(frozen=True)
@@ -129,8 +75,7 @@ class Point:
 
     def __post_init__(self) -> None:
         numbers = {"seconds": self.seconds, "error": self.error, **self.others}
-        wrong = [name for name, value in numbers.items() if not math.isfinite(value)]
-        if wrong or self.seconds <= 0 or self.error < 0:
+        if not all(map(math.isfinite, numbers.values())) or self.seconds <= 0 or self.error < 0:
             raise ValueError(f"{self.name}: {numbers} must be finite and positive; make it a Missing with its reason")
 
     @property
@@ -153,8 +98,8 @@ class Panel:
     """One diagram: points that did the same work, and why a default off the front is kept.
 
     start_up: seconds that each method needs once (compiling, building) before its times count; floor: smaller errors
-    are rounding and count as equal. judged: False for a second view of work that another
-    panel judges. timed: False where x is no time.
+    are rounding and count as equal. judged: False for a second view of work that another panel judges. timed: False
+    where x is no time.
     """
 
     title: str
@@ -169,19 +114,25 @@ class Panel:
     judged: bool = True
     timed: bool = True
 
+    @property
+    def _running(self) -> list[tuple[Point, float]]:
+        """The points that take part in the front, with their errors."""
+        return [(p, self._error(p)) for p in self.points if not p.stored]
+
     def _error(self, point: Point) -> float:
         return max(point.error, self.floor)
-
-    def _beats(self, one: Point, other: Point) -> bool:
-        """Say whether one point is nowhere worse than the other and somewhere better."""
-        faster, truer = one.seconds - other.seconds, self._error(one) - self._error(other)
-        return faster <= 0 and truer <= 0 and (faster < 0 or truer < 0)
 
     @property
     def front(self) -> tuple[Point, ...]:
         """The points that no other beats, fastest first."""
-        running = [p for p in self.points if not p.stored]
-        best = [p for p in running if not any(self._beats(other, p) for other in running)]
+
+        def beaten(point: Point, error: float) -> bool:
+            return any(
+                p.seconds <= point.seconds and e <= error and (p.seconds, e) != (point.seconds, error)
+                for p, e in self._running
+            )
+
+        best = [p for p, error in self._running if not beaten(p, error)]
         return tuple(sorted(best, key=lambda p: (p.seconds, p.error)))
 
     @property
@@ -191,19 +142,16 @@ class Panel:
 
     def off_front(self, point: Point) -> float:
         """Return how far a point stands off the front, as a share; 0 on it."""
-        running = [p for p in self.points if not p.stored]
         error = self._error(point)
-        fastest = min(p.seconds for p in running if self._error(p) <= error)
-        truest = min(self._error(p) for p in running if p.seconds <= point.seconds)
+        fastest = min(p.seconds for p, e in self._running if e <= error)
+        truest = min(e for p, e in self._running if p.seconds <= point.seconds)
         # Where none as fast is more precise, only time measures how far it is.
         wrong = error / truest if 0 < truest < error else math.inf
         return min(point.seconds / fastest, wrong) - 1
 
     def standing(self, point: Point) -> str:
         """Return in words where a point stands."""
-        if point in self.front:
-            return "on the front"
-        return f"{self.off_front(point):.0%} off the front"
+        return "on the front" if point in self.front else f"{self.off_front(point):.0%} off the front"
 
     def complaints(self) -> tuple[str, ...]:
         """Return a sentence for each default that is too far off the front, or off it without a reason."""
@@ -232,80 +180,8 @@ class Panel:
         )
         notes = tuple(f"without {m.method} {m.setting}: {m.reason}" for m in self.missing)
         why = (f"the default is kept: {self.why}",) if self.why else ()
-        return ChartTable(
-            self.title, ("front", "setting", self.x_label, self.y_label, "default", ""), rows, notes + why
-        )
-
-
-@dataclass(frozen=True)
-class PrecisionChart(ChartPage):
-    """A page of work-precision diagrams.
-
-    Raises:
-        ValueError: the reading is not of three lines, or no panel holds a default.
-    """
-
-    PARTS: ClassVar[str] = "panels"
-
-    panels: tuple[Panel, ...] = ()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not any(panel.defaults for panel in self.panels):
-            raise ValueError(f"{self.name}: no point is the product's default")
-
-
-Drawer = Callable[[bool, Progress], ChartPage]
-"""(quick, progress) -> chart, whose module is imported then: `quick` takes less work and keeps the order on fronts."""
-
-
-def _of(module: str, function: str = "chart") -> Drawer:
-    def chart(quick: bool, progress: Progress) -> ChartPage:
-        return getattr(importlib.import_module(f"dpcontrol.bench.{module}"), function)(quick, progress)
-
-    return chart
-
-
-CHARTS: dict[str, Drawer] = {
-    "propagation": _of("propagation"),
-    "connections": _of("connections"),
-    "transcription": _of("transcription"),
-    "estimation": _of("estimation"),
-    "control": _of("control"),
-    "logging": _of("logging"),
-    "levels": _of("levels"),
-    "edges-propagation": _of("edges_design", "propagation_chart"),
-    "edges-seeds": _of("edges_design", "seeds_chart"),
-    "edges-walks": _of("edges_design", "walks_chart"),
-    "edges-references": _of("edges_design", "references_chart"),
-    "edges-control": _of("edges_loop", "control_chart"),
-    "edges-moving": _of("edges_loop", "moving_chart"),
-    "edges-ogy": _of("edges_loop", "ogy_chart"),
-    "edges-estimation": _of("edges_loop", "estimation_chart"),
-}
-GROUPS = {"edges": tuple(name for name in CHARTS if name.startswith("edges-"))}
-"""Names that stand for several charts."""
-
-
-def check_names(names: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the charts to draw, each once: those named, or all.
-
-    Raises:
-        InputError: an unknown name.
-    """
-    chosen: list[str] = []
-    for name in names:
-        if name not in CHARTS and name not in GROUPS:
-            raise InputError(f"there is no chart {name!r}; choose from {', '.join((*CHARTS, *GROUPS))}")
-        chosen += GROUPS.get(name, (name,))
-    return tuple(dict.fromkeys(chosen)) or tuple(CHARTS)
-
-
-AGREES = 0.25
-"""How far measured and predicted borders may be apart, as a share."""
-_MOST_PROBES = 60
-_SHOWN = 90
-"""Characters of what is said, in a table; the JSON holds all."""
+        columns = ("front", "setting", self.x_label, self.y_label, "default", "")
+        return ChartTable(self.title, columns, rows, notes + why)
 
 
 @dataclass(frozen=True)
@@ -323,9 +199,6 @@ def half_of(answers: Sequence[Attempt], lost: str) -> Attempt:
         return Attempt(True)
     first = next(filter(None, said), "")
     return Attempt(False, first and f"{len(said)} of {len(answers)} {lost}; {first}")
-
-
-Probe = Callable[[float], Attempt]
 
 
 @dataclass(frozen=True)
@@ -367,13 +240,9 @@ class Border:
             return 0.0
         return max(self.measured / self.predicted, self.predicted / self.measured) - 1
 
-    def document(self) -> dict[str, Any]:
-        """Return the border in JSON's terms."""
-        return {**asdict(self), "measured": self.measured, "off": self.off}
-
 
 def find_border(
-    probe: Probe,
+    probe: Callable[[float], Attempt],
     *,
     x: float,
     line: str,
@@ -388,21 +257,21 @@ def find_border(
     ratio: how near together its sides are brought; unit: only whole numbers of it are tried, down to neighbours.
     """
     trials: list[Trial] = []
-    near, far = (max(round(y / unit), 1) * unit if unit else y for y in (near, far))
+    good, bad = (max(round(y / unit), 1) * unit if unit else y for y in (near, far))
 
-    def asked(y: float) -> bool:
+    def works(y: float) -> bool:
         answer = probe(y)
         trials.append(Trial(y, answer.works, answer.says))
         return answer.works
 
-    def done(says: str, good: float | None, bad: float | None) -> Border:
-        return Border(x, line, good, bad, predicted, says, tuple(sorted(trials, key=lambda t: t.y)))
+    def border(near: float | None, far: float | None) -> Border:
+        says = next((t.says for t in trials if t.y == far), "")
+        return Border(x, line, near, far, predicted, says, tuple(sorted(trials, key=lambda t: t.y)))
 
-    if not asked(near):
-        return done(trials[-1].says, None, near)
-    if asked(far):
-        return done("", far, None)
-    good, bad, says = near, far, trials[-1].says
+    if not works(good):
+        return border(None, good)
+    if works(bad):
+        return border(bad, None)
     while len(trials) < _MOST_PROBES and max(good / bad, bad / good) > ratio:
         middle = math.sqrt(good * bad)
         if unit:
@@ -410,29 +279,13 @@ def find_border(
             if high - low < 2:
                 break
             middle = min(max(round(middle / unit), low + 1), high - 1) * unit
-        if asked(middle):
-            good = middle
-        else:
-            bad, says = middle, trials[-1].says
-    return done(says, good, bad)
-
-
-T = TypeVar("T")
-
-
-def borders(border: Callable[[T], Border], values: Sequence[T], progress: Progress, what: str) -> tuple[Border, ...]:
-    """Return the border at each value; what: names them to `progress`, with {} for the value."""
-    found = []
-    for k, value in enumerate(values):
-        progress(what.format(value), k / len(values))
-        found.append(border(value))
-    return tuple(found)
+        good, bad = (middle, bad) if works(middle) else (good, middle)
+    return border(good, bad)
 
 
 @dataclass(frozen=True)
 class EdgeMap:
-    """One map: borders on its lines. theory: what predicts them, "" where nothing does; far, near: the sides in
-    words.
+    """One map: borders on its lines. theory: what predicts them, "" where nothing does; far, near: the sides in words.
 
     agrees: how far measured and predicted may be apart, as a share.
     """
@@ -440,7 +293,7 @@ class EdgeMap:
     title: str
     x_label: str
     y_label: str
-    borders: tuple[Border, ...]
+    borders: tuple[Border, ...] = ()
     theory: str = ""
     far: str = "fails"
     near: str = "works"
@@ -464,26 +317,70 @@ class EdgeMap:
 
     def document(self) -> dict[str, Any]:
         """Return the map in JSON's terms."""
-        return {**asdict(self), "borders": [b.document() for b in self.borders], "complaints": list(self.complaints())}
+        borders = [{**asdict(b), "measured": b.measured, "off": b.off} for b in self.borders]
+        return {**asdict(self), "borders": borders, "complaints": list(self.complaints())}
 
     def table(self) -> ChartTable:
         """Return the borders as a table."""
         rows = tuple(
-            (b.line, _number(b.near), _number(b.far), _number(b.predicted), "" if b.off is None else f"{b.off:.0%}",
-             shorten(b.says, _SHOWN, placeholder=" …"))
+            (b.line, *("-" if y is None else f"{y:.4g}" for y in (b.near, b.far, b.predicted)),
+             "" if b.off is None else f"{b.off:.0%}", shorten(b.says, _SHOWN, placeholder=" …"))
             for b in self.borders
         )  # fmt: skip
         notes = (f"predicted: {self.theory}",) if self.theory else ()
-        return ChartTable(
-            f"{self.title}: {self.y_label}",
-            ("line", self.near, self.far, "predicted", "apart", "what it says"),
-            rows,
-            notes,
-        )
+        columns = ("line", self.near, self.far, "predicted", "apart", "what it says")
+        return ChartTable(f"{self.title}: {self.y_label}", columns, rows, notes)
 
 
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"
+@dataclass(frozen=True)
+class ChartPage:
+    """What `dpcontrol bench` draws, saves and prints: its name on the command line and of its files, title, three lines
+    on how to read it, what was chosen, its diagrams.
+
+    PARTS: the diagrams' name in JSON.
+
+    Raises:
+        ValueError: the reading is not of three lines.
+    """
+
+    PARTS: ClassVar[str]
+
+    name: str
+    title: str
+    reading: tuple[str, str, str]
+    chosen: str
+    parts: tuple[Any, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.reading) != READING_LINES:
+            raise ValueError(f"{self.name}: {len(self.reading)} lines on how to read it; write {READING_LINES}")
+
+    @property
+    def complaints(self) -> tuple[str, ...]:
+        """A sentence for each thing that is not as it should be."""
+        return tuple(text for part in self.parts for text in part.complaints())
+
+    def document(self) -> dict[str, Any]:
+        """Return the page in JSON's terms."""
+        head = {name: getattr(self, name) for name in ("name", "title", "reading", "chosen", "complaints")}
+        return {**head, self.PARTS: [part.document() for part in self.parts]}
+
+
+@dataclass(frozen=True)
+class PrecisionChart(ChartPage):
+    """A page of work-precision diagrams.
+
+    Raises:
+        ValueError: the reading is not of three lines, or no panel holds a default.
+    """
+
+    PARTS: ClassVar[str] = "panels"
+    parts: tuple[Panel, ...]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not any(panel.defaults for panel in self.parts):
+            raise ValueError(f"{self.name}: no point is the product's default")
 
 
 @dataclass(frozen=True)
@@ -491,5 +388,53 @@ class EdgeChart(ChartPage):
     """A page of maps of failure."""
 
     PARTS: ClassVar[str] = "maps"
+    parts: tuple[EdgeMap, ...]
 
-    maps: tuple[EdgeMap, ...] = ()
+
+def measured_maps(
+    progress: Progress, *plans: tuple[EdgeMap, Callable[[Any], Border], Sequence[Any]]
+) -> tuple[EdgeMap, ...]:
+    """Return each map with its borders at its values: (map without borders, border at a value, values)."""
+    total, maps, done = sum(len(values) for *_, values in plans), [], 0
+    for one, border, values in plans:
+        found = []
+        for value in values:
+            progress(f"{one.title}: {value}", done / total)
+            found.append(border(value))
+            done += 1
+        maps.append(replace(one, borders=tuple(found)))
+    return tuple(maps)
+
+
+Drawer = Callable[[bool, Progress], ChartPage]
+"""(quick, progress) -> chart, whose module is imported then: `quick` takes less work and keeps the order on fronts."""
+
+
+def _of(module: str, function: str = "chart") -> Drawer:
+    def chart(quick: bool, progress: Progress) -> ChartPage:
+        return getattr(importlib.import_module(f"dpcontrol.bench.{module}"), function)(quick, progress)
+
+    return chart
+
+
+_PRECISION = ("propagation", "connections", "transcription", "estimation", "control", "logging", "levels")
+_EDGES = ("propagation", "seeds", "walks", "references", "control", "moving", "ogy", "estimation")
+CHARTS: dict[str, Drawer] = {name: _of(name) for name in _PRECISION} | {
+    f"edges-{name}": _of("edges", f"{name}_chart") for name in _EDGES
+}
+GROUPS = {"edges": tuple(f"edges-{name}" for name in _EDGES)}
+"""Names that stand for several charts."""
+
+
+def check_names(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the charts to draw, each once: those named, or all.
+
+    Raises:
+        InputError: an unknown name.
+    """
+    chosen: list[str] = []
+    for name in names:
+        if name not in CHARTS and name not in GROUPS:
+            raise InputError(f"there is no chart {name!r}; choose from {', '.join((*CHARTS, *GROUPS))}")
+        chosen += GROUPS.get(name, (name,))
+    return tuple(dict.fromkeys(chosen)) or tuple(CHARTS)

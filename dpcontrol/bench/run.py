@@ -15,19 +15,25 @@ import platform
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from itertools import combinations
 from pathlib import Path
+from textwrap import fill
 from typing import Any
 
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
+
 from dpcontrol import __version__
-from dpcontrol.bench.chart import ALLOWED, CHARTS, GROUPS, ChartPage, Panel, Point, check_names
+from dpcontrol.bench.chart import ALLOWED, CHARTS, GROUPS, ChartPage, EdgeMap, Panel, Point, PrecisionChart, check_names
 from dpcontrol.bench.measure import one_core
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file, write_whole
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.review.style import FAINT, INK, LIMIT, REFERENCE, STABLE
 
 PACKAGES = ("numpy", "scipy", "casadi", "heyoka", "filterpy", "control", "mcap", "zstandard", "matplotlib")
 
@@ -40,16 +46,6 @@ class DrawnChart:
     picture: Path
     data: Path
     seconds: float
-
-
-@dataclass(frozen=True)
-class Order:
-    """A chart to be drawn: its name, where to, and what all charts of one drawing were made on and with."""
-
-    name: str
-    folder: Path
-    quick: bool
-    made_with: Mapping[str, Any]
 
 
 def draw_charts(
@@ -67,20 +63,22 @@ def draw_charts(
     chosen = check_names(tuple(names))
     # Asked before the work, so that a checkout that is edited meanwhile does not mislead.
     made_with = {"quick": quick, "machine": machine(), "versions": versions(), "commit": commit()}
+    draw = partial(draw_chart, folder=folder, made_with=made_with)
     maps = [name for name in chosen if name in GROUPS["edges"]]
-    together = len(maps) if len(maps) > 1 and processors() > 1 else 0
-    alone = [name for name in chosen if not together or name not in maps]
+    if len(maps) == 1 or processors() == 1:
+        maps = []
     drawn: dict[str, DrawnChart] = {}
-    for k, name in enumerate(alone):
-        progress(name, k / len(chosen))
-        part = part_of(_named(name, progress), k / len(chosen), (k + 1) / len(chosen))
-        with one_core():
-            drawn[name] = draw_chart(Order(name, folder, quick, made_with), part)
-    if together:
-        orders = [Order(name, folder, quick, made_with) for name in maps]
-        progress(f"{together} maps of failure", len(alone) / len(chosen))
-        for done in _at_once(orders):
-            drawn[done.chart.name] = done
+    for name in chosen:
+        if name not in maps:
+            begin, end = len(drawn) / len(chosen), (len(drawn) + 1) / len(chosen)
+            progress(name, begin)
+            with one_core():
+                drawn[name] = draw(name, progress=part_of(_named(name, progress), begin, end))
+    if maps:
+        progress(f"{len(maps)} maps of failure", len(drawn) / len(chosen))
+        remedy = "Charts that were done are saved: name those that are missing"
+        for name, done in in_processes(draw, maps, min(processors(), len(maps)), remedy=remedy):
+            drawn[name] = done
             left = ", ".join(name for name in maps if name not in drawn)
             progress(f"maps left: {left}" if left else "maps", len(drawn) / len(chosen))
     return tuple(drawn[name] for name in chosen)
@@ -91,34 +89,19 @@ def _named(name: str, progress: Progress) -> Progress:
     return lambda what, done: progress(what if what.startswith(name) else f"{name}: {what}", done)
 
 
-def draw_chart(order: Order, progress: Progress = no_progress) -> DrawnChart:
-    """Make one chart and save it."""
+def draw_chart(
+    name: str, *, folder: Path, made_with: Mapping[str, Any], progress: Progress = no_progress
+) -> DrawnChart:
+    """Make one chart and write its picture and data to `folder`."""
     began = time.perf_counter()
-    chart = CHARTS[order.name](order.quick, progress)
+    chart = CHARTS[name](made_with["quick"], progress)
     seconds = time.perf_counter() - began
-    # matplotlib takes half a second to import.
-
-    picture, data = save(chart, order.folder, made_with=order.made_with, seconds=seconds)
-    return DrawnChart(chart, picture, data, seconds)
-
-
-def _at_once(orders: Sequence[Order]) -> Iterator[DrawnChart]:
-    remedy = "Charts that were done are saved: name those that are missing"
-    for _, done in in_processes(draw_chart, orders, min(processors(), len(orders)), remedy=remedy):
-        yield done
-
-
-def save(chart: ChartPage, folder: Path, *, made_with: Mapping[str, Any], seconds: float) -> tuple[Path, Path]:
-    """Write a chart's picture and data to `folder`; return their paths."""
-    # matplotlib takes half a second to import.
-    from dpcontrol.bench.drawing import figure
-
     picture, data = Path(folder) / f"{chart.name}.png", Path(folder) / f"{chart.name}.json"
     with whole_file(picture, suffix=".png") as temporary:
         figure(chart).savefig(temporary, format="png")
     document = {**chart.document(), "seconds": seconds, **made_with}
     write_whole(data, json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
-    return picture, data
+    return DrawnChart(chart, picture, data, seconds)
 
 
 def machine() -> dict[str, Any]:
@@ -155,13 +138,10 @@ def _processor() -> str:
 
 TIED = ALLOWED
 """Share by which two times may differ and count as equal: what is off a front by no more may be a default, too."""
-
 SLOWER = 2.0
 """Times what it took that a default may take: machines and their loads differ by less."""
 WORSE = 3.0
 """Times its earlier error that its error may be: rounding differs by less from build to build."""
-
-_POINT = {f.name for f in fields(Point)}
 
 
 def earlier_panels(folder: Path, name: str) -> tuple[Panel, ...]:
@@ -182,11 +162,10 @@ def earlier_panels(folder: Path, name: str) -> tuple[Panel, ...]:
 
 
 def _panel(document: Mapping[str, Any]) -> Panel:
-    points = tuple(Point(**{name: value for name, value in p.items() if name in _POINT}) for p in document["points"])
-    return Panel(
-        document["title"], document["x_label"], document["y_label"], points, floor=document["floor"],
-        judged=document["judged"], timed=document["timed"],
-    )  # fmt: skip
+    known = {f.name for f in fields(Point)}
+    points = tuple(Point(**{name: value for name, value in p.items() if name in known}) for p in document["points"])
+    told = {name: document[name] for name in ("title", "x_label", "y_label", "floor", "judged", "timed")}
+    return Panel(points=points, **told)
 
 
 def changes(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
@@ -194,11 +173,26 @@ def changes(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
     known = {panel.title: panel for panel in before}
     found = []
     for panel in after:
-        if panel.title not in known:
-            found.append(f"{panel.title}: not in the earlier drawing")
-        else:
-            found += [f"{panel.title}: {text}" for text in _changes(known[panel.title], panel)]
+        texts = _changes(known[panel.title], panel) if panel.title in known else ["not in the earlier drawing"]
+        found += [f"{panel.title}: {text}" for text in texts]
     return tuple(found)
+
+
+def _changes(before: Panel, after: Panel) -> list[str]:
+    # What one drawing lacks was not measured (another package that is not installed), and has no place.
+    names = {p.name for p in before.points} & {p.name for p in after.points}
+    before, after = (replace(p, points=tuple(x for x in p.points if x.name in names)) for p in (before, after))
+    was, now = ({p.name: p for p in panel.points} for panel in (before, after))
+    fronts = [{p.name for p in panel.front} for panel in (before, after)]
+    left = {name: after.off_front(now[name]) for name in sorted(fronts[0] - fronts[1])}
+    came = {name: before.off_front(was[name]) for name in sorted(fronts[1] - fronts[0])}
+    found = [f"{name} was on the front, and is {off:.0%} off it" for name, off in left.items() if off > TIED]
+    found += [f"{name} was {off:.0%} off the front, and is on it" for name, off in came.items() if off > TIED]
+    for one, other in combinations(sorted(fronts[0] & fronts[1]), 2):
+        ratios = [p[one].seconds / p[other].seconds for p in (was, now)]
+        if max(ratios) > 1 + TIED and min(ratios) < 1 / (1 + TIED):
+            found.append(f"{one} took {ratios[0]:.2g} times as long as {other}, and takes {ratios[1]:.2g} times")
+    return found
 
 
 def losses(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str, ...]:
@@ -230,27 +224,125 @@ def less_accurate(before: Sequence[Panel], after: Sequence[Panel]) -> tuple[str,
 
 def _defaults(before: Sequence[Panel], after: Sequence[Panel]) -> Iterator[tuple[Panel, Point, Point]]:
     """Yield each panel with a default of it and what that was before."""
-    known = {panel.title: {p.name: p for p in panel.points} for panel in before}
+    known = {(panel.title, p.name): p for panel in before for p in panel.points}
     for panel in after:
         for now in panel.defaults:
-            was = known.get(panel.title, {}).get(now.name)
-            if was is not None:
-                yield panel, was, now
+            if (panel.title, now.name) in known:
+                yield panel, known[panel.title, now.name], now
 
 
-def _changes(before: Panel, after: Panel) -> list[str]:
-    # What one drawing lacks was not measured (another package that is not installed), and has no place.
-    names = {p.name for p in before.points} & {p.name for p in after.points}
-    before, after = (replace(p, points=tuple(x for x in p.points if x.name in names)) for p in (before, after))
-    was, now = ({p.name: p for p in panel.points} for panel in (before, after))
-    fronts = [{p.name for p in panel.front} for panel in (before, after)]
-    left = {name: after.off_front(now[name]) for name in sorted(fronts[0] - fronts[1])}
-    came = {name: before.off_front(was[name]) for name in sorted(fronts[1] - fronts[0])}
-    found = [f"{name} was on the front, and is {off:.0%} off it" for name, off in left.items() if off > TIED]
-    found += [f"{name} was {off:.0%} off the front, and is on it" for name, off in came.items() if off > TIED]
-    for one, other in combinations(sorted(fronts[0] & fronts[1]), 2):
-        ratios = [p[one].seconds / p[other].seconds for p in (was, now)]
-        low, high = sorted(ratios)
-        if high > 1 + TIED and low < 1 / (1 + TIED):
-            found.append(f"{one} took {ratios[0]:.2g} times as long as {other}, and takes {ratios[1]:.2g} times")
-    return found
+MARKS = "osD^v<>Pph*X8d"
+COLOURS = ("#1f6fb4", "#d9640d", "#2c8a4b", "#8a4fa3", "#9a6b15", "#c2185b", "#0f8b8d", "#5b6470")
+FLOOR = 1e-17
+"""Where an error of exactly zero is drawn."""
+WIDTH, HEIGHT = 6.4, 5.6
+_FEW, _MANY = 6.0, 100.0
+"""Ranges of a logarithmic axis: below the first 1, 2, 5 are too few labels, from the second on powers are enough."""
+_FOR_LEGEND = 0.3
+"""Share of a map's height that is kept free above what it shows."""
+
+
+def figure(page: ChartPage) -> Figure:
+    """Return a page's picture: its diagrams side by side, methods in one colour and mark throughout."""
+    columns = 2 if len(page.parts) == 4 and isinstance(page, PrecisionChart) else min(len(page.parts), 3)
+    rows = -(-len(page.parts) // columns)
+    picture = Figure(figsize=(WIDTH * columns, HEIGHT * rows + 1.0), layout="constrained", dpi=110)
+    picture.suptitle(page.title, fontsize=13, color=INK)
+    panels = page.parts if isinstance(page, PrecisionChart) else ()
+    methods = list(dict.fromkeys(p.method for panel in panels for p in panel.points))
+    looks = {m: (MARKS[k % len(MARKS)], COLOURS[k % len(COLOURS)]) for k, m in enumerate(methods)}
+    axes = picture.subplots(rows, columns, squeeze=False).ravel()
+    for axis, part in zip(axes, page.parts, strict=False):
+        axis.margins(0.12, 0.08)
+        if isinstance(part, Panel):
+            _draw_panel(axis, part, looks)
+        else:
+            _draw_map(axis, part)
+        axis.set_title(part.title, fontsize=10, color=INK)
+        axis.set_xlabel(part.x_label)
+        axis.set_ylabel(part.y_label)
+    for axis in axes[len(page.parts) :]:
+        axis.set_visible(False)
+    text = [fill(line, int(WIDTH * columns * 13)) for line in page.reading]
+    picture.supxlabel("\n".join(text), fontsize=9, color=INK, x=0.01, ha="left")
+    return picture
+
+
+def _draw_map(axis: Any, one: EdgeMap) -> None:
+    for works, mark, colour, label in ((True, "o", STABLE, one.near), (False, "x", LIMIT, one.far)):
+        shown = [(b.x, t.y) for b in one.borders for t in b.trials if t.works is works]
+        axis.plot([x for x, _ in shown], [y for _, y in shown], mark, color=colour, markersize=5, label=label)
+    for places, style in (
+        ([(b.x, b.measured) for b in one.borders if b.measured is not None],
+         {"marker": "_", "linestyle": "-", "color": INK, "markersize": 16, "label": "measured border"}),
+        ([(b.x, b.predicted) for b in one.borders if b.predicted is not None],
+         {"marker": "D", "linestyle": "--", "color": REFERENCE, "markersize": 7, "markerfacecolor": "none",
+          "markeredgecolor": INK, "label": fill(f"predicted: {one.theory}", 60)}),
+    ):  # fmt: skip
+        if places:
+            axis.plot(*zip(*places, strict=True), linewidth=1.2, **style)
+    if one.log_x and all(b.x > 0 for b in one.borders):
+        axis.set_xscale("log")
+    axis.set_yscale("log")
+    names = {b.x: b.line for b in sorted(one.borders, key=lambda b: b.x)}
+    # Places that are only numbered show the lines' names.
+    named = not one.log_x and list(names) == list(range(len(names)))
+    labels = list(names.values()) if named else [f"{x:.4g}" for x in names]
+    axis.set_xticks(list(names), labels, fontsize=8, rotation=20 if named else 0)
+    axis.xaxis.set_minor_locator(NullLocator())
+    low, high = axis.get_ylim()
+    axis.set_ylim(low, high * (high / low) ** _FOR_LEGEND)
+    # Most borders span less than a decade: its parts are labelled too.
+    _readable_ticks(axis.yaxis, many=10 * _MANY)
+    axis.legend(fontsize=7, loc="upper left", framealpha=0.85)
+
+
+def _draw_panel(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) -> None:
+    def height(error: float) -> float:
+        return max(error, panel.floor, FLOOR) if panel.log_y else error
+
+    for method in dict.fromkeys(p.method for p in panel.points):
+        mark, colour = looks[method]
+        points = sorted((p for p in panel.points if p.method == method), key=lambda p: p.seconds)
+        hollow = any(p.outside or p.stored for p in points)
+        axis.plot(
+            [p.seconds for p in points], [height(p.error) for p in points], mark, color=colour, markersize=6,
+            markerfacecolor="white" if hollow else colour, label=method, zorder=3,
+        )  # fmt: skip
+        for p in points:
+            if p.setting:
+                axis.annotate(
+                    p.setting, (p.seconds, height(p.error)), xytext=(4, 3), textcoords="offset points", fontsize=5.5,
+                    color=colour, alpha=0.9,
+                )  # fmt: skip
+    front = panel.front
+    axis.plot(
+        [p.seconds for p in front], [height(p.error) for p in front], color=FAINT, linewidth=4, zorder=1,
+        drawstyle="steps-post", label="front",
+    )  # fmt: skip
+    for p in panel.defaults:
+        axis.plot(p.seconds, height(p.error), "o", markersize=15, markerfacecolor="none", color=LIMIT, zorder=4)
+    if panel.defaults:
+        standing = "; ".join(dict.fromkeys(panel.standing(p) for p in panel.defaults))
+        axis.plot([], [], "o", markersize=9, markerfacecolor="none", color=LIMIT, label=f"default: {standing}")
+    axis.set_xscale("log")
+    if panel.log_y:
+        axis.set_yscale("log")
+    axis.grid(True, which="major", color=FAINT, linewidth=0.5)
+    _readable_ticks(axis.xaxis)
+    if panel.log_y:
+        _readable_ticks(axis.yaxis)
+    axis.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+
+
+def _readable_ticks(axis: Any, many: float = _MANY) -> None:
+    """Keep labels of a logarithmic axis apart: powers of ten; 1, 2, 5 where it holds few; else a few round numbers."""
+    low, high = axis.get_view_interval()
+    axis.set_minor_formatter(NullFormatter())
+    if high / low >= many:
+        return
+    few = high / low < _FEW
+    axis.set_major_locator(MaxNLocator(4, min_n_ticks=2) if few else LogLocator(subs=(1.0, 2.0, 5.0)))
+    if few:
+        axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.3g}"))

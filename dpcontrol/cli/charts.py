@@ -104,7 +104,7 @@ def bench_command(
     complaints = [text for d in drawn for text in d.chart.complaints]
     status = f"{len(drawn)} charts drawn; " + ("; ".join(complaints) or "every default stands where it may")
     if against is not None:
-        fronts = [(earlier[d.chart.name], d.chart.panels) for d in drawn if isinstance(d.chart, PrecisionChart)]
+        fronts = [(earlier[d.chart.name], d.chart.parts) for d in drawn if isinstance(d.chart, PrecisionChart)]
         changed = [text for before, after in fronts for text in changes(before, after)]
         lost = [text for before, after in fronts for text in losses(before, after)]
         status += "; " + ("; ".join(changed) or f"the order on each front is that in {against}")
@@ -122,7 +122,7 @@ def bench_command(
 def _text(drawn: "Sequence[DrawnChart]") -> Iterator[str | TextTable]:
     for d in drawn:
         yield str(d.picture)
-        for table in d.chart.tables():
+        for table in (part.table() for part in d.chart.parts):
             yield TextTable(table.title, table.columns, table.rows)
             yield from (f"  {note}" for note in table.notes)
         yield from (f"  {line}" for line in d.chart.reading)

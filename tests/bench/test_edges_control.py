@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpcontrol.bench.edges_loop import (
-    ROOM,
+from dpcontrol.bench.edges import (
     STRONG,
     WEAK,
     WITHOUT_FILTER,
@@ -22,13 +21,11 @@ from dpcontrol.bench.edges_loop import (
 from dpcontrol.loop.batch import run_batch
 from dpcontrol.loop.bench import DriveSettings
 from dpcontrol.loop.loop import run_loop
-from dpcontrol.references.problem import Limits
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 
 APART = 0.25  # the bar
 RATE = 50.0
-WEAKLY, STRONGLY = (Limits(position=ROOM, velocity=ROOM, acceleration=a) for a in (WEAK, STRONG))
 BESIDE = 0.05  # rad: what encoders and the held input leave; in the longest delay the arms turn through a radian
 ENDS = ("tracking lost", "cart at its stop")
 
@@ -36,13 +33,13 @@ ENDS = ("tracking lost", "cart at its stop")
 def predicted_delay(acceleration: float) -> float:
     stand = held_at_rest(RATE)
     error = stand.drawn_error(0.05)
-    return longest_delay(stand.model, stand.controller.first_state, error, acceleration=acceleration)
+    return longest_delay(stand, error, acceleration=acceleration)
 
 
 def test_authority_over_a_known_delay_ends_where_it_is_predicted_and_the_loop_says_so():
     stand, predicted = held_at_rest(RATE), predicted_delay(WEAK)
-    assert stand.run(limits=WEAKLY, error=0.05, delay=0.75 * predicted).works
-    far = stand.run(limits=WEAKLY, error=0.05, delay=1.25 * predicted)
+    assert stand.run(acceleration=WEAK, error=0.05, delay=0.75 * predicted).works
+    far = stand.run(acceleration=WEAK, error=0.05, delay=1.25 * predicted)
     assert not far.works
     assert any(end in far.says for end in ENDS)
 
@@ -50,14 +47,14 @@ def test_authority_over_a_known_delay_ends_where_it_is_predicted_and_the_loop_sa
 def test_more_acceleration_tolerates_a_longer_delay_by_the_logarithm():
     # λ of the linearised arms at Down-Up, from their Jacobian in continuous time.
     stand = held_at_rest(1000.0)
-    a = stand.model.linearised(stand.controller.first_state[None, :], np.zeros(1))[0][0]
+    a = stand.linear()[0]
     growth = np.log(np.abs(np.linalg.eigvals(a)).max()) * 1000
     assert predicted_delay(30.0) - predicted_delay(5.0) == pytest.approx(np.log(6) / growth, rel=1e-3)
 
 
 def test_the_linear_loop_without_mismatch_has_the_regulators_multipliers_at_any_delay():
     stand = held_at_rest(RATE)
-    a, b = (v[0] for v in stand.model.linearised(stand.controller.first_state[None, :], np.zeros(1)))
+    a, b = stand.linear()
     regulator = np.linalg.eigvals(a - np.outer(b, stand.controller.gain))
     for delay in (0, 1, 5):
         values = np.linalg.eigvals(loop_matrix((a, b), (a, b), gain=stand.controller.gain, delay=delay))
@@ -85,7 +82,7 @@ def test_commands_on_their_way_at_the_start_belong_to_where_the_motion_leads():
     """However late commands act, a motion that begins on its reference stays there."""
     stand = replace(moving(RATE), near=BESIDE)
     for delay in (0.02, 0.2):
-        assert stand.run(limits=WEAKLY, error=0.0, delay=delay).works
+        assert stand.run(acceleration=WEAK, error=0.0, delay=delay).works
 
 
 def test_lockstep_and_loop_queue_the_same_commands():
@@ -112,7 +109,7 @@ def test_a_moving_reference_tolerates_a_wrong_model_up_to_a_border_that_the_loop
 
 
 def test_far_beyond_the_border_of_mismatch_the_run_ends_with_its_reason():
-    for stand, limits in ((moving(RATE), WEAKLY), (held_at_rest(RATE, seconds=20.0), STRONGLY)):
-        lost = stand.run(limits=limits, mismatch=0.6, delay=0.14)
+    for stand, most in ((moving(RATE), WEAK), (held_at_rest(RATE, seconds=20.0), STRONG)):
+        lost = stand.run(acceleration=most, mismatch=0.6, delay=0.14)
         assert not lost.works
         assert any(end in lost.says for end in ENDS)

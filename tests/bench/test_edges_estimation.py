@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from dpcontrol.bench.edges_loop import (
+from dpcontrol.bench.edges import (
     MOVED,
+    SADDLE,
     STILL,
-    WATCHED_SADDLE,
     arriving,
     earliest_report,
     lost_border,
@@ -35,7 +35,7 @@ def test_half_of_many_drawn_runs_see_a_gap_at_the_predicted_share(rate):
 
 
 def test_runs_end_at_the_predicted_share_of_lost_samples_and_the_supervisor_says_why():
-    found = lost_border(LAB.arms, LAB.system.equilibrium(WATCHED_SADDLE), rate=60.0, seeds=5)
+    found = lost_border(LAB.arms, LAB.system.equilibrium(SADDLE), rate=60.0, seeds=5)
     assert found.off is not None
     assert found.off < APART
     assert "estimate lost" in found.says
@@ -43,7 +43,7 @@ def test_runs_end_at_the_predicted_share_of_lost_samples_and_the_supervisor_says
 
 
 def test_a_stuck_encoder_is_reported_after_what_must_pass_and_not_long_after():
-    orbit = sustained_orbit(lyapunov_orbit(LAB.system, WATCHED_SADDLE, energy=-0.07), LAB.arms)
+    orbit = sustained_orbit(lyapunov_orbit(LAB.system, SADDLE, energy=-0.07), LAB.arms)
     found = stuck_border(LAB.arms, orbit, phase=0.3)
     assert found.near is not None
     assert found.far is not None

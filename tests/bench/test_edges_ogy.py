@@ -5,14 +5,14 @@ from functools import cache
 
 import pytest
 
-from dpcontrol.bench.edges_loop import COUNTS, QUICK_SECONDS, HeldOrbit, counts_border, holds, limit_border, stay
+from dpcontrol.bench.edges import COUNTS, HeldOrbit, counts_border, holds, limit_border, stay
 
 RUNS = 8
 
 
 @cache
 def orbit() -> HeldOrbit:
-    return stay(seconds=QUICK_SECONDS)
+    return stay(4.0)
 
 
 @pytest.mark.parametrize(("sections", "enough"), [(4, 0.5), (16, 0.2)])
@@ -35,7 +35,7 @@ def test_fine_encoders_hold_and_coarse_ones_lose_the_orbit(sections: int, enough
 
 
 def test_one_section_a_period_is_lost_at_any_real_resolution_and_the_loop_says_so():
-    for border in (limit_border(orbit(), 1, seeds=2), counts_border(orbit(), 1, seeds=2)):
+    for border in (limit_border(orbit(), 1, seeds=2, ratio=1.6), counts_border(orbit(), 1, seeds=2, ratio=1.6)):
         assert border.near is None
         assert "tracking lost" in border.says or "cart at its stop" in border.says
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from dpcontrol.bench.edges_design import DOP, RK4, model_step, plant_step, predicted_step, stability, step_border
+from dpcontrol.bench.edges import DOP, RK4, model_step, plant_step, predicted_step, stability, step_border
 from dpcontrol.dynamics.plant import PlantParameters, longest_step
 from dpcontrol.scenes.model import load_model
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from dpcontrol.bench.edges_design import TOLERANCE, mesh_border, on_equal_intervals, problem_of
+from dpcontrol.bench.edges import TOLERANCE, mesh_border, on_equal_intervals, problem_of
 
 APART = 0.25  # the bar
 

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from dpcontrol.bench.edges_design import DEFAULT, SADDLE, default_states, found_all, near_border
+from dpcontrol.bench.edges import DEFAULT, SADDLE, default_states, found_all, near_border
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.scenes.model import load_model
 

@@ -4,7 +4,7 @@ from functools import cache
 
 import pytest
 
-from dpcontrol.bench.edges_design import APART, ENERGY, round_trip, rounding_floor, tolerance_border
+from dpcontrol.bench.edges import APART, ENERGY, round_trip, rounding_floor, tolerance_border
 
 
 @cache

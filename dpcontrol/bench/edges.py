@@ -1,0 +1,815 @@
+"""Maps of failure: where each method stops working, and where a formula of a few lines says that it does.
+
+*Fixed steps.* About an equilibrium a method multiplies the motion of an eigenvalue s by its stability function in a
+step, R(sh) = 1 + sh bᵀ (I - sh A)⁻¹ 1. The first step at which |R| passes 1 for an s with Re s < 0 makes a motion grow
+that dies out in truth. Measured with the product's own compiled steps on the nonlinear equations.
+Source: Hairer & Wanner, Solving Ordinary Differential Equations II (1996), section IV.2.
+
+*Seeds of tubes.* Too near their orbit, rounding hides where tubes meet, which is chance: the border is where half of
+the searches find all. Too far, the tube's second-order part is left out, an error of δ². Measured only.
+
+*Shadowing.* A node's rounding, half a unit in the last place of a rate of up to 20 rad/s, grows by λ^(1/s) to the next
+of s nodes in a period of the orbit, whatever the number of wraps. That bounds the gaps, but its constant is luck, so it
+predicts nothing: the same walk is solved at energies a billionth apart, and at a border half of them converge.
+Source: Stoer & Bulirsch, Introduction to Numerical Analysis, 3rd ed., section 7.3.5.
+
+*References.* The error between nodes of a method with K points falls as the interval's length h to the power K, so that
+the longest interval for a tolerance ε is h₀ (ε / e(h₀))^(1/K), from one solution on a finer mesh. What acceleration a
+track needs is measured only.
+Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7.
+
+*Control.* What an error ξ of the unstable direction, ξ' = λξ + bu with |u| ≤ a, has become when the first command acts,
+ξ e^{λd}, must be less than a·b/λ, or no command brings it back: d < ln(a |b| / (λ |ξ|)) / λ. A wrong model: plant,
+prediction through the commands on their way and gain are one linear map of (x, commands), whose largest eigenvalue
+reaches the unit circle; the filter is left out, which costs up to a third. Neither holds along a moving reference.
+Source: Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed., sections 8.6 and 9.3; for bounded
+inputs, Hu & Lin, Control Systems with Actuator Saturation (2001), chapter 2.
+
+*OGY.* An error grows by about λ^(1/k) from one of k sections to the next. How readings round depends on the orbit, so
+the borders are measured only.
+
+*Estimation.* Of K ticks each is lost with probability p. Gaps of at least m ticks, the supervisor's limit, begin
+K (1 - p) pᵐ times on average, nearly independently: half of the runs see none at K (1 - p) pᵐ = ln 2. A stuck encoder
+differs from a still arm only once the reference has moved 0.02 rad and 15 ms have passed.
+Source: Feller, An Introduction to Probability Theory and Its Applications I, 3rd ed., section XIII.7, for runs.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import DOP853
+from scipy.optimize import brentq
+
+from dpcontrol.bench.chart import Attempt, Border, EdgeChart, EdgeMap, find_border, half_of, measured_maps
+from dpcontrol.bench.control import held
+from dpcontrol.bench.propagation import Stepper
+from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.interface import Controller, SampledModel
+from dpcontrol.control.lqr import HoldController, HoldSettings, hold_controller
+from dpcontrol.control.ogy import OgyController, OgySettings, ogy_controller
+from dpcontrol.control.periodic import orbit_controller
+from dpcontrol.control.tracking import TvlqrSettings, tracking_controller
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
+from dpcontrol.dynamics.compiled import fixed_step
+from dpcontrol.dynamics.plant import PlantParameters, longest_step
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.progress import Progress
+from dpcontrol.loop.batch import run_batch
+from dpcontrol.loop.bench import DriveSettings, SensorSettings
+from dpcontrol.loop.loop import LoopSettings, run_loop, sampled_model
+from dpcontrol.loop.result import Ending
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
+from dpcontrol.references.find import find_reference
+from dpcontrol.references.method import method_named
+from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings
+from dpcontrol.references.reference import Reference, still
+from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
+from dpcontrol.references.trajectory import first_trajectory
+from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
+from dpcontrol.scenes.model import load_model
+from dpcontrol.scenes.plan import make_plan
+from dpcontrol.scenes.planning import shadowing_orbit
+from dpcontrol.shooting.newton import NewtonSettings
+from dpcontrol.tubes.connection import Connection
+from dpcontrol.tubes.connections import ConnectionSearch, find_connections
+from dpcontrol.tubes.intersections import ConnectionSettings
+from dpcontrol.walks.edges import find_edges
+from dpcontrol.walks.shadowing import ShadowingSettings, shadow
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+Step = Callable[[Array, float], Array]
+"""(state (N,), length in s) -> following state (N,)."""
+
+SADDLE, SADDLE_ENERGY = "down-up", -0.07
+"""What is held; J."""
+WALK = "outer-turn"
+
+SADDLES = ("down-down", "down-up", "up-down", "up-up")
+AMPLITUDE = 1e-6
+"""Of the motion at the start: small, so that it stays linear, and large against rounding."""
+STEPS = 3
+"""Few: rounding, in the direction that grows, must not reach the motion that is looked at."""
+RK4 = (np.array([[0, 0, 0, 0], [0.5, 0, 0, 0], [0, 0.5, 0, 0], [0, 0, 1.0, 0]]), np.array([1, 2, 2, 1]) / 6)
+DOP = (np.array(DOP853.A), np.array(DOP853.B))
+
+
+def propagation_chart(quick: bool, progress: Progress) -> EdgeChart:
+    """Return the chart of fixed steps; quick: two saddles."""
+    arms = load_model("lab").arms
+    saddles = SADDLES[1::2] if quick else SADDLES
+    split = longest_step(PlantParameters(arms))
+
+    def border(saddle: str, **method: Any) -> Border:
+        # Equilibria are no numbers: lines stand side by side.
+        return replace(step_border(arms, saddle, **method), x=float(saddles.index(saddle)))
+
+    def never_taken(h: float, _: str) -> str:
+        return f"never taken: the simulated bench splits what is longer than {split:g} s"
+
+    maps = [
+        (
+            EdgeMap(title, "equilibrium", "step, s", log_x=False, far="grows, though it should die out",
+                    theory="|R(sh)| = 1 for the first of the motions that die out"),
+            partial(border, tableau=tableau, step=step, says=says), saddles,
+        )
+        for title, tableau, step, says in (
+            ("Model of controllers and filters: Runge-Kutta 4", RK4, model_step(arms), _run_at),
+            ("Plant: 12 stages of DOP853", DOP, plant_step(arms), never_taken),
+        )
+    ]  # fmt: skip
+    return EdgeChart(
+        name="edges-propagation",
+        title="Where fixed steps end: near the equilibria",
+        reading=(
+            "The longest step with which all motions that die out about an equilibrium do so: the fastest decides.",
+            "Diamonds: from the method's coefficients and the eigenvalues alone.",
+            "Loops of 25 Hz are five times from the border of their model, those of 1 kHz two hundred times.",
+        ),
+        chosen="Runge-Kutta 4 between ticks, stable down to 5 Hz; at most 2 ms at a time in the plant.",
+        parts=measured_maps(progress, *maps),
+    )
+
+
+def model_step(arms: ArmChainParameters) -> Step:
+    """Return the step of controllers' and filters' model, of any length, the cart's acceleration zero."""
+    return lambda x, h: sampled_model(arms, 1 / h).step(x, 0.0)
+
+
+def plant_step(arms: ArmChainParameters) -> Step:
+    """Return the step of simulated plants, of any length, the cart's acceleration zero."""
+    stepper = Stepper(fixed_step(equations_of(arms, Level.CART)), arms.base())
+    return lambda x, h: stepper.fly(x, h, step=h)
+
+
+def stability(tableau: tuple[Array, Array], z: complex) -> complex:
+    """Return R(z) of an explicit method's A (S, S) and b (S,)."""
+    a, b = tableau
+    return complex(1 + z * b @ np.linalg.solve(np.eye(len(b)) - z * a, np.ones(len(b))))
+
+
+def predicted_step(tableau: tuple[Array, Array], values: Complex) -> float:
+    """Return the step in s at which the first of the eigenvalues `values` in 1/s, all damped, has |R| = 1."""
+
+    def growth(step: float) -> float:
+        return max(abs(stability(tableau, s * step)) for s in values) - 1
+
+    steps = np.linspace(1e-3, 5.0, 5000) / np.abs(values).max() * 2
+    high = next(step for step in steps.tolist() if growth(step) > 0)
+    return float(brentq(growth, high - (steps[1] - steps[0]), high))  # type: ignore[arg-type]
+
+
+def decaying(arms: ArmChainParameters, saddle: str) -> tuple[Array, Complex, Complex, Complex]:
+    """Return the equilibrium (N,), the damped eigenvalues (m,) in 1/s, their vectors (m, N) and left vectors (m, N)."""
+    e = equations_of(arms, Level.CART)
+    state = np.concatenate([load_model("lab").system.equilibrium(saddle), np.zeros(2)])
+    linear = ca.Function("linear", [e.state, e.inputs, e.parameters], [ca.jacobian(e.rate, e.state)])
+    n = 2 * arms.count
+    pairs = np.linalg.eig(np.array(linear(state, 0.0, arms.base()))[:n, :n].astype(np.complex128))
+    values, right = (np.asarray(found, dtype=np.complex128) for found in pairs)
+    damped = np.flatnonzero(values.real < -1e-9)
+    cart = np.zeros((len(damped), len(state) - n))
+    return state, values[damped], np.hstack([right.T[damped], cart]), np.hstack([np.linalg.inv(right)[damped], cart])
+
+
+def step_border(
+    arms: ArmChainParameters, saddle: str, *, tableau: tuple[Array, Array], step: Step,
+    says: Callable[[float, str], str], ratio: float = 1.05,
+) -> Border:  # fmt: skip
+    """Return the border of the step's length at an equilibrium."""
+    state, values, right, left = decaying(arms, saddle)
+    predicted = predicted_step(tableau, values)
+
+    def probe(h: float) -> Attempt:
+        for vector, dual in zip(right, left, strict=True):
+            y = state + AMPLITUDE * np.real(vector) / np.abs(vector).max()
+            before = abs(dual @ (y - state))
+            for _ in range(STEPS):
+                y = step(y, h)
+            if abs(dual @ (y - state)) > before:
+                return Attempt(False)
+        return Attempt(True)
+
+    found = find_border(
+        probe, x=0.0, line=saddle, near=predicted / 1.5, far=1.5 * predicted, predicted=predicted, ratio=ratio
+    )
+    # Asked once, for it takes a run.
+    return replace(found, says=says(found.far, saddle)) if found.far else found
+
+
+def _run_at(h: float, saddle: str) -> str:
+    """Return what a run says whose period is as long as the step, arms held at the equilibrium."""
+    try:
+        stand = held_at_rest(1 / h, saddle=saddle, seconds=60.0)
+    except (InputError, GoalMissed) as error:
+        return str(error)
+    return stand.run(acceleration=STRONG, error=HELD_ERROR).says
+
+
+DEFAULT = ConnectionSettings().distance
+RIGHT = 1e-9
+"""Scaled: how far a connection may lie from the one that the default settings find."""
+ANEW = 1e-6
+"""Share of the distance whose change draws all rounding anew, and changes nothing else."""
+
+
+def seeds_chart(quick: bool, progress: Progress) -> EdgeChart:
+    """Return the chart of seeds of tubes; quick: one energy, fewer searches."""
+    system = load_model("lab").system
+    draws, ratio = (3, 2.0) if quick else (7, 1.25)
+
+    @cache
+    def known(energy: float) -> tuple[LyapunovOrbit, Array]:
+        orbit = lyapunov_orbit(system, SADDLE, energy=energy)
+        return orbit, default_states(orbit)
+
+    energies = (0.05,) if quick else (-0.07, 0.05, 0.2)
+    y = "distance of the seeds from the orbit, scaled"
+    near, far = (
+        EdgeMap(title, "energy, J", y, far="connections are missing", near="all are found", log_x=False)
+        for title in ("Too near", "Too far")
+    )
+    return EdgeChart(
+        name="edges-seeds",
+        title="Where seeds of tubes end: connections of Down-Up with itself",
+        reading=(
+            "Left: the nearest seeds, right: the farthest, with which a search finds every connection of that energy; "
+            "beyond either it says \"at least\" so many, and why.",
+            f"Too near, chance decides: of {draws} searches, each with rounding of its own, at least half find all.",
+            "Rounding over the distance hides where tubes meet; too far, seeds leave the manifold by the square of "
+            "their distance.",
+        ),
+        chosen="Seeds 1e-4 from the orbit: at least ninety times from the nearer border where that is worst.",
+        parts=measured_maps(
+            progress,
+            (near, lambda energy: near_border(*known(energy), draws=draws, ratio=ratio), energies),
+            (far, lambda energy: far_border(*known(energy), ratio=ratio), energies),
+        ),
+    )  # fmt: skip
+
+
+def search(orbit: LyapunovOrbit, distance: float) -> ConnectionSearch:
+    """Return the orbit's connections with itself from seeds at `distance`."""
+    return find_connections(orbit, orbit, settings=ConnectionSettings(distance=distance))
+
+
+def default_states(orbit: LyapunovOrbit) -> Array:
+    """Return the states (K, N) of all connections on their section, from seeds at the default distance."""
+    return np.array([c.state for c in search(orbit, DEFAULT).connections])
+
+
+def found_all(orbit: LyapunovOrbit, states: Array, distance: float) -> Attempt:
+    """Return whether a search finds the connections of `states` (K, N), and no others, else what it says."""
+    found = search(orbit, distance)
+    away = [float(np.min(orbit.system.scaled_distance(states, c.state))) for c in found.connections]
+    if len(away) == len(states) and max(away) < RIGHT:
+        return Attempt(True)
+    # A search that believes itself complete has reported nothing.
+    return Attempt(False, "" if found.status.startswith(f"{len(away)} connections") else found.status)
+
+
+def near_border(orbit: LyapunovOrbit, states: Array, *, draws: int, ratio: float) -> Border:
+    """Return the distance of seeds at which half of the searches find all connections, those of `states` (K, N)."""
+
+    def probe(distance: float) -> Attempt:
+        answers = [found_all(orbit, states, distance * (1 + ANEW * draw)) for draw in range(draws)]
+        return half_of(answers, "searches miss connections")
+
+    return find_border(probe, x=orbit.energy, line=f"{orbit.energy:g} J", near=5e-6, far=1e-9, ratio=ratio)
+
+
+def far_border(orbit: LyapunovOrbit, states: Array, *, ratio: float) -> Border:
+    """Return the largest distance of seeds with which all connections are found, those of `states` (K, N)."""
+    probe = partial(found_all, orbit, states)
+    return find_border(probe, x=orbit.energy, line=f"{orbit.energy:g} J", near=0.15, far=1.6, ratio=ratio)
+
+
+ENERGY = 0.2
+APART = 1e-9
+"""Between two energies, as a share: more than rounding, and nothing to the orbits."""
+
+
+def walks_chart(quick: bool, progress: Progress) -> EdgeChart:
+    """Return the chart of shadowing; quick: fewer wraps and spacings."""
+    walks = tuple(round_trip(ENERGY * (1 + k * APART)) for k in range(3 if quick else 7))
+    spacing, wrap = (
+        EdgeMap(title, x, "tolerance of gaps, rad and rad/s", far="not converged", log_x=log_x)
+        for title, x, log_x in (("Two wraps", "nodes in a period", True), ("One node in a period", "wraps", False))
+    )
+    return EdgeChart(
+        name="edges-walks",
+        title=f"Where shadowing ends: Down-Up to Up-Down and back at {ENERGY:g} J",
+        reading=(
+            "The smallest gap between pieces of orbit that Newton's method can reach: what rounding leaves.",
+            "Left: it falls as nodes come nearer together. Right: many wraps are as good as none; one is worse.",
+            "Rounding that grows by λ^(1/s) from node to node sets the scale; its constant is luck: no prediction.",
+        ),
+        chosen="Eight nodes in a period and a tolerance of 1e-11, three orders above what rounding leaves.",
+        parts=measured_maps(
+            progress,
+            (spacing, lambda nodes: tolerance_border(walks, segments=nodes, wraps=2, x=nodes),
+             (1, 4) if quick else (1, 2, 3, 4, 8)),
+            (wrap, lambda wraps: tolerance_border(walks, segments=1, wraps=wraps, x=wraps),
+             (1, 4) if quick else (0, 1, 2, 4, 8)),
+        ),
+    )  # fmt: skip
+
+
+def round_trip(energy: float = ENERGY) -> tuple[Connection, ...]:
+    """Return the lab's first crossing from Down-Up to Up-Down and the first one back."""
+    system = load_model("lab").system
+    edges = find_edges(system, energy, pairs=[("down-up", "up-down"), ("up-down", "down-up")])
+    return edges.between("down-up", "up-down")[0], edges.between("up-down", "down-up")[0]
+
+
+def rounding_floor(walk: Sequence[Connection], *, segments: int) -> float:
+    """Return the gap in rad/s that rounding leaves between nodes, `segments` of them in a period."""
+    fastest = max(
+        float(np.abs(c.orbit.sample(np.linspace(c.orbit.times[0], c.orbit.times[-1], 400)))[:, 2:].max()) for c in walk
+    )
+    growth = max(c.source.unstable_multiplier for c in walk)
+    return 0.5 * math.ulp(fastest) * growth ** (1 / segments)
+
+
+def tolerance_border(walks: Sequence[Sequence[Connection]], *, segments: int, wraps: int, x: float) -> Border:
+    """Return the smallest tolerance at which half of the walks' orbits are found with `segments` nodes a period."""
+
+    def probe(tolerance: float) -> Attempt:
+        settings = ShadowingSettings(segments, newton=NewtonSettings(tolerance=tolerance))
+        orbits = [shadow(walk, wraps=[wraps], settings=settings) for walk in walks]
+        return half_of([Attempt(orbit.converged, orbit.status) for orbit in orbits], "not converged")
+
+    floor = rounding_floor(walks[0], segments=segments)
+    line = f"{wraps} wraps, {segments} nodes"
+    return find_border(probe, x=x, line=line, near=100 * floor, far=floor / 20, ratio=1.3)
+
+
+METHOD, TOLERANCE = ReferenceSettings().method, ReferenceSettings().tolerance
+FINE = 0.012
+"""s: the mesh from whose error the border is predicted, about one and a half times as long."""
+
+
+def references_chart(quick: bool, progress: Progress) -> EdgeChart:
+    """Return the chart of references; quick: one friction, one track."""
+    frictions, tracks = ((1.0,), (0.01,)) if quick else ((0.0, 1.0, 2.0, 4.0), (0.4, 0.01, 0.002))
+    mesh = EdgeMap(
+        f"Mesh, {METHOD}", "friction, × the arms' own", f"interval for {TOLERANCE:g} between nodes, s", log_x=False,
+        far="not as good", theory="the error falls as the interval to the power of the points",
+    )  # fmt: skip
+    return EdgeChart(
+        name="edges-references",
+        title="Where references end: one turn of the outer arm",
+        reading=(
+            f"Left: the longest equal intervals with which the error between nodes stays below {TOLERANCE:g}.",
+            "Right: the least acceleration with which the motion exists on a track; the status names the limit.",
+            f"Diamonds: from the error on one finer mesh, {1e3 * FINE:g} ms. Planning splits intervals where they err, "
+            "and so gets by with fewer.",
+        ),
+        chosen="Seven points on 50 ms, split where the error asks for it; limits of the bench leave room of a hundred.",
+        parts=measured_maps(
+            progress,
+            (mesh, lambda friction: mesh_border(friction, x=float(frictions.index(friction))), frictions),
+            (EdgeMap("Limits", "track, ± m", "acceleration, m/s²", far="no reference"), acceleration_border, tracks),
+        ),
+    )
+
+
+@cache
+def _walk() -> tuple[Itinerary, Callable[[Array], Array], float]:
+    itinerary = load_itinerary(WALK)
+    orbit = shadowing_orbit(itinerary)
+    return itinerary, orbit.sample, orbit.duration
+
+
+def problem_of(friction: float = 1.0, limits: Limits | None = None) -> ReferenceProblem:
+    """Return the turn with `friction` times the arms' own viscous friction, within `limits`."""
+    itinerary, guess, duration = _walk()
+    arms = replace(itinerary.model.arms, viscous=tuple(friction * k for k in itinerary.model.arms.viscous))
+    return ReferenceProblem(equations_of(arms, Level.CART), arms.base(), guess, duration, limits=limits or Limits())
+
+
+def on_equal_intervals(problem: ReferenceProblem, interval: float) -> Reference:
+    """Return what one round gives on intervals of at most `interval` s, whatever the guess's own error."""
+    method = method_named(METHOD)
+    mesh = np.linspace(0.0, problem.duration, int(np.ceil(problem.duration / interval)) + 1)
+    settings = ReferenceSettings(method=METHOD, interval=interval, tolerance=TOLERANCE, rounds=1)
+    return find_reference(problem, settings, near=first_trajectory(problem, method, mesh))
+
+
+def mesh_border(friction: float, *, x: float) -> Border:
+    """Return the longest interval, s, with which the turn is good to the tolerance between its nodes in one round."""
+    problem = problem_of(friction)
+    fine = on_equal_intervals(problem, FINE).max_error_between_nodes
+    # What the product accepts is a little less than the tolerance.
+    predicted = FINE * (0.8 * TOLERANCE / fine) ** (1 / len(method_named(METHOD).points))
+    return find_border(
+        lambda interval: _converged(on_equal_intervals(problem, interval)), x=x, line=f"× {friction:g}",
+        near=predicted / 1.6, far=1.6 * predicted, predicted=predicted, ratio=1.12,
+    )  # fmt: skip
+
+
+def acceleration_border(track: float) -> Border:
+    """Return the least acceleration, m/s², with which the turn exists on a track of ± `track` m."""
+
+    def found(**limits: float) -> Reference:
+        return find_reference(problem_of(limits=Limits(position=track, **limits)), ReferenceSettings(tolerance=1e-4))
+
+    free = found()
+    taken = free.max_cart_acceleration if free.converged else 10.0
+    return find_border(
+        lambda acceleration: _converged(found(acceleration=acceleration)), x=track, line=f"± {track:g} m",
+        near=1.2 * taken, far=taken / 8, ratio=1.2,
+    )  # fmt: skip
+
+
+def _converged(found: Reference) -> Attempt:
+    return Attempt(found.converged, "" if found.converged else found.status)
+
+
+ROOM = 20.0
+"""m of track, so that authority alone decides."""
+HELD_ERROR, MOVING_ERROR = 0.05, 0.02
+"""rad at the start, where the delay is varied."""
+WEAK, STRONG = 5.0, 30.0
+"""m/s²: the limit where the delay is varied, and where the model is."""
+MISMATCH_RATE = 100.0
+"""Hz."""
+WITHOUT_FILTER = 1 / 3
+"""How far the border of mismatch may lie from its prediction."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stand:
+    """A controller at a rate in Hz on its model; near: a run works whose angles end within this of the reference, rad,
+    over its last tenth.
+    """
+
+    arms: ArmChainParameters
+    model: SampledModel
+    controller: Controller
+    settings: LoopSettings
+    near: float
+
+    def run(self, *, acceleration: float, mismatch: float = 0.0, error: float = 1e-3, delay: float = 0.0) -> Attempt:
+        """Return whether a run of at most `acceleration` m/s² stays at its reference with a mismatch, an error in rad
+        at the start, a delay in s.
+        """
+        # Half a period of wrong timing is another error, which a slow loop pays for dearly.
+        drive = DriveSettings(delay=round(delay * self.settings.rate))
+        settings = replace(self.settings, mismatch=mismatch, initial_error=error, drive=drive)
+        limits = Limits(position=ROOM, velocity=ROOM, acceleration=acceleration)
+        (run,) = run_batch(self.arms, settings=settings, seeds=[0], controller=self.controller, limits=limits)
+        if run.ending is not Ending.FINISHED:
+            return Attempt(False, run.reason)
+        tail, n = max(len(run.times) // 10, 1), run.references.shape[1]
+        last = float(np.abs(run.truth[-tail:, :n] - run.references[-tail:]).max())
+        return Attempt(last < self.near, f"finished, but {last:.2g} rad away over its last tenth")
+
+    def drawn_error(self, size: float) -> Array:
+        """Return the error (N,) with which runs start that err by up to `size` rad."""
+        drawn = replace(self.settings, initial_error=size).draw(self.arms, ticks=2).initial_error
+        return np.concatenate([drawn, np.zeros(self.model.dimension - len(drawn))])
+
+    def linear(self, mismatch: float = 0.0) -> tuple[Array, Array]:
+        """Return A (N, N) and B (N,) between two ticks, at the controller's first state, of a plant with `mismatch`."""
+        plant = self.settings.draw(self.arms, ticks=2, mismatch=mismatch).plant.arms if mismatch else self.arms
+        model = sampled_model(plant, self.settings.rate)
+        a, b = model.linearised(self.controller.first_state[None, :], np.zeros(1))
+        return a[0], b[0]
+
+
+def held_at_rest(rate: float, *, saddle: str = SADDLE, seconds: float = 8.0) -> Stand:
+    """Return the lab's arms held at an equilibrium for `seconds`.
+
+    Raises:
+        InputError, GoalMissed: the equilibrium cannot be held at this rate.
+    """
+    lab = load_model("lab")
+    model = sampled_model(lab.arms, rate)
+    controller = hold_controller(lab.system.equilibrium(saddle), model, HoldSettings(), seconds=seconds)
+    settings = LoopSettings(seed=0, rate=rate, controller=HoldSettings())
+    return Stand(lab.arms, model, controller, settings, near=0.1)
+
+
+@cache
+def moving(rate: float) -> Stand:
+    """Return the planned turn of the outer arm, followed by TVLQR."""
+    scene = load_itinerary(WALK)
+    model = sampled_model(scene.model.arms, rate)
+    controller = tracking_controller(make_plan(scene).reference, model, TvlqrSettings())
+    return Stand(scene.model.arms, model, controller, LoopSettings(seed=0, rate=rate), near=0.3)
+
+
+LATE = EdgeMap("Known delay, by rate", "rate of the loop, Hz", "delay, s", far="lost")
+WRONG = EdgeMap(
+    "Wrong model, by delay", "delay, s", "mismatch of the plant, share", far="lost", agrees=WITHOUT_FILTER
+)  # fmt: skip
+
+
+def control_chart(quick: bool, progress: Progress) -> EdgeChart:
+    """Return the chart of arms held at an equilibrium; quick: fewer rates and delays."""
+    ratio = 1.15 if quick else 1.06
+    late = replace(LATE, theory=f"the first command comes when {WEAK:g} m/s² can no longer turn the fall")
+    wrong = replace(WRONG, theory="largest eigenvalue of plant, prediction and gain together is 1")
+    return EdgeChart(
+        name="edges-control",
+        title="Where control ends: arms held at Down-Up",
+        reading=(
+            "Left: a known delay is predicted through, so it costs time only, whatever the rate: what an error of up "
+            f"to {HELD_ERROR:g} rad grows to before the first command acts must stay within reach.",
+            "Right: the prediction runs on the model; the longer the delay, the less it may be wrong.",
+            "Circles hold to the end, crosses end with the sentence in the data; diamonds are predicted.",
+        ),
+        chosen="Prediction through all commands on their way, at any rate; delays of the bench are 1 to 20 ms.",
+        parts=measured_maps(
+            progress,
+            (late, partial(held_delay_border, ratio=ratio),
+             (50.0, 200.0) if quick else (25.0, 50.0, 100.0, 200.0, 400.0)),
+            (wrong, partial(held_mismatch_border, ratio=ratio),
+             (0.05, 0.15) if quick else (0.02, 0.05, 0.1, 0.15, 0.2)),
+        ),
+    )  # fmt: skip
+
+
+def moving_chart(quick: bool, progress: Progress) -> EdgeChart:
+    """Return the chart of a moving reference; quick: one rate, one delay."""
+    return EdgeChart(
+        name="edges-moving",
+        title="Where control ends on a moving reference: one turn of the outer arm, TVLQR",
+        reading=(
+            f"Left: how late commands of at most {WEAK:g} m/s² may come after an error of up to {MOVING_ERROR:g} rad "
+            "at the start, the delay known.",
+            "Right: how wrong the plant may be, for the prediction through the delay runs on the model.",
+            "Circles end near the reference, crosses end with the sentence in the data.",
+        ),
+        chosen="Prediction through all commands on their way, from the first on; delays of the bench are 1 to 20 ms.",
+        parts=measured_maps(
+            progress,
+            (LATE, lambda rate: delay_border(moving(rate), error=MOVING_ERROR, ratio=1.08),
+             (100.0,) if quick else (25.0, 50.0, 100.0, 200.0)),
+            (WRONG, lambda delay: mismatch_border(moving(MISMATCH_RATE), delay, ratio=1.1),
+             (0.1,) if quick else (0.04, 0.07, 0.1, 0.14)),
+        ),
+    )  # fmt: skip
+
+
+def delay_border(stand: Stand, *, error: float, ratio: float, predicted: float | None = None) -> Border:
+    """Return the border of the delay in s, which the loop knows, after an error in rad at the start."""
+    rate, middle = stand.settings.rate, predicted or 0.2
+    return find_border(
+        lambda delay: stand.run(acceleration=WEAK, error=error, delay=delay), x=rate, line=f"{rate:g} Hz",
+        near=middle / 4, far=3 * middle, predicted=predicted, ratio=ratio, unit=1 / rate,
+    )  # fmt: skip
+
+
+def mismatch_border(stand: Stand, delay: float, *, ratio: float, predicted: float | None = None) -> Border:
+    """Return the border of the plant's mismatch at a delay in s, in one direction of all parameters."""
+    near, far = (predicted / 4, min(2.5 * predicted, 0.6)) if predicted else (0.01, 0.6)
+    return find_border(
+        lambda mismatch: stand.run(acceleration=STRONG, mismatch=mismatch, delay=delay), x=delay,
+        line=f"{1e3 * delay:g} ms", near=near, far=far, predicted=predicted, ratio=ratio,
+    )  # fmt: skip
+
+
+def held_delay_border(rate: float, *, ratio: float) -> Border:
+    """Return the border of the delay in s at `rate` Hz, arms held, beside the predicted one."""
+    stand = held_at_rest(rate)
+    predicted = longest_delay(stand, stand.drawn_error(HELD_ERROR), acceleration=WEAK)
+    return delay_border(stand, error=HELD_ERROR, ratio=ratio, predicted=predicted)
+
+
+def longest_delay(stand: Stand, error: Array, *, acceleration: float) -> float:
+    """Return the delay in s after which `acceleration` m/s² cannot bring back an `error` (N,) at the start."""
+    a, b = stand.linear()
+    values, left = np.linalg.eig(a.T)
+    first = int(np.argmax(np.abs(values)))
+    growth, direction = float(values[first].real), np.real(left[:, first])
+    rate = float(np.log(growth)) * stand.settings.rate
+    # One held period: b (e^{λT} - 1)/λ.
+    reach = float(direction @ b) * rate / (growth - 1)
+    return float(np.log(acceleration * abs(reach) / (rate * abs(float(direction @ error)))) / rate)
+
+
+def held_mismatch_border(delay: float, *, ratio: float) -> Border:
+    """Return the border of the plant's mismatch at a delay in s, arms held, beside the predicted one."""
+    stand = held_at_rest(MISMATCH_RATE, seconds=20.0)
+    controller, ticks = stand.controller, round(delay * MISMATCH_RATE)
+    assert isinstance(controller, HoldController)
+    loops = (
+        (mismatch, loop_matrix(stand.linear(mismatch), stand.linear(), gain=controller.gain, delay=ticks))
+        for mismatch in np.geomspace(1e-3, 0.6, 60).tolist()
+    )
+    # The first of all: the eigenvalue may come back into the circle.
+    predicted = next((mismatch for mismatch, loop in loops if np.abs(np.linalg.eigvals(loop)).max() >= 1), None)
+    return mismatch_border(stand, delay, ratio=ratio, predicted=predicted)
+
+
+def loop_matrix(
+    plant: tuple[Array, Array], believed: tuple[Array, Array], *, gain: Array, delay: int
+) -> Array:  # fmt: skip
+    """Return the map of a tick, of the state and the commands on their way, both as deviations; the oldest first.
+
+    plant, believed: A (N, N), B (N,) between ticks, of the plant and of the model that predicts; gain (N,).
+    """
+    n = len(gain)
+    ahead = np.eye(n, n + delay)
+    for i in range(delay):
+        ahead = believed[0] @ ahead
+        ahead[:, n + i] += believed[1]
+    # State, commands on their way, and the new one: the first of the commands acts now, the rest wait.
+    rows = np.vstack([np.eye(n + delay), -gain @ ahead])
+    return np.vstack([plant[0] @ rows[:n] + np.outer(plant[1], rows[n]), rows[n + 1 :]])
+
+
+RATE = 1000.0
+LIMIT = 0.5
+"""m/s²: of the pulses where counts are varied."""
+COUNTS = 40_000.0
+"""Counts per turn where the pulses are varied."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOrbit:
+    """An orbit to be held for `seconds`, and the arms that are believed and simulated alike."""
+
+    orbit: SustainedOrbit
+    arms: ArmChainParameters
+    seconds: float
+
+    def controller(self, sections: int, limit: float = LIMIT) -> OgyController:
+        """Return the law by `sections` pulses a period, of at most `limit` m/s²; it learns nothing."""
+        settings = OgySettings(sections=sections, pulse_limit=limit, parameter_error=0.0)
+        return ogy_controller(self.orbit, sampled_model(self.arms, RATE), settings, seconds=self.seconds)
+
+
+def stay(seconds: float) -> HeldOrbit:
+    """Return the lab's orbit about its saddle, to be held for `seconds`."""
+    lab = load_model("lab")
+    orbit = sustained_orbit(lyapunov_orbit(lab.system, SADDLE, energy=SADDLE_ENERGY), lab.arms)
+    return HeldOrbit(orbit, lab.arms, seconds)
+
+
+def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
+    """Return the chart of OGY; quick: fewer sections and seeds, wider borders, and shorter runs."""
+    one = stay(4.0 if quick else 6.0)
+    sections, seeds, ratio = ((8,), 8, 1.6) if quick else ((1, 2, 3, 4, 8, 16), 16, 1.12)
+    pulses, counts = (
+        EdgeMap(title, "sections in a period, k", y, far="lost")
+        for title, y in (
+            (f"Authority, {COUNTS:,.0f} counts per turn", "largest pulse, m/s²"),
+            (f"Encoders, pulses of {LIMIT:g} m/s²", "counts per turn"),
+        )
+    )
+    return EdgeChart(
+        name="edges-ogy",
+        title=f"Where OGY ends: Down-Up at {SADDLE_ENERGY:g} J, multiplier {one.orbit.multipliers[0].real:.0f} a "
+        "period",
+        reading=(
+            "From one section to the next an error grows by about λ^(1/k), so few sections need large pulses or "
+            "encoders that nobody builds.",
+            f"Circles: at least half of {seeds} runs hold; crosses: fewer. Zeros of the encoders lie anywhere within a "
+            "count.",
+            "How readings round depends on the orbit, and more counts may be worse in places: no formula predicts "
+            "these borders.",
+        ),
+        chosen="16 sections a period and pulses of up to 5 m/s²: encoders of a few hundred counts would still do.",
+        parts=measured_maps(
+            progress,
+            (pulses, lambda k: limit_border(one, k, seeds=seeds, ratio=ratio), sections),
+            (counts, lambda k: counts_border(one, k, seeds=seeds, ratio=ratio), sections),
+        ),
+    )
+
+
+def holds(one: HeldOrbit, controller: OgyController, *, counts: float, seeds: int) -> Attempt:
+    """Return whether at least half of the runs hold the orbit, else what ended the first that did not."""
+    whole = max(round(counts), 1)
+    sensors = SensorSettings(counts=whole, cart_resolution=1e-6, zero_error=np.pi / whole)
+    # Zeros being estimated would need a third larger pulses at k = 16.
+    settings = LoopSettings(
+        seed=0, rate=RATE, sensors=sensors, estimator=EkfSettings(augment=()), initial_error=1e-5
+    )  # fmt: skip
+    runs = run_batch(one.arms, settings=settings, seeds=range(seeds), controller=controller,
+                     limits=Limits(position=5.0, acceleration=30.0))  # fmt: skip
+    period = one.orbit.period
+    judge = held(one.orbit.state(np.linspace(0, period, 1000))[:, : one.arms.count], period=period)
+    away = "finished, but away from the orbit in its last period"
+    return half_of(
+        [Attempt(judge(run), away if run.ending is Ending.FINISHED else run.reason) for run in runs], "runs lost"
+    )
+
+
+def limit_border(one: HeldOrbit, sections: int, *, seeds: int, ratio: float) -> Border:
+    """Return the smallest limit of the pulses, m/s², with which `sections` of them a period hold the orbit."""
+    law = one.controller(sections)
+    return find_border(
+        lambda limit: holds(one, replace(law, pulse_limit=limit), counts=COUNTS, seeds=seeds), x=sections,
+        line=f"k = {sections}", near=5.0, far=0.01, ratio=ratio,
+    )  # fmt: skip
+
+
+def counts_border(one: HeldOrbit, sections: int, *, seeds: int, ratio: float) -> Border:
+    """Return the fewest counts per turn, of the coarsest encoders to none that there is, with which `sections` pulses a
+    period hold the orbit.
+    """
+    law = one.controller(sections)
+    return find_border(
+        lambda counts: holds(one, law, counts=counts, seeds=seeds), x=sections, line=f"k = {sections}", near=4e8,
+        far=50.0, ratio=ratio,
+    )  # fmt: skip
+
+
+SECONDS = 10.0
+"""Of the runs that lose samples."""
+BEFORE = 0.5
+"""s of the run before a sensor sticks, at least."""
+MOVED, STILL = 0.02, 0.015
+"""rad and s: what distinguishes a stuck joint from a still one."""
+
+
+def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
+    """Return the chart of estimates; quick: one rate, one phase, fewer seeds."""
+    model = load_model("lab")
+    orbit = stay(SECONDS).orbit
+    lost = EdgeMap(
+        "Lost samples", "rate of the loop, Hz", "samples that arrive, per s", far="lost",
+        theory="a gap of 0.1 s is as likely as not in 10 s",
+    )  # fmt: skip
+    stuck = EdgeMap(
+        "A stuck encoder of the outer arm, on the orbit about Down-Up", "phase at which it sticks",
+        "seconds until it is reported", far="reported", near="goes on", log_x=False,
+    )  # fmt: skip
+    equilibrium = model.system.equilibrium(SADDLE)
+    return EdgeChart(
+        name="edges-estimation",
+        title="Where estimates end: samples lost, an encoder stuck",
+        reading=(
+            "Left: the filter flies through gaps on its model; the supervisor ends the run after 0.1 s without any.",
+            "Right: a stuck encoder is recognised by what the arm should have done meanwhile.",
+            "Circles run to the end, crosses end with the sentence in the data; diamonds are predicted.",
+        ),
+        chosen="0.1 s without a sample: an error at Down-Up grows 2.2-fold in it, far within authority.",
+        parts=measured_maps(
+            progress,
+            (lost, lambda rate: lost_border(model.arms, equilibrium, rate=rate, seeds=5 if quick else 9),
+             (100.0,) if quick else (50.0, 100.0, 200.0, 400.0)),
+            (stuck, lambda phase: stuck_border(model.arms, orbit, phase=phase),
+             (0.3,) if quick else (0.1, 0.3, 0.5, 0.7, 0.9)),
+        ),
+    )  # fmt: skip
+
+
+def arriving(rate: float, *, missing: float, seconds: float) -> float:
+    """Return the samples per s that must arrive for half of the runs to see no gap longer than `missing` s."""
+    ticks, gap = seconds * rate, math.floor(missing * rate + 1e-9) + 1
+    # Gaps become more with p up to p = m / (m + 1); the border lies below.
+    p = brentq(lambda p: ticks * (1 - p) * p**gap - math.log(2), 0.0, gap / (gap + 1))  # type: ignore[arg-type]
+    return (1 - float(p)) * rate
+
+
+def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, seeds: int) -> Border:
+    """Return how many samples per s must arrive for half of the runs to hold the equilibrium for ten seconds."""
+    settings = LoopSettings(seed=0, rate=rate, controller=HoldSettings(), initial_error=0.01)
+    controller = hold_controller(equilibrium, sampled_model(arms, rate), HoldSettings(), seconds=SECONDS)
+    reference = still(controller.state, SECONDS, method=method_named("radau-7"), limits=Limits(), interval=1.0)
+
+    def probe(kept: float) -> Attempt:
+        drawn = [replace(settings, seed=k, sensors=SensorSettings(dropout=1 - kept / rate)) for k in range(seeds)]
+        runs = [run_loop(reference, arms, settings=one, controller=controller) for one in drawn]
+        return half_of([Attempt(run.ending is Ending.FINISHED, run.reason) for run in runs], "runs lost")
+
+    predicted = arriving(rate, missing=settings.supervisor.missing, seconds=SECONDS)
+    return find_border(
+        probe, x=rate, line=f"{rate:g} Hz", near=min(1.6 * predicted, rate), far=predicted / 1.8, predicted=predicted,
+        ratio=1.12,
+    )  # fmt: skip
+
+
+def earliest_report(orbit: SustainedOrbit, since: float, *, sensor: int) -> float:
+    """Return the seconds after which a reading that sticks at `since` s on the clock differs from a still arm's."""
+    after = np.arange(0.0, orbit.period, 1e-3)
+    angles = orbit.state(since + after)
+    joint = angles[:, sensor] - (angles[:, sensor - 1] if sensor else 0.0)
+    return max(float(after[int(np.argmax(np.abs(joint - joint[0]) >= MOVED))]), STILL)
+
+
+def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: float, sensor: int = 1) -> Border:
+    """Return the seconds for which a run that holds an orbit goes on after its encoder has stuck."""
+    model = sampled_model(arms, RATE)
+    at = round((math.ceil(BEFORE / orbit.period) + phase) * orbit.period, 3)
+    settings = LoopSettings(seed=0, sensors=SensorSettings(stuck_at=at, stuck_sensor=sensor))
+
+    def probe(after: float) -> Attempt:
+        controller = orbit_controller(orbit, model, TvlqrSettings(), seconds=at + after)
+        run = run_loop(orbit.reference, arms, settings=settings, controller=controller)
+        return Attempt(run.ending is Ending.FINISHED, "" if run.ending is Ending.FINISHED else run.reason)
+
+    # What must pass at least: the filter's doubt comes on top.
+    least = earliest_report(orbit, at % orbit.period, sensor=sensor)
+    return find_border(probe, x=phase, line=f"{phase:g}", near=least / 2, far=8 * least, ratio=1.1, unit=1e-3)
