@@ -9,18 +9,17 @@ until they turn back in energy, split, or change how often they cross the sectio
     section-artefact   the connection goes on, but touches its section on the way: an earlier crossing is born or lost,
                        so that it leaves (or enters) the list of connections with the crossings asked for
 
-Each is located by its own equations (module link_paths). The changes found must add up to the change of the count;
+Each is located by its own equations (module sweep). The changes found must add up to the change of the count;
 where they do not, the interval is halved and searched again, and what stays unexplained is reported.
 
 A connection with N crossings of the section is met by the unstable tube at crossing n_u and by the stable one at n_s
 with n_u + n_s - 1 = N; first hits, [1, 1], are those that cross once.
 
-The diagram of a sweep: where each connection crosses its section at every energy, with the events between.
-
-A document of plain numbers, to be kept and drawn without the sweep it comes from.
+The diagram of a sweep is a document of plain numbers, to be kept and drawn without the sweep it comes from.
 """
 
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from itertools import pairwise
 from typing import Any
 
@@ -40,43 +39,41 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Bifurcation:
-    """One change of the connections.
+class Mark:
+    """A change of the connections with energy, as a diagram shows it.
 
-    energy in J; kind: "saddle-node", "pitchfork" or "section-artefact"; state (N,): of the connection there, on the
-    section where it touches it, midway in its flight otherwise. count_below, count_above: connections with the
-    crossings asked for, just below and above, on the torus; at_least: lower bounds only, cuts being unresolved next to
-    it. residual: of the equations that located it. connections: how many connections, images included, share the
-    event. symmetric: whether a reverser carries the connection to itself. point (2,): the first of its crossings of
-    the section, in (q, p/p₀).
+    energy in J. kind: "saddle-node", "pitchfork" or "section-artefact". point: the first of its crossings of the
+    section, in (q, p/p₀). count_below, count_above: connections with the crossings asked for, just below and above, on
+    the torus; at_least: lower bounds only, cuts being unresolved next to it.
     """
 
     energy: float
     kind: str
-    state: Array
+    point: tuple[float, float]
     count_below: int
     count_above: int
     at_least: bool
+
+
+@dataclass(frozen=True)
+class Bifurcation(Mark):
+    """A change that was located.
+
+    state (N,): of the connection there, on the section where it touches it, midway in its flight otherwise. residual:
+    of the equations that located it. connections: how many connections, images included, share the event. symmetric:
+    whether a reverser carries the connection to itself.
+    """
+
+    state: Array
     residual: float
     connections: int
     symmetric: bool
     link: Link
-    point: Array
 
     @property
     def winding(self) -> tuple[int, ...]:
         """Whole turns (n,) of each coordinate from source to target."""
         return tuple(round(k) for k in self.link.turns[: len(self.link.turns) // 2])
-
-
-@dataclass(frozen=True)
-class SweepPoint:
-    """What a search found at one energy: number of connections on the torus, and why it may not be complete."""
-
-    energy: float
-    count: int
-    complete: bool
-    caveat: str
 
 
 @dataclass(frozen=True)
@@ -96,7 +93,7 @@ class BifurcationSearch:
     section: Section
     crossings: int
     events: tuple[Bifurcation, ...]
-    counts: tuple[SweepPoint, ...]
+    counts: tuple[Found, ...]
     unexplained: tuple[tuple[float, float, str], ...]
     runs: tuple[Branch, ...]
     scatters_from: float | None
@@ -161,42 +158,19 @@ def find_bifurcations(
     k = 0
     while k < len(grid) - 1:
         progress(f"{source} → {target} at {grid[k]:.4f} J", (grid[k] - start) / (high - start))
-        low_end, high_end = grid[k], grid[k + 1]
-        if (
-            not _adds_up(sweep, low_end, high_end)
-            and high_end - low_end > narrowest
-            and _searched(sweep, grid[k : k + 2])
-        ):
-            grid.insert(k + 1, (low_end + high_end) / 2)
+        ends = grid[k], grid[k + 1]
+        searched = not any(sweep.search(energy).caveat for energy in ends)
+        if not _adds_up(sweep, *ends) and ends[1] - ends[0] > narrowest and searched:
+            grid.insert(k + 1, sum(ends) / 2)
             continue
         # A search amended on the way may spoil what was explained before it.
         k = k - 1 if k > 0 and not sweep.explained(grid[k - 1], grid[k]) else k + 1
     progress("bifurcations", 1.0)
-    counts = [sweep.search(energy) for energy in grid]
+    counts = tuple(sweep.search(energy) for energy in grid)
     pairs = list(pairwise(grid))
-    changes = [c for a, b in pairs for c in sweep.between(a, b).changes]
-    unexplained = [(a, b, _why(sweep, a, b)) for a, b in pairs if not _adds_up(sweep, a, b)]
-    events = _with_counts(sweep, changes, counts)
-    incomplete = [c for c in counts if not c.complete]
+    unexplained = tuple((a, b, _why(sweep, a, b)) for a, b in pairs if not _adds_up(sweep, a, b))
+    events = _with_counts(sweep, [c for a, b in pairs for c in sweep.between(a, b).changes], counts)
     scatters_from = next((c.energy for k, c in enumerate(counts) if not any(d.complete for d in counts[k:])), None)
-    status = f"{len(events)} events explain every change of the count over {len(counts)} energies"
-    if unexplained:
-        status = f"{len(events)} events located, but {len(unexplained)} changes of the count have no located cause: "
-        status += "; ".join(f"{a:.6g} to {b:.6g} J, {why}" for a, b, why in unexplained[:5])
-    if start > low:
-        first = counts[0].count
-        there = f"{first} connections exist already there" if first else "none exist there yet"
-        status += f"; swept from {start:.6g} J, just above the energy {max(births):.6g} J of the later saddle: {there}"
-    if scatters_from is not None:
-        status += (
-            f"; from {scatters_from:.6g} J on counts are lower bounds (at least), of connections found and followed: "
-            f"{counts[-1].caveat}"
-        )
-    single = [c for c in incomplete if scatters_from is None or c.energy < scatters_from]
-    if single:
-        where = "" if scatters_from is None else " below"
-        status += f"; {len(single)} searches{where} are not complete: "
-        status += "; ".join(f"at {c.energy:.6g} J {c.caveat}" for c in single[:3])
     return BifurcationSearch(
         system=system,
         source=source,
@@ -204,13 +178,42 @@ def find_bifurcations(
         section=sweep.section,
         crossings=crossings,
         events=events,
-        counts=tuple(SweepPoint(c.energy, c.count, c.complete, c.caveat) for c in counts),
-        unexplained=tuple(unexplained),
+        counts=counts,
+        unexplained=unexplained,
         runs=tuple(run for a, b in pairs for run in sweep.between(a, b).runs),
         scatters_from=scatters_from,
-        complete=not unexplained and not incomplete,
-        status=status,
+        complete=not unexplained and all(c.complete for c in counts),
+        status=_status(len(events), counts, unexplained, scatters_from, max(births) if start > low else None),
     )
+
+
+def _status(
+    events: int,
+    counts: Sequence[Found],
+    unexplained: Sequence[tuple[float, float, str]],
+    scatters_from: float | None,
+    born: float | None,
+) -> str:
+    """Return a sweep's outcome in a sentence; born: J of the later saddle, where the sweep begins only above it."""
+    status = f"{events} events explain every change of the count over {len(counts)} energies"
+    if unexplained:
+        status = f"{events} events located, but {len(unexplained)} changes of the count have no located cause: "
+        status += "; ".join(f"{a:.6g} to {b:.6g} J, {why}" for a, b, why in unexplained[:5])
+    if born is not None:
+        first = counts[0]
+        there = f"{first.count} connections exist already there" if first.count else "none exist there yet"
+        status += f"; swept from {first.energy:.6g} J, just above the energy {born:.6g} J of the later saddle: {there}"
+    if scatters_from is not None:
+        status += (
+            f"; from {scatters_from:.6g} J on counts are lower bounds (at least), of connections found and followed: "
+            f"{counts[-1].caveat}"
+        )
+    single = [c for c in counts if not c.complete and (scatters_from is None or c.energy < scatters_from)]
+    if single:
+        where = "" if scatters_from is None else " below"
+        status += f"; {len(single)} searches{where} are not complete: "
+        status += "; ".join(f"at {c.energy:.6g} J {c.caveat}" for c in single[:3])
+    return status
 
 
 def _adds_up(sweep: Sweep, low: float, high: float) -> bool:
@@ -220,84 +223,64 @@ def _adds_up(sweep: Sweep, low: float, high: float) -> bool:
     return not interval.reasons and len(before.points) + interval.gain == len(after.points)
 
 
-def _searched(sweep: Sweep, energies: list[float]) -> bool:
-    return not any(sweep.search(energy).caveat for energy in energies)
-
-
 def _why(sweep: Sweep, low: float, high: float) -> str:
     interval, before, after = sweep.between(low, high), sweep.search(low), sweep.search(high)
     counts = f"{before.count} become {after.count} connections, located events account for "
     return "; ".join([counts + f"{interval.gain * after.weight:+d}", *interval.reasons[:2]])
 
 
-def _with_counts(sweep: Sweep, changes: list[Change], counts: list[Found]) -> tuple[Bifurcation, ...]:
+def _with_counts(sweep: Sweep, changes: Sequence[Change], counts: Sequence[Found]) -> tuple[Bifurcation, ...]:
     """Join images of one event and give each event the running count."""
     weight = max((c.weight for c in counts), default=1)
     near = 1e-8 * sweep.problem.system.energy_scale
     groups: list[list[Change]] = []
     for change in sorted(changes, key=lambda c: c.event.energy):
-        for group in groups:
-            if group[0].event.kind == change.event.kind and abs(group[0].event.energy - change.event.energy) < near:
-                group.append(change)
-                break
-        else:
+        kind, energy = change.event.kind, change.event.energy
+        same = (g for g in groups if g[0].event.kind == kind and abs(g[0].event.energy - energy) < near)
+        group = next(same, None)
+        if group is None:
             groups.append([change])
-    events = []
-    running = 0
+        else:
+            group.append(change)
+    events: list[Bifurcation] = []
     for group in groups:
-        first = group[0]
+        event = group[0].event
+        below, above = ([c for c in counts if (c.energy <= event.energy) is side] for side in (True, False))
         # The search just below sets the count anew, so that an unexplained interval does not spoil the rest.
-        below = [c for c in counts if c.energy <= first.event.energy]
-        if below:
-            since = [g for g in groups if below[-1].energy < g[0].event.energy < first.event.energy]
-            running = below[-1].count + weight * sum(c.gain for g in since for c in g)
-        gain = weight * sum(c.gain for c in group)
-        event = first.event
-        around = [c for c in counts if c.energy <= event.energy][-1:] + [c for c in counts if c.energy > event.energy][
-            :1
-        ]
+        running = events[-1].count_above if events else 0
+        if below and not (events and events[-1].energy > below[-1].energy):
+            running = below[-1].count
+        link = replace(event.link, phases=(event.link.phases[0] % 1.0, event.link.phases[1] % 1.0))
         events.append(
             Bifurcation(
                 energy=event.energy,
                 kind=event.kind,
-                state=event.state,
+                point=sweep.place(event),
                 count_below=running,
-                count_above=running + gain,
-                at_least=not all(c.complete for c in around),
+                count_above=running + weight * sum(c.gain for c in group),
+                at_least=not all(c.complete for c in [*below[-1:], *above[:1]]),
+                state=event.state,
                 residual=max(c.event.residual for c in group),
                 connections=weight * sum(abs(c.gain) for c in group),
-                symmetric=first.symmetric,
-                link=replace(event.link, phases=(event.link.phases[0] % 1.0, event.link.phases[1] % 1.0)),
-                point=sweep.place(event),
+                symmetric=sweep.problem.symmetry(event.link) is not None,
+                link=link,
             )
         )
     return tuple(events)
 
 
 @dataclass(frozen=True)
-class Mark:
-    """An event in a diagram: energy in J, kind, point (q, p/p₀) on the section, counts below and above."""
-
-    energy: float
-    kind: str
-    point: tuple[float, float]
-    count_below: int
-    count_above: int
-    at_least: bool
-
-
-@dataclass(frozen=True)
 class BranchDiagram:
     """Connections between two saddles against energy.
 
-    runs: of each connection followed, energies in J and points (q, p/p₀), in order along it; counts: (energy, number
-    on the torus, whether the search was complete); scatters_from: J, as in BifurcationSearch.
+    runs: each connection as it was followed; marks: the events between; counts: (energy, number on the torus, whether
+    the search was complete); scatters_from: J, as in BifurcationSearch.
     """
 
     source: str
     target: str
     section: str
-    runs: tuple[tuple[Array, Array], ...]
+    runs: tuple[Branch, ...]
     marks: tuple[Mark, ...]
     counts: tuple[tuple[float, int, bool], ...]
     scatters_from: float | None
@@ -305,25 +288,21 @@ class BranchDiagram:
 
     def document(self) -> dict[str, Any]:
         """Return the diagram as numbers, lists and strings."""
-        runs = [{"energies": e.tolist(), "points": p.tolist()} for e, p in self.runs]
-        return {**asdict(self), "runs": runs}
+        return {
+            **picked(self, "source", "target", "section", "counts", "scatters_from", "unexplained"),
+            "runs": [{"energies": run.energies.tolist(), "points": run.points.tolist()} for run in self.runs],
+            "marks": [asdict(mark) for mark in self.marks],
+        }
 
 
 def branch_diagram(search: BifurcationSearch) -> BranchDiagram:
     """Return the diagram of a sweep."""
+    marks = tuple(Mark(**picked(event, *(field.name for field in fields(Mark)))) for event in search.events)
+    counts = tuple((c.energy, c.count, c.complete) for c in search.counts)
     return BranchDiagram(
-        source=search.source,
-        target=search.target,
-        section=search.section.name,
-        runs=tuple((run.energies, run.points) for run in search.runs),
-        marks=tuple(
-            Mark(e.energy, e.kind, (float(e.point[0]), float(e.point[1])), e.count_below, e.count_above, e.at_least)
-            for e in search.events
-        ),
-        counts=tuple((c.energy, c.count, c.complete) for c in search.counts),
-        scatters_from=search.scatters_from,
-        unexplained=len(search.unexplained),
-    )
+        search.source, search.target, search.section.name, search.runs, marks, counts, search.scatters_from,
+        len(search.unexplained),
+    )  # fmt: skip
 
 
 def diagram_from(document: dict[str, Any]) -> BranchDiagram:
@@ -332,15 +311,7 @@ def diagram_from(document: dict[str, Any]) -> BranchDiagram:
     Raises:
         KeyError, TypeError, ValueError: the document is of no diagram.
     """
-    return BranchDiagram(
-        source=str(document["source"]),
-        target=str(document["target"]),
-        section=str(document["section"]),
-        runs=tuple(
-            (np.array(r["energies"], dtype=float), np.array(r["points"], dtype=float)) for r in document["runs"]
-        ),
-        marks=tuple(Mark(**{**m, "point": (float(m["point"][0]), float(m["point"][1]))}) for m in document["marks"]),
-        counts=tuple((float(e), int(n), bool(c)) for e, n, c in document["counts"]),
-        scatters_from=document["scatters_from"],
-        unexplained=int(document["unexplained"]),
-    )
+    runs = (Branch(np.array(r["energies"], dtype=float), np.array(r["points"], dtype=float)) for r in document["runs"])
+    marks = (Mark(**{**m, "point": (float(m["point"][0]), float(m["point"][1]))}) for m in document["marks"])
+    counts = tuple((float(e), int(n), bool(c)) for e, n, c in document["counts"])
+    return BranchDiagram(**{**document, "runs": tuple(runs), "marks": tuple(marks), "counts": counts})

@@ -18,14 +18,13 @@ b = D₊: at a = 0 two symmetric connections meet, at b = 0 the symmetric one sh
 Source: Champneys & Kuznetsov, Numerical detection and continuation of codimension-two homoclinic bifurcations (1994);
 Vanderbauwhede & Fiedler (1992) for the reversible case.
 
-Following one connection in energy, round every turn.
-
-The curve F(φ_u, φ_s, T; H) = 0 (module links) is followed by pseudo-arclength: predicted along the null vector of
+The curve F(φ_u, φ_s, T; H) = 0 is followed by pseudo-arclength: predicted along the null vector of
 [∂F/∂(φ_u, φ_s, T), ∂F/∂H], corrected by Newton's method on the plane across it, so that it may turn back in energy.
 
-How often a connection crosses its section: its flight's heights over the section, extremum by extremum.
+How often a connection crosses its section is counted on its flight's heights over it, extremum by extremum.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -55,9 +54,23 @@ class Link:
         """(φ_u, φ_s, T)."""
         return np.array([*self.phases, self.duration])
 
-    def at(self, unknowns: Array) -> "Link":
+    def at(self, unknowns: Sequence[float] | Array) -> "Link":
         """Return the link moved to unknowns (3,)."""
         return replace(self, phases=(float(unknowns[0]), float(unknowns[1])), duration=float(unknowns[2]))
+
+
+@dataclass(frozen=True)
+class PathPoint:
+    """One solved point of a path: the link, its energy in J, its tangency σ."""
+
+    link: Link
+    energy: float
+    tangency: float
+
+    @property
+    def coordinates(self) -> Array:
+        """(φ_u, φ_s, T, H)."""
+        return np.append(self.link.unknowns, self.energy)
 
 
 @dataclass(frozen=True)
@@ -72,10 +85,9 @@ class Match:
 
 @dataclass(frozen=True)
 class MirrorMatch:
-    """How a tube meets a fixed set: miss (n,), scaled; derivative (n, 2) by (φ, T); a, b as in the module's text."""
+    """How a tube meets a fixed set: miss (n,), scaled; a and b as in the module's text."""
 
     miss: Array
-    jacobian: Array
     fold: float
     shedding: float
 
@@ -100,24 +112,20 @@ class LinkProblem:
         self.system, self.source, self.target, self.distance = system, source, target, distance
         self._shooting: dict[str, SymmetricShooting] = {}
         self._manifolds: dict[tuple[str, float], UnstableManifold] = {}
-        self._guesses: dict[str, list[tuple[float, Array]]] = {}
-        lengths = np.where(np.isfinite(system.periods), system.periods, 0.0)
-        self.lengths = lengths
+        self._guesses: dict[str, dict[float, Array]] = {}
 
     def _orbit(self, saddle: str, energy: float) -> LyapunovOrbit:
         """Return the orbit at `energy`, by Newton's method from the nearest one that is known."""
         if saddle not in self._shooting:
             self._shooting[saddle], _ = symmetric_shooting(self.system, saddle, 0)
-            self._guesses[saddle] = []
-        problem, known = self._shooting[saddle], self._guesses[saddle]
+        problem, known = self._shooting[saddle], self._guesses.setdefault(saddle, {})
         floor = float(self.system.numeric.hamiltonian(problem.centre))
-        for near, unknowns in sorted(known, key=lambda g: abs(g[0] - energy))[:1]:
-            # Unknowns grow as the root of the height above the saddle, so a guess from far off is no guess.
-            if not 0.8 < (energy - floor) / (near - floor) < 1.25:
-                continue
-            found, residual = problem.at_energy(unknowns, energy, iterations=10, tolerance=1e-13)
+        near = min(known, key=lambda e: abs(e - energy), default=floor)
+        # Unknowns grow as the root of the height above the saddle, so a guess from far off is no guess.
+        if near != floor and 0.8 < (energy - floor) / (near - floor) < 1.25:
+            found, residual = problem.at_energy(known[near], energy, iterations=10, tolerance=1e-13)
             if residual < 1e-12:
-                known.append((energy, found))
+                known[energy] = found
                 return described_orbit(
                     problem, found, saddle=saddle, family=0, energy=energy, newton_residual=residual, converged=True,
                     status=f"converged from the orbit at {near:.9g} J",
@@ -126,12 +134,8 @@ class LinkProblem:
         if not orbit.converged:
             raise ArithmeticError(f"the Lyapunov orbit about {saddle} at {energy:.9g} J: {orbit.status}")
         c = problem.start.T @ (orbit.state - problem.centre)
-        known.append((energy, np.append(c, orbit.period / problem.quarters)))
+        known[energy] = np.append(c, orbit.period / problem.quarters)
         return orbit
-
-    def centre(self, saddle: str) -> Array:
-        """Return the state (N,) of a saddle."""
-        return self.system.equilibrium(saddle)
 
     def manifold(self, saddle: str, energy: float) -> UnstableManifold:
         """Return the unstable manifold of a saddle's orbit at `energy`, its vector turned as at the first energy.
@@ -162,9 +166,10 @@ class LinkProblem:
         state, stm = self.system.propagator.flow_with_stm(seeds[0], seconds)
         return state, stm @ slopes[0]
 
-    def _turned(self, state: Array, saddle: str) -> Array:
-        centre = self.system.equilibrium(saddle)
-        return self.system.reversers[0] @ (state - centre) + centre
+    def turned(self, states: Array) -> Array:
+        """Return states (…, N) turned around in time about the target."""
+        centre = self.system.equilibrium(self.target)
+        return (states - centre) @ self.system.reversers[0].T + centre
 
     def match(self, link: Link, energy: float) -> Match:
         """Fly both tubes to the middle of the connection and compare.
@@ -177,8 +182,8 @@ class LinkProblem:
         half = link.duration / 2
         xu, du = self._flown(first, link.branches[0], link.phases[0], half)
         back, ds = self._flown(second, link.branches[1], link.phases[1], half)
-        xs, ds = self._turned(back, self.target), system.reversers[0] @ ds
-        gap = (xu - xs - np.asarray(link.turns) * self.lengths) / scale
+        xs, ds = self.turned(back), system.reversers[0] @ ds
+        gap = (xu - xs - np.asarray(link.turns) * system.turn_lengths) / scale
         along = (system.numeric.rate(xu) + system.numeric.rate(xs)) / 2
         jacobian = np.column_stack([du, -ds, along]) / scale[:, None]
         columns = np.column_stack([jacobian, system.numeric.gradient(xu) * scale])
@@ -193,8 +198,8 @@ class LinkProblem:
         reverser = system.reversers[which]
         turned_over = (np.eye(4) - reverser) / 2
         off = turned_over @ (x - manifold.orbit.centre)
-        half = np.where(np.isfinite(system.periods), system.periods / 2, 1.0)
-        off = off - np.where(np.isfinite(system.periods), np.rint(off / half) * half, 0.0)
+        half = system.turn_lengths / 2
+        off = off - np.rint(np.divide(off, half, out=np.zeros_like(off), where=half > 0)) * half
         rows = np.linalg.svd(turned_over / scale[:, None])[0][:, :2].T
         miss = rows @ (off / scale)
         rate = turned_over @ system.numeric.rate(x)
@@ -202,11 +207,13 @@ class LinkProblem:
         basis = np.linalg.svd((np.eye(4) + reverser) / 2 / scale[:, None])[0][:, :2].T
         d_plus = basis @ (slope / scale)
         normal = basis @ (system.numeric.gradient(x) * scale)
-        fold = float(d_minus[0] * f_minus[1] - d_minus[1] * f_minus[0]) / float(np.linalg.norm(f_minus))
-        shedding = float(d_plus[0] * normal[1] - d_plus[1] * normal[0]) / float(np.linalg.norm(normal))
         # Not by (a, b) itself, which all but vanishes where both kinds of event fall together.
         size = float(np.linalg.norm(slope / scale))
-        return MirrorMatch(miss, np.column_stack([d_minus, f_minus / 2]), fold / size, shedding / size)
+        fold, shedding = (
+            float((d[0] * along[1] - d[1] * along[0]) / np.linalg.norm(along)) / size
+            for d, along in ((d_minus, f_minus), (d_plus, normal))
+        )
+        return MirrorMatch(miss, fold, shedding)
 
     def symmetry(self, link: Link, within: float = 1e-6) -> int | None:
         """Return which reverser carries the link to itself, None if none does."""
@@ -235,48 +242,41 @@ class LinkProblem:
         gaps = [abs(phase_gap(a, b)) for a, b in zip(first.phases, second.phases, strict=True)]
         return max(*gaps, abs(first.duration / second.duration - 1))
 
-    def solved(self, link: Link, energy: float, *, iterations: int = 12) -> tuple[Link, Match]:
+    def solved(self, link: Link, energy: float, *, iterations: int = 12) -> PathPoint:
         """Solve F = 0 for the link nearest to a guess.
 
         Raises:
             ArithmeticError: Newton's method left the neighbourhood or did not converge.
         """
-        best: tuple[float, Link, Match] | None = None
+        best, smallest = None, np.inf
         guess = link.unknowns
         reach = np.array([0.1, 0.1, 0.2 * link.duration])
         for _ in range(iterations):
             match = self.match(link, energy)
             residual = float(np.abs(match.gap).max())
-            if best is None or residual < best[0]:
-                best = (residual, link, match)
-            elif best[0] < 1e-10:
+            here = PathPoint(link, energy, match.tangency)
+            if best is None or residual < smallest:
+                best, smallest = here, residual
+            elif smallest < 1e-10:
                 break
             step = np.linalg.lstsq(match.jacobian, match.gap, rcond=1e-13)[0]
             # Where multipliers are large, rounding keeps the gap from falling, but moves the solution no more.
             if residual < 1e-8 and np.all(np.abs(step) < 1e-7 * reach):
-                return link, match
+                return here
             shrink = min(1.0, 0.3 / float(np.max(np.abs(step) / reach)) if np.any(step) else 1.0)
             link = link.at(link.unknowns - shrink * step)
             if np.any(np.abs(link.unknowns - guess) > reach) or link.duration <= 0:
                 break
-        assert best is not None
-        if best[0] > 1e-9:
-            raise ArithmeticError(f"not matched: gap {best[0]:.1e}")
-        return best[1], best[2]
+        if best is None or smallest > 1e-9:
+            raise ArithmeticError(f"not matched: gap {smallest:.1e}")
+        return best
 
 
+UNSOLVED = (ArithmeticError, InputError, np.linalg.LinAlgError)
+"""What Newton's method may fail by where it is led astray: beyond some energies there are not even orbits."""
 _MATCHED = 1e-10  # scaled gap
 _ROUNDED = 1e-8  # scaled gap that rounding alone may leave
 _AT_REST = 1e-7  # of a step of Newton's method, in units of the weights
-
-
-@dataclass(frozen=True)
-class PathPoint:
-    """One solved point of a path: the link, its energy in J, its tangency σ."""
-
-    link: Link
-    energy: float
-    tangency: float
 
 
 @dataclass(frozen=True)
@@ -318,18 +318,16 @@ def _stepped(problem: LinkProblem, here: PathPoint, energy: float) -> PathPoint 
     """Return the connection at a nearby energy, None where the prediction was poor or the tangency changed its sign."""
     try:
         match = problem.match(here.link, here.energy)
-        by_energy = _energy_slope(problem, here.link, here.energy, 1e-5 * problem.system.energy_scale)
+        by_energy = _energy_slope(problem, here.link, here.energy)
         slope = -np.linalg.lstsq(match.jacobian, by_energy, rcond=1e-13)[0]
         guess = here.link.at(here.link.unknowns + slope * (energy - here.energy))
-        link, match = problem.solved(guess, energy)
-    except (ArithmeticError, InputError, np.linalg.LinAlgError):
+        arrived = problem.solved(guess, energy)
+    except UNSOLVED:
         return None
-    moved = np.abs(link.unknowns - guess.unknowns) / np.array([0.02, 0.02, 0.02 * link.duration])
-    if np.any(moved > 1.0) or match.tangency * here.tangency <= 0:
-        return None
-    if problem.symmetry(link) != problem.symmetry(here.link):
-        return None
-    return PathPoint(link, energy, match.tangency)
+    reach = 0.02 * np.array([1.0, 1.0, arrived.link.duration])
+    poor = np.any(np.abs(arrived.link.unknowns - guess.unknowns) > reach)
+    turned = arrived.tangency * here.tangency <= 0
+    return None if poor or turned or problem.symmetry(arrived.link) != problem.symmetry(here.link) else arrived
 
 
 def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps: int = 120) -> Path:
@@ -342,106 +340,92 @@ def follow(problem: LinkProblem, link: Link, start: float, goal: float, *, steps
     points: list[PathPoint] = []
     turns: list[int] = []
     try:
-        link, match = problem.solved(link, start)
-        points.append(PathPoint(link, start, match.tangency))
+        points.append(problem.solved(link, start))
+        link = points[0].link
         symmetry = problem.symmetry(link)
         tangent = _tangent(problem, link, start, weights, np.array([0.0, 0.0, 0.0, np.sign(way)]))
         length = 0.25
         for _ in range(steps):
-            here = np.append(points[-1].link.unknowns, points[-1].energy)
+            here = points[-1].coordinates
             arrived = _corrected(problem, link, here + length * tangent * weights, tangent, weights)
-            bent = arrived is not None and _bend(arrived[0] - here, tangent, weights) < 0.9
-            # A first step that ends behind the start has overrun a turn next to it.
-            overrun = arrived is not None and len(points) == 1 and (arrived[0][3] - start) * way <= 0
-            # Next to a pitchfork a long step changes from the pair to the symmetric connection, or back.
-            switched = arrived is not None and problem.symmetry(link.at(arrived[0][:3])) != symmetry
-            if arrived is None or bent or overrun or switched:
+            moved = np.zeros(4) if arrived is None else (arrived.coordinates - here) / weights
+            if (
+                arrived is None
+                or moved @ tangent < 0.9 * np.linalg.norm(moved)
+                # A first step that ends behind the start has overrun a turn next to it.
+                or (len(points) == 1 and (arrived.energy - start) * way <= 0)
+                # Next to a pitchfork a long step changes from the pair to the symmetric connection, or back.
+                or problem.symmetry(arrived.link) != symmetry
+            ):
                 length /= 2
                 if length < 1e-5:
-                    return _lost(points, turns, problem, "Newton's method fails at the smallest step")
+                    raise ArithmeticError("Newton's method fails at the smallest step")
                 continue
-            unknowns, tangency = arrived
-            energy = float(unknowns[3])
+            energy = arrived.energy
             for bound, outcome in ((goal, "reached"), (start, "back")):
                 if (energy - bound) * (bound - points[-1].energy) >= 0 and points[-1].energy != bound:
                     share = (bound - points[-1].energy) / (energy - points[-1].energy)
-                    last, match = problem.solved(link.at((here + share * (unknowns - here))[:3]), bound)
-                    points.append(PathPoint(last, bound, match.tangency))
+                    points.append(problem.solved(link.at((here + share * (arrived.coordinates - here))[:3]), bound))
                     return Path(tuple(points), tuple(turns), outcome, "")
-            following = _tangent(problem, link.at(unknowns[:3]), energy, weights, tangent)
+            following = _tangent(problem, arrived.link, energy, weights, tangent)
             if following[3] * tangent[3] < 0:
                 turns.append(len(points) - 1)
-            points.append(PathPoint(link.at(unknowns[:3]), energy, tangency))
+            points.append(arrived)
             tangent = following
             length = min(1.4 * length, 0.5)
-    except (ArithmeticError, InputError, np.linalg.LinAlgError) as error:
-        return _lost(points, turns, problem, str(error))
-    return _lost(points, turns, problem, f"not arrived after {steps} steps")
+        raise ArithmeticError(f"not arrived after {steps} steps")
+    except UNSOLVED as error:
+        reason = f"a connection could not be matched: {error}"
+        if points:
+            last = points[-1]
+            reason = (
+                f"a connection with a flight of {last.link.duration:.3g} s could not be followed beyond "
+                f"{last.energy:.9g} J: {error}"
+            )
+        return Path(tuple(points), tuple(turns), "lost", reason)
 
 
 def halfway(problem: LinkProblem, first: PathPoint, second: PathPoint) -> PathPoint | None:
     """Return the point of a path on the plane halfway between two of its points and across their chord; None where
     Newton's method does not find it."""
-    start = np.append(first.link.unknowns, first.energy)
-    chord = np.append(second.link.unknowns, second.energy) - start
+    start = first.coordinates
+    chord = second.coordinates - start
     weights = np.maximum(np.abs(chord), 1e-3 * np.array([1.0, 1.0, first.link.duration, problem.system.energy_scale]))
     tangent = chord / weights / np.linalg.norm(chord / weights)
     try:
-        arrived = _corrected(problem, first.link, start + chord / 2, tangent, weights)
-    except (ArithmeticError, InputError, np.linalg.LinAlgError):
+        return _corrected(problem, first.link, start + chord / 2, tangent, weights)
+    except UNSOLVED:
         return None
-    if arrived is None:
-        return None
-    return PathPoint(first.link.at(arrived[0][:3]), float(arrived[0][3]), arrived[1])
 
 
-def _lost(points: list[PathPoint], turns: list[int], problem: LinkProblem, why: str) -> Path:
-    if not points:
-        return Path((), (), "lost", f"a connection could not be matched: {why}")
-    last = points[-1]
-    reason = f"a connection with a flight of {last.link.duration:.3g} s could not be followed beyond "
-    return Path(tuple(points), tuple(turns), "lost", reason + f"{last.energy:.9g} J: {why}")
-
-
-def _bend(step: Array, tangent: Array, weights: Array) -> float:
-    scaled = step / weights
-    return float(scaled @ tangent / np.linalg.norm(scaled))
-
-
-def _energy_slope(problem: LinkProblem, link: Link, energy: float, width: float) -> Array:
+def _energy_slope(problem: LinkProblem, link: Link, energy: float) -> Array:
     """Return ∂F/∂H (N,) by a central difference; Newton's method needs no more."""
+    width = 1e-5 * problem.system.energy_scale
     difference = problem.match(link, energy + width).gap - problem.match(link, energy - width).gap
     return difference / (2 * width)
 
 
-def _extended(problem: LinkProblem, link: Link, energy: float, weights: Array) -> tuple[Array, Array, float]:
-    """Return gap (N,), scaled derivative (N, 4) by (φ_u, φ_s, T, H) and σ."""
-    match = problem.match(link, energy)
-    slope = _energy_slope(problem, link, energy, 1e-5 * problem.system.energy_scale)
-    return match.gap, np.column_stack([match.jacobian, slope]) * weights, match.tangency
-
-
 def _tangent(problem: LinkProblem, link: Link, energy: float, weights: Array, heading: Array) -> Array:
     """Return the unit tangent (4,) of the curve, scaled, along `heading`: the last singular vector."""
-    _, jacobian, _ = _extended(problem, link, energy, weights)
-    tangent = np.linalg.svd(jacobian)[2][-1]
+    jacobian = np.column_stack([problem.match(link, energy).jacobian, _energy_slope(problem, link, energy)])
+    tangent = np.linalg.svd(jacobian * weights)[2][-1]
     return tangent if tangent @ heading >= 0 else -tangent
 
 
 def _corrected(
     problem: LinkProblem, link: Link, guess: Array, tangent: Array, weights: Array
-) -> tuple[Array, float] | None:
-    """Return (unknowns (4,), σ) of the curve's point on the plane through `guess`, None where it is not found."""
+) -> PathPoint | None:  # fmt: skip
+    """Return the curve's point on the plane through `guess` (4,), None where it is not found."""
     unknowns, slope = guess, None
     for _ in range(8):
-        here = link.at(unknowns[:3])
-        match = problem.match(here, float(unknowns[3]))
+        here = PathPoint(link.at(unknowns[:3]), float(unknowns[3]), 0.0)
+        match = problem.match(here.link, here.energy)
         off = float(tangent @ ((unknowns - guess) / weights))
         residual = float(np.abs(match.gap).max())
         if residual < _MATCHED and abs(off) < 1e-8:
-            return unknowns, match.tangency
+            return replace(here, tangency=match.tangency)
         if slope is None:
-            slope = _energy_slope(problem, here, float(unknowns[3]), 1e-5 * problem.system.energy_scale)
+            slope = _energy_slope(problem, here.link, here.energy)
         jacobian = np.vstack([np.column_stack([match.jacobian, slope]) * weights, tangent])
         step = np.linalg.lstsq(jacobian, -np.append(match.gap, off), rcond=1e-13)[0]
         length = float(np.linalg.norm(step))
@@ -449,7 +433,7 @@ def _corrected(
             return None
         if length < _AT_REST and residual < _ROUNDED and abs(off) < 1e-8:
             # Where multipliers are large, rounding keeps the gap from falling, but moves the solution no more.
-            return unknowns, match.tangency
+            return replace(here, tangency=match.tangency)
         unknowns = unknowns + step * weights
     return None
 
@@ -461,94 +445,74 @@ _SAMPLES = 300  # of each half of a flight: about twenty to an arm's swing
 class Profile:
     """How a connection's flight runs over the section's heights.
 
-    times (M,) s from the seed and heights (M,) of its ends and of every extremum between; levels (M - 1,): how many
-    levels each monotonic part crosses; count: crossings in all.
+    heights (M,) and states (M, N): at its ends and at every extremum between; count: crossings in all.
     """
 
-    times: Array
     heights: Array
-    levels: tuple[int, ...]
+    states: Array
     count: int
 
 
 def fly_whole(problem: LinkProblem, link: Link, energy: float) -> tuple[Array, Array]:
     """Return times (M,) s from the seed and states (M, N) of the whole flight, from seed to seed."""
-    first, second = problem.manifolds(energy)
     half = np.linspace(0.0, link.duration / 2, _SAMPLES + 1)
-    propagator = problem.system.propagator
-    out = propagator.sample(first.seeds(np.array([link.phases[0]]), link.branches[0])[0][0], half)
-    back = propagator.sample(second.seeds(np.array([link.phases[1]]), link.branches[1])[0][0], half)
-    back = (back - problem.centre(problem.target)) @ problem.system.reversers[0].T + problem.centre(problem.target)
-    back = back + np.asarray(link.turns) * problem.lengths
+    out, back = (
+        problem.system.propagator.sample(manifold.seeds(np.array([phase]), branch)[0][0], half)
+        for manifold, phase, branch in zip(problem.manifolds(energy), link.phases, link.branches, strict=True)
+    )
+    back = problem.turned(back) + np.asarray(link.turns) * problem.system.turn_lengths
     return np.concatenate([half, link.duration - half[::-1][1:]]), np.vstack([out, back[::-1][1:]])
 
 
 def profile(problem: LinkProblem, link: Link, energy: float, section: Section) -> Profile:
     """Count a solved connection's crossings of a section, monotonic part by monotonic part."""
-    system = problem.system
     times, states = fly_whole(problem, link, energy)
-    normal = np.asarray(section.normal)
-    rates = system.numeric.rate(states) @ normal
-    heights = section.height(states)
-    knots_t, knots_h, levels = [times[0]], [heights[0]], []
-    ends = [0]
-    for k in np.flatnonzero(np.sign(rates[:-1]) * np.sign(rates[1:]) < 0):
-        time, height = _extremum(problem, states[k], times[k], rates[k], rates[k + 1], times[k + 1], normal, section)
-        knots_t.append(time)
-        knots_h.append(height)
-        ends.append(int(k))
-    knots_t.append(times[-1])
-    knots_h.append(heights[-1])
-    ends.append(len(times) - 1)
-    for k in range(len(knots_h) - 1):
-        low, high = sorted((knots_h[k], knots_h[k + 1]))
+    rates = problem.system.numeric.rate(states) @ np.asarray(section.normal)
+    turning = np.flatnonzero(np.sign(rates[:-1]) * np.sign(rates[1:]) < 0)
+    extrema = [
+        _extremum(problem, states[k], times[k + 1] - times[k], rates[k] / (rates[k] - rates[k + 1]), section)
+        for k in turning
+    ]
+    knots, heights = np.array([states[0], *extrema, states[-1]]), section.height(states)
+    ends = [0, *turning.tolist(), len(times) - 1]
+    levels, count = section.height(knots), 0
+    for k in range(len(levels) - 1):
+        low, high = sorted(levels[k : k + 2])
         period = section.period
         crossed = int(np.floor(high / period) - np.floor(low / period)) if period else int(low < 0 <= high)
         if crossed and section.side is not None:
             # With a side to it the crossing's own state decides.
-            part = slice(ends[k], ends[k + 1] + 2)
-            at = int(np.argmin(np.abs(heights[part]))) + ends[k]
+            at = int(np.argmin(np.abs(heights[ends[k] : ends[k + 1] + 2]))) + ends[k]
             crossed = int(section.admits(states[at]))
-        levels.append(crossed)
-    return Profile(np.array(knots_t), np.array(knots_h), tuple(levels), sum(levels))
+        count += crossed
+    return Profile(levels, knots, count)
 
 
-def crossing_states(problem: LinkProblem, link: Link, energy: float, section: Section) -> Array:
-    """Return the states (C, N) at which a solved connection crosses a section, in order of time, on the lift."""
+def first_crossing(problem: LinkProblem, link: Link, energy: float, section: Section) -> Array | None:
+    """Return the state (N,) at which a solved connection first crosses a section, on the lift."""
     system = problem.system
     _, states = fly_whole(problem, link, energy)
-    heights = section.height(states)
-    level = np.floor(heights / section.period) if section.period else (heights >= 0).astype(float)
-    crossed = []
-    for k in np.flatnonzero(np.diff(level)):
-        height = max(level[k], level[k + 1]) * section.period if section.period else 0.0
+    heights, sheets = section.height(states), section.sheets(states)
+    for k in np.flatnonzero(np.diff(sheets)):
+        height = max(sheets[k], sheets[k + 1]) * section.period if section.period else 0.0
         x = states[k] + (states[k + 1] - states[k]) * (height - heights[k]) / (heights[k + 1] - heights[k])
         for _ in range(3):
-            x = system.propagator.flow(
-                x, float((height - section.height(x)) / (system.numeric.rate(x) @ section.normal))
-            )
-        if section.side is None or section.admits(x):
-            crossed.append(x)
-    return np.array(crossed).reshape(-1, system.dimension)
+            rate = float(system.numeric.rate(x) @ section.normal)
+            x = system.propagator.flow(x, float(height - section.height(x)) / rate)
+        if section.admits(x):
+            return x
+    return None
 
 
-def _extremum(
-    problem: LinkProblem,
-    state: Array,
-    start: float,
-    rate: float,
-    next_rate: float,
-    stop: float,
-    normal: Array,
-    section: Section,
-) -> tuple[float, float]:
-    """Return (time, height) of the extremum of the section's height between two samples, by Newton on its rate."""
-    numeric, propagator = problem.system.numeric, problem.system.propagator
-    span = stop - start
-    step = span * rate / (rate - next_rate)
-    x = state
+def _extremum(problem: LinkProblem, state: Array, span: float, share: float, section: Section) -> Array:
+    """Return the state (N,) at the extremum of the section's height between two samples, by Newton on its rate.
+
+    span: s between the samples, of which `state` is the first; share: of it, to begin with.
+    """
+    numeric, propagator, normal = problem.system.numeric, problem.system.propagator, np.asarray(section.normal)
+    step = share * span
     for _ in range(4):
         x = propagator.flow(state, step)
         f = numeric.rate(x)
         step = float(np.clip(step - (normal @ f) / (normal @ (numeric.jacobian(x) @ f)), 0.0, span))
-    return start + step, float(section.height(propagator.flow(state, step)))
+    return propagator.flow(state, step)

@@ -3,11 +3,8 @@
 Connections found at one energy are carried to the next by Newton's method; a connection that arrives there with the
 tangency's sign unchanged has met no turn. Those left over on either side are followed round their turns.
 
-What a sweep of connections in energy is asked, and what it answers step by step.
-
-The equations that locate where a connection is born, splits, or grazes its section.
-
-With F, a, b and σ of module links, h the height over the section and ḣ its rate, Newton's method solves
+Where a connection is born, splits, or grazes its section is located by equations of its own. With F, a, b and σ of
+module links, h the height over the section and ḣ its rate, Newton's method solves
 
     saddle-node        F = 0, σ = 0             (φ_u, φ_s, T, H); for symmetric connections  off Fix R = 0, a = 0
     pitchfork          off Fix R = 0, b = 0     (φ, T, H)
@@ -20,20 +17,22 @@ extremum that moves across, and the equations are  off Fix R = 0, ḣ = 0  (φ, 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from dpcontrol.bifurcations.links import (
+    UNSOLVED,
     Link,
     LinkProblem,
     Path,
     PathPoint,
     Profile,
     carry,
-    crossing_states,
-    fly_whole,
+    first_crossing,
     follow,
     halfway,
     phase_gap,
@@ -42,7 +41,6 @@ from dpcontrol.bifurcations.links import (
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.tubes.cut import section_points, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
 
@@ -62,25 +60,42 @@ class Located:
     residual: float
 
 
-def _newton(function: Callable[[Array], Array], guess: Array, steps: Array) -> tuple[Array, float]:
-    """Solve function(y) = 0 by Newton's method with central differences of width `steps`; best (y, residual).
+def _located(
+    problem: LinkProblem,
+    kind: str,
+    equations: Callable[[Link, float], Array],
+    placed: Callable[[Array], Link],
+    guess: Array,
+) -> Located | None:
+    """Solve equations(link, H) = 0 by Newton's method from (unknowns of the link, H); None where it cannot go on.
 
-    There may be more equations than unknowns, one being redundant.
+    placed: unknowns -> link, the last of which is its duration. There may be more equations than unknowns, one being
+    redundant. Derivatives are central differences.
     """
+    # Phases, duration in s, energy in J.
+    steps = 1e-5 * np.array([*np.ones(len(guess) - 2), guess[-2], problem.system.energy_scale])
+
+    def value_at(y: Array) -> Array:
+        return equations(placed(y[:-1]), float(y[-1]))
+
     y, best, smallest = guess, guess, np.inf
-    for _ in range(10):
-        value = function(y)
-        residual = float(np.abs(value).max())
-        if residual < smallest:
-            best, smallest = y, residual
-        elif smallest < 1e-9:
-            break
-        columns = [(function(y + h) - function(y - h)) / (2 * s) for h, s in zip(np.diag(steps), steps, strict=True)]
-        y = y - np.linalg.lstsq(np.column_stack(columns), value, rcond=1e-13)[0]
-        if np.any(np.abs(y - guess) > 1e4 * steps):
-            # Farther than a tenth of everything is no solution near the guess; beyond it orbits may not even exist.
-            break
-    return best, smallest
+    try:
+        for _ in range(10):
+            value = value_at(y)
+            residual = float(np.abs(value).max())
+            if residual < smallest:
+                best, smallest = y, residual
+            elif smallest < 1e-9:
+                break
+            columns = [(value_at(y + h) - value_at(y - h)) / (2 * h.max()) for h in np.diag(steps)]
+            y = y - np.linalg.lstsq(np.column_stack(columns), value, rcond=1e-13)[0]
+            if np.any(np.abs(y - guess) > 1e4 * steps):
+                # Farther than a tenth of everything is no solution near the guess; beyond it orbits may not even exist.
+                break
+        link, energy = placed(best[:-1]), float(best[-1])
+        return Located(kind, energy, link, problem.match(link, energy).state, smallest)
+    except UNSOLVED:
+        return None
 
 
 def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
@@ -125,25 +140,14 @@ def _near(event: Located | None, energy: float, reach: float) -> Located | None:
     return event if event is not None and event.residual < 1e-8 and abs(event.energy - energy) < reach else None
 
 
-def _widths(problem: LinkProblem, link: Link) -> Array:
-    """Return the widths (4,) of differences by (φ_u, φ_s, T, H)."""
-    return 1e-5 * np.array([1.0, 1.0, link.duration, problem.system.energy_scale])
-
-
 def _tangent(problem: LinkProblem, point: PathPoint) -> Located | None:
     """Solve F = 0, σ = 0 from a point near."""
-    link = point.link
 
-    def equations(y: Array) -> Array:
-        match = problem.match(link.at(y[:3]), float(y[3]))
+    def equations(link: Link, energy: float) -> Array:
+        match = problem.match(link, energy)
         return np.append(match.gap, match.tangency)
 
-    try:
-        y, residual = _newton(equations, np.append(link.unknowns, point.energy), _widths(problem, link))
-        state = problem.match(link.at(y[:3]), float(y[3])).state
-    except (ArithmeticError, InputError, np.linalg.LinAlgError):
-        return None
-    return Located("saddle-node", float(y[3]), link.at(y[:3]), state, residual)
+    return _located(problem, "saddle-node", equations, point.link.at, point.coordinates)
 
 
 def _on_mirror(problem: LinkProblem, point: PathPoint, which: int, *, shedding: bool) -> Located | None:
@@ -154,31 +158,21 @@ def _on_mirror(problem: LinkProblem, point: PathPoint, which: int, *, shedding: 
     # Halfway between a link and its image lies the symmetric one.
     phase = link.phases[0] + phase_gap(image.phases[0], link.phases[0]) / 2
 
-    def placed(y: Array) -> Link:
-        return link.at(np.array([y[0], y[0] + 0.5 * which, y[1]]))
-
-    def equations(y: Array) -> Array:
-        mirror = problem.mirror(placed(y), float(y[2]), which)
+    def equations(here: Link, energy: float) -> Array:
+        mirror = problem.mirror(here, energy, which)
         return np.append(mirror.miss, mirror.shedding if shedding else mirror.fold)
 
-    try:
-        guess = np.array([phase, link.duration, point.energy])
-        y, residual = _newton(equations, guess, _widths(problem, link)[[0, 2, 3]])
-        state = problem.match(placed(y), float(y[2])).state
-    except (ArithmeticError, InputError, np.linalg.LinAlgError):
-        return None
-    return Located("pitchfork" if shedding else "saddle-node", float(y[2]), placed(y), state, residual)
+    kind, guess = "pitchfork" if shedding else "saddle-node", np.array([phase, link.duration, point.energy])
+    return _located(problem, kind, equations, lambda y: link.at([y[0], y[0] + 0.5 * which, y[1]]), guess)
 
 
 def _exchanged(problem: LinkProblem, before: Link, after: Link) -> bool:
     """Whether a reverser carries one side of a turn towards the other, as at a pitchfork."""
     for which in range(len(problem.system.reversers)):
-        image, other = problem.mirrored(before, which), problem.mirrored(after, which)
-        if image is None or other is None or image.branches != before.branches:
+        images = problem.mirrored(before, which), problem.mirrored(after, which)
+        if images[0] is None or images[1] is None or images[0].branches != before.branches:
             continue
-        first = phase_gap(before.phases[0], image.phases[0])
-        second = phase_gap(after.phases[0], other.phases[0])
-        if first * second < 0:
+        if phase_gap(before.phases[0], images[0].phases[0]) * phase_gap(after.phases[0], images[1].phases[0]) < 0:
             return True
     return False
 
@@ -189,41 +183,33 @@ def locate_graze(problem: LinkProblem, section: Section, first: PathPoint, secon
     The path must not turn between them. Returned in order of energy; empty where nothing brackets a touch.
     """
     middle = _middle_touch(problem, section, first, second)
-    if middle is not None:
-        return [middle]
-    found: list[Located] = []
-    _graze(problem, section, first, second, found, 0)
+    found = _touches(problem, section, first, second) if middle is None else [middle]
     return sorted(found, key=lambda e: e.energy)
 
 
-def _graze(
-    problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint, found: list[Located], depth: int
-) -> None:
+def _touches(
+    problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint, halvings: int = 31
+) -> list[Located]:
     a, b = (profile(problem, p.link, p.energy, section) for p in (first, second))
     if a.count == b.count:
-        return
-    if len(a.levels) == len(b.levels):
+        return []
+    if len(a.heights) == len(b.heights):
         # The same extrema on both sides: those that changed their side of a level have touched it between.
-        period = section.period or np.inf
+        found = []
         for k in range(1, len(a.heights) - 1):
             low, high = sorted((a.heights[k], b.heights[k]))
-            level = np.ceil(low / period) * period if section.period else 0.0
+            level = np.ceil(low / section.period) * section.period if section.period else 0.0
             if low < level <= high:
-                touch = _touch(problem, section, first, second, k, float(level), len(a.heights))
-                if touch is not None:
-                    found.append(touch)
-        return
-    if depth > 30:
-        return
-    energy = (first.energy + second.energy) / 2
-    guess = first.link.at((first.link.unknowns + second.link.unknowns) / 2)
+                found.append(_touch(problem, section, first, second, k, float(level), len(a.heights)))
+        return [touch for touch in found if touch is not None]
+    if not halvings:
+        return []
     try:
-        link, match = problem.solved(guess, energy)
+        middle = problem.solved(_between(first, second, 0.5), (first.energy + second.energy) / 2)
     except ArithmeticError:
-        return
-    middle = PathPoint(link, energy, match.tangency)
-    _graze(problem, section, first, middle, found, depth + 1)
-    _graze(problem, section, middle, second, found, depth + 1)
+        return []
+    halves = (first, middle), (middle, second)
+    return [touch for half in halves for touch in _touches(problem, section, *half, halvings - 1)]
 
 
 def _middle_touch(problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint) -> Located | None:
@@ -233,52 +219,43 @@ def _middle_touch(problem: LinkProblem, section: Section, first: PathPoint, seco
         return None
     normal, system = np.asarray(section.normal), problem.system
     states = [problem.match(p.link, p.energy).state for p in (first, second)]
-    period = section.period or np.inf
-    heights = [float(section.height(x)) for x in states]
-    if any(abs(h - (np.rint(h / period) * period if section.period else 0.0)) > 1e-6 for h in heights):
+    if any(abs(normal @ x - section.level(x)) > 1e-6 for x in states):
         return None
     rates = [float(normal @ system.numeric.rate(x)) for x in states]
     if rates[0] * rates[1] > 0:
         return None
     share = rates[0] / (rates[0] - rates[1])
-    guess = first.link.at(first.link.unknowns + share * (second.link.unknowns - first.link.unknowns))
+    guess = _between(first, second, share)
     offset = guess.phases[1] - guess.phases[0]
 
-    def placed(y: Array) -> Link:
-        return guess.at(np.array([y[0], y[0] + offset, y[1]]))
+    def tangent(here: Link, energy: float) -> Array:
+        state = problem.match(here, energy).state
+        return np.append(problem.mirror(here, energy, which).miss, normal @ system.numeric.rate(state) / 10)
 
-    def tangent(y: Array) -> Array:
-        energy = float(y[2])
-        state = problem.match(placed(y), energy).state
-        return np.append(problem.mirror(placed(y), energy, which).miss, normal @ system.numeric.rate(state) / 10)
-
-    width = 1e-5
     start = np.array([guess.phases[0], guess.duration, first.energy + share * (second.energy - first.energy)])
-    steps = np.array([width, width * guess.duration, width * system.energy_scale])
-    try:
-        y, residual = _newton(tangent, start, steps)
-        low, high = sorted((first.energy, second.energy))
-        if residual > 1e-8 or not low <= y[2] <= high:
-            return None
-        state = problem.match(placed(y), float(y[2])).state
-    except (ArithmeticError, InputError, np.linalg.LinAlgError):
-        return None
-    return Located("section-artefact", float(y[2]), placed(y), state, residual)
+    event = _located(
+        problem, "section-artefact", tangent, lambda y: guess.at([y[0], y[0] + offset, y[1]]), start
+    )  # fmt: skip
+    low, high = sorted((first.energy, second.energy))
+    return event if event is not None and event.residual <= 1e-8 and low <= event.energy <= high else None
+
+
+def _between(first: PathPoint, second: PathPoint, share: float) -> Link:
+    """Return the link a share of the way from one point to another."""
+    return first.link.at(first.link.unknowns + share * (second.link.unknowns - first.link.unknowns))
 
 
 def _touch(
-    problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint, k: int, level: float, length: int
+    problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint, k: int, level: float, extrema: int
 ) -> Located | None:
     """Solve for the energy at which the k-th extremum of the height lies on a level."""
     width = second.energy - first.energy
     kept: dict[float, tuple[Link, Profile]] = {}
 
     def above(energy: float) -> float:
-        share = (energy - first.energy) / width
-        guess = first.link.at(first.link.unknowns + share * (second.link.unknowns - first.link.unknowns))
-        link, _ = problem.solved(guess, energy)
+        link = problem.solved(_between(first, second, (energy - first.energy) / width), energy).link
         flown = profile(problem, link, energy, section)
-        if len(flown.heights) != length:
+        if len(flown.heights) != extrema:
             raise ArithmeticError("an extremum vanished")
         kept[energy] = (link, flown)
         return float(flown.heights[k] - level)
@@ -289,10 +266,7 @@ def _touch(
     except (ArithmeticError, ValueError):
         return None
     link, flown = kept[energy]
-    times, states = fly_whole(problem, link, energy)
-    near = int(np.searchsorted(times, flown.times[k], side="right")) - 1
-    state = problem.system.propagator.flow(states[near], float(flown.times[k] - times[near]))
-    return Located("section-artefact", energy, link, state, residual)
+    return Located("section-artefact", energy, link, flown.states[k], residual)
 
 
 @dataclass(frozen=True)
@@ -317,11 +291,16 @@ class Found:
     energy: float
     points: tuple[PathPoint, ...]
     weight: int
-    complete: bool
     caveat: str
 
     @property
+    def complete(self) -> bool:
+        """Whether nothing is known to be missing."""
+        return not self.caveat
+
+    @property
     def count(self) -> int:
+        """How many connections there are on the torus."""
         return self.weight * len(self.points)
 
 
@@ -331,11 +310,9 @@ class Change:
 
     event: Located
     gain: int
-    symmetric: bool
 
 
-@dataclass(frozen=True)
-class Branch:
+class Branch(NamedTuple):
     """A connection followed in energy while it crosses its section as often as asked.
 
     energies (K,) in J, in order along it; points (K, 2): the first of its crossings, in (q, p/p₀).
@@ -369,7 +346,6 @@ class Sweep:
         self.problem = LinkProblem(system, source, target, distance=settings.search.distance)
         self.section = system.sections[source, target]
         self.crossings, self.settings = crossings, settings
-        self.same_saddle = source == target
         self._found: dict[float, Found] = {}
         self._intervals: dict[tuple[float, float], Interval] = {}
         self._counts: dict[tuple[Link, float], int] = {}
@@ -381,34 +357,26 @@ class Sweep:
         where cuts scatter, for finer ones are given up sooner and meet less often.
         """
         if energy not in self._found:
-            self._found[energy] = self._search(energy)
+            found, resolved = self._searched(energy, 1.0)
+            if resolved and not found.complete:
+                found, _ = self._searched(energy, 0.25)
+            self._found[energy] = found
         return self._found[energy]
 
-    def _search(self, energy: float) -> Found:
+    def _searched(self, energy: float, fineness: float) -> tuple[Found, bool]:
+        """Return what intersecting cuts with chords times `fineness` finds, and whether they were resolved."""
         try:
             manifolds = self.problem.manifolds(energy)
         except (ArithmeticError, InputError) as error:
-            return Found(energy, (), 1, False, str(error))
+            return Found(energy, (), 1, str(error)), False
         settings = self.settings.search
-        found = Found(energy, (), 1, False, "")
-        for fineness in (1.0, 0.25):
-            cut = replace(settings.cut, chord=fineness * settings.cut.chord)
-            found, resolved = self._searched(energy, manifolds, replace(settings, cut=cut))
-            if found.complete or not resolved:
-                break
-        return found
-
-    def _searched(
-        self, energy: float, manifolds: tuple[UnstableManifold, UnstableManifold], settings: ConnectionSettings
-    ) -> tuple[Found, bool]:
-        """Return what intersecting the cuts finds, and whether they were resolved."""
-        system = self.problem.system
+        settings = replace(settings, cut=replace(settings.cut, chord=fineness * settings.cut.chord))
         # Both tubes fly about equally far.
         hits = (self.crossings // 2 + 1, self.crossings - self.crossings // 2)
         unstable = tube_cut(manifolds[0], self.section, hit=hits[0], settings=settings.cut)
-        shared = self.same_saddle and hits[0] == hits[1]
+        shared = manifolds[0] is manifolds[1] and hits[0] == hits[1]
         stable = unstable if shared else tube_cut(manifolds[1], self.section, hit=hits[1], settings=settings.cut)
-        crossed, failed = intersect_cuts(system, self.section, manifolds, (unstable, stable), settings)
+        crossed, failed = intersect_cuts(self.problem.system, self.section, manifolds, (unstable, stable), settings)
         points: list[PathPoint] = []
         caveat = ""
         for c in crossed:
@@ -416,19 +384,19 @@ class Sweep:
             phases = (float(c.phases[0]) % 1.0, float(c.phases[1]) % 1.0)
             guess = Link(branches, phases, float(sum(c.times)), tuple(float(k) + 0.0 for k in c.turns))
             try:
-                link, match = self.problem.solved(guess, energy)
+                point = self.problem.solved(guess, energy)
             except ArithmeticError as error:
                 caveat = f"a crossing of the cuts is no connection ({error})"
                 continue
-            if self.among(link, points) is None:
-                points.append(PathPoint(link, energy, match.tangency))
+            if self.among(point.link, points) is None:
+                points.append(point)
         if failed:
             caveat = f"{failed} crossings of the cuts did not converge"
         for cut in (unstable, stable):
             if not cut.resolved:
                 caveat = f"{cut.hit}. crossing: {cut.status}"
         weight = 2 if all(m.branches_are_mirrored for m in manifolds) else 1
-        return Found(energy, tuple(points), weight, not caveat, caveat), unstable.resolved and stable.resolved
+        return Found(energy, tuple(points), weight, caveat), unstable.resolved and stable.resolved
 
     def among(self, link: Link, points: list[PathPoint] | tuple[PathPoint, ...]) -> int | None:
         """Return the index of the point that is this link, None if none is."""
@@ -444,26 +412,30 @@ class Sweep:
             self._counts[key] = profile(self.problem, point.link, point.energy, self.section).count
         return self._counts[key]
 
-    def place(self, event: Located) -> Array:
-        """Return (q, p/p₀), (2,), where an event's connection crosses the section; of an artefact, where it touches."""
-        system = self.problem.system
+    def place(self, event: Located) -> tuple[float, float]:
+        """Return (q, p/p₀) where an event's connection crosses the section; of an artefact, where it touches."""
         if event.kind == "section-artefact":
-            return section_points(system, self.section, event.state)
-        states = crossing_states(self.problem, event.link, event.energy, self.section)
-        return section_points(system, self.section, states[0]) if len(states) else np.full(2, np.nan)
+            q, p = section_points(self.problem.system, self.section, event.state)
+        else:
+            q, p = self._first_crossing(event.link, event.energy)
+        return float(q), float(p)
+
+    def _first_crossing(self, link: Link, energy: float) -> Array:
+        state = first_crossing(self.problem, link, energy, self.section)
+        return np.full(2, np.nan) if state is None else section_points(self.problem.system, self.section, state)
 
     def _runs(self, points: Sequence[PathPoint]) -> list[Branch]:
         """Return where a connection, followed through points, crosses the section, for points that cross as asked."""
-        runs: list[list[tuple[float, Array]]] = [[]]
-        for point in points:
-            if self.count(point) != self.crossings:
-                runs.append([])
-                continue
-            states = crossing_states(self.problem, point.link, point.energy, self.section)
-            if len(states):
-                place = section_points(self.problem.system, self.section, states[0])
-                runs[-1].append((point.energy, place))
-        return [Branch(np.array([e for e, _ in run]), np.array([x for _, x in run])) for run in runs if len(run) > 1]
+        asked = [self.count(point) == self.crossings for point in points]
+        runs = [list(run) for crosses, run in groupby(zip(asked, points, strict=True), lambda pair: pair[0]) if crosses]
+        branches = []
+        for run in runs:
+            energies = np.array([point.energy for _, point in run])
+            places = np.array([self._first_crossing(point.link, point.energy) for _, point in run])
+            seen = np.isfinite(places[:, 0])
+            if np.count_nonzero(seen) > 1:
+                branches.append(Branch(energies[seen], places[seen]))
+        return branches
 
     def between(self, low: float, high: float) -> Interval:
         """Explain what two neighbouring searches do not share; kept until one of them is amended."""
@@ -550,12 +522,10 @@ class Sweep:
                     continue
                 if counts[k] != counts[k + 1]:
                     reasons.append(f"a touch of the section next to the turn at {event.energy:.9g} J")
-                # The partners lie on the side from which the path came.
-                up = points[k].energy > event.energy or (
-                    points[k].energy == event.energy and points[k - 1].energy > event.energy
-                )
                 if counts[k] == self.crossings:
-                    changes.append(Change(event, 2 if up else -2, self.problem.symmetry(event.link) is not None))
+                    # The partners lie on the side from which the path came.
+                    came_from = points[k].energy if points[k].energy != event.energy else points[k - 1].energy
+                    changes.append(Change(event, 2 if came_from > event.energy else -2))
             elif counts[k] != counts[k + 1]:
                 touches = locate_graze(self.problem, self.section, points[k], points[k + 1])
                 gain = (counts[k + 1] == self.crossings) - (counts[k] == self.crossings)
@@ -569,19 +539,17 @@ class Sweep:
                     # Of several touches, the one on the side of the asked count changed it.
                     near_end = points[k + 1].energy if gain > 0 else points[k].energy
                     event = min(touches, key=lambda t: abs(t.energy - near_end))
-                    symmetric = self.problem.symmetry(event.link) is not None
-                    changes.append(Change(event, gain * rising, symmetric))
+                    changes.append(Change(event, gain * rising))
 
     def _distinct(self, changes: list[Change]) -> list[Change]:
         """Leave out events met a second time, from the partner's side."""
+
+        def same(a: Located, b: Located) -> bool:
+            near = abs(a.energy - b.energy) < 1e-7 * self.problem.system.energy_scale
+            return a.kind == b.kind and near and self.problem.distance_between(a.link, b.link) < 10 * self.settings.same
+
         kept: list[Change] = []
         for change in changes:
-            again = any(
-                c.event.kind == change.event.kind
-                and abs(c.event.energy - change.event.energy) < 1e-7 * self.problem.system.energy_scale
-                and self.problem.distance_between(c.event.link, change.event.link) < 10 * self.settings.same
-                for c in kept
-            )
-            if not again:
+            if not any(same(c.event, change.event) for c in kept):
                 kept.append(change)
         return kept
