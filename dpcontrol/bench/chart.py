@@ -114,6 +114,10 @@ class Panel:
     judged: bool = True
     timed: bool = True
 
+    def titled(self, title: str, x_label: str, y_label: str, **more: Any) -> "Panel":
+        """Return the diagram with these words; more: further fields."""
+        return replace(self, title=title, x_label=x_label, y_label=y_label, **more)
+
     @property
     def _running(self) -> list[tuple[Point, float]]:
         """The points that take part in the front, with their errors."""

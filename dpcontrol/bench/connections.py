@@ -5,7 +5,7 @@ largest scaled component between its state on the section and the true one; a se
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -28,7 +28,6 @@ Array = NDArray[np.float64]
 ENERGY = -0.07
 THREE_BODY_ENERGY = -1.5175
 ROUNDING, GAP_ROUNDING = 1e-14, 1e-13
-QUICK = (("seed distance", "3e-03"), ("first phases", "12"), ("chord", "0.2"))
 ROUGH = "two flights"
 SLOWER, WIDER = 51.0, 1e6
 """hiten 0.5.4 on L1 to L2, end to end: times this project's seconds as stored, gap wider by this at least."""
@@ -48,7 +47,7 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
     return PrecisionChart(
         name="connections",
         title="Orbits and connections: time against error",
-        panels=(orbits, searches, outside_panel(quick=quick)),
+        parts=(orbits, searches, outside_panel(quick=quick)),
         reading=(
             "A mark is one setting of a search: left is faster, low is nearer to the same in 113-bit arithmetic.",
             "'two flights' stops where the tubes meet; all others refine by multiple shooting from farther out.",
@@ -78,18 +77,14 @@ def orbit_panel(progress: Progress, *, quick: bool) -> Panel:
     def judge(_: Alternative[LyapunovOrbit], orbit: LyapunovOrbit) -> Judged | str:
         return Judged(float(np.abs((orbit.state - truth) / system.scale).max())) if orbit.converged else orbit.status
 
-    return compare(tried, judge, rounds=15 if quick else 45, progress=progress).panel(
+    return compare(tried, judge, rounds=15 if quick else 45, progress=progress).titled(
         "Lyapunov orbit about down-up", "time, s", "error of the orbit, scaled", floor=ROUNDING,
         why="longer steps find other orbits near the ends of families; one orbit takes milliseconds either way",
     )  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Truth:
-    """A connection's state (N,) on the section in double and as 113-bit arithmetic gives it."""
-
-    state: Array
-    exact: Array
+Truth = tuple[Array, Array]
+"""A connection's state (N,) on the section in double, and as 113-bit arithmetic gives it."""
 
 
 def true_states(orbit: LyapunovOrbit, *, count: int) -> tuple[Truth, ...]:
@@ -103,27 +98,28 @@ def true_states(orbit: LyapunovOrbit, *, count: int) -> tuple[Truth, ...]:
         refined = refine(connection.solution)
         if not refined.converged:
             raise GoalMissed(f"{connection.name}: {refined.status}")
-        truths.append(Truth(connection.state, refined.state.astype(float)))
+        truths.append((connection.state, refined.state.astype(float)))
     return tuple(truths)
 
 
 def worst(orbit: LyapunovOrbit, states: Sequence[Array], truths: Sequence[Truth]) -> float:
     """Return the largest scaled error of the states that belong to `truths`; infinite if one is not among them."""
-    system = orbit.system
-    errors = [float(np.min(system.scaled_distance(np.array(states), t.exact))) for t in truths] if len(states) else []
-    return max(errors) if errors and max(errors) < 0.01 else float("inf")
+    if not len(states):
+        return float("inf")
+    error = max(float(np.min(orbit.system.scaled_distance(np.array(states), exact))) for _, exact in truths)
+    return error if error < 0.01 else float("inf")
 
 
 def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progress, *, quick: bool) -> Panel:
     """Return the diagram of searches: distance of the seeds, first phases, chord, tolerance."""
     base = ConnectionSettings()
     expected = len(find_connections(orbit, orbit).connections)
-    cases = [("seed distance", f"{d:.0e}", replace(base, distance=d)) for d in (3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-6)]
-    cases += [("first phases", f"{n}", replace(base, cut=CutSettings(first_phases=n))) for n in (12, 25, 50, 200)]
-    cases += [("chord", f"{c:g}", replace(base, cut=CutSettings(chord=c))) for c in (0.2, 0.1, 0.025)]
-    cases += [("shooting from", f"{f:.0e}", replace(base, farthest=f)) for f in (1e-4, 1e-5, 1e-6)]
-    if quick:
-        cases = [case for case in cases if case[:2] in QUICK]
+    distances, farthest = ((3e-3,), ()) if quick else ((3e-3, 1e-3, 3e-4, 1e-4, 3e-5, 1e-6), (1e-4, 1e-5, 1e-6))
+    phases, chords = ((12,), (0.2,)) if quick else ((12, 25, 50, 200), (0.2, 0.1, 0.025))
+    cases = [("seed distance", f"{d:.0e}", replace(base, distance=d)) for d in distances]
+    cases += [("first phases", f"{n}", replace(base, cut=CutSettings(first_phases=n))) for n in phases]
+    cases += [("chord", f"{c:g}", replace(base, cut=CutSettings(chord=c))) for c in chords]
+    cases += [("shooting from", f"{f:.0e}", replace(base, farthest=f)) for f in farthest]
 
     def searched(settings: ConnectionSettings) -> list[Array]:
         return [c.state for c in find_connections(orbit, orbit, settings=settings).connections]
@@ -137,7 +133,7 @@ def search_panel(orbit: LyapunovOrbit, truths: Sequence[Truth], progress: Progre
         least, error = len(truths) if one.method == ROUGH else expected, worst(orbit, states, truths)
         return Judged(error) if len(states) >= least and np.isfinite(error) else f"{len(states)} of {least} found"
 
-    return compare(tried, judge, rounds=9 if quick else 15, most=1.2 if quick else 6.0, progress=progress).panel(
+    return compare(tried, judge, rounds=9 if quick else 15, most=1.2 if quick else 6.0, progress=progress).titled(
         f"{expected} connections of down-up with itself", "time, s", "error of the worst, scaled", floor=ROUNDING,
         why="fewer phases or longer chords save part of the time here and lose connections at other energies",
     )  # fmt: skip
@@ -169,6 +165,7 @@ def outside_panel(*, quick: bool) -> Panel:
         Point("dpcontrol", f"{len(found)} connections", run.seconds, gap, default=True, yardstick=run.yardstick),
         Point("hiten 0.5.4 (stored)", "", run.seconds * SLOWER, gap * WIDER, outside=True, stored=True, note=note),
     )
-    title = "L1 to L2 of three bodies, with the orbits"
-    label = "gap where the pieces meet"
-    return Panel(title, "time, s", label, points, {"dpcontrol": run.start_up}, floor=GAP_ROUNDING)
+    return Panel(
+        "L1 to L2 of three bodies, with the orbits", "time, s", "gap where the pieces meet", points,
+        {"dpcontrol": run.start_up}, floor=GAP_ROUNDING,
+    )  # fmt: skip

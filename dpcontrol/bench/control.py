@@ -7,16 +7,17 @@ the itineraries' own small mismatch for the error, one at 10 % for the share tha
 """
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.bench.chart import Missing, Panel, Point, PrecisionChart
 from dpcontrol.bench.estimation import noise_of
-from dpcontrol.bench.measure import Compared, Judged, timed_in_turns
+from dpcontrol.bench.measure import Judged, timed_in_turns
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import Action, Controller, SampledModel
@@ -52,9 +53,6 @@ SMALL, LARGE = 0.02, 0.10
 """Mismatch: what the shipped itineraries run with, and what success is asked at."""
 INITIAL_ERROR = 0.02
 """rad."""
-SECTIONS, QUICK_SECTIONS = (1, 2, 3, 4, 8, 16, 32), (4, 16)
-WEIGHTS = (0.1, 1.0, 10.0, 100.0)
-"""Times the default weight of the effort."""
 AUGMENTED = EkfSettings(augment=("friction", "parameters"))
 _PLAIN = EkfSettings()
 _ERROR = "rms error of the angles, rad"
@@ -79,13 +77,13 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
     progress("control, one turn", 0.0)
     tracking = _tracking(seeds)
     progress("control, an orbit", 0.3)
-    orbit = _orbit(QUICK_SECTIONS if quick else SECTIONS, seeds if quick else 10, 4.0 if quick else 10.0)
+    orbit = _orbit((4, 16), seeds, 4.0) if quick else _orbit((1, 2, 3, 4, 8, 16, 32), 10, 10.0)
     progress("control, both arms up", 0.9)
-    hold = _hold(WEIGHTS[::2] if quick else WEIGHTS, seeds)
+    hold = _hold((0.1, 1.0, 10.0) if quick else (0.1, 1.0, 10.0, 100.0), seeds)
     return PrecisionChart(
         name="control",
         title=f"Control: {SMALL:.0%} of mismatch for the error, {LARGE:.0%} for what fails",
-        panels=(*tracking, *orbit, hold),
+        parts=(*tracking, *orbit, hold),
         reading=(
             "Upper diagrams of a task: rms error of the angles against a tick's time; beside them the share of runs "
             f"at {LARGE:.0%} mismatch that do not come through.",
@@ -102,7 +100,7 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
     )  # fmt: skip
 
 
-def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, str] = ("", "")) -> Compared:
+def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, str] = ("", "")) -> Panel:
     """Return error against the seconds of a tick of those that come through, and the rest with reasons."""
     start_up: dict[str, float] = {}
     judged: dict[tuple[str, str], Judged | str] = {}
@@ -125,13 +123,13 @@ def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, s
     for key, found in judged.items():
         if isinstance(found, str):
             missing.append(Missing(*key, found))
-            continue
-        seconds = spent[made[key][1]].seconds + spent[key].seconds
-        points.append(
-            Point(*key, seconds, found.error, default=key == default, note=found.note, others=found.others,
-                  yardstick=spent[key].yardstick)
-        )  # fmt: skip
-    return Compared(tuple(points), start_up, tuple(missing))
+        else:
+            law, ekf = spent[key], spent[made[key][1]]
+            points.append(
+                Point(*key, law.seconds + ekf.seconds, found.error, default=key == default, note=found.note,
+                      others=found.others, yardstick=law.yardstick)
+            )  # fmt: skip
+    return Panel("", "", "", tuple(points), start_up, tuple(missing))
 
 
 def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *, seeds: int) -> Judged | str:
@@ -140,31 +138,28 @@ def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *
     The error is over those that came through; others: shares that came through at both, rms of the feedback in m/s² at
     the small one.
     """
-    runs, n = _runs(task, controller, settings, seeds), task.arms.count
+    lanes = [(seed, mismatch) for mismatch in (SMALL, LARGE) for seed in range(seeds)]
+    if can_batch(settings, controller):
+        runs = run_batch(
+            task.arms, settings=settings, seeds=[seed for seed, _ in lanes], mismatches=[m for _, m in lanes],
+            controller=controller, limits=settings.limits(task.reference),
+        )  # fmt: skip
+    else:
+        alone = [replace(settings, seed=seed, mismatch=mismatch) for seed, mismatch in lanes]
+        runs = [BatchRun.of(run_loop(task.reference, task.arms, settings=one, controller=controller)) for one in alone]
     small, large = runs[:seeds], runs[seeds:]
     good = [run for run in small if task.judge(run)]
     if not good:
         return f"none of {seeds} runs came through at {SMALL:.0%} mismatch"
-    errors = [float(np.sqrt(np.mean((run.truth[:, :n] - run.references[:, :n]) ** 2))) for run in good]
+    n = task.arms.count
+    squares = [np.mean((run.truth[:, :n] - run.references[:, :n]) ** 2) for run in good]
     others = {
         "success": sum(task.judge(run) for run in large) / seeds,
         "success_small": len(good) / seeds,
         "effort": float(np.sqrt(np.mean([run.rms_feedback**2 for run in small]))),
     }
     note = f"{others['success']:.0%} come through, feedback {others['effort']:.3f} m/s² rms"
-    return Judged(float(np.sqrt(np.mean(np.square(errors)))), others, note)
-
-
-def _runs(task: ControlTask, controller: Controller, settings: LoopSettings, seeds: int) -> Sequence[BatchRun]:
-    """Return `seeds` runs at the small mismatch, then as many at the large one."""
-    lanes = [(seed, mismatch) for mismatch in (SMALL, LARGE) for seed in range(seeds)]
-    if can_batch(settings, controller):
-        return run_batch(
-            task.arms, settings=settings, seeds=[seed for seed, _ in lanes], mismatches=[m for _, m in lanes],
-            controller=controller, limits=settings.limits(task.reference),
-        )  # fmt: skip
-    alone = [replace(settings, seed=seed, mismatch=mismatch) for seed, mismatch in lanes]
-    return [BatchRun.of(run_loop(task.reference, task.arms, settings=one, controller=controller)) for one in alone]
+    return Judged(float(np.sqrt(np.mean(squares))), others, note)
 
 
 def held(orbit_angles: Array, *, period: float, near: float = 0.1) -> Judge:
@@ -201,12 +196,11 @@ def _completed(reference: Reference) -> Judge:
 def tick_of(controller: Controller, *, extras: int = 0) -> Callable[[], Action]:
     """Return what a tick of the controller costs, as a function to be timed, walking along what it asks for."""
     session, state, extra = controller.begin(), controller.first_state, np.zeros(extras)
-    tick = 0
+    ticks = count(1)
 
     def step() -> Action:
-        nonlocal tick, state
-        tick += 1
-        action = session.command(tick, state, extra)
+        nonlocal state
+        action = session.command(next(ticks), state, extra)
         # A state that stood still would be lost by the clocks of those that have one.
         state = action.reference
         return action
@@ -219,8 +213,8 @@ def _pair(task: ControlTask, made: Made, *, seeds: int, why: str) -> tuple[Panel
     found, x = measured(task, made, seeds=seeds, default=("TVLQR", "time")), "s per tick, filter and law"
     failed = tuple(replace(p, error=1 - p.others["success"]) for p in found.points)
     return (
-        found.panel(f"{task.title}: error", x, _ERROR, why=why),
-        found.panel(f"{task.title}: failures", x, f"share that fails at {LARGE:.0%} mismatch", points=failed, why=why,
+        found.titled(f"{task.title}: error", x, _ERROR, why=why),
+        found.titled(f"{task.title}: failures", x, f"share that fails at {LARGE:.0%} mismatch", points=failed, why=why,
                     log_y=False),
     )  # fmt: skip
 
@@ -273,6 +267,7 @@ def _orbit(sections: tuple[int, ...], seeds: int, seconds: float) -> tuple[Panel
 
 
 def _hold(weights: tuple[float, ...], seeds: int) -> Panel:
+    """Return the panel of both arms held up; weights: times the default weight of the effort."""
     start = np.array([np.pi, np.pi, 0.0, 0.0])
     whole = np.concatenate([start, [0.0, 0.0]])
     place = still(whole, 1.0, method=method_named("radau-5"), limits=Limits(), interval=0.1)
@@ -282,10 +277,10 @@ def _hold(weights: tuple[float, ...], seeds: int) -> Panel:
         ("LQR", f"effort × {w:g}"): (
             lambda m, w=w: hold_controller(start, m, replace(plain, effort=w * plain.effort), seconds=4.0), _PLAIN,
         )
-        for w in sorted({*weights, 1.0})
+        for w in weights
     }  # fmt: skip
     found = measured(task, made, seeds=seeds, default=("LQR", "effort × 1"))
-    return found.panel(
+    return found.titled(
         "Both arms up: LQR", "rms of the feedback, m/s²", _ERROR, timed=False,
         points=tuple(replace(p, seconds=p.others["effort"]) for p in found.points),
         why="the same weights as TVLQR's, so that a hold goes over into a motion without a jump",

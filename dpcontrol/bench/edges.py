@@ -2,20 +2,13 @@
 
 *Fixed steps.* About an equilibrium a method multiplies the motion of an eigenvalue s by its stability function in a
 step, R(sh) = 1 + sh bᵀ (I - sh A)⁻¹ 1. The first step at which |R| passes 1 for an s with Re s < 0 makes a motion grow
-that dies out in truth. Measured with the product's own compiled steps on the nonlinear equations.
-Source: Hairer & Wanner, Solving Ordinary Differential Equations II (1996), section IV.2.
+that dies out in truth. Source: Hairer & Wanner, Solving Ordinary Differential Equations II (1996), section IV.2.
 
-*Seeds of tubes.* Too near their orbit, rounding hides where tubes meet, which is chance: the border is where half of
-the searches find all. Too far, the tube's second-order part is left out, an error of δ². Measured only.
+*Shadowing.* A node's rounding grows by λ^(1/s) to the next of s nodes in a period, which bounds the gaps; the constant
+is luck. Source: Stoer & Bulirsch, Introduction to Numerical Analysis, 3rd ed., section 7.3.5.
 
-*Shadowing.* A node's rounding, half a unit in the last place of a rate of up to 20 rad/s, grows by λ^(1/s) to the next
-of s nodes in a period of the orbit, whatever the number of wraps. That bounds the gaps, but its constant is luck, so it
-predicts nothing: the same walk is solved at energies a billionth apart, and at a border half of them converge.
-Source: Stoer & Bulirsch, Introduction to Numerical Analysis, 3rd ed., section 7.3.5.
-
-*References.* The error between nodes of a method with K points falls as the interval's length h to the power K, so that
-the longest interval for a tolerance ε is h₀ (ε / e(h₀))^(1/K), from one solution on a finer mesh. What acceleration a
-track needs is measured only.
+*References.* The error between nodes of a method with K points falls as the interval's length h to the power K: the
+longest interval for a tolerance ε is h₀ (ε / e(h₀))^(1/K), from one solution on a finer mesh.
 Source: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7.
 
 *Control.* What an error ξ of the unstable direction, ξ' = λξ + bu with |u| ≤ a, has become when the first command acts,
@@ -25,13 +18,11 @@ reaches the unit circle; the filter is left out, which costs up to a third. Neit
 Source: Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed., sections 8.6 and 9.3; for bounded
 inputs, Hu & Lin, Control Systems with Actuator Saturation (2001), chapter 2.
 
-*OGY.* An error grows by about λ^(1/k) from one of k sections to the next. How readings round depends on the orbit, so
-the borders are measured only.
-
 *Estimation.* Of K ticks each is lost with probability p. Gaps of at least m ticks, the supervisor's limit, begin
-K (1 - p) pᵐ times on average, nearly independently: half of the runs see none at K (1 - p) pᵐ = ln 2. A stuck encoder
-differs from a still arm only once the reference has moved 0.02 rad and 15 ms have passed.
+K (1 - p) pᵐ times on average, nearly independently: half of the runs see none at K (1 - p) pᵐ = ln 2.
 Source: Feller, An Introduction to Probability Theory and Its Applications I, 3rd ed., section XIII.7, for runs.
+
+Seeds of tubes, and OGY by its sections, are measured only. Where chance decides, the border is where half succeed.
 """
 
 import math
@@ -77,7 +68,7 @@ from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.planning import shadowing_orbit
 from dpcontrol.shooting.newton import NewtonSettings
 from dpcontrol.tubes.connection import Connection
-from dpcontrol.tubes.connections import ConnectionSearch, find_connections
+from dpcontrol.tubes.connections import find_connections
 from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import ShadowingSettings, shadow
@@ -174,8 +165,12 @@ def decaying(arms: ArmChainParameters, saddle: str) -> tuple[Array, Complex, Com
     pairs = np.linalg.eig(np.array(linear(state, 0.0, arms.base()))[:n, :n].astype(np.complex128))
     values, right = (np.asarray(found, dtype=np.complex128) for found in pairs)
     damped = np.flatnonzero(values.real < -1e-9)
-    cart = np.zeros((len(damped), len(state) - n))
-    return state, values[damped], np.hstack([right.T[damped], cart]), np.hstack([np.linalg.inv(right)[damped], cart])
+    # The cart does not move.
+    right, left = (
+        np.hstack([rows[damped], np.zeros((len(damped), len(state) - n), dtype=np.complex128)])
+        for rows in (right.T, np.asarray(np.linalg.inv(right), dtype=np.complex128))
+    )
+    return state, values[damped], right, left
 
 
 def step_border(
@@ -212,7 +207,6 @@ def _run_at(h: float, saddle: str) -> str:
     return stand.run(acceleration=STRONG, error=HELD_ERROR).says
 
 
-DEFAULT = ConnectionSettings().distance
 RIGHT = 1e-9
 """Scaled: how far a connection may lie from the one that the default settings find."""
 ANEW = 1e-6
@@ -254,19 +248,14 @@ def seeds_chart(quick: bool, progress: Progress) -> EdgeChart:
     )  # fmt: skip
 
 
-def search(orbit: LyapunovOrbit, distance: float) -> ConnectionSearch:
-    """Return the orbit's connections with itself from seeds at `distance`."""
-    return find_connections(orbit, orbit, settings=ConnectionSettings(distance=distance))
-
-
 def default_states(orbit: LyapunovOrbit) -> Array:
-    """Return the states (K, N) of all connections on their section, from seeds at the default distance."""
-    return np.array([c.state for c in search(orbit, DEFAULT).connections])
+    """Return the states (K, N) of all connections of the orbit with itself on their section, as searches find them."""
+    return np.array([c.state for c in find_connections(orbit, orbit).connections])
 
 
 def found_all(orbit: LyapunovOrbit, states: Array, distance: float) -> Attempt:
     """Return whether a search finds the connections of `states` (K, N), and no others, else what it says."""
-    found = search(orbit, distance)
+    found = find_connections(orbit, orbit, settings=ConnectionSettings(distance=distance))
     away = [float(np.min(orbit.system.scaled_distance(states, c.state))) for c in found.connections]
     if len(away) == len(states) and max(away) < RIGHT:
         return Attempt(True)
@@ -599,14 +588,16 @@ def longest_delay(stand: Stand, error: Array, *, acceleration: float) -> float:
 def held_mismatch_border(delay: float, *, ratio: float) -> Border:
     """Return the border of the plant's mismatch at a delay in s, arms held, beside the predicted one."""
     stand = held_at_rest(MISMATCH_RATE, seconds=20.0)
-    controller, ticks = stand.controller, round(delay * MISMATCH_RATE)
+    controller, believed = stand.controller, stand.linear()
     assert isinstance(controller, HoldController)
-    loops = (
-        (mismatch, loop_matrix(stand.linear(mismatch), stand.linear(), gain=controller.gain, delay=ticks))
-        for mismatch in np.geomspace(1e-3, 0.6, 60).tolist()
-    )
+
+    def grows(mismatch: float) -> bool:
+        plant, ticks = stand.linear(mismatch), round(delay * MISMATCH_RATE)
+        loop = loop_matrix(plant, believed, gain=controller.gain, delay=ticks)
+        return bool(np.abs(np.linalg.eigvals(loop)).max() >= 1)
+
     # The first of all: the eigenvalue may come back into the circle.
-    predicted = next((mismatch for mismatch, loop in loops if np.abs(np.linalg.eigvals(loop)).max() >= 1), None)
+    predicted = next(filter(grows, np.geomspace(1e-3, 0.6, 60).tolist()), None)
     return mismatch_border(stand, delay, ratio=ratio, predicted=predicted)
 
 
@@ -623,8 +614,8 @@ def loop_matrix(
         ahead = believed[0] @ ahead
         ahead[:, n + i] += believed[1]
     # State, commands on their way, and the new one: the first of the commands acts now, the rest wait.
-    rows = np.vstack([np.eye(n + delay), -gain @ ahead])
-    return np.vstack([plant[0] @ rows[:n] + np.outer(plant[1], rows[n]), rows[n + 1 :]])
+    rows: Array = np.vstack([np.eye(n + delay), -gain @ ahead])
+    return np.vstack([plant[0] @ rows[:n] + plant[1][:, None] * rows[n], rows[n + 1 :]])
 
 
 RATE = 1000.0
@@ -634,32 +625,24 @@ COUNTS = 40_000.0
 """Counts per turn where the pulses are varied."""
 
 
-@dataclass(frozen=True, eq=False)
-class HeldOrbit:
-    """An orbit to be held for `seconds`, and the arms that are believed and simulated alike."""
-
-    orbit: SustainedOrbit
-    arms: ArmChainParameters
-    seconds: float
-
-    def controller(self, sections: int, limit: float = LIMIT) -> OgyController:
-        """Return the law by `sections` pulses a period, of at most `limit` m/s²; it learns nothing."""
-        settings = OgySettings(sections=sections, pulse_limit=limit, parameter_error=0.0)
-        return ogy_controller(self.orbit, sampled_model(self.arms, RATE), settings, seconds=self.seconds)
-
-
-def stay(seconds: float) -> HeldOrbit:
-    """Return the lab's orbit about its saddle, to be held for `seconds`."""
+def held_orbit() -> SustainedOrbit:
+    """Return the lab's orbit about its saddle."""
     lab = load_model("lab")
-    orbit = sustained_orbit(lyapunov_orbit(lab.system, SADDLE, energy=SADDLE_ENERGY), lab.arms)
-    return HeldOrbit(orbit, lab.arms, seconds)
+    return sustained_orbit(lyapunov_orbit(lab.system, SADDLE, energy=SADDLE_ENERGY), lab.arms)
+
+
+def pulses(orbit: SustainedOrbit, sections: int, *, seconds: float) -> OgyController:
+    """Return the law that holds an orbit by `sections` pulses a period of at most LIMIT m/s²; it learns nothing."""
+    settings = OgySettings(sections=sections, pulse_limit=LIMIT, parameter_error=0.0)
+    return ogy_controller(orbit, sampled_model(load_model("lab").arms, RATE), settings, seconds=seconds)
 
 
 def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
     """Return the chart of OGY; quick: fewer sections and seeds, wider borders, and shorter runs."""
-    one = stay(4.0 if quick else 6.0)
-    sections, seeds, ratio = ((8,), 8, 1.6) if quick else ((1, 2, 3, 4, 8, 16), 16, 1.12)
-    pulses, counts = (
+    orbit = held_orbit()
+    sections, seeds, ratio, seconds = ((8,), 8, 1.6, 4.0) if quick else ((1, 2, 3, 4, 8, 16), 16, 1.12, 6.0)
+    how: dict[str, Any] = {"seeds": seeds, "ratio": ratio}
+    authority, counts = (
         EdgeMap(title, "sections in a period, k", y, far="lost")
         for title, y in (
             (f"Authority, {COUNTS:,.0f} counts per turn", "largest pulse, m/s²"),
@@ -668,8 +651,7 @@ def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
     )
     return EdgeChart(
         name="edges-ogy",
-        title=f"Where OGY ends: Down-Up at {SADDLE_ENERGY:g} J, multiplier {one.orbit.multipliers[0].real:.0f} a "
-        "period",
+        title=f"Where OGY ends: Down-Up at {SADDLE_ENERGY:g} J, multiplier {orbit.multipliers[0].real:.0f} a period",
         reading=(
             "From one section to the next an error grows by about λ^(1/k), so few sections need large pulses or "
             "encoders that nobody builds.",
@@ -681,13 +663,13 @@ def ogy_chart(quick: bool, progress: Progress) -> EdgeChart:
         chosen="16 sections a period and pulses of up to 5 m/s²: encoders of a few hundred counts would still do.",
         parts=measured_maps(
             progress,
-            (pulses, lambda k: limit_border(one, k, seeds=seeds, ratio=ratio), sections),
-            (counts, lambda k: counts_border(one, k, seeds=seeds, ratio=ratio), sections),
+            (authority, lambda k: limit_border(orbit, pulses(orbit, k, seconds=seconds), **how), sections),
+            (counts, lambda k: counts_border(orbit, pulses(orbit, k, seconds=seconds), **how), sections),
         ),
     )
 
 
-def holds(one: HeldOrbit, controller: OgyController, *, counts: float, seeds: int) -> Attempt:
+def holds(orbit: SustainedOrbit, controller: OgyController, *, counts: float, seeds: int) -> Attempt:
     """Return whether at least half of the runs hold the orbit, else what ended the first that did not."""
     whole = max(round(counts), 1)
     sensors = SensorSettings(counts=whole, cart_resolution=1e-6, zero_error=np.pi / whole)
@@ -695,34 +677,32 @@ def holds(one: HeldOrbit, controller: OgyController, *, counts: float, seeds: in
     settings = LoopSettings(
         seed=0, rate=RATE, sensors=sensors, estimator=EkfSettings(augment=()), initial_error=1e-5
     )  # fmt: skip
-    runs = run_batch(one.arms, settings=settings, seeds=range(seeds), controller=controller,
+    arms, period = load_model("lab").arms, orbit.period
+    runs = run_batch(arms, settings=settings, seeds=range(seeds), controller=controller,
                      limits=Limits(position=5.0, acceleration=30.0))  # fmt: skip
-    period = one.orbit.period
-    judge = held(one.orbit.state(np.linspace(0, period, 1000))[:, : one.arms.count], period=period)
+    judge = held(orbit.state(np.linspace(0, period, 1000))[:, : arms.count], period=period)
     away = "finished, but away from the orbit in its last period"
     return half_of(
         [Attempt(judge(run), away if run.ending is Ending.FINISHED else run.reason) for run in runs], "runs lost"
     )
 
 
-def limit_border(one: HeldOrbit, sections: int, *, seeds: int, ratio: float) -> Border:
-    """Return the smallest limit of the pulses, m/s², with which `sections` of them a period hold the orbit."""
-    law = one.controller(sections)
-    return find_border(
-        lambda limit: holds(one, replace(law, pulse_limit=limit), counts=COUNTS, seeds=seeds), x=sections,
-        line=f"k = {sections}", near=5.0, far=0.01, ratio=ratio,
-    )  # fmt: skip
+def limit_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, ratio: float) -> Border:
+    """Return the smallest limit of the pulses, m/s², with which a law holds an orbit."""
+
+    def probe(limit: float) -> Attempt:
+        return holds(orbit, replace(law, pulse_limit=limit), counts=COUNTS, seeds=seeds)
+
+    return find_border(probe, x=len(law.times), line=f"k = {len(law.times)}", near=5.0, far=0.01, ratio=ratio)
 
 
-def counts_border(one: HeldOrbit, sections: int, *, seeds: int, ratio: float) -> Border:
-    """Return the fewest counts per turn, of the coarsest encoders to none that there is, with which `sections` pulses a
-    period hold the orbit.
-    """
-    law = one.controller(sections)
-    return find_border(
-        lambda counts: holds(one, law, counts=counts, seeds=seeds), x=sections, line=f"k = {sections}", near=4e8,
-        far=50.0, ratio=ratio,
-    )  # fmt: skip
+def counts_border(orbit: SustainedOrbit, law: OgyController, *, seeds: int, ratio: float) -> Border:
+    """Return the fewest counts per turn with which a law holds an orbit, from coarse encoders to none that exist."""
+
+    def probe(counts: float) -> Attempt:
+        return holds(orbit, law, counts=counts, seeds=seeds)
+
+    return find_border(probe, x=len(law.times), line=f"k = {len(law.times)}", near=4e8, far=50.0, ratio=ratio)
 
 
 SECONDS = 10.0
@@ -736,7 +716,7 @@ MOVED, STILL = 0.02, 0.015
 def estimation_chart(quick: bool, progress: Progress) -> EdgeChart:
     """Return the chart of estimates; quick: one rate, one phase, fewer seeds."""
     model = load_model("lab")
-    orbit = stay(SECONDS).orbit
+    orbit = held_orbit()
     lost = EdgeMap(
         "Lost samples", "rate of the loop, Hz", "samples that arrive, per s", far="lost",
         theory="a gap of 0.1 s is as likely as not in 10 s",
@@ -769,8 +749,11 @@ def arriving(rate: float, *, missing: float, seconds: float) -> float:
     """Return the samples per s that must arrive for half of the runs to see no gap longer than `missing` s."""
     ticks, gap = seconds * rate, math.floor(missing * rate + 1e-9) + 1
     # Gaps become more with p up to p = m / (m + 1); the border lies below.
-    p = brentq(lambda p: ticks * (1 - p) * p**gap - math.log(2), 0.0, gap / (gap + 1))  # type: ignore[arg-type]
-    return (1 - float(p)) * rate
+
+    def excess(p: float) -> float:
+        return ticks * (1 - p) * p**gap - math.log(2)
+
+    return (1 - float(brentq(excess, 0.0, gap / (gap + 1)))) * rate  # type: ignore[arg-type]
 
 
 def lost_border(arms: ArmChainParameters, equilibrium: Array, *, rate: float, seeds: int) -> Border:

@@ -36,13 +36,12 @@ Array = NDArray[np.float64]
 
 PERIOD = 1e-3
 """s: the loop's."""
-SETTLING = 0.3
-"""s left out at the start, where the first guess is judged, not the filter."""
+SETTLED = 300
+"""Ticks left out at the start, where the first guess is judged, not the filter."""
 CART_RESOLUTION = 1e-6
 MISMATCH = 0.02
 ZERO_ERROR = 3e-3
 """rad, about what an arm's resting place is read to."""
-RESOLUTIONS, QUICK_RESOLUTIONS = (512, 4000, 40_000, 400_000), (4000, 40_000)
 CUTOFFS = (10.0, 30.0, 100.0, math.inf)
 """Hz."""
 AUGMENTS: tuple[tuple[str, ...], ...] = ((), ("zeros",), ("zeros", "friction", "parameters"))
@@ -62,7 +61,7 @@ _WHY = (
 def chart(quick: bool, progress: Progress) -> PrecisionChart:
     """Return the chart; quick: two resolutions, one second of one swing, the UKF with and without zeros only."""
     arms = load_model("lab").arms
-    resolutions = QUICK_RESOLUTIONS if quick else RESOLUTIONS
+    resolutions = (4000, 40_000) if quick else (512, 4000, 40_000, 400_000)
     seconds, seeds = (1.0, 1) if quick else (3.0, 3)
     swings = [swing(arms, seconds=seconds, seed=k, mismatch=MISMATCH, zero_error=ZERO_ERROR) for k in range(seeds)]
     panels = []
@@ -72,7 +71,7 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
     return PrecisionChart(
         name="estimation",
         title=f"Estimation: plant off by {MISMATCH:.0%}, encoders' zeros by {ZERO_ERROR * 1e3:g} mrad",
-        panels=tuple(panels),
+        parts=tuple(panels),
         reading=(
             "Each point: an estimator on the same swings; across, a tick's time; up, the rms scaled error of angles "
             "and rates; a panel for each encoder.",
@@ -143,13 +142,13 @@ def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, q
         tried.append(Alternative("differences", label, partial(differences, rates, joints[0], joints[1], cutoff)))
         judged["differences", label] = derivative_trial(cutoff, swings, counts=counts)
     found = compare(tried, lambda one, _: judged[one.method, one.setting])
-    return found.panel(f"{counts} counts per turn", "s per tick", "rms error of the arms' state (scaled)", why=_WHY)
+    return found.titled(f"{counts} counts per turn", "s per tick", "rms error of the arms' state (scaled)", why=_WHY)
 
 
 def estimator_trial(estimator: Estimator, swings: list[KnownSwing], *, counts: int) -> Judged:
     """Return the error of an estimator over the swings, and the shares of NIS and NEES inside their 95 % bands."""
     errors, nis, normalised = [], [], []
-    settled, m = round(SETTLING / PERIOD), swings[0].joints.shape[1]
+    m = swings[0].joints.shape[1]
     n = m - 1
     zeros = [k for k, name in enumerate(estimator.extra_names) if name.startswith("zero_")]
     for flown in swings:
@@ -159,7 +158,7 @@ def estimator_trial(estimator: Estimator, swings: list[KnownSwing], *, counts: i
         for k in range(1, len(flown.commands)):
             # A command acts over the period that ends with the reading.
             estimate = estimator.step(estimate, float(flown.commands[k]), measured[k])
-            if k < settled:
+            if k < SETTLED:
                 continue
             errors.append(_scaled(estimate.state - flown.states[k], n))
             nis.append(estimate.nis)
@@ -193,14 +192,14 @@ def differences(rates: Array, last: Array, measured: Array, cutoff: float) -> Ar
 
 def derivative_trial(cutoff: float, swings: list[KnownSwing], *, counts: int) -> Judged:
     """Return the error of positions as read and rates by `differences`, which have no covariance."""
-    errors, settled = [], round(SETTLING / PERIOD)
+    errors = []
     for flown in swings:
         measured = flown.measured(counts)
         n = measured.shape[1] - 1
         rates = flown.states[0, n : 2 * n]
         for k in range(1, len(measured)):
             rates = differences(rates, measured[k - 1, :n], measured[k, :n], cutoff)
-            if k >= settled:
+            if k >= SETTLED:
                 state = np.concatenate([measured[k, :n], rates])
                 errors.append(_scaled(state - flown.states[k, : 2 * n], n))
     return Judged(_rms(errors), note="no covariance")

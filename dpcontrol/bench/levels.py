@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.bench.chart import Missing, Panel, Point, PrecisionChart
-from dpcontrol.bench.measure import Alternative, Compared, Judged, compare
+from dpcontrol.bench.measure import Alternative, Judged, compare
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import compiled_step
 from dpcontrol.dynamics.plant import PlantLevel, PlantParameters, plant_step
@@ -30,7 +30,6 @@ from dpcontrol.scenes.plan import Plan, make_plan
 
 Array = NDArray[np.float64]
 
-SCENES, QUICK_SCENES = ("outer-turn", "cross", "up-up"), ("outer-turn",)
 LAG, CART_MASS, CART_VISCOUS = 5e-3, 3.0, 5.0
 """s, kg, N s/m."""
 WINDOW, TICK = 0.1, 1e-3
@@ -54,7 +53,7 @@ force: a cart of {CART_MASS:g} kg besides. effort: m/s² rms of the cart; error:
 
 def chart(quick: bool, progress: Progress) -> PrecisionChart:
     """Return the chart; quick: one scene and fewer seeds. The whole table of scenes is the package's own evidence."""
-    names = QUICK_SCENES if quick else SCENES
+    names = ("outer-turn",) if quick else ("outer-turn", "cross", "up-up")
     panels: list[Panel] = []
     for k, name in enumerate(names):
         progress(f"levels, {name}", k / len(names))
@@ -62,7 +61,7 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
     return PrecisionChart(
         name="levels",
         title="Levels of the model: what each costs, and what leaving the next ones out does",
-        panels=tuple(panels),
+        parts=tuple(panels),
         reading=(
             f"Motion: a second of motion's time against the arms' distance, after {WINDOW:g} s, from what the fullest "
             f"level does: a cart of {CART_MASS:g} kg, pushed by the arms, its drive's lag {LAG * 1e3:g} ms.",
@@ -82,7 +81,7 @@ def _panels(scene: Itinerary, *, seeds: int) -> list[Panel]:
     evidence, plans = gather(scene, seeds=seeds)
     found = motions(plans["cart"].reference, scene.model.arms)
     fullest = PLANT_LEVELS[-1]
-    motion = found.panel(
+    motion = found.titled(
         f"{scene.name}: motion", "s per second of motion",
         f"arms' distance from the fullest level after {WINDOW:g} s (scaled)", why=_WHY,
         points=tuple(p for p in found.points if p.method != fullest),
@@ -125,14 +124,12 @@ def _points(
 
 def plant_at(level: str, arms: ArmChainParameters) -> PlantParameters:
     """Return these arms on the cart, on a cart with a drive, or on one that they push."""
-    if level == PlantLevel.CART:
-        return PlantParameters(arms)
-    if level == PlantLevel.DRIVE:
-        return PlantParameters(arms, lag=LAG)
-    return PlantParameters(arms, lag=LAG, cart_mass=CART_MASS, cart_viscous=CART_VISCOUS)
+    lag = 0.0 if level == PlantLevel.CART else LAG
+    cart = {"cart_mass": CART_MASS, "cart_viscous": CART_VISCOUS} if level == PlantLevel.FORCE else {}
+    return PlantParameters(arms, lag=lag, **cart)
 
 
-def motions(reference: Reference, arms: ArmChainParameters) -> Compared:
+def motions(reference: Reference, arms: ArmChainParameters) -> Panel:
     """Return seconds per second of motion, and the rms scaled error of a window against the fullest level, of every
     level on a reference's own motion.
     """
@@ -190,15 +187,6 @@ def _tick(level: str, arms: ArmChainParameters, first: Array, command: float) ->
     return lambda: step(given, out)
 
 
-def shortened(itinerary: Itinerary) -> Itinerary:
-    """Return a scene whose stays last no longer than one that shows how all go on."""
-    parts = tuple(
-        replace(part, seconds=min(part.seconds, LONGEST_STAY)) if isinstance(part, HoldPart | OrbitPart) else part
-        for part in itinerary.parts
-    )
-    return replace(itinerary, parts=parts)
-
-
 def can_be_conservative(itinerary: Itinerary) -> bool:
     """Tell whether a scene can do without friction and cart in its reference: one walk from orbit to orbit, in one."""
     alone = len(itinerary.parts) == 1 and isinstance(itinerary.parts[0], WalkPart)
@@ -207,7 +195,12 @@ def can_be_conservative(itinerary: Itinerary) -> bool:
 
 def gather(itinerary: Itinerary, *, seeds: int) -> tuple[Evidence, dict[str, Plan]]:
     """Return a scene's evidence: its reference's levels on the model itself, its plant's levels; and its plans."""
-    short = shortened(itinerary)
+    # Stays last no longer than what shows how all go on.
+    parts = (
+        replace(part, seconds=min(part.seconds, LONGEST_STAY)) if isinstance(part, HoldPart | OrbitPart) else part
+        for part in itinerary.parts
+    )
+    short = replace(itinerary, parts=tuple(parts))
     levels = REFERENCE_LEVELS if can_be_conservative(itinerary) else REFERENCE_LEVELS[-1:]
     plans = {level: make_plan(replace(short, reference=replace(short.reference, level=level))) for level in levels}
     # One run on a plant that is the model, started on the reference, and runs on plants of each level.

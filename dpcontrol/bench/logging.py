@@ -24,8 +24,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from dpcontrol.bench.chart import Missing, Point, PrecisionChart
-from dpcontrol.bench.measure import Alternative, Compared, Judged, compare
+from dpcontrol.bench.chart import Missing, Panel, Point, PrecisionChart
+from dpcontrol.bench.measure import Alternative, Judged, compare
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.logs import LogWriter, recover
@@ -38,10 +38,6 @@ from dpcontrol.scenes.run_options import RunOptions
 
 Array = NDArray[np.float64]
 
-KILLS, QUICK_KILLS = 20, 5
-TICKS, QUICK_TICKS = 4000, 1000
-CHUNKS, QUICK_CHUNKS = (0.005, 0.01, 0.02, 0.05, 0.2, 1.0), (0.005, 0.02, 0.2)
-LEVELS, QUICK_LEVELS = (-5, 3, 9), (9,)
 SURVIVES = 0.25
 """Share of a run: a format that loses more on average keeps nothing worth having."""
 _SEED = 5
@@ -53,14 +49,16 @@ _WHY = (
 
 def chart(quick: bool, progress: Progress) -> PrecisionChart:
     """Return the chart; quick: one second of a run, fewer kills, chunks and levels."""
-    kinds: list[Format] = [Blocks(chunk) for chunk in (QUICK_CHUNKS if quick else CHUNKS)]
-    kinds += [Blocks(compression=level) for level in (QUICK_LEVELS if quick else LEVELS)]
+    ticks, kills = (1000, 5) if quick else (4000, 20)
+    chunks = (0.005, 0.02, 0.2) if quick else (0.005, 0.01, 0.02, 0.05, 0.2, 1.0)
+    kinds: list[Format] = [Blocks(chunk) for chunk in chunks]
+    kinds += [Blocks(compression=level) for level in ((9,) if quick else (-5, 3, 9))]
     kinds += [ByMessage(1024 * 1024), ByMessage(16 * 1024), ByMessage(16 * 1024, "none")]
     kinds += [Lines(kind, flush=flush) for kind in ("JSON", "CSV") for flush in (False, True)]
     kinds += [Arrays(compressed=False), Arrays(compressed=True), RowGroups(100), RowGroups(1000)]
     with tempfile.TemporaryDirectory() as folder:
-        run = recording(Path(folder), QUICK_TICKS if quick else TICKS)
-        tried = trials(kinds, Path(folder), run, kills=QUICK_KILLS if quick else KILLS, progress=progress)
+        run = recording(Path(folder), ticks)
+        tried = trials(kinds, Path(folder), run, kills=kills, progress=progress)
     seconds = len(run.ticks.times) / run.rate_hz
     alive = tuple(p for p in tried.points if p.error < SURVIVES * seconds)
     lost = tuple(
@@ -74,10 +72,10 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
     return PrecisionChart(
         name="logging",
         title="Logging: loss on a kill and size against the time of a message",
-        panels=(
-            tried.panel("A kill", time, f"mean loss of a run of {seconds:g} s, s", why=_WHY),
-            tried.panel("Size, of what outlives a kill", time, "bytes per tick", points=sizes, missing=lost, why=_WHY),
-            tried.panel("Chunks and compression of our blocks", "bytes per tick", loss, points=blocks, why=_WHY,
+        parts=(
+            tried.titled("A kill", time, f"mean loss of a run of {seconds:g} s, s", why=_WHY),
+            tried.titled("Size, of what outlives a kill", time, "bytes per tick", points=sizes, missing=lost, why=_WHY),
+            tried.titled("Chunks and compression of our blocks", "bytes per tick", loss, points=blocks, why=_WHY,
                         timed=False),
         ),
         reading=(
@@ -123,6 +121,11 @@ class LoggedRun:
     def lines(self) -> list[list[float]]:
         """The rows as Python's numbers."""
         return self.rows.tolist()
+
+    @cached_property
+    def names(self) -> list[str]:
+        """Names of the rows' columns."""
+        return [f"column_{k}" for k in range(self.rows.shape[1])]
 
 
 class Format(ABC):
@@ -223,17 +226,15 @@ class Lines(Format):
         self._flush = flush
 
     def begin(self, path: Path, run: LoggedRun) -> None:
-        self._lines, self._width = run.lines, run.rows.shape[1]
-        self._file = path.open("w")
-        self._csv = csv.writer(self._file) if self.method == "CSV" else None
-        self._names = [f"column_{k}" for k in range(self._width)]
+        self._run, self._file = run, path.open("w")
+        self._csv = csv.writer(self._file)
 
     def add(self, first: int, until: int) -> None:
-        for line in self._lines[first:until]:
-            if self._csv is not None:
+        for line in self._run.lines[first:until]:
+            if self.method == "CSV":
                 self._csv.writerow(line)
             else:
-                self._file.write(json.dumps(dict(zip(self._names, line, strict=True))) + "\n")
+                self._file.write(json.dumps(dict(zip(self._run.names, line, strict=True))) + "\n")
             if self._flush:
                 self._file.flush()
 
@@ -241,8 +242,7 @@ class Lines(Format):
         self._file.close()
 
     def left(self, path: Path) -> int:
-        text = path.read_text()
-        return text.count("\n")
+        return path.read_text().count("\n")
 
 
 class Arrays(Format):
@@ -276,13 +276,12 @@ class RowGroups(Format):
         self.method, self.setting, self.block = "parquet", f"groups of {rows}", rows
 
     def begin(self, path: Path, run: LoggedRun) -> None:
-        self._rows = run.rows
-        self._names = [f"column_{k}" for k in range(run.rows.shape[1])]
-        self._file = pq.ParquetWriter(path, pa.schema([(name, pa.float64()) for name in self._names]))
+        self._run = run
+        self._file = pq.ParquetWriter(path, pa.schema([(name, pa.float64()) for name in run.names]))
 
     def add(self, first: int, until: int) -> None:
-        columns = [pa.array(column) for column in self._rows[first:until].T]
-        self._file.write_table(pa.Table.from_arrays(columns, names=self._names))
+        columns = [pa.array(column) for column in self._run.rows[first:until].T]
+        self._file.write_table(pa.Table.from_arrays(columns, names=self._run.names))
 
     def end(self) -> None:
         self._file.close()
@@ -305,14 +304,17 @@ def recording(folder: Path, ticks: int) -> LoggedRun:
 
 def write(kind: Format, path: Path, run: LoggedRun) -> None:
     """Write a whole run."""
-    count = len(run.ticks.times)
     kind.begin(path, run)
-    for first in range(0, count, kind.block):
-        kind.add(first, min(first + kind.block, count))
+    _hand_over(kind, 0, len(run.ticks.times))
     kind.end()
 
 
-def trials(kinds: list[Format], folder: Path, run: LoggedRun, *, kills: int, progress: Progress) -> Compared:
+def _hand_over(kind: Format, first: int, until: int) -> None:
+    for tick in range(first, until, kind.block):
+        kind.add(tick, min(tick + kind.block, until))
+
+
+def trials(kinds: list[Format], folder: Path, run: LoggedRun, *, kills: int, progress: Progress) -> Panel:
     """Return what formats lose of a run at kills against the seconds of a message."""
     count = len(run.ticks.times)
 
@@ -320,8 +322,8 @@ def trials(kinds: list[Format], folder: Path, run: LoggedRun, *, kills: int, pro
         write(kind, path, run)
         return kind, path
 
-    def judge(_: Alternative[tuple[Format, Path]], found: tuple[Format, Path]) -> Judged:
-        kind, path = found
+    def judge(_: Alternative[tuple[Format, Path]], made: tuple[Format, Path]) -> Judged:
+        kind, path = made
         size = path.stat().st_size / count
         lost = losses(kind, path.with_suffix(".killed"), run, kills=kills)
         others = {"bytes_per_tick": size, "mean_loss": float(np.mean(lost)), "largest_loss": max(lost)}
@@ -347,8 +349,7 @@ def losses(kind: Format, path: Path, run: LoggedRun, *, kills: int) -> list[floa
     for k, moment in enumerate(moments.tolist()):
         # What is handed over in blocks waits until a block is full.
         until = moment // kind.block * kind.block
-        for first in range(done, until, kind.block):
-            kind.add(first, first + kind.block)
+        _hand_over(kind, done, until)
         done = until
         copy = path.with_name(f"killed-{k}")
         shutil.copyfile(kind.growing(path), copy)

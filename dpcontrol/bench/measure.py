@@ -207,25 +207,13 @@ class Judged:
     note: str = ""
 
 
-@dataclass(frozen=True)
-class Compared:
-    """Points of alternatives, seconds that each method needs once, and what has no point."""
-
-    points: tuple[Point, ...]
-    start_up: Mapping[str, float]
-    missing: tuple[Missing, ...]
-
-    def panel(self, title: str, x_label: str, y_label: str, **more: Any) -> Panel:
-        """Return the diagram of these points; more: of `Panel`."""
-        known: dict[str, Any] = {"points": self.points, "start_up": self.start_up, "missing": self.missing}
-        return Panel(title, x_label, y_label, **{**known, **more})
-
-
 def compare(
     alternatives: Sequence[Alternative[T]], judge: Callable[[Alternative[T], T], Judged | str], rounds: int = 31,
     *, starts_up: bool = True, **turns: Any,
-) -> Compared:  # fmt: skip
+) -> Panel:  # fmt: skip
     """Time alternatives in turns and judge each with what its first call returns: a text is why it has no point.
+
+    Returns the points as a diagram that has no title yet.
 
     Work that raises an ArithmeticError, RuntimeError or GoalMissed has none either. rounds, starts_up and turns: of
     `timed_in_turns`.
@@ -258,4 +246,4 @@ def compare(
             Point(one.method, one.setting, run.seconds / one.units, found.error, default=one.default,
                   outside=one.outside, note=found.note, others=found.others, yardstick=run.yardstick)
         )  # fmt: skip
-    return Compared(tuple(points), start_up, tuple(missing))
+    return Panel("", "", "", tuple(points), start_up, tuple(missing))

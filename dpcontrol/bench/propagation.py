@@ -13,7 +13,7 @@ symplectic; s = 1 is the implicit midpoint rule. The stages' equations are solve
 Source: Hairer, Lubich & Wanner, Geometric Numerical Integration (2006), sections II.1.3 and VIII.6.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from typing import Any
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from dpcontrol.bench.chart import Panel, PrecisionChart
-from dpcontrol.bench.measure import Alternative, Compared, Judged, compare
+from dpcontrol.bench.measure import Alternative, Judged, compare
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import Compiled, fixed_step
@@ -64,16 +64,19 @@ def symplectic_gauss(equations: Equations, stages: int) -> ca.Function:
     mass = ca.Function("mass", [x, p], [equations.mass_matrix])
     energy = ca.Function("energy", [x, p], [equations.hamiltonian])
     z = ca.SX.sym("z", 2 * n)
-    rates = _solved(mass(ca.vertcat(z[:n], ca.SX.zeros(n)), p), z[n:])
+    rates = ca.solve(mass(ca.vertcat(z[:n], ca.SX.zeros(n)), p), z[n:])
     slope = ca.gradient(energy(ca.vertcat(z[:n], rates), p), z)
     f = ca.Function("canonical", [z, p], [ca.cse(ca.vertcat(slope[n:], -slope[:n]))])
     first = ca.vertcat(x[:n], ca.mtimes(mass(x, p), x[n:]))
-    a, b = _gauss_tableau(stages)
+    # As the method that transcribes references has it: its points, and integrals of the polynomials through them.
+    method = gauss(stages)
+    powers = method.points[:, None] ** np.arange(stages + 1)
+    a = np.linalg.solve(powers[:, :-1].T, (powers[:, 1:] / np.arange(1, stages + 1)).T).T
     slopes = [f(first, p)] * stages
     for _ in range(SUBSTITUTIONS):
         slopes = [f(first + h * sum(float(a[i, j]) * slopes[j] for j in range(stages)), p) for i in range(stages)]
-    last = first + h * sum(float(b[i]) * slopes[i] for i in range(stages))
-    back = ca.vertcat(last[:n], _solved(mass(ca.vertcat(last[:n], ca.SX.zeros(n)), p), last[n:]))
+    last = first + h * sum(float(method.weights[i]) * slopes[i] for i in range(stages))
+    back = ca.vertcat(last[:n], ca.solve(mass(ca.vertcat(last[:n], ca.SX.zeros(n)), p), last[n:]))
     return _step(equations, h, back)
 
 
@@ -83,55 +86,41 @@ def _step(equations: Equations, h: ca.SX, following: ca.SX) -> ca.Function:
     return ca.Function("scheme", arguments, [ca.cse(ca.densify(following))], names, ["following"])
 
 
-def _solved(matrix: ca.SX, right: ca.SX) -> ca.SX:
-    return ca.solve(matrix, right)
-
-
-def _gauss_tableau(stages: int) -> tuple[Array, Array]:
-    """Return a (s, s) and b (s,) of Gauss collocation, from the method that transcribes references."""
-    method = gauss(stages)
-    powers = method.points[:, None] ** np.arange(stages)
-    integrals = method.points[:, None] ** np.arange(1, stages + 1) / np.arange(1, stages + 1)
-    a: Array = np.linalg.solve(powers.T, integrals.T).T.astype(np.float64)
-    return a, method.weights
-
-
 class Stepper:
     """Flies states (N, S) by steps of one length, parameters (p,) and inputs (m,) held; not to be shared."""
 
     def __init__(self, function: ca.Function, parameters: Array, *, lanes: int = 0) -> None:
-        self.step = Compiled(function)
+        self._step = Compiled(function)
         shape = (lanes,) if lanes else ()
-        self._inputs = np.zeros((self.step.size_in, *shape))
-        self._parameters = parameters.reshape(-1, *([1] * len(shape)))
-        self._out = np.zeros((self.step.size_out, *shape))
+        self._given, self._out = (np.zeros((size, *shape)) for size in (self._step.size_in, self._step.size_out))
+        self._given[self._step.slices["parameters"]] = parameters.reshape(-1, *([1] * len(shape)))
 
     def fly(self, states: Array, duration: float, *, step: float, command: float = 0.0) -> Array:
         """Return the states (N,) or (N, S) after `duration` s in steps of about `step` s."""
-        at, slices, into = self._inputs, self.step.slices, self._out
+        given, slices, call = self._given, self._step.slices, self._step
         count = max(1, round(duration / step))
-        at[slices["parameters"]] = self._parameters
-        at[slices["inputs"]] = command
-        at[slices["duration"]] = duration / count
-        state = at[slices["state"]]
+        given[slices["inputs"]], given[slices["duration"]] = command, duration / count
+        state = given[slices["state"]]
         state[:] = states
-        call = self.step
         for _ in range(count):
-            state[:] = call(at, into)
+            state[:] = call(given, self._out)
         return state.copy()
 
 
-def buffered_rate(equations: Equations, parameters: Array) -> Callable[[float, Array], Array]:
-    """Return the equations' rate (t, x) -> (N,) for scipy, through casadi's buffers; the result is overwritten."""
-    function = ca.Function("rate", [equations.state, equations.parameters], [ca.densify(equations.rate)])
-    x, p, out = np.zeros(equations.dimension), np.array(parameters, dtype=float), np.zeros(equations.dimension)
+def buffered_rate(equations: Equations, parameters: Array, command: float = 0.0) -> Callable[[float, Array], Array]:
+    """Return the equations' rate (t, x) -> (N,) for scipy, the input held at `command`, through casadi's buffers."""
+    arguments = [equations.state, equations.inputs, equations.parameters]
+    function = ca.Function("rate", arguments, [ca.densify(equations.rate)])
+    x, out = np.zeros(equations.dimension), np.zeros(equations.dimension)
+    held = np.full(equations.input_count, command), np.array(parameters, dtype=float)
     buffer: Any
     buffer, run = function.buffer()
-    buffer.set_arg(0, memoryview(x.data))
-    buffer.set_arg(1, memoryview(p.data))
+    for k, array in enumerate((x, *held)):
+        if array.size:
+            buffer.set_arg(k, memoryview(array.data))
     buffer.set_res(0, memoryview(out.data))
     # The run points into the buffer and the arrays but owns none of them: they must live as long as it does.
-    keep = (function, buffer, p)
+    keep = (function, buffer, held)
 
     def rate(_: float, state: Array, keep: object = keep) -> Array:
         x[:] = state
@@ -179,10 +168,10 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
     return PrecisionChart(
         name="propagation",
         title="Propagation: time against error",
-        panels=(
-            along.panel(f"trajectory of a tube, {tube.duration:.2f} s", label, "error, scaled"),
-            chaotic.panel(title, label, "error, scaled"),
-            chaotic.panel(
+        parts=(
+            along.titled(f"trajectory of a tube, {tube.duration:.2f} s", label, "error, scaled"),
+            chaotic.titled(title, label, "error, scaled"),
+            chaotic.titled(
                 f"{title}: energy", label, "energy drift, share of the scale", points=drifts, floor=ENERGY_ROUNDING,
                 judged=False,
             ),
@@ -236,7 +225,7 @@ def work_of(system: System, states: Array, duration: float) -> Work:
     return Work(system, states, duration, np.array([exact.flow(extended(x), length) for x in states]).astype(float))
 
 
-def compared(tried: list[Alternative[Array]], work: Work, *, quick: bool, progress: Progress = no_progress) -> Compared:
+def compared(tried: list[Alternative[Array]], work: Work, *, quick: bool, progress: Progress = no_progress) -> Panel:
     """Fly each candidate; what cannot be flown is missing with its reason."""
 
     def judge(_: Alternative[Array], arrived: Array) -> Judged | str:
@@ -268,23 +257,20 @@ def _together(fly: Callable[..., Array], states: Array, *args: Any, **more: Any)
     return lambda: fly(states.T, *args, **more).T
 
 
-def _taylor(work: Work, *, batches: bool) -> list[Alternative[Array]]:
-    system, states = work.system, work.states
-    found = []
+def _taylor(work: Work, *, batches: bool) -> Iterator[Alternative[Array]]:
+    states, seconds = work.states, work.duration
     for tolerance in TOLERANCES:
-        one = Propagator(system.equations, system.parameters, tolerance=tolerance)
+        one = Propagator(work.system.equations, work.system.parameters, tolerance=tolerance)
         label, count = f"{tolerance:.0e}" if tolerance else "rounding", len(states)
         # The product flies one trajectory by itself, many in a batch.
-        alone = not tolerance and not batches
-        found.append(Alternative("Taylor", label, _each(one.flow, states, work.duration), alone, units=count))
+        yield Alternative("Taylor", label, _each(one.flow, states, seconds), not (tolerance or batches), units=count)
         if batches:
-            many = partial(one.flows, states, np.full(count, work.duration))
-            found.append(Alternative("Taylor, 8 at once", label, many, not tolerance, units=count))
-    return found
+            many = partial(one.flows, states, np.full(count, seconds))
+            yield Alternative("Taylor, 8 at once", label, many, not tolerance, units=count)
 
 
-def _stepped(work: Work, *, batches: bool, quick: bool) -> list[Alternative[Array]]:
-    parameters, equations = work.system.parameters, work.system.equations
+def _stepped(work: Work, *, batches: bool, quick: bool) -> Iterator[Alternative[Array]]:
+    parameters, equations, lanes = work.system.parameters, work.system.equations, len(work.states)
     schemes = {
         "RK4, compiled": runge_kutta_4(equations),
         "DOP853 step, compiled": fixed_step(equations),
@@ -292,59 +278,49 @@ def _stepped(work: Work, *, batches: bool, quick: bool) -> list[Alternative[Arra
         "Gauss 4, symplectic": symplectic_gauss(equations, 2),
         "Gauss 6, symplectic": symplectic_gauss(equations, 3),
     }
-    found, lanes = [], len(work.states)
+    some = work.states[:2]
     for method, function in schemes.items():
         one, many = Stepper(function, parameters), Stepper(function, parameters, lanes=lanes)
         for step in STEPS[1::2] if quick else STEPS:
-            label, some = f"{1e3 * step:g} ms", work.states[:2]
-            found.append(Alternative(method, label, _each(one.fly, some, work.duration, step=step), units=len(some)))
+            label = f"{1e3 * step:g} ms"
+            yield Alternative(method, label, _each(one.fly, some, work.duration, step=step), units=len(some))
             if batches and "compiled" in method:
                 fly = _together(many.fly, work.states, work.duration, step=step)
-                found.append(Alternative(f"{method}, {lanes} at once", label, fly, units=lanes))
-    return found
+                yield Alternative(f"{method}, {lanes} at once", label, fly, units=lanes)
 
 
-def _casadi(work: Work, states: Array) -> list[Alternative[Array]]:
+def _casadi(work: Work, states: Array) -> Iterator[Alternative[Array]]:
     e, parameters = work.system.equations, ca.DM(work.system.parameters)
     program = {"x": e.state, "p": e.parameters, "ode": e.rate}
+    # The error shows where steps stalled.
+    patient = {"max_num_steps": 1_000_000, "disable_internal_warnings": True}
     cases: list[tuple[str, str, str, dict[str, Any]]] = [
-        # The error shows where its steps stalled.
-        (kind.upper(), f"{tolerance:.0e}", kind,
-         {"reltol": tolerance, "abstol": tolerance, "max_num_steps": 1_000_000, "disable_internal_warnings": True})
-        for kind in ("cvodes", "idas")
-        for tolerance in ((1e-12, 1e-9, 1e-6) if kind == "cvodes" else (1e-9, 1e-6))
-    ]  # fmt: skip
+        (kind.upper(), f"{tolerance:.0e}", kind, {"reltol": tolerance, "abstol": tolerance, **patient})
+        for kind, tolerances in (("cvodes", (1e-12, 1e-9, 1e-6)), ("idas", (1e-9, 1e-6)))
+        for tolerance in tolerances
+    ]
     cases += [
         ("RK of CasADi", f"{1e3 * step:g} ms", "rk", {"number_of_finite_elements": round(work.duration / step)})
         for step in (1e-3, 5e-3)
     ]
-    found = []
     for method, label, kind, options in cases:
         flow = ca.integrator("flow", kind, program, 0.0, work.duration, options)
-        found.append(Alternative(method, label, _each(partial(_by_casadi, flow, p=parameters), states),
-                               units=len(states)))  # fmt: skip
-    return found
+        yield Alternative(method, label, _each(partial(_by_casadi, flow, p=parameters), states), units=len(states))
 
 
 def _by_casadi(flow: ca.Function, x: Array, **known: Any) -> Array:
     return np.array(flow(x0=x, **known)["xf"]).ravel()
 
 
-def _scipy(work: Work, states: Array, *, quick: bool) -> list[Alternative[Array]]:
+def _scipy(work: Work, states: Array, *, quick: bool) -> Iterator[Alternative[Array]]:
     rate = buffered_rate(work.system.equations, work.system.parameters)
-    cases: list[tuple[str, float, dict[str, Any]]] = [
-        (method, tolerance, {}) for method in ("DOP853", "LSODA") for tolerance in (1e-12, 1e-9, 1e-6)
-    ]
+    cases = [(method, tolerance, {}) for method in ("DOP853", "LSODA") for tolerance in (1e-12, 1e-9, 1e-6)]
     # Radau may repeat a last step of nearly no length without end: the rate's calls are counted.
     more = {"jac": lambda _, x: work.system.numeric.jacobian(x), "max_step": 0.05}
     cases += [("Radau", tolerance, more) for tolerance in ((1e-6,) if quick else (1e-8, 1e-6))]
-    return [
-        Alternative(
-            f"{method} of scipy", f"{tolerance:.0e}",
-            _each(partial(_by_scipy, rate, work.duration, method, tolerance, options), states), units=len(states),
-        )
-        for method, tolerance, options in cases
-    ]  # fmt: skip
+    for method, tolerance, options in cases:
+        fly = _each(partial(_by_scipy, rate, work.duration, method, tolerance, options), states)
+        yield Alternative(f"{method} of scipy", f"{tolerance:.0e}", fly, units=len(states))
 
 
 def _by_scipy(
@@ -397,26 +373,19 @@ def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Panel, Panel]
     model = SampledModel(equations, parameters, period=TICK)
     program = {"x": equations.state, "u": equations.inputs, "p": equations.parameters, "ode": equations.rate}
     cvodes = ca.integrator("tick", "cvodes", program, 0.0, TICK, {"reltol": 1e-10, "abstol": 1e-10})
-    rate = equations.function()
-
-    def slope(_: float, y: Array) -> Array:
-        return np.array(rate(y, COMMAND, parameters)).ravel()
-
+    rate = buffered_rate(equations, parameters, COMMAND)
     found = [
         ("Taylor", "rounding", _each(plant.flow, states, np.array([COMMAND]), TICK), False),
         ("RK4 of CasADi, buffered", "filter's model", _each(model.step, states, COMMAND), True),
         ("CVODES", "1e-10", _each(partial(_by_casadi, cvodes, u=COMMAND, p=parameters), states), False),
-        ("DOP853 of scipy", "1e-10", _each(partial(_by_scipy, slope, TICK, "DOP853", 1e-10, {}), states), False),
+        ("DOP853 of scipy", "1e-10", _each(partial(_by_scipy, rate, TICK, "DOP853", 1e-10, {}), states), False),
     ]
-    for label, function, pieces, flown in (
-        ("RK4, compiled", runge_kutta_4(equations), (1, 2), False),
-        ("DOP853 step, compiled", fixed_step(equations), (1,), True),
-    ):
+    steppers = [("RK4, compiled", runge_kutta_4(equations), pieces, False) for pieces in (1, 2)]
+    for label, function, pieces, flown in [*steppers, ("DOP853 step, compiled", fixed_step(equations), 1, True)]:
         one, many = Stepper(function, parameters), Stepper(function, parameters, lanes=LANES)
-        for count in pieces:
-            setting, how = f"{count} step{'s' * (count > 1)}", {"step": TICK / count, "command": COMMAND}
-            found.append((label, setting, _each(one.fly, states, TICK, **how), flown))
-            found.append((f"{label}, {LANES} at once", setting, _together(many.fly, states, TICK, **how), flown))
+        setting, how = f"{pieces} step{'s' * (pieces > 1)}", {"step": TICK / pieces, "command": COMMAND}
+        found.append((label, setting, _each(one.fly, states, TICK, **how), flown))
+        found.append((f"{label}, {LANES} at once", setting, _together(many.fly, states, TICK, **how), flown))
     tried = [Alternative(*one, units=LANES) for one in found]
 
     def judge(_: Alternative[Array], arrived: Array) -> Judged:
@@ -424,7 +393,7 @@ def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Panel, Panel]
 
     ticks = compare(tried, judge, rounds=9 if quick else 25)
     alone, together = (
-        ticks.panel(f"a tick of 1 ms, {what}", "time, s per tick", "error, scaled", floor=TICK_ROUNDING,
+        ticks.titled(f"a tick of 1 ms, {what}", "time, s per tick", "error, scaled", floor=TICK_ROUNDING,
                     points=tuple(p for p in ticks.points if ("at once" in p.method) is many))
         for what, many in (("one run", False), (f"{LANES} runs", True))
     )  # fmt: skip

@@ -60,7 +60,7 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
     return PrecisionChart(
         name="transcription",
         title="Transcription: time against error between nodes, and against cost",
-        panels=(
+        parts=(
             *method_panels(problem, part_of(progress, 0.05, 0.6), quick=quick),
             refined_panel(problem, part_of(progress, 0.6, 0.85), quick=quick),
             outside_panel(problem, part_of(progress, 0.85, 1.0), quick=quick),
@@ -105,13 +105,9 @@ def transcribed(problem: ReferenceProblem, name: str, interval: float, solver: s
 def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool) -> tuple[Panel, Panel]:
     """Return the diagrams of error between nodes and of cost, from the same solutions."""
     finest = transcribed(problem, *FINEST).cost
-    cases = [
-        ReferenceSettings(method=name, interval=interval) for name, interval in (QUICK if quick else QUICK + WHOLE)
-    ]
-    cases += [
-        ReferenceSettings(method=name, interval=interval, solver="fatrop")
-        for name, interval in (("radau-7", 0.05), ("radau-5", 0.02))[: 1 if quick else 2]
-    ]
+    cases = [("ipopt", *case) for case in (QUICK if quick else QUICK + WHOLE)]
+    cases += [("fatrop", *case) for case in (("radau-7", 0.05), ("radau-5", 0.02))[: 1 if quick else 2]]
+    settings = [ReferenceSettings(method=name, interval=interval, solver=solver) for solver, name, interval in cases]
 
     def judge(_: Alternative[Solved], solved: Solved) -> Judged | str:
         if not solved.succeeded:
@@ -119,20 +115,21 @@ def method_panels(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         others = {"cost": solved.cost, "iterations": float(solved.iterations)}
         return Judged(float(error_between_nodes(problem, solved.trajectory).max()), others)
 
-    tried = [_candidate(s, partial(transcribed, problem, s.method, s.interval, s.solver), problem) for s in cases]
+    tried = [_candidate(s, partial(transcribed, problem, s.method, s.interval, s.solver), problem) for s in settings]
     found = compare(tried, judge, **_turns(quick=quick), progress=progress)
     costs = tuple(replace(p, error=abs(p.others["cost"] / finest - 1)) for p in found.points)
     label = f"cost, off {FINEST[0]} at {1e3 * FINEST[1]:g} ms, share"
     return (
-        found.panel("one even mesh: error", TIME, "error between nodes, scaled"),
-        found.panel("one even mesh: cost", TIME, label, points=costs),
+        found.titled("one even mesh: error", TIME, "error between nodes, scaled"),
+        found.titled("one even mesh: cost", TIME, label, points=costs),
     )
 
 
 def _candidate(s: ReferenceSettings, work: Callable[[], T], problem: ReferenceProblem) -> Alternative[T]:
     """Return a candidate named by its method, interval, solver and tolerance."""
-    label = f"{1e3 * s.interval:g} ms{'' if s.solver == 'ipopt' else ', ' + s.solver}"
-    label += "" if s.tolerance == ReferenceSettings().tolerance else f", to {s.tolerance:.0e}"
+    chosen = ReferenceSettings()
+    label = f"{1e3 * s.interval:g} ms{'' if s.solver == chosen.solver else ', ' + s.solver}"
+    label += "" if s.tolerance == chosen.tolerance else f", to {s.tolerance:.0e}"
     return Alternative(s.method, label, work, units=problem.duration)
 
 
@@ -158,7 +155,7 @@ def refined_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         return Judged(found.max_error_between_nodes) if found.converged else found.status
 
     tried = [replace(_candidate(s, partial(find_reference, problem, s), problem), default=s == chosen) for s in cases]
-    return compare(tried, judge, **_turns(quick=quick), progress=progress).panel(
+    return compare(tried, judge, **_turns(quick=quick), progress=progress).titled(
         f"mesh refined to {chosen.tolerance:.0e}", TIME, "error between nodes, scaled", floor=chosen.tolerance,
         why="what the error falls to below the tolerance is chance; the tolerance is what is asked for",
     )  # fmt: skip
@@ -186,13 +183,14 @@ def outside_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         Alternative(settings.method, f"to {t:.0e}", partial(by_us, t), default=t == ReferenceSettings().tolerance)
         for t in ((1e-4, 1e-6) if quick else (1e-3, 1e-4, 1e-6, 1e-8))
     ]
-    if has_rockit():
+    installed = find_spec("rockit") is not None
+    if installed:
         tried += [
             Alternative("rockit", f"{n} intervals", partial(by_rockit, short, settings, n), outside=True)
             for n in ((25,) if quick else (25, 50, 100, 200))
         ]
     points = compare(tried, judge, **_turns(quick=quick, quick_most=0.6, most=3.0), progress=progress).points
-    if not has_rockit():
+    if not installed:
         ours = next(p.seconds for p in points if p.default)
         points += tuple(
             Point("rockit 0.6.7 (stored)", f"{n} intervals", ours * slower, error, outside=True, stored=True,
@@ -203,11 +201,6 @@ def outside_panel(problem: ReferenceProblem, progress: Progress, *, quick: bool)
         f"the first {STRETCH:g} s, free of the guess", "time, s", "error of the states, scaled", points,
         why="interval and tolerance are chosen for whole itineraries, where the error matters",
     )  # fmt: skip
-
-
-def has_rockit() -> bool:
-    """Tell whether rockit can be imported."""
-    return find_spec("rockit") is not None
 
 
 def by_rockit(problem: ReferenceProblem, settings: ReferenceSettings, intervals: int) -> tuple[Array, Array]:

@@ -159,7 +159,7 @@ def test_refined_connections_are_at_rounding_and_two_flights_are_not(system):
     orbit = lyapunov_orbit(system, "down-up", energy=connections.ENERGY)
     truths = connections.true_states(orbit, count=1)
     # The double search against 113 bits.
-    assert connections.worst(orbit, [truths[0].state], truths) < 1e-13
+    assert connections.worst(orbit, [truths[0][0]], truths) < 1e-13
     near, far = (connections.worst(orbit, connections._two_flights(orbit, d), truths) for d in (3e-4, 1e-2))
     assert 1e-13 < near < 0.1 * far
     assert connections.worst(orbit, [], truths) == float("inf")

@@ -5,9 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from dpcontrol.bench.edges import DEFAULT, SADDLE, default_states, found_all, near_border
+from dpcontrol.bench.edges import SADDLE, default_states, found_all, near_border
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes.intersections import ConnectionSettings
 
 
 @cache
@@ -29,7 +30,7 @@ def test_seeds_too_near_lose_connections_and_the_search_says_so():
     assert 1e-9 < found.far < found.near < 4e-6
     assert "searches miss connections; at least" in found.says
     # The default is far from both borders.
-    assert 50 * found.far < DEFAULT < 0.2 / 100
+    assert 50 * found.far < ConnectionSettings().distance < 0.2 / 100
 
 
 def test_seeds_too_far_lose_connections_and_the_search_says_so():
