@@ -296,7 +296,7 @@ def recording(folder: Path, ticks: int) -> LoggedRun:
     """Return the first ticks of a run of the outer turn, with its messages."""
     scene = load_itinerary("outer-turn").with_run(RunOptions(mismatch=0.02, initial_error=0.02), seed=3)
     arms = scene.model.arms
-    flown = run_loop(make_plan(scene).reference, arms, settings=scene.loop).ticks.head(ticks)
+    flown = run_loop(make_plan(scene).reference, arms, settings=scene.loop).ticks.between(0, ticks)
     run = LoggedRun(flown, folder / "source.mcap", arms.length, scene.loop.rate)
     write(Blocks(), run.log, run)
     return run
