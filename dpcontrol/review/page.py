@@ -153,10 +153,12 @@ def badge(axes: Axes, number: int, x: float, y: float, *, size: float = 7.5) -> 
 
 
 def wrapped_runs(curve: Array, periods: tuple[float | None, ...]) -> list[Array]:
-    """Return a curve (K, D) as runs with each coordinate inside one period about zero, cut where it leaves."""
-    finite = np.array([period if period else np.inf for period in periods])
-    turns = np.where(np.isfinite(finite), np.rint(curve / finite), 0.0)
-    lengths = np.where(np.isfinite(finite), finite, 0.0)
+    """Return a curve (K, D) as runs with each coordinate inside one period about zero, cut where it leaves.
+
+    periods: (D,), None or zero where there is none.
+    """
+    lengths = np.array([period or 0.0 for period in periods])
+    turns = np.rint(curve / np.where(lengths, lengths, np.inf))
     breaks = np.flatnonzero((np.diff(turns, axis=0) != 0).any(axis=1)) + 1
     runs = []
     for start, end in zip(np.r_[0, breaks], np.r_[breaks, len(curve)], strict=True):

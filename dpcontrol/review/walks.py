@@ -22,7 +22,6 @@ from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.review import page, style
 from dpcontrol.review.motion import PlanView, RunView, Stay
 from dpcontrol.review.page import (
-    angle_axis,
     badge,
     draw_chart,
     frame_place,
@@ -71,15 +70,14 @@ class WalkStory:
     @cached_property
     def saddles(self) -> tuple[str, ...]:
         """The saddles whose orbits the walk visits, in the order of its visits."""
-        chain = self.orbit.connections
-        return tuple(dict.fromkeys([chain[0].source.saddle, *(c.target.saddle for c in chain)]))
+        return tuple(self.curves)
 
     @cached_property
     def curves(self) -> dict[str, OrbitCurve]:
-        """The periodic orbits of the walk, by saddle."""
-        orbits = {c.source.saddle: c.source for c in self.orbit.connections}
-        orbits |= {c.target.saddle: c.target for c in self.orbit.connections}
-        return {saddle: OrbitCurve(orbits[saddle]) for saddle in self.saddles}
+        """The periodic orbits of the walk, by saddle, in the order of its visits."""
+        chain = self.orbit.connections
+        orbits = {orbit.saddle: orbit for orbit in (chain[0].source, *(c.target for c in chain))}
+        return {saddle: OrbitCurve(orbit) for saddle, orbit in orbits.items()}
 
     @cached_property
     def times(self) -> Array:
@@ -97,11 +95,6 @@ class WalkStory:
     def crossings(self) -> Array:
         """States (k, N) where the symbols cross their sections."""
         return self.orbit.sample(self.orbit.symbol_times)
-
-    @cached_property
-    def distances(self) -> dict[str, Array]:
-        """Scaled distance (K,) of each sample from each periodic orbit, by saddle."""
-        return {saddle: curve.distances(self.states)[1] for saddle, curve in self.curves.items()}
 
     @property
     def has_angles(self) -> bool:
@@ -131,6 +124,12 @@ class WalkStory:
         orbit, count = self.orbit, len(self.orbit.symbol_times)
         kind = "A periodic orbit" if orbit.periodic else "An orbit"
         energy = f"{orbit.connections[0].source.energy:g}{' J' if self.has_angles else ''}"
+        symbols = zip(orbit.symbol_times.tolist(), map(symbol_text, orbit.connections), strict=True)
+        stays = (
+            Stay(w.start, w.end, w.saddle, f"{w.saddle} {w.wraps}×{' ↻' if w.closing else ''}")
+            for w in self.wobbles()
+            if w.end > w.start
+        )
         return RunView(
             path=Path(),
             title=f"{kind} of {model} at {energy} that follows {count} symbol{'s' if count > 1 else ''}",
@@ -141,17 +140,7 @@ class WalkStory:
             has_cart=False,
             rate_hz=len(self.times) / orbit.duration,
             verdict=self._verdict(),
-            plan=PlanView(
-                symbols=tuple(
-                    (float(t), symbol_text(c)) for t, c in zip(orbit.symbol_times, orbit.connections, strict=True)
-                ),
-                planned=tuple(
-                    Stay(w.start, w.end, w.saddle, f"{w.saddle} {w.wraps}×{' ↻' if w.closing else ''}")
-                    for w in self.wobbles()
-                    if w.end > w.start
-                ),
-                duration=orbit.duration,
-            ),
+            plan=PlanView(symbols=tuple(symbols), planned=tuple(stays), duration=orbit.duration),
         )
 
     def _verdict(self) -> str:
@@ -181,9 +170,9 @@ class WalkStory:
     def nearness(self) -> Chart:
         """Return how near the orbit comes to the periodic orbits."""
         lines = tuple(
-            Line(saddle, saddle, saddle, self.times, np.maximum(self.distances[saddle], 1e-16),
+            Line(saddle, saddle, saddle, self.times, np.maximum(curve.distances(self.states)[1], 1e-16),
                  style.saddle_colour(saddle))
-            for saddle in self.saddles
+            for saddle, curve in self.curves.items()
         )  # fmt: skip
         title = "Distance from the periodic orbits (scaled)"
         level = LevelLine("", "wobbles are counted below", NEAR, style.MARK, "named")
@@ -202,11 +191,10 @@ def symbol_words(connection: Connection) -> str:
     source, target = connection.source.saddle, connection.target.saddle
     if source != target:
         return f"crosses from {source} to {target}"
-    angular = np.isfinite(connection.source.system.periods)
-    if not angular.any():
+    if not np.isfinite(connection.source.system.periods).any():
         return f"leaves {source} and comes back"
-    arms = ("inner arm", "outer arm") if len(connection.winding) == 2 else tuple(
-        f"arm {k + 1}" for k in range(len(connection.winding)))  # fmt: skip
+    count = len(connection.winding)
+    arms = ("inner arm", "outer arm") if count == 2 else [f"arm {k + 1}" for k in range(count)]
     turns = []
     for arm, count in zip(arms, connection.winding, strict=True):
         if count:
@@ -237,31 +225,23 @@ def space(axes: Axes, story: WalkStory) -> None:
         axes.plot(*copy[:, picked].T, color=style.saddle_colour(saddle), linewidth=4.0, alpha=0.4)
     curve = np.column_stack([story.states[:, picked], story.times])
     start = np.append(_window(story, lifted)[picked], 0.0)
-    periods = (*(_periods(story)[k] for k in picked), None)
-    runs = [curve] if lifted else [run + start for run in wrapped_runs(curve - start, periods)]
+    lengths = _lengths(story)[picked]
+    runs = [curve] if lifted else [run + start for run in wrapped_runs(curve - start, (*lengths, None))]
     for run in runs:
-        pieces = np.stack([run[:-1, :3], run[1:, :3]], axis=1)
-        share = run[:-1, 3] / story.orbit.duration
-        axes.add_collection3d(Line3DCollection(list(pieces), colors=TIME(share), linewidths=1.1))  # type: ignore[attr-defined]
+        colours = TIME(run[:-1, 3] / story.orbit.duration)
+        axes.add_collection3d(Line3DCollection(_pieces(run[:, :3]), colors=colours, linewidths=1.1))  # type: ignore[attr-defined]
     axes.auto_scale_xyz(*np.vstack([run[:, :3] for run in runs]).T)  # type: ignore[attr-defined]
     points = story.crossings[:, picked]
     if not lifted:
-        turns = np.array([p or np.inf for p in periods[:3]])
-        points = points - np.rint((points - start[:3]) / turns) * np.where(np.isfinite(turns), turns, 0.0)
+        points = points - np.rint((points - start[:3]) / np.where(lengths, lengths, np.inf)) * lengths
     for point, time in zip(points, story.orbit.symbol_times, strict=True):
         axes.plot(*point[:, None], "o", color=TIME(time / story.orbit.duration), markersize=5, markeredgecolor="white")
     if len(points) <= NAMED:
         for members in _together(points):
             text = ", ".join(str(k + 1) for k in members)
             axes.text(*points[members[0]], f"  {text}", fontsize=8.5, weight="bold", color=style.INK, zorder=9)  # type: ignore[call-arg]
-    labels = ("θ₁ (rad)", "θ₂ (rad)", "ω₁ (rad/s)") if story.has_angles else ("x", "y", "x rate")
-    for which, label in zip("xyz", labels, strict=True):
-        getattr(axes, f"set_{which}label")(label, fontsize=9)
-        if which != "z" and story.has_angles:
-            angle_axis(axes, which, step=1.0)
-    axes.view_init(elev=22, azim=-122)  # type: ignore[attr-defined]
+    page.quiet_space(axes, angular=story.has_angles)
     axes.set_box_aspect((1, 1, 0.85), zoom=1.06)  # type: ignore[attr-defined]
-    axes.tick_params(labelsize=8, colors=style.CART)
     if not story.has_angles:
         axes.locator_params(nbins=4)
     how = ", angles with whole turns counted" if lifted else ", angles modulo 2π"
@@ -269,17 +249,23 @@ def space(axes: Axes, story: WalkStory) -> None:
     axes.set_title(f"The orbit{how}; dark to light: time", loc="left", fontsize=10, color=style.INK, y=1.0)
 
 
-def _periods(story: WalkStory) -> tuple[float | None, ...]:
-    """Return the period of each coordinate, None where it is not an angle."""
-    return tuple(float(p) if np.isfinite(p) else None for p in story.orbit.connections[0].source.system.periods)
+def _pieces(points: Array) -> list[Array]:
+    """Return the segments (2, D) between points (K, D), each to be drawn in a colour of its own."""
+    return list(np.stack([points[:-1], points[1:]], axis=1))
+
+
+def _lengths(story: WalkStory) -> Array:
+    """Return the period (N,) of each coordinate, zero where it is not an angle."""
+    periods = story.orbit.connections[0].source.system.periods
+    return np.where(np.isfinite(periods), periods, 0.0)
 
 
 def _window(story: WalkStory, lifted: bool) -> Array:
     """Return the middle (N,) of the period that is drawn: bounds lie where no periodic orbit is cut by them."""
     middle = np.zeros(story.states.shape[1])
     samples = np.vstack([curve.samples for curve in story.curves.values()])
-    for k, period in enumerate(_periods(story)):
-        if period is None or lifted:
+    for k, period in enumerate(_lengths(story)):
+        if not period or lifted:
             continue
         taken = np.sort(samples[:, k] % period)
         gaps = np.diff(taken, append=taken[0] + period)
@@ -295,11 +281,11 @@ def _together(points: Array) -> list[list[int]]:
     span = np.maximum(np.ptp(points, axis=0), 1.0)
     groups: list[list[int]] = []
     for k, point in enumerate(points):
-        near = [g for g in groups if np.abs((points[g[0]] - point) / span).max() < _TOGETHER]
-        if near:
-            near[0].append(k)
-        else:
-            groups.append([k])
+        near = (g for g in groups if np.abs((points[g[0]] - point) / span).max() < _TOGETHER)
+        group = next(near, None)
+        if group is None:
+            groups.append(group := [])
+        group.append(k)
     return groups
 
 
@@ -308,8 +294,8 @@ def _base_orbits(story: WalkStory, lifted: bool) -> list[tuple[Array, str]]:
     chain, offsets = story.orbit.connections, story.orbit.offsets
     closed = {name: np.vstack([curve.samples, curve.samples[:1]]) for name, curve in story.curves.items()}
     if not lifted:
-        middle, periods = _window(story, lifted), _periods(story)
-        return [(run + middle, name) for name, curve in closed.items() for run in wrapped_runs(curve - middle, periods)]
+        middle, lengths = _window(story, lifted), tuple(_lengths(story))
+        return [(run + middle, name) for name, curve in closed.items() for run in wrapped_runs(curve - middle, lengths)]
     turn = chain[0].source.system.turn_lengths
     names = [chain[0].source.saddle, *(c.target.saddle for c in chain)]
     places = {(name, tuple(offset)): closed[name] + offset * turn for name, offset in zip(names, offsets, strict=True)}
@@ -324,16 +310,13 @@ def plane(axes: Axes, story: WalkStory) -> None:
         centre = curve.orbit.centre
         axes.plot(*centre[:2], "+", color=style.INK, markersize=8)
         axes.annotate(f" {saddle}", (float(centre[0]), float(centre[1])), fontsize=9, color=style.INK)
-    pieces = np.stack([story.states[:-1, :2], story.states[1:, :2]], axis=1)
     colours = TIME(story.times[:-1] / story.orbit.duration)
-    axes.add_collection(LineCollection(list(pieces), colors=colours, linewidths=1.2, zorder=3))
+    axes.add_collection(LineCollection(_pieces(story.states[:, :2]), colors=colours, linewidths=1.2, zorder=3))
     axes.autoscale_view()
     for k, state in enumerate(story.crossings):
         badge(axes, k + 1, float(state[0]), float(state[1]))
     axes.set_aspect("equal", adjustable="datalim")
-    quiet(axes, "The orbit in the plane; dark to light: time")
-    axes.set_xlabel("x", fontsize=9)
-    axes.set_ylabel("y", fontsize=9)
+    quiet(axes, "The orbit in the plane; dark to light: time", x="x", y="y")
 
 
 _WIDTH = 16.0
@@ -375,7 +358,7 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
         axes = figure.add_axes(box(0.045, bottom, 0.555, 0.38))
         draw_chart(axes, chart, view)
         axes.set_xlim(0.0, orbit.duration)
-        axes.set_xlabel("time (s)" if story.has_angles else "time", fontsize=8.5, color=style.NOTE, labelpad=1)
+        axes.set_xlabel("time (s)" if story.has_angles else "time")
         mark_times(axes, list(orbit.symbol_times))
     tall = listed / body
     if arm_lengths is None:
@@ -416,17 +399,18 @@ def _list(axes: Axes, story: WalkStory, view: RunView) -> None:
     chain = story.orbit.connections
     shown = len(chain) if len(chain) <= _LISTED else _LISTED - 1
     rows = min(len(chain), _LISTED) + 1
-    y = [1 - (k + 0.5) / rows for k in range(rows)]
-    columns = {"symbol": 0.05, "at (s)" if story.has_angles else "at": 0.475, "connection": 0.57}
-    look: dict[str, Any] = {"color": style.INK, "va": "center_baseline"}
-    for text, place in columns.items():
-        axes.text(place, y[0], text, fontsize=9, weight="bold", **look)
+    places = (0.05, 0.475, 0.57)
+
+    def write(row: int, words: tuple[str, ...], sizes: tuple[float, ...], **look: Any) -> None:
+        for place, text, size in zip(places, words, sizes, strict=False):
+            y = 1 - (row + 0.5) / rows
+            axes.text(place, y, text, fontsize=size, color=style.INK, va="center_baseline", **look)
+
+    write(0, ("symbol", "at (s)" if story.has_angles else "at", "connection"), (9, 9, 9), weight="bold")
     for k, (connection, (_, at, _)) in enumerate(zip(chain[:shown], view.symbols[:shown], strict=True)):
-        badge(axes, k + 1, 0.02, y[k + 1], size=6.5)
-        words = (symbol_words(connection), f"{at:.3f}", connection.name)
-        for place, text, size in zip(columns.values(), words, (8.2, 8.2, 7.4), strict=True):
-            axes.text(place, y[k + 1], text, fontsize=size, **look)
+        badge(axes, k + 1, 0.02, 1 - (k + 1.5) / rows, size=6.5)
+        write(k + 1, (symbol_words(connection), f"{at:.3f}", connection.name), (8.2, 8.2, 7.4))
     if shown < len(chain):
-        axes.text(0.05, y[-1], f"… and {len(chain) - shown} more", fontsize=8.2, **look)
+        write(rows - 1, (f"… and {len(chain) - shown} more",), (8.2,))
     axes.set_xlim(0, 1)
     axes.set_ylim(0, 1)
