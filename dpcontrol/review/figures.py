@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -447,7 +448,7 @@ def _graph(axes: Axes, atlas: Atlas) -> None:
                 turning = "outer" if loops[0].winding[1] else "inner"
                 axes.text(x, top, f"{len(loops)}: {turning} arm {sign:+d} turn", ha="center", va="center",
                           fontsize=9, color=style.INK)  # fmt: skip
-    for source, target in ((a, b) for a in places for b in places if a != b):
+    for source, target in permutations(places, 2):
         found = atlas.between(source, target)
         for k, c in enumerate(found):
             bend = -(0.1 + 0.16 * k)
@@ -463,11 +464,8 @@ def _graph(axes: Axes, atlas: Atlas) -> None:
         if found:
             side = 1 if places[target][0] > places[source][0] else -1
             axes.text(1.95, side * 1.28, f"{len(found)}: {source} → {target}", ha="center", fontsize=9, color=style.INK)
-    width = 1.6 + 3.9 * (len(places) - 1) / 2
     middle = 3.9 * (len(places) - 1) / 2
-    axes.set_xlim(middle - width, middle + width)
-    axes.set_ylim(-3.0, 3.35)
-    axes.set_aspect("equal")
+    axes.set(xlim=(-1.6, 2 * middle + 1.6), ylim=(-3.0, 3.35), aspect="equal")
     axes.axis("off")
     axes.text(middle, 3.2, f"{atlas.energy:g} J", ha="center", fontsize=12, color=style.INK)
 

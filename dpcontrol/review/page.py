@@ -82,8 +82,10 @@ def quiet_space(axes: Axes, *, angular: bool, steps: tuple[float, float] = (1.0,
 
 def key(on: Axes | Figure, entries: Iterable[tuple[str, str | dict[str, Any]]], **where: Any) -> None:
     """Put a legend without a frame on a panel or a page: each label with its colour, or with its line's look."""
-    looks = [(label, {"color": look} if isinstance(look, str) else look) for label, look in entries]
-    handles = [Line2D([], [], label=label, **look) for label, look in looks]
+    handles = []
+    for label, given in entries:
+        look: dict[str, Any] = {"color": given} if isinstance(given, str) else given
+        handles.append(Line2D([], [], label=label, **look))
     on.legend(handles=handles, **{"fontsize": SMALL, "frameon": False, **where})
 
 
@@ -325,9 +327,8 @@ def story(axes: Axes, view: RunView, *, span: Range | None = None, legend: bool 
     axes.set_yticks([place + _TALL / 2 for place in range(len(rows))], [strip.name for strip in reversed(rows)])
     axes.tick_params(labelsize=SMALL, colors=style.NOTE, length=2.5)
     axes.tick_params(axis="y", length=0)
-    axes.set_xlabel(
-        "time (s)" if view.arm_lengths else "time", fontsize=SMALL, color=style.NOTE, loc="left", labelpad=0
-    )
+    unit = " (s)" if view.arm_lengths else ""
+    axes.set_xlabel(f"time{unit}", fontsize=SMALL, color=style.NOTE, loc="left", labelpad=0)
     for side, spine in axes.spines.items():
         spine.set_visible(side == "bottom")
         spine.set_color(style.FAINT)
@@ -395,8 +396,7 @@ def notes(axes: Axes, view: RunView, *, lines: int) -> None:
         text.append((f"{i + 1}  {shorten(name, 40, placeholder=' …')}   {at:.2f}{seen}", False))
     most = lines // 2 - 1
     if len(text) > most + 1:
-        hidden = len(text) - most
-        text = [*text[:most], (f"… and {hidden} more", False)]
+        text = [*text[:most], (f"… and {len(text) - most} more", False)]
     text += [("", False), ("Events", True)] if text else [("Events", True)]
     events = [(f"{event.time:7.2f} s  {event.text}", False) for event in view.events]
     room = max(1, lines - len(text))
@@ -449,7 +449,7 @@ def draw_film(axes: Axes, view: RunView, times: Array) -> None:
             shift = at + (view.reference[row, 2 * arms] - pivot[row] if view.has_cart else 0.0)
             look = {"color": "#b4bbc3", "linewidth": 6.5, "solid_capstyle": "round", "zorder": 2.5}
             axes.plot(shift + ghost[:, 0], ghost[:, 1], **look)
-        cart = f"\ncart {round(1000 * pivot[row]):+d} mm" if np.isfinite(pivot[row]) else "\nlost"
+        cart = f"\ncart {1000 * pivot[row]:+.0f} mm" if np.isfinite(pivot[row]) else "\nlost"
         text = f"{view.time[row]:.2f} s{cart if view.has_cart else ''}"
         look = {"ha": "center", "va": "top", "fontsize": 8.5, "color": style.NOTE, "linespacing": 1.25}
         axes.text(at, vertical[0] + 0.46 * reach, text, **look)

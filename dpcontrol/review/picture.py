@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -230,9 +230,8 @@ def take(program: Path, recording: Path, picture: Path, *, moment: float) -> str
     return None if picture.is_file() else "the viewer wrote no picture"
 
 
-def main(arguments: Sequence[str]) -> int:
-    """Run `take` with the command line's arguments; return the exit code."""
-    program, recording, picture, moment = arguments
+def main(program: str, recording: str, picture: str, moment: str) -> int:
+    """Take a picture as the command line says; return the exit code."""
     try:
         reason = take(Path(program), Path(recording), Path(picture), moment=float(moment))
     except Exception as error:  # noqa: BLE001 - whatever the viewer's client raises is the reason asked for
@@ -243,4 +242,4 @@ def main(arguments: Sequence[str]) -> int:
 
 
 if __name__ == "__main__":
-    raise SystemExit(main(sys.argv[1:]))
+    raise SystemExit(main(*sys.argv[1:]))

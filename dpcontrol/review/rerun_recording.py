@@ -9,6 +9,7 @@ of 2 rad.
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rerun as rr
@@ -48,9 +49,10 @@ _EDGE = np.array([-1e-6, 0.0, 1e-6])
 """s: offsets at which the edge of a band is sampled."""
 
 
-def times(time: Array) -> list[rr.TimeColumn]:
-    """Return instants (K,) s as the recording's index."""
-    return [rr.TimeColumn(TIMELINE, duration=time)]
+def follow(recording: rr.RecordingStream, path: str, look: Any, time: Array, columns: Any) -> None:
+    """Record what changes at instants (K,) s under a path, and how it looks throughout."""
+    recording.log(path, look, static=True)
+    recording.send_columns(path, indexes=[rr.TimeColumn(TIMELINE, duration=time)], columns=columns)
 
 
 def trace_rows(view: RunView) -> NDArray[np.int64]:
@@ -97,8 +99,7 @@ def _line(recording: rr.RecordingStream, path: str, line: Line) -> None:
         look = rr.Measurements.from_fields(names=[line.name], colors=[tint], widths=[line.width])
         # The viewer's band is one standard deviation of what it is given.
         columns = rr.Measurements.columns(values=line.values[rows], variances=line.reach[rows] ** 2)
-    recording.log(path, look, static=True)
-    recording.send_columns(path, indexes=times(line.time[rows]), columns=columns)
+    follow(recording, path, look, line.time[rows], columns)
 
 
 def record_strips(recording: rr.RecordingStream, home: str, strips: Sequence[Strip], view: RunView) -> None:
@@ -110,9 +111,9 @@ def record_strips(recording: rr.RecordingStream, home: str, strips: Sequence[Str
         path = f"{home}/{strip.key}"
         values = list(dict.fromkeys(name for _, name in changes))
         tints = [(*style.rgb(colours[value]), 255) for value in values]
-        recording.log(path, rr.StateConfiguration(values=values, colors=tints), static=True)
         columns = rr.StateChange.columns(state=[name for _, name in changes])
-        recording.send_columns(path, indexes=times(np.array([at for at, _ in changes])), columns=columns)
+        look = rr.StateConfiguration(values=values, colors=tints)
+        follow(recording, path, look, np.array([at for at, _ in changes]), columns)
 
 
 def _changes(spans: Sequence[Span], view: RunView) -> tuple[list[tuple[float, str]], dict[str, str]]:
@@ -167,9 +168,8 @@ def record_planes(recording: rr.RecordingStream, home: str, view: RunView, *, bo
         _strips(recording, f"{at}/orbits", [p for _, p in shown.orbits], [c for c, _ in shown.orbits], width=1.8)
         _strips(recording, f"{at}/run", shown.run, [style.INK] * len(shown.run), width=0.7)
         look = rr.Points2D.from_fields(colors=[style.rgb(style.LIMIT)], radii=rr.Radius.ui_points(5))
-        recording.log(f"{at}/now", look, static=True)
         columns = rr.Points2D.columns(positions=view.state[rows][:, [arm, view.arms + arm]] * _SCALE)
-        recording.send_columns(f"{at}/now", indexes=times(view.time[rows]), columns=columns)
+        follow(recording, f"{at}/now", look, view.time[rows], columns)
 
 
 def bounds(*planes: Plane) -> Box:
@@ -245,10 +245,10 @@ def trace_tip(recording: rr.RecordingStream, path: str, view: RunView, *, frame:
     tips = points[:, -1] + np.array([0.0, _DEPTH, 0.0])
     strips = [tips[max(0, k - length) : k + 1] for k in range(len(rows))]
     colour = style.rgb(style.arm_colour(view.arms - 1))
-    recording.log(path, rr.LineStrips3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(1.5)), static=True)
+    look = rr.LineStrips3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(1.5))
+    follow(recording, path, look, view.time[rows], rr.LineStrips3D.columns(strips=strips))
     if frame is not None:
         recording.log(path, rr.CoordinateFrame(frame), static=True)
-    recording.send_columns(path, indexes=times(view.time[rows]), columns=rr.LineStrips3D.columns(strips=strips))
 
 
 def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> None:
@@ -264,18 +264,14 @@ def draw_pendulum(recording: rr.RecordingStream, home: str, view: RunView) -> No
         for arm in range(view.arms):
             colour = style.arm_colour(arm) if name == "arms" else style.FAINT
             look = rr.LineStrips3D.from_fields(colors=[style.rgb(colour)], radii=radius * reach / 2)
-            at = f"{home}/{name}/arm_{arm + 1}"
-            recording.log(at, look, static=True)
             columns = rr.LineStrips3D.columns(strips=list(points[:, arm : arm + 2]))
-            recording.send_columns(at, indexes=times(view.time[rows]), columns=columns)
+            follow(recording, f"{home}/{name}/arm_{arm + 1}", look, view.time[rows], columns)
     trace_tip(recording, f"{home}/tip", view)
     if view.has_cart:
         centres = np.column_stack([view.pivot[rows], np.full(len(rows), 0.02), np.zeros(len(rows))])
-        at = f"{home}/cart"
         size = [[0.13 * reach, 0.02, 0.05 * reach]]
-        look = rr.Boxes3D.from_fields(half_sizes=size, colors=[style.rgb(style.CART)], fill_mode="solid")
-        recording.log(at, look, static=True)
-        recording.send_columns(at, indexes=times(view.time[rows]), columns=rr.Boxes3D.columns(centers=centres))
+        box = rr.Boxes3D.from_fields(half_sizes=size, colors=[style.rgb(style.CART)], fill_mode="solid")
+        follow(recording, f"{home}/cart", box, view.time[rows], rr.Boxes3D.columns(centers=centres))
 
 
 def _track(recording: rr.RecordingStream, home: str, view: RunView, *, reach: float) -> None:
@@ -341,18 +337,13 @@ def scene_view(view: RunView, *, from_log: bool, home: str = "/scene", name: str
     """Return the view of the pendulum in space, seen from the front."""
     reach = sum(view.arm_lengths)
     distance = max(2.4 * reach, 1.9 * view.limits[0] if view.limits else 0.0)
-    contents = (
-        ["+ /pendulum/**", "+ /reference_pendulum/**", "+ /tf/**", "+ /tip/**"]
-        if from_log
-        else [f"+ {home}/**", "+ /tip/**"]
-    )
+    homes = ["/pendulum", "/reference_pendulum", "/tf"] if from_log else [home]
+    eye = rrb.EyeControls3D(position=(0.0, -distance, 0.0), look_target=(0.0, 0.0, 0.0), eye_up=(0.0, 0.0, 1.0))
     return rrb.Spatial3DView(
         name=name,
         origin="/",
-        contents=contents,
-        eye_controls=rrb.EyeControls3D(
-            position=(0.0, -distance, 0.0), look_target=(0.0, 0.0, 0.0), eye_up=(0.0, 0.0, 1.0)
-        ),
+        contents=[f"+ {path}/**" for path in (*homes, "/tip")],
+        eye_controls=eye,
         line_grid=False,
         spatial_information=rrb.SpatialInformation(target_frame=WORLD) if from_log else None,
         background=PAPER,
@@ -444,7 +435,8 @@ def _events(recording: rr.RecordingStream, view: RunView) -> None:
             text=[f"[{event.name}] {event.text}" for event in view.events],
             level=[event.level.upper() for event in view.events],
         )
-        recording.send_columns("rosout", indexes=times(np.array([e.time for e in view.events])), columns=columns)
+        index = rr.TimeColumn(TIMELINE, duration=[event.time for event in view.events])
+        recording.send_columns("rosout", indexes=[index], columns=columns)
 
 
 def _summary(view: RunView) -> str:

@@ -6,7 +6,6 @@ page shows a chart in a handier unit by its `scale`.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -254,36 +253,38 @@ def _velocity(view: RunView) -> Chart | None:
     return Chart("velocity", title, title, (line,), levels=levels, shown=padded(values))
 
 
+def _arm_lines(view: RunView, values: Array, width: float, reach: Array | None = None) -> tuple[Line, ...]:
+    """Return a line for each arm's angle of values (K, …), with its reach."""
+    return tuple(
+        Line(f"arm_{arm + 1}", f"arm {arm + 1}", f"θ{style.number(arm)}", view.time, values[:, arm],
+             style.arm_colour(arm), width, reach=None if reach is None else reach[:, arm])
+        for arm in range(view.arms)
+    )  # fmt: skip
+
+
 def _tracking_error(view: RunView) -> Chart | None:
     if view.reference is None:
         return None
-    lines = tuple(
-        Line(f"arm_{arm + 1}", f"arm {arm + 1}", f"θ{style.number(arm)}", view.time,
-             view.state[:, arm] - view.reference[:, arm], style.arm_colour(arm), 1.1)
-        for arm in range(view.arms)
-    )  # fmt: skip
     title = f"{view.error_name}: {view.what} minus {view.against} (rad)"
+    lines = _arm_lines(view, view.state - view.reference, 1.1)
     return Chart("tracking_error", title, f"{view.error_name} of the angles (rad)", lines)
 
 
 def _estimation_error(view: RunView) -> Chart | None:
     """Show the estimate's error with two standard deviations either side; of an unknown error these alone."""
-    error, sigma = view.error, view.sigma
-    if error is None and sigma is None:
+    error, reach = view.error, None if view.sigma is None else 2 * view.sigma
+    if error is None and reach is None:
         return None
-    lines = tuple(
-        Line(f"arm_{arm + 1}", f"arm {arm + 1}", f"θ{style.number(arm)}", view.time,
-             np.full(len(view.time), np.nan) if error is None else error[:, arm], style.arm_colour(arm), 1.0,
-             reach=None if sigma is None else 2 * sigma[:, arm])
-        for arm in range(view.arms)
-    )  # fmt: skip
-    most = error_reach(view)
     known = error is not None
+    # The first instants' large errors are left out.
+    shown = [np.abs(part[:, : view.arms]) for part in (reach, error) if part is not None]
+    finite = [part[np.isfinite(part)] for part in shown]
+    most = max((1.6 * float(np.quantile(part, 0.97)) for part in finite if part.size), default=0.0) or 1e-6
     return Chart(
-        "estimation_error" if known and sigma is not None else "",
+        "estimation_error" if known and reach is not None else "",
         "Estimation error, lines ±2σ (mrad)" if known else "Estimate's ±2σ (mrad); the truth is not known",
         "Estimation error of the angles (rad), band ±2σ",
-        lines,
+        _arm_lines(view, np.full_like(view.state, np.nan) if error is None else error, 1.0, reach),
         shown=(-most, most),
         scale=1000,
     )
@@ -299,7 +300,12 @@ def _energy(view: RunView) -> Chart | None:
     )
     title = "Energy of the pendulum (J)" + (", dashed: the saddles'" if levels else "")
     line = Line("pendulum", "pendulum", "", view.time, energy, style.INK, 1.1)
-    shown = energy_range(energy, view.plan.saddle_energies)
+    # The extremes are left out: they are those of the first instants, with the initial error.
+    low, high = (float(value) for value in np.nanquantile(energy, [0.005, 0.995]))
+    known = view.plan.saddle_energies.values()
+    low = max((level for level in known if level <= low), default=low)
+    high = min((level for level in known if level >= high), default=high)
+    shown = padded(np.array([low, high]))
     return Chart("energy", title, "Energy and saddles (J)", (line,), levels=levels, shown=shown, legend=True)
 
 
@@ -458,25 +464,17 @@ def spans(time: Array, flags: NDArray[np.bool_]) -> list[Range]:
 
 
 def mode_spans(view: RunView) -> list[tuple[float, float, str]]:
-    """Return start and end in s and the name of each stretch of constant mode."""
+    """Return start and end in s and the name of each stretch of constant mode; "unknown mode" for what is none."""
     if view.control is None or "mode" not in view.control:
         return []
+    names = {float(mode): mode.name.lower() for mode in Mode}
     modes = np.nan_to_num(view.control["mode"], nan=-1.0)
     starts = np.concatenate([[0], np.flatnonzero(np.diff(modes) != 0) + 1])
     ends = np.concatenate([starts[1:], [len(modes) - 1]])
     return [
-        (float(view.time[a]), float(view.time[b]), mode_name(float(modes[a])))
+        (float(view.time[a]), float(view.time[b]), names.get(float(modes[a]), "unknown mode"))
         for a, b in zip(starts, ends, strict=True)
     ]
-
-
-@cache
-def mode_name(number: float) -> str:
-    """Return the name of a mode, in lower case; "unknown mode" for a number that is none."""
-    try:
-        return Mode(int(number)).name.lower()
-    except ValueError:
-        return "unknown mode"
 
 
 def extreme_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
@@ -498,24 +496,3 @@ def padded(values: Array) -> Range:
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)
     margin = 0.1 * (high - low) or 0.1 * abs(high) or 1e-3
     return low - margin, high + margin
-
-
-def error_reach(view: RunView) -> float:
-    """Return how far an estimation error's axis must reach, in rad; the first instants' large errors are left out."""
-    parts = [] if view.sigma is None else [2 * view.sigma[:, : view.arms]]
-    parts += [] if view.error is None else [np.abs(view.error[:, : view.arms])]
-    finite = [part[np.isfinite(part)] for part in parts]
-    most = max((1.6 * float(np.quantile(part, 0.97)) for part in finite if part.size), default=0.0)
-    return most if most > 0 else 1e-6
-
-
-def energy_range(values: Array, saddle_energies: dict[str, float]) -> Range:
-    """Return a range that holds the energy and the nearest saddle's level below and above it.
-
-    The energy's extremes are left out: they are those of the first instants, with the initial error.
-    """
-    low, high = (float(value) for value in np.nanquantile(values, [0.005, 0.995]))
-    below = [level for level in saddle_energies.values() if level <= low]
-    above = [level for level in saddle_energies.values() if level >= high]
-    low, high = max(below, default=low), min(above, default=high)
-    return padded(np.array([low, high]))

@@ -343,7 +343,9 @@ def draw_walk(orbit: ShadowingOrbit, *, arm_lengths: tuple[float, ...] | None, m
     page.story(figure.add_axes((0.062, 1 - (_HEAD + 0.42) / height, 0.925, 0.2 / height)), view)
     top = height - _HEAD - _STRIP
     for first, times, tall in filmed:
-        axes = figure.add_axes((0.01, (top - tall) / height, 0.98, tall / height))
+        # A last row with fewer symbols is as much shorter.
+        wide = 0.98 * times.size / filmed[0][1].size
+        axes = figure.add_axes((0.01, (top - tall) / height, wide, tall / height))
         page.draw_film(axes, view, times.ravel())
         for k in range(len(times)):
             badge(axes, first + k + 1, frame_place(view, k * times.shape[1]) - 0.3 * sum(view.arm_lengths),
@@ -389,7 +391,8 @@ def _film_rows(story: WalkStory, view: RunView) -> list[tuple[int, NDArray[np.fl
     rows = []
     for first in range(0, len(every), across):
         times = every[first : first + across]
-        rows.append((first, times, page.film_height(view, times.ravel(), width=0.98 * _WIDTH) + 0.1))
+        wide = 0.98 * _WIDTH * len(times) / across
+        rows.append((first, times, page.film_height(view, times.ravel(), width=wide) + 0.1))
     return rows
 
 
