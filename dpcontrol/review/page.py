@@ -449,7 +449,7 @@ def draw_film(axes: Axes, view: RunView, times: Array) -> None:
             shift = at + (view.reference[row, 2 * arms] - pivot[row] if view.has_cart else 0.0)
             look = {"color": "#b4bbc3", "linewidth": 6.5, "solid_capstyle": "round", "zorder": 2.5}
             axes.plot(shift + ghost[:, 0], ghost[:, 1], **look)
-        cart = f"\ncart {1000 * pivot[row]:+.0f} mm" if np.isfinite(pivot[row]) else "\nlost"
+        cart = f"\ncart {round(1000 * float(pivot[row])):+d} mm" if np.isfinite(pivot[row]) else "\nlost"
         text = f"{view.time[row]:.2f} s{cart if view.has_cart else ''}"
         look = {"ha": "center", "va": "top", "fontsize": 8.5, "color": style.NOTE, "linespacing": 1.25}
         axes.text(at, vertical[0] + 0.46 * reach, text, **look)
