@@ -199,8 +199,8 @@ class Windows:
         zeros, inside = values[m:].reshape(-1, arms), where < m
         out = Linearised([], 0.0, 0.0, bool(np.isfinite(states).all() and np.isfinite(slopes).all()))
         for swing, windows in zip(self.swings, self.of_swing, strict=True):
-            residual, reduced = np.empty((2, *swing.angles.shape))
-            one = _Chain(residual, reduced, np.zeros((*residual.shape, n + len(where))), [], [])
+            shape = swing.angles.shape
+            one = _Chain(np.empty(shape), np.empty(shape), np.zeros((*shape, n + len(where))), [], [])
             node, offset = np.eye(n, n + len(where)), np.zeros(n)
             for w in windows:
                 one.nodes.append(node)
