@@ -100,19 +100,21 @@ def identify_command(
         raise click.UsageError("give at least one log that `dpcontrol import` wrote")
     from dpcontrol import api
     from dpcontrol.recordings.recording import load_recording
-    from dpcontrol.scenes.model import load_model
+    from dpcontrol.scenes.model import load_model, write_model
 
     start = load_model(model)
     recordings = [load_recording(path) for path in logs]
     target = out or Path("models") / f"{logs[0].stem}.toml"
     with progress_bar("identify") as progress:
-        found = api.identify(recordings, model=start, zeros=zeros, out=target, progress=progress)
+        found = api.identify(recordings, model=start, zeros=zeros, progress=progress)
+        title = f"{start.title}, identified from {', '.join(r.name for r in recordings)}"
+        # A model's file names the logs as they were given.
+        write_model(found, target, title=title, logs=[path.name for path in logs], starting_model=start.name)
         if picture is not None:
             from dpcontrol.identification.identify import profiles
             from dpcontrol.review.identification import draw_identification
             from dpcontrol.review.page import save_figure
 
-            title = load_model(str(target)).title
             save_figure(draw_identification(found, profiles(found, progress=progress), title=title), picture)
     document = {**found.document(), "file": target, "picture": picture}
     return Answer(document, _identify_text(found, target, picture))
