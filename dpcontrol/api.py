@@ -303,7 +303,7 @@ def run(
     from dpcontrol.scenes.run import run_plan
 
     with _reporting(progress, "run") as report:
-        planned = _planned(planned, part_of(report, 0.0, 0.5))
+        planned = plan(planned, progress=part_of(report, 0.0, 0.5)) if isinstance(planned, str) else planned
         scene = planned.itinerary.with_run(_options(options, mismatch), seed=seed)
         out = None if log is None else Path(log)
         return run_plan(replace(planned, itinerary=scene), out, progress=part_of(report, 0.5, 1.0))
@@ -336,7 +336,7 @@ def campaign(
     from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign
 
     with _reporting(progress, "campaign") as report:
-        planned = _planned(planned, part_of(report, 0.0, 0.1))
+        planned = plan(planned, progress=part_of(report, 0.0, 0.1)) if isinstance(planned, str) else planned
         cases = cases_of(planned.itinerary, fixed=_options(options, mismatch), over=over or {})
         settings = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers)
         file = None if out is None else Path(out)
@@ -521,10 +521,6 @@ def _edges(searches: "Sequence[ConnectionSearch]") -> "Edges":
         connections=tuple(one for search in searches for one in search.connections),
         notes=(),
     )
-
-
-def _planned(planned: "Plan | str", progress: Progress) -> "Plan":
-    return plan(planned, progress=progress) if isinstance(planned, str) else planned
 
 
 def _options(options: RunOptions | None, mismatch: float | None) -> RunOptions:
