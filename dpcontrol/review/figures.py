@@ -114,8 +114,7 @@ def tubes_page(gallery: Gallery) -> Page:
 _MOST = 5
 
 
-def draw_low(gallery: Gallery) -> Page:
-    """Draw Down-Up's homoclinics at -0.07 J."""
+def _low(gallery: Gallery) -> Page:
     return _page(
         gallery.atlas("lab", -0.07, (1, 1)),
         ["down-up"],
@@ -125,8 +124,7 @@ def draw_low(gallery: Gallery) -> Page:
     )
 
 
-def draw_high(gallery: Gallery) -> Page:
-    """Draw both saddles' homoclinics at 0.2 J."""
+def _high(gallery: Gallery) -> Page:
     return _page(
         gallery.atlas("lab", 0.2, (1, 1)),
         ["down-up", "up-down"],
@@ -137,6 +135,7 @@ def draw_high(gallery: Gallery) -> Page:
 
 
 def _page(atlas: Atlas, saddles: list[str], lead: str, differs: str) -> Page:
+    """Draw the homoclinic connections of saddles, a row for each."""
     tall = 0.7 + 4.3 * len(saddles)
     figure = new_figure(14, tall, f"Homoclinic connections at {atlas.energy:g} J (first hits)")
     grid = figure.add_gridspec(
@@ -701,8 +700,8 @@ FIGURES: dict[str, Callable[[Gallery], Page]] = {
     "energy-landscape": landscape_page,
     "families": families_page,
     "tubes": tubes_page,
-    "homoclinics-low": draw_low,
-    "homoclinics-high": draw_high,
+    "homoclinics-low": _low,
+    "homoclinics-high": _high,
     "heteroclinics": heteroclinics_page,
     "branches": branches_page,
     "graph": graph_page,

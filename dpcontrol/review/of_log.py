@@ -234,21 +234,14 @@ def _done(decoded: Decoded, notes: PlanNotes, time: Array) -> tuple[Stay, ...]:
     """Return the visits as stays: those of the plan by their saddle's name, others with where they were."""
     stays = []
     for k, visit in enumerate(decoded.visits):
-        wanted = k < decoded.matched
-        saddle = _saddle(visit.angles, notes)
+        homes = {name: np.asarray(saddle["angles"]) for name, saddle in notes["saddles"].items()}
+        turns = {name: (np.asarray(visit.angles) - home) / (2 * np.pi) for name, home in homes.items()}
+        near = (name for name, count in turns.items() if np.allclose(count, np.rint(count), atol=1e-6))
+        saddle, wanted = next(near, "elsewhere"), k < decoded.matched
         place = ", ".join(f"{angle / np.pi:.0f}π" for angle in visit.angles)
         text = saddle if wanted else f"{saddle} ({place})"
         stays.append(Stay(float(time[visit.first]), float(time[visit.last]), saddle, text, wanted))
     return tuple(stays)
-
-
-def _saddle(angles: tuple[float, ...], notes: PlanNotes) -> str:
-    """Return the name of the saddle at lifted angles."""
-    for name, saddle in notes["saddles"].items():
-        turns = (np.asarray(angles) - np.asarray(saddle["angles"])) / (2 * np.pi)
-        if np.allclose(turns, np.rint(turns), atol=1e-6):
-            return str(name)
-    return "elsewhere"
 
 
 _RATE = 500.0  # Hz

@@ -144,7 +144,7 @@ def motion_charts(view: RunView) -> tuple[Chart, ...]:
         lines = _followed(view, "", 2 * n, name="cart", label=view.what, colour=style.CART)
         title = f"Cart position (mm){_use(view, 0, 1000, 'track ')}"
         shown = padded(np.concatenate([line.values for line in lines if line.role != "detail"]))
-        levels = _limits(view, 0, ("limit_left", "limit_right"), ("left limit", "right limit"))
+        levels = _limits(view, 0, side=True)
         named = f"Cart position (m){_grey(view)}"
         found.append(Chart("cart", title, named, lines, levels=levels, shown=shown, scale=1000))
     if view.control is not None:
@@ -215,11 +215,15 @@ def _use(view: RunView, which: int, scale: float, before: str = "") -> str:
     return f": {scale * view.summary.uses[which].largest:.3g} of ±{bound:.4g} used"
 
 
-def _limits(view: RunView, which: int, keys: tuple[str, str], names: tuple[str, str]) -> tuple[LevelLine, ...]:
+def _limits(view: RunView, which: int, *, side: bool = False) -> tuple[LevelLine, ...]:
+    """Return one of the cart's limits as levels, named by their side of the track, or as least and greatest allowed."""
     if view.limits is None:
         return ()
-    bounds = (-view.limits[which], view.limits[which])
-    return tuple(LevelLine(k, n, b, style.LIMIT, "limit") for k, n, b in zip(keys, names, bounds, strict=True))
+    names = (("limit_left", "left limit"), ("limit_right", "right limit"))
+    if not side:
+        names = (("least", "least allowed"), ("greatest", "greatest allowed"))
+    ends = (-view.limits[which], view.limits[which])
+    return tuple(LevelLine(*name, end, style.LIMIT, "limit") for name, end in zip(names, ends, strict=True))
 
 
 def _acceleration(view: RunView, control: dict[str, Array]) -> Chart:
@@ -236,7 +240,7 @@ def _acceleration(view: RunView, control: dict[str, Array]) -> Chart:
         f"Acceleration (m/s²){_use(view, 2, 1, 'limit ')}",
         f"Acceleration {limit}: {words}",
         lines,
-        levels=_limits(view, 2, ("least", "greatest"), ("least allowed", "greatest allowed")),
+        levels=_limits(view, 2),
         cut=tuple(spans(view.time, saturated)),
         shown=padded(np.concatenate([line.values for line in lines if line.role != "detail"])),
     )
@@ -249,8 +253,7 @@ def _velocity(view: RunView) -> Chart | None:
     values = view.state[:, -1]
     line = Line("cart", "cart", "", view.time, values, style.CART)
     title = f"Cart velocity (m/s){_use(view, 1, 1)}"
-    levels = _limits(view, 1, ("least", "greatest"), ("least allowed", "greatest allowed"))
-    return Chart("velocity", title, title, (line,), levels=levels, shown=padded(values))
+    return Chart("velocity", title, title, (line,), levels=_limits(view, 1), shown=padded(values))
 
 
 def _arm_lines(view: RunView, values: Array, width: float, reach: Array | None = None) -> tuple[Line, ...]:
