@@ -84,16 +84,6 @@ class Learning:
         return guess + (gain @ news[..., None])[..., 0], spread - gain @ there
 
 
-def section_gains(maps: "tuple[SectionMap, ...]", *, weights: Array, effort: float) -> Array:
-    """Return the gains (k, N) of the periodic Riccati equation of the section maps.
-
-    Raises:
-        GoalMissed: the recursion does not settle.
-    """
-    matrices, responses = _arrays(maps)
-    return periodic_gains(matrices, responses, weights=weights, effort=effort)
-
-
 def classic_gains(maps: "tuple[SectionMap, ...]") -> Array:
     """Return the gains (k, N) whose pulses take the unstable direction to zero at the next section.
 
@@ -121,18 +111,9 @@ def parameter_directions(equations: Equations, parameters: Array) -> Array:
     """
     n = (equations.dimension - 2) // 2
     inertias = n * (n + 1) // 2
-    rows = []
-    for i in range(inertias + n):
-        row = np.zeros(len(parameters))
-        row[i] = parameters[i]
-        if i >= inertias:
-            row[i + n] = parameters[i + n]
-        rows.append(row)
-    for i in range(inertias + 2 * n, len(parameters)):
-        row = np.zeros(len(parameters))
-        row[i] = _FRICTION * parameters[i]
-        rows.append(row)
-    return np.array(rows)
+    sizes = np.diag(parameters)
+    sizes[inertias : inertias + n] += sizes[inertias + n : inertias + 2 * n]
+    return np.concatenate([sizes[: inertias + n], _FRICTION * sizes[inertias + 2 * n :]])
 
 
 def sensitivities(orbit: "SustainedOrbit", maps: "tuple[SectionMap, ...]", directions: Array) -> Array:
@@ -158,15 +139,9 @@ def sensitivities(orbit: "SustainedOrbit", maps: "tuple[SectionMap, ...]", direc
 
 
 def learning(
-    orbit: "SustainedOrbit",
-    maps: "tuple[SectionMap, ...]",
-    gains: Array,
-    *,
-    weights: Array,
-    effort: float,
-    share: float,
+    orbit: "SustainedOrbit", maps: "tuple[SectionMap, ...]", gains: Array, *, weights: Array, effort: float, share: float
 ) -> Learning:
-    """Return what the sections teach about parameters of which each may be off by `share`; gains of `section_gains`.
+    """Return what the sections teach about parameters of which each may be off by `share`; gains: of the sections.
 
     Raises:
         GoalMissed: the shifts do not settle.
@@ -469,22 +444,14 @@ def ogy_controller(
     else:
         # The square of a half-sine of height 1 is a half on average.
         weights, effort = settings.weights(model.arms, duration)
-        gains = section_gains(maps, weights=weights, effort=effort / 2)
+        gains = periodic_gains(*_arrays(maps), weights=weights, effort=effort / 2)
         if settings.parameter_error:
             learnt = learning(orbit, maps, gains, weights=weights, effort=effort / 2, share=settings.parameter_error)
     n = 2 * model.arms
+    starts = [m.start for m in maps]
     return OgyController(
-        kind=settings.kind,
-        table=phase_table(orbit),
-        times=np.array([m.start.time for m in maps]),
-        states=np.array([m.start.state for m in maps]),
-        normals=np.array([m.start.normal for m in maps]),
-        projections=np.array([m.start.projection[:n, :n] for m in maps]),
-        gains=gains,
-        duration=duration,
-        pulse_limit=settings.pulse_limit,
-        model=model,
-        learning=learnt,
-        ticks=max(round(seconds / model.period), 1),
-        status=f"{settings.sections} sections in a period of {orbit.period:.4g} s",
-    )
+        settings.kind, phase_table(orbit), np.array([s.time for s in starts]), np.array([s.state for s in starts]),
+        np.array([s.normal for s in starts]), np.array([s.projection[:n, :n] for s in starts]), gains, duration,
+        settings.pulse_limit, model, learnt, max(round(seconds / model.period), 1),
+        f"{settings.sections} sections in a period of {orbit.period:.4g} s",
+    )  # fmt: skip

@@ -251,16 +251,9 @@ def orbit_controller(
     normals = np.zeros_like(gains)
     normals[:, : 2 * model.arms] = across / (across * rates).sum(1)[:, None]
     return OrbitController(
-        kind=settings.kind,
-        table=table,
-        gains=gains,
-        normals=normals,
-        feedforward=feedforward,
-        period=model.period,
-        ticks=max(round(seconds / model.period), 1),
-        by_phase=settings.schedule == "phase",
-        status=f"periodic gains at {count} ticks of a period of {orbit.period:.4g} s",
-    )
+        settings.kind, table, gains, normals, feedforward, model.period, max(round(seconds / model.period), 1),
+        settings.schedule == "phase", f"periodic gains at {count} ticks of a period of {orbit.period:.4g} s",
+    )  # fmt: skip
 
 
 def check_orbit(orbit: "SustainedOrbit", model: SampledModel) -> None:

@@ -16,13 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.ekf import EkfProgram
-from dpcontrol.control.estimator_settings import EkfSettings, chi_square_band
+from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import MANY, Controller, ManySession
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.dynamics.compiled import VECTOR
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.loop import BRAKING, SETTLING, CommandPath, LoopSettings, loop_supervisor, sampled_model
-from dpcontrol.loop.result import Ending, LoopResult
+from dpcontrol.loop.result import Ending, LoopResult, inside_95, rms
 from dpcontrol.loop.simulated import SimulatedBench
 from dpcontrol.loop.supervisor import SAME, Outcome, StuckWatch, Supervisor
 from dpcontrol.references.problem import Limits
@@ -36,13 +36,10 @@ class BatchStuck:
     def __init__(self, arms: int, *, period: float, reaction: float, runs: int) -> None:
         self._one = one = StuckWatch(arms, period=period, reaction=reaction)
         shape = (arms + 1, runs)
-        self._arms, self._period = arms, period
-        self._still = np.array(one.still)[:, None]
-        self._soonest = min(one.still)
-        self._least, self._doubt = np.array(one.least)[:, None], np.array(one.doubt)[:, None]
+        self._arms, self._period, self._soonest = arms, period, min(one.still)
+        self._still, self._least, self._doubt = np.array([one.still, one.least, one.doubt])[..., None]
         self._last, self._steps = np.full(shape, np.nan), np.full(shape, np.inf)
-        self._same, self._begin, self._moved = np.zeros(shape), np.zeros(shape), np.zeros(shape)
-        self._value, self._should, self._step = np.empty(shape), np.empty(shape), np.empty(shape)
+        self._same, self._begin, self._moved, self._value, self._should, self._step = np.zeros((6, *shape))
         self._is_same, self._is_new = np.empty(shape, dtype=bool), np.empty(shape, dtype=bool)
         self._sent = np.zeros(runs)
 
@@ -458,7 +455,6 @@ class _Lockstep:
 
     def _results(self, done: int, truth: Array, applied: Array, feedbacks: Array, nis: Array) -> list[BatchRun]:
         times = np.asarray(np.arange(self.count) * self.period, dtype=np.float64)
-        low, high = chi_square_band(self.arms + 1)
         out = []
         for lane in range(self.runs):
             count = min(self.watch.counts[lane], done)
@@ -466,18 +462,11 @@ class _Lockstep:
             since = self.watch.stopped_at[lane]
             if since < count:
                 references[since:] = references[since]
-            seen = nis[:count, lane]
-            finite = np.isfinite(seen)
             out.append(
                 BatchRun(
-                    times[:count],
-                    truth[lane, :count],
-                    references,
-                    applied[:count, lane].copy(),
-                    self.watch.endings[lane],
-                    self.watch.reasons[lane],
-                    float(((seen >= low) & (seen <= high))[finite].mean()) if finite.any() else float("nan"),
-                    float(np.sqrt((feedbacks[:count, lane] ** 2).mean())),
+                    times[:count], truth[lane, :count], references, applied[:count, lane].copy(),
+                    self.watch.endings[lane], self.watch.reasons[lane], inside_95(nis[:count, lane], self.arms + 1),
+                    rms(feedbacks[:count, lane]),
                 )
-            )
+            )  # fmt: skip
         return out

@@ -204,15 +204,13 @@ class LoopResult:
     @property
     def nis_inside_95(self) -> float:
         """Return the share of the ticks whose NIS lies in its two-sided 95 % band."""
-        nis = self.ticks.control[:, 5]
-        known = nis[np.isfinite(nis)]
-        return share_inside(known, self.ticks.measured.shape[1]) if known.size else math.nan
+        return inside_95(self.ticks.control[:, 5], self.ticks.measured.shape[1])
 
     @property
     def rms_tracking_error(self) -> float:
         """Return the rms over all angles, rad, of the truth (where known, else the estimate) less the reference."""
         n = self.ticks.measured.shape[1] - 1
-        return _rms(self._states[:, :n] - self.ticks.references[:, :n])
+        return rms(self._states[:, :n] - self.ticks.references[:, :n])
 
     @property
     def max_cart_position(self) -> float:
@@ -222,12 +220,12 @@ class LoopResult:
     @property
     def rms_cart_acceleration(self) -> float:
         """Return the rms of the cart's acceleration as applied, m/s²."""
-        return _rms(self.ticks.control[:, 3])
+        return rms(self.ticks.control[:, 3])
 
     @property
     def rms_feedback(self) -> float:
         """Return the rms of the feedback, m/s²."""
-        return _rms(self.ticks.control[:, 2])
+        return rms(self.ticks.control[:, 2])
 
     @property
     def real_time_factor(self) -> float:
@@ -237,7 +235,14 @@ class LoopResult:
         return (float(times[-1]) + period) / max(self.elapsed, 1e-9)
 
 
-def _rms(values: Array) -> float:
+def inside_95(nis: Array, freedom: int) -> float:
+    """Return the share of the known NIS (K,) of so many positions that lies in its two-sided 95 % band."""
+    known = nis[np.isfinite(nis)]
+    return share_inside(known, freedom) if known.size else math.nan
+
+
+def rms(values: Array) -> float:
+    """Return the root mean square of values of any shape."""
     return float(np.sqrt((values**2).mean()))
 
 
