@@ -535,5 +535,6 @@ def make_estimator(settings: EstimatorSettings, model: SampledModel, *, noise: A
     # filterpy takes a second to import.
     from dpcontrol.control.ukf import FilterpyEkf, Ukf
 
-    kind = Ukf if isinstance(settings, UkfSettings) else FilterpyEkf
-    return kind(model, settings, noise=noise)
+    if isinstance(settings, UkfSettings):
+        return Ukf(model, settings, noise=noise)
+    return FilterpyEkf(model, settings, noise=noise)

@@ -139,8 +139,9 @@ def sensitivities(orbit: "SustainedOrbit", maps: "tuple[SectionMap, ...]", direc
 
 
 def learning(
-    orbit: "SustainedOrbit", maps: "tuple[SectionMap, ...]", gains: Array, *, weights: Array, effort: float, share: float
-) -> Learning:
+    orbit: "SustainedOrbit", maps: "tuple[SectionMap, ...]", gains: Array, *, weights: Array, effort: float,
+    share: float,
+) -> Learning:  # fmt: skip
     """Return what the sections teach about parameters of which each may be off by `share`; gains: of the sections.
 
     Raises:
@@ -325,7 +326,6 @@ class OgySession(ClockedSession):
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
         """Return what to do in the period from `tick` at `state` (N,)."""
-        self._lost = None
         action = super().command(tick, state, extra)
         if self._lost is not None:
             section, moved = self._lost
@@ -337,7 +337,7 @@ class OgySession(ClockedSession):
         """Return feedforward and feedback in m/s², and the reference, at `tick` for the state (N,) or states (S, N)."""
         law, lanes, period, passed = self._law, self.lanes, self._law.model.period, tick - self._tick
         self._elapsed = self._elapsed + passed * period
-        self._tick = tick
+        self._tick, self._lost = tick, None
         if law.learning is not None and passed:
             self._foreseen = self._step(self._foreseen, self._sent)
             self._flying = self._flying & (passed == 1)

@@ -67,7 +67,7 @@ class PhaseTable:
         """Return the input in m/s² of the entry next to a time in s, or inputs (S,), counted modulo the period."""
         return self.inputs[lanes.nearest(time % self.period / self.step)]
 
-    def shift(self, time: float, expected: float) -> float:
+    def shift(self, time: Any, expected: Any) -> Any:
         """Return by how many seconds a time is later than was expected, by half a period at most."""
         half = self.period / 2
         return (time - expected + half) % (2 * half) - half

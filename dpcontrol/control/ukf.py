@@ -112,8 +112,9 @@ class FilterpyEstimator(KalmanFilter):
 
         Raises: as `update`.
         """
+        z, covariance = estimate.memory
         with _arithmetic():
-            memory = self._predicted(*estimate.memory, command)
+            memory = self._predicted(z, covariance, command)
         return self.update(estimate._replace(memory=memory), measured, present)
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
