@@ -3,13 +3,11 @@
 The curve is sampled over the phase of its seeds and refined by chord length in (q, p/p₀) until neighbouring
 points are close. Where it cannot be refined the curve is open: a trajectory grazes the section (its crossing
 jumps), or never arrives in the time allowed. Open ends are found by bisection and reported, never bridged.
-
-Samples of a tube's cut: seeds flown to the section, refined in phase until neighbouring points are close.
 """
 
-import math
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +17,7 @@ from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.orbits.manifold import UnstableManifold
 
 Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
 
 _THOROUGH = 20_000
 """Phases of a thorough cut: windows between them in which trajectories go another way are narrower than 5e-5."""
@@ -71,62 +70,78 @@ def section_points(system: System, section: Section, states: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Sample:
-    """One phase's trajectory: None where it never arrives."""
+class Samples:
+    """Trajectories of seeds at phases (K,) when they meet the section: not a number, and at infinity, if they never do.
 
-    phase: float
-    state: Array | None
-    time: float
-    direction: int
-    point: Array | None
-    normal_rate: float
+    states (K, N); points (K, 2): (q, p/p₀); times (K,) s; rates (K,): along the section's normal.
+    """
+
+    phases: Array
+    states: Array
+    points: Array
+    times: Array
+    rates: Array
+
+    def __len__(self) -> int:
+        return len(self.phases)
+
+    def __getitem__(self, which: Any) -> "Samples":
+        return Samples(*(getattr(self, field.name)[which] for field in fields(self)))
+
+    @staticmethod
+    def joined(parts: "Sequence[Samples]") -> "Samples":
+        """Return several parts as one, in their order."""
+        return Samples(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Samples)))
+
+    @property
+    def arrived(self) -> Flags:
+        """Which (K,) meet the section."""
+        return np.isfinite(self.times)
+
+    def continuous(self, limit: float) -> Flags:
+        """Return which neighbours (K - 1,) are near each other on one curve."""
+        same = np.sign(self.rates[1:]) == np.sign(self.rates[:-1])
+        return same & (np.linalg.norm(np.diff(self.points, axis=0), axis=1) <= limit)
 
 
+@dataclass(frozen=True)
 class Sampler:
     """Flies seeds of one branch to the section."""
 
-    def __init__(
-        self, manifold: UnstableManifold, section: Section, hit: int, branch: int, settings: CutSettings
-    ) -> None:
-        self.manifold, self.section, self.hit, self.branch = manifold, section, hit, branch
-        self.settings = settings
-        self.scale = momentum_scale(manifold.orbit.system, section)
-        self.chord = settings.chord * manifold.orbit.system.section_scale
-        self.longest = longest_flight(manifold, settings)
+    manifold: UnstableManifold
+    section: Section
+    hit: int
+    branch: int
+    settings: CutSettings
 
-    def fly(self, phases: Array) -> list[Sample]:
+    @property
+    def chord(self) -> float:
+        """The longest chord between neighbours, in (q, p/p₀)."""
+        return self.settings.chord * self.manifold.orbit.system.section_scale
+
+    @property
+    def longest(self) -> float:
+        """Periods of its orbit that a trajectory may take."""
+        return longest_flight(self.manifold, self.settings)
+
+    def fly(self, phases: Array) -> Samples:
         """Return the samples at phases (K,), flown together."""
         system = self.manifold.orbit.system
         seeds, _ = self.manifold.seeds(phases, self.branch)
         longest = self.longest * self.manifold.orbit.period
         crossings = system.propagator.crossings(seeds, self.section, longest=longest, hit=self.hit)
-        arrived = [c for c in crossings if c is not None]
-        if not arrived:
-            return [Sample(float(p), None, np.inf, 0, None, 0.0) for p in phases]
-        states = np.array([c.state for c in arrived])
-        normal = system.numeric.rate(states) @ np.asarray(self.section.normal)
-        q = states @ np.asarray(self.section.position)
-        p = system.numeric.momentum(states) @ np.asarray(self.section.momentum) / self.scale
-        out, k = [], 0
-        for phase, c in zip(phases, crossings, strict=True):
-            if c is None:
-                out.append(Sample(float(phase), None, np.inf, 0, None, 0.0))
-            else:
-                point = np.array([q[k], p[k]])
-                rate = float(normal[k])
-                out.append(Sample(float(phase), c.state, c.time, int(np.sign(rate)), point, rate))
-                k += 1
-        return out
+        never = np.full(system.dimension, np.nan)
+        states = np.array([never if c is None else c.state for c in crossings])
+        return Samples(
+            phases=np.asarray(phases, dtype=float),
+            states=states,
+            points=section_points(system, self.section, states),
+            times=np.array([np.inf if c is None else c.time for c in crossings]),
+            rates=system.numeric.rate(states) @ np.asarray(self.section.normal),
+        )
 
 
-def continuous(a: Sample, b: Sample, limit: float) -> bool:
-    """Whether two neighbouring samples are near each other on one curve."""
-    if a.point is None or b.point is None or a.direction != b.direction:
-        return False
-    return math.dist(a.point, b.point) <= limit
-
-
-def refined(sampler: Sampler, start: float) -> tuple[list[Sample], str]:
+def refined(sampler: Sampler, start: float) -> tuple[Samples, str]:
     """Sample one period from phase `start`, halving until chords are short or phases indistinguishable.
 
     Returns the samples and why refinement stopped early, empty if it did not.
@@ -134,28 +149,18 @@ def refined(sampler: Sampler, start: float) -> tuple[list[Sample], str]:
     settings = sampler.settings
     samples = sampler.fly(start + np.arange(settings.first_phases + 1) / settings.first_phases)
     while len(samples) < settings.most_points:
-        wide = [
-            k
-            for k in range(len(samples) - 1)
-            if not (samples[k].point is None and samples[k + 1].point is None)
-            and samples[k + 1].phase - samples[k].phase > settings.smallest_phase_step
-            and not continuous(samples[k], samples[k + 1], sampler.chord)
-        ]
-        if not wide:
+        phases, arrived, steps = samples.phases, samples.arrived, np.diff(samples.phases)
+        wide = (arrived[:-1] | arrived[1:]) & (steps > settings.smallest_phase_step)
+        wide &= ~samples.continuous(sampler.chord)
+        if not wide.any():
             return samples, ""
-        jumps = sum(samples[k + 1].phase - samples[k].phase < settings.fine_phase_step for k in wide)
-        if jumps > settings.most_jumps:
+        if np.count_nonzero(steps[wide] < settings.fine_phase_step) > settings.most_jumps:
             return samples, (
                 f"branch {sampler.branch:+d} scatters before crossing {sampler.hit}: more than {settings.most_jumps} "
                 f"jumps between phases {settings.fine_phase_step:g} apart; allow less time"
             )
-        middles = sampler.fly(np.array([(samples[k].phase + samples[k + 1].phase) / 2 for k in wide]))
-        merged, fresh = [], dict(zip(wide, middles, strict=True))
-        for k, sample in enumerate(samples):
-            merged.append(sample)
-            if k in fresh:
-                merged.append(fresh[k])
-        samples = merged
+        samples = Samples.joined([samples, sampler.fly(((phases[:-1] + phases[1:]) / 2)[wide])])
+        samples = samples[np.argsort(samples.phases, kind="stable")]
     return samples, f"branch {sampler.branch:+d}: {settings.most_points} points leave wide chords; allow more"
 
 
@@ -206,75 +211,54 @@ class Cut:
     status: str
 
 
-def _jump(a: Sample, b: Sample, sampler: Sampler, grazing: float) -> OpenEnd:
-    """Return the end between two indistinguishable phases that arrive far apart."""
-    slow, interval = min(abs(a.normal_rate), abs(b.normal_rate)), (a.phase % 1, b.phase % 1)
+def _gap(samples: Samples, sampler: Sampler, grazing: float) -> OpenEnd:
+    """Return the end between two indistinguishable phases that arrive far apart, or over phases that never arrive."""
+    hit, interval = sampler.hit, (float(samples.phases[0] % 1), float(samples.phases[-1] % 1))
+    if not samples.arrived[0]:
+        reason = (
+            f"never arrives: {len(samples)} phases do not reach crossing {hit} of {sampler.section.name} within "
+            f"{sampler.longest:g} periods"
+        )
+        return OpenEnd(sampler.branch, interval, reason, hides=sampler.settings.longest is None)
+    first, second = samples.rates
+    slow = min(abs(first), abs(second))
     if slow > grazing:
         reason = (
-            f"jumps: neighbouring trajectories part before crossing {sampler.hit} (normal rates {a.normal_rate:.3g} "
-            f"and {b.normal_rate:.3g}); they pass near another orbit or were not refined further"
+            f"jumps: neighbouring trajectories part before crossing {hit} (normal rates {first:.3g} and {second:.3g}); "
+            "they pass near another orbit or were not refined further"
         )
         return OpenEnd(sampler.branch, interval, reason, hides=True)
-    reason = f"grazes the section: crossing {sampler.hit} jumps where the normal rate falls to {slow:.1e} rad/s"
+    reason = f"grazes the section: crossing {hit} jumps where the normal rate falls to {slow:.1e} rad/s"
     return OpenEnd(sampler.branch, interval, reason, hides=False)
 
 
-def _pieces(samples: list[Sample], sampler: Sampler) -> tuple[list[Piece], list[OpenEnd]]:
+def _pieces(samples: Samples, sampler: Sampler) -> tuple[list[Piece], list[OpenEnd]]:
     """Split refined samples into connected pieces and the gaps between them."""
-    joins = [continuous(a, b, sampler.chord) for a, b in pairwise(samples)]
-    grazing = sampler.settings.grazing * max(abs(s.normal_rate) for s in samples)
+    arrived, joins = samples.arrived, samples.continuous(sampler.chord)
+    grazing = sampler.settings.grazing * float(np.abs(samples.rates[arrived]).max(initial=0.0))
+    # Stretches of one curve, and of phases that never arrive.
+    breaks = np.flatnonzero(~joins & (arrived[1:] | arrived[:-1])) + 1
+    stretches = np.split(np.arange(len(samples)), breaks)
     gaps: list[OpenEnd] = []
-    runs: list[list[Sample]] = [[]]
-    never: list[float] = []
-    for k, sample in enumerate(samples):
-        if sample.point is None:
-            never.append(sample.phase)
-        else:
-            runs[-1].append(sample)
-        if k < len(joins) and not joins[k]:
-            following = samples[k + 1]
-            both_missing = sample.point is None and following.point is None
-            if not both_missing:
-                if runs[-1]:
-                    runs.append([])
-                if sample.point is not None and following.point is not None:
-                    gaps.append(_jump(sample, following, sampler, grazing))
-            if following.point is not None and never:
-                gaps.append(_never(never, sampler))
-                never = []
-    if never:
-        gaps.append(_never(never, sampler))
-    runs = [run for run in runs if len(run) > 1]
+    for k, stretch in enumerate(stretches):
+        if not arrived[stretch[0]]:
+            gaps.append(_gap(samples[stretch], sampler, grazing))
+        elif k and arrived[stretch[0] - 1]:
+            gaps.append(_gap(samples[stretch[0] - 1 : stretch[0] + 1], sampler, grazing))
+    runs = [samples[stretch] for stretch in stretches if arrived[stretch[0]] and len(stretch) > 1]
     # An orbit that crosses the section itself: its seeds gain a crossing where they pass it, and phases no circle.
     circle = not sampler.manifold.orbit.laps
-    closed = circle and all(joins) and bool(runs)
-    if circle and not closed and len(runs) > 1 and samples[-1].point is not None and samples[0].point is not None:
+    closed = circle and bool(joins.all())
+    if circle and not closed and len(runs) > 1:
         # Phases are a circle: the last run continues into the first.
         head, tail = runs[0], runs[-1]
-        if head[0].phase == samples[0].phase and tail[-1].phase == samples[-1].phase:
-            shifted = [Sample(s.phase + 1, s.state, s.time, s.direction, s.point, s.normal_rate) for s in head[1:]]
-            runs = [*runs[1:-1], tail + shifted]
+        if head.phases[0] == samples.phases[0] and tail.phases[-1] == samples.phases[-1]:
+            runs = [*runs[1:-1], Samples.joined([tail, replace(head, phases=head.phases + 1)[1:]])]
     return [_piece(run, sampler.branch, closed) for run in runs], gaps
 
 
-def _never(phases: list[float], sampler: Sampler) -> OpenEnd:
-    reason = (
-        f"never arrives: {len(phases)} phases do not reach crossing {sampler.hit} of {sampler.section.name} within "
-        f"{sampler.longest:g} periods"
-    )
-    return OpenEnd(sampler.branch, (phases[0] % 1, phases[-1] % 1), reason, hides=sampler.settings.longest is None)
-
-
-def _piece(run: list[Sample], branch: int, closed: bool) -> Piece:
-    return Piece(
-        branch=branch,
-        phases=np.array([s.phase for s in run]),
-        points=np.array([s.point for s in run]),
-        states=np.array([s.state for s in run]),
-        times=np.array([s.time for s in run]),
-        direction=run[0].direction,
-        closed=closed,
-    )
+def _piece(run: Samples, branch: int, closed: bool) -> Piece:
+    return Piece(branch, run.phases, run.points, run.states, run.times, int(np.sign(run.rates[0])), closed)
 
 
 def _mirrored(manifold: UnstableManifold, section: Section, piece: Piece) -> Piece:

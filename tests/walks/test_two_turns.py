@@ -5,15 +5,13 @@ wrap takes a λ-th. It is cut in steps of the logarithm of that distance, and se
 to the second crossing an error grows by 1e10 and more, hence the wide acceptance before the orbit is refined.
 """
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
-from dpcontrol.tubes.cut import Cut, Piece, Sampler, continuous
+from dpcontrol.tubes.cut import Cut, Piece, Sampler
 from dpcontrol.tubes.intersections import ConnectionSettings, TubeSide
 from dpcontrol.walks.shadowing import WalkSolver
 
@@ -58,16 +56,12 @@ def spiral(turn, manifold, section):
     pieces = []
     for phases in (own - away[::-1], own + away):
         samples = sampler.fly(phases)
-        runs = [[samples[0]]]
-        for a, b in pairwise(samples):
-            if not continuous(a, b, 4 * sampler.chord):
-                runs.append([])
-            runs[-1].append(b)
-        for run in runs:
+        parts = np.split(np.arange(count), np.flatnonzero(~samples.continuous(4 * sampler.chord)) + 1)
+        for run in [samples[part] for part in parts]:
+            direction = int(np.sign(run.rates[0]))
             # On the other side of the turn's phase the trajectory falls back instead of turning on.
-            if len(run) > 3 and run[0].direction == cut_direction(turn):
-                arrays = (np.array([getattr(s, name) for s in run]) for name in ("phase", "point", "state", "time"))
-                pieces.append(Piece(branch, *arrays, run[0].direction, closed=False))
+            if len(run) > 3 and direction == cut_direction(turn):
+                pieces.append(Piece(branch, run.phases, run.points, run.states, run.times, direction, closed=False))
     return Cut(section, 2, tuple(pieces), (), 2 * count, True, "beside one turn")
 
 
