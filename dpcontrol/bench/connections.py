@@ -145,8 +145,8 @@ def _two_flights(orbit: LyapunovOrbit, distance: float) -> list[Array]:
     section = system.section_between(orbit.saddle, orbit.saddle)
     manifold = local_manifold(orbit, distance)
     cut = tube_cut(manifold, section, hit=1, settings=settings.cut)
-    crossings, _ = intersect_cuts(system, section, (manifold, manifold), (cut, cut), settings)
-    return [crossing.states[0] for crossing in crossings]
+    crossings = intersect_cuts(system, section, (manifold, manifold), (cut, cut), settings)
+    return [crossing.states[0] for crossing in crossings.found]
 
 
 def outside_panel(*, quick: bool) -> Panel:

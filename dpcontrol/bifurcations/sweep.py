@@ -376,10 +376,10 @@ class Sweep:
         unstable = tube_cut(manifolds[0], self.section, hit=hits[0], settings=settings.cut)
         shared = manifolds[0] is manifolds[1] and hits[0] == hits[1]
         stable = unstable if shared else tube_cut(manifolds[1], self.section, hit=hits[1], settings=settings.cut)
-        crossed, failed = intersect_cuts(self.problem.system, self.section, manifolds, (unstable, stable), settings)
+        crossed = intersect_cuts(self.problem.system, self.section, manifolds, (unstable, stable), settings)
         points: list[PathPoint] = []
         caveat = ""
-        for c in crossed:
+        for c in crossed.found:
             branches = (c.sides[0].branch, c.sides[1].branch)
             phases = (float(c.phases[0]) % 1.0, float(c.phases[1]) % 1.0)
             guess = Link(branches, phases, float(sum(c.times)), tuple(float(k) + 0.0 for k in c.turns))
@@ -390,8 +390,8 @@ class Sweep:
                 continue
             if self.among(point.link, points) is None:
                 points.append(point)
-        if failed:
-            caveat = f"{failed} crossings of the cuts did not converge"
+        if crossed.failed:
+            caveat = f"{crossed.failed} crossings of the cuts did not converge"
         for cut in (unstable, stable):
             if not cut.resolved:
                 caveat = f"{cut.hit}. crossing: {cut.status}"

@@ -171,14 +171,16 @@ def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, near: float) ->
         return 0.0, float(curve.nearest(orbit.sample(np.array([0.0]))[0])[0])
 
     def excess(seconds: float) -> float:
-        return curve.nearest(orbit.sample(np.array([sign * seconds]))[0])[1] - near
+        # Distances fall as an exponential.
+        return float(np.log(curve.nearest(orbit.sample(np.array([sign * seconds]))[0])[1] / near))
 
     # `nearest` minimises the largest component itself, so it never finds more than `distances` does: the first
     # approach may lie a few steps before the grid's, never after it.
     first = int(inside[0])
     while first > 1 and excess(grid[first - 1]) <= 0:
         first -= 1
-    seconds = float(root_scalar(excess, bracket=(grid[first - 1], grid[first]), xtol=1e-12).root)
+    bracket = (grid[first - 1], grid[first])
+    seconds = float(root_scalar(excess, bracket=bracket, xtol=1e-12, method="toms748").root)
     return seconds, curve.nearest(orbit.sample(np.array([sign * seconds]))[0])[0]
 
 

@@ -24,6 +24,7 @@ mechanics (2000), section 4.
 """
 
 import difflib
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -55,6 +56,9 @@ from dpcontrol.tubes.intersections import ConnectionSettings, Intersection, bala
 Array = NDArray[np.float64]
 
 _TANGENT = 1e-5  # scaled: rounding that moves an intersection farther may hide the others of a bifurcation
+
+
+_MEETING = 0.6  # of a search's time: after it only crossings known by then are refined
 
 
 @dataclass(frozen=True)
@@ -147,8 +151,13 @@ def find_connections(
         InputError: the orbits differ in energy, no section is known between their saddles, it is not kept by the
             target's reverser, or one of the orbits crosses it itself.
     """
-    settings = settings or ConnectionSettings()
+    settings, began = settings or ConnectionSettings(), time.process_time()
     system = source.system
+
+    def spent() -> float:
+        """The share of the search's time that has passed."""
+        return (time.process_time() - began) / settings.seconds
+
     section = section or system.section_between(source.saddle, target.saddle)
     if source.energy != target.energy:
         raise InputError(
@@ -179,14 +188,22 @@ def find_connections(
     else:
         unstable, backward = cuts
     progress("intersections", 0.6)
-    crossings, failed = intersect_cuts(system, section, manifolds, (unstable, backward), settings)
+    met = intersect_cuts(
+        system, section, manifolds, (unstable, backward), settings, out_of_time=lambda: spent() > _MEETING
+    )
+    crossings, failed, left = met.found, met.failed, met.left
     even = balanced(crossings, (unstable, backward))
-    finer = replace(settings, cut=replace(settings.cut, chord=settings.cut.chord / 2))
-    if not even and finer.cut.chord >= settings.finest:
+    remaining = settings.seconds * (1 - spent())
+    finer = replace(settings, cut=replace(settings.cut, chord=settings.cut.chord / 2), seconds=remaining)
+    # A finer search takes about twice as long.
+    if not even and finer.cut.chord >= settings.finest and spent() < 1 / 4:
         # Folds thinner than the chord: what one polyline cuts off, a finer one follows.
         return find_connections(source, target, hits=hits, section=section, settings=finer, progress=progress)
     found = []
     for k, crossing in enumerate(crossings):
+        if spent() > 1:
+            left += len(crossings) - k
+            break
         progress("refining connections", 0.7 + 0.3 * k / len(crossings))
         orbit = _refined(crossing, settings)
         if not orbit.converged:
@@ -210,13 +227,18 @@ def find_connections(
     resolved = all(cut.resolved for cut in (unstable, backward))
     hidden = [end for cut in (unstable, backward) for end in cut.open_ends if end.hides]
     tangent = sum(uncertainty(c.transversality_angle, settings.same) > _TANGENT for c in found)
-    complete = even and resolved and not (failed or hidden or tangent)
+    complete = even and resolved and not (failed or left or hidden or tangent)
     count = f"{'' if complete else 'at least '}{len(found)} connections"
     status = f"{count}; unstable tube {unstable.status}; stable tube {backward.status}"
     if not even:
         status += "; closed cuts cross one way more often than the other, so crossings were missed: search thoroughly"
     if failed:
         status += f"; {failed} crossings of the cuts did not converge: search thoroughly, or at another energy"
+    if left:
+        status += (
+            f"; {left} places were left when {settings.seconds:.0f} s of processor time were over: at an energy nearer "
+            "to the saddles' tubes cross less often"
+        )
     if tangent:
         status += f"; the tubes are tangent to rounding at {tangent}, so near a bifurcation that each may be several"
     if hidden:

@@ -7,10 +7,9 @@ Beside every crossing others are looked for where the cuts' slopes and bend plac
 
 Source: Koon, Lo, Marsden, Ross, Heteroclinic connections between periodic orbits and resonance transitions in
 celestial mechanics (2000), section 4; Kaheman et al. (2023), section 3.
-
-Where two curves in the plane cross or nearly touch: first guesses for Newton's method.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -105,10 +104,12 @@ def _to_segment(points: Array, start: Array, end: Array) -> Array:
     return np.linalg.norm(points - start - share[:, None] * along, axis=1)
 
 
+_THOROUGH = 50.0  # s of processor time: what is under way when they have passed takes a few more
 _BESIDE = 1e-3  # phase over which the cuts' bend is measured, less than the 1/100 between the first samples of a cut
 _FARTHEST_PARTNER = 0.05  # phase; the polylines tell partners apart that are farther off
 _FARTHEST = 0.2  # phase from a guess to where Newton's method may lead
 _CLOSER = 16  # points for each between neighbours of a cut where Newton's method did not converge from them
+_TOGETHER = 256  # places that are solved at once
 _AT_REST = 1e-10  # of a phase: Newton's steps where the rounding of seeds, grown with the flight, is what is left
 
 
@@ -120,7 +121,8 @@ class ConnectionSettings:
     they are where only rounding keeps the gap larger; lead: periods of each orbit at least, farthest: scaled distance
     from it at most (its square is left out), nearest: at least (rounding), and segments: nodes per period, in the
     multiple-shooting refinement; near: scaled distance at which a connection is said to have joined its orbit. finest:
-    chord to which cuts are refined where closed ones cross unevenly.
+    chord to which cuts are refined where closed ones cross unevenly. seconds: of processor time after which a search
+    ends with what it has.
     """
 
     distance: float = 1e-4
@@ -134,6 +136,7 @@ class ConnectionSettings:
     segments: int = 8
     near: float = 1e-3
     finest: float = 0.003
+    seconds: float = np.inf
 
 
 def search_settings(*, longest: float | None = None, thorough: bool = False) -> ConnectionSettings:
@@ -143,7 +146,7 @@ def search_settings(*, longest: float | None = None, thorough: bool = False) -> 
     go on where a search is given up after seconds, for up to a minute.
     """
     cut = CutSettings(longest=longest)
-    return ConnectionSettings(cut=cut.thoroughly() if thorough else cut)
+    return ConnectionSettings(cut=cut.thoroughly(), seconds=_THOROUGH) if thorough else ConnectionSettings(cut=cut)
 
 
 @dataclass(frozen=True)
@@ -164,30 +167,28 @@ class TubeSide:
         reverser, centre = self.manifold.orbit.reverser, self.manifold.orbit.centre
         return (states - centre) @ reverser.T + centre
 
-    def points(self, phases: Array) -> Array | None:
-        """Fly the seeds at phases (K,); return (q, p/p₀), (K, 2), or None where one does not arrive."""
-        system = self.manifold.orbit.system
-        seeds, _ = self.manifold.seeds(phases, self.branch)
-        crossings = system.propagator.crossings(seeds, self.section, longest=self.longest, hit=self.hit)
-        states = [c.state for c in crossings if c is not None]
-        if len(states) < len(phases):
-            return None
-        return section_points(system, self.section, self.turned(np.array(states)))
+    def arrive(self, phases: Array) -> tuple[Array, Array, tuple[Array, Array]]:
+        """Fly the seeds at phases (K,) to the section.
 
-    def arrive(self, phase: float) -> tuple[Array, Array, float] | None:
-        """Fly the seed at `phase`; return (state, ∂state/∂phase on the section, seconds), or None."""
+        Returns states (K, N) and seconds (K,), not a number where one never arrives, and the seeds with their
+        derivatives by phase, each (K, N).
+        """
         system = self.manifold.orbit.system
-        seeds, slopes = self.manifold.seeds(np.array([phase]), self.branch)
-        crossing = system.propagator.crossing(seeds[0], self.section, longest=self.longest, hit=self.hit)
-        if crossing is None:
-            return None
-        _, stm = system.propagator.flow_with_stm(seeds[0], crossing.time)
-        slope, rate = stm @ slopes[0], system.numeric.rate(crossing.state)
-        normal = np.asarray(self.section.normal)
-        slope = slope - rate * (normal @ slope) / (normal @ rate)
+        seeds, slopes = self.manifold.seeds(phases, self.branch)
+        flown = system.propagator.crossings(seeds, self.section, longest=self.longest, hit=self.hit)
+        never = np.full(system.dimension, np.nan)
+        states = np.array([never if c is None else c.state for c in flown]).reshape(-1, system.dimension)
+        return self.turned(states), np.array([np.nan if c is None else c.time for c in flown]), (seeds, slopes)
+
+    def slopes(self, seeds: tuple[Array, Array], states: Array, times: Array) -> Array:
+        """Return the derivatives (K, N) by phase, along the section, of states (K, N) that arrived after times (K,)."""
+        system = self.manifold.orbit.system
+        _, stms = system.segments.flows_with_stm(seeds[0], times)
+        grown, normal = np.einsum("kij,kj->ki", stms, seeds[1]), np.asarray(self.section.normal)
         if self.stable:
-            slope = self.manifold.orbit.reverser @ slope
-        return self.turned(crossing.state), slope, crossing.time
+            grown = grown @ self.manifold.orbit.reverser.T
+        rates = system.numeric.rate(states)
+        return grown - rates * ((grown @ normal) / (rates @ normal))[:, None]
 
 
 @dataclass(frozen=True)
@@ -200,6 +201,39 @@ class Intersection:
     turns: Array
     tangents: Array
     times: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Crossings:
+    """Where two cuts cross.
+
+    failed: places that led to no crossing; left: places not tried, and crossings beside which none was looked for, as
+    time had run out.
+    """
+
+    found: list[Intersection]
+    failed: int
+    left: int = 0
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where two polylines meet: phases (2,), and each cut's phases near it; `shift` (2,) brings the second to the
+    first. sure: they really cross."""
+
+    phases: Array
+    spans: tuple[Array, Array]
+    shift: Array
+    sure: bool
+
+    @property
+    def reach(self) -> float:
+        """How far Newton's method may lead: past neighbours, not to where the cuts have nothing to do with it."""
+        return min(_FARTHEST, 20 * max(float(span[-1] - span[0]) for span in self.spans))
+
+    def holds(self, phases: Array) -> bool:
+        """Whether phases (2,) lie within both cuts' near the place."""
+        return all(span[0] <= phase <= span[-1] for span, phase in zip(self.spans, phases, strict=True))
 
 
 def _turned_piece(system: System, side: TubeSide, piece: Piece) -> Piece:
@@ -220,38 +254,61 @@ def intersect_cuts(
     manifolds: tuple[UnstableManifold, UnstableManifold],
     cuts: tuple[Cut, Cut],
     settings: ConnectionSettings,
-) -> tuple[list[Intersection], int]:
-    """Intersect the pieces of two cuts; return distinct intersections and the number that did not converge.
+    *,
+    out_of_time: Callable[[], bool] = lambda: False,
+) -> Crossings:
+    """Intersect the pieces of two cuts; return distinct intersections.
 
     Where a symmetry exchanges the branches, only one branch of the unstable tube is searched.
     """
-    found: list[Intersection] = []
-    failed = 0
     mirrored = all(m.branches_are_mirrored for m in manifolds)
+    found: list[Intersection] = []
+    failed = left = 0
+    for branches in ((1, 1), (1, -1)) if mirrored else ((1, 1), (1, -1), (-1, 1), (-1, -1)):
+        unstable, stable = (
+            TubeSide(m, section, k == 1, cuts[k].hit, branches[k], 2 * longest_flight(m, settings.cut) * m.orbit.period)
+            for k, m in enumerate(manifolds)
+        )
+        first = [piece for piece in cuts[0].pieces if piece.branch == branches[0]]
+        second = [_turned_piece(system, stable, piece) for piece in cuts[1].pieces if piece.branch == branches[1]]
+        # Those that really cross come first, and partners last, should time run out.
+        places = sorted(_places(system, section, first, second, settings), key=lambda place: not place.sure)
+        here: list[Intersection] = []
+        for start in range(0, len(places), _TOGETHER):
+            if out_of_time():
+                left += len(places) - start
+                break
+            part = places[start : start + _TOGETHER]
+            solutions = _solved(system, (unstable, stable), part, settings)
+            failed += sum(place.sure and not each for place, each in zip(part, solutions, strict=True))
+            _add(system, [one for each in solutions for one in each], here, settings)
+        alone = here.copy()
+        for start in range(0, len(alone), _TOGETHER):
+            if out_of_time():
+                left += len(alone) - start
+                break
+            _add(system, _partners(system, alone[start : start + _TOGETHER], settings), here, settings)
+        found += here
+    return Crossings(found, failed, left)
 
-    def side(which: int, piece: Piece) -> TubeSide:
-        longest = 2 * longest_flight(manifolds[which], settings.cut) * manifolds[which].orbit.period
-        return TubeSide(manifolds[which], section, which == 1, cuts[which].hit, piece.branch, longest)
 
-    stable = [(side(1, piece), _turned_piece(system, side(1, piece), piece)) for piece in cuts[1].pieces]
-    for u_piece in cuts[0].pieces:
-        if mirrored and u_piece.branch < 0:
-            continue
-        for s_side, s_piece in stable:
-            if s_piece.direction != u_piece.direction:
-                continue
-            sides, here = (side(0, u_piece), s_side), list[Intersection]()
-            for shift in _shifts(system, section, u_piece, s_piece, settings.cut.chord * system.section_scale):
-                for places, sure in _meetings(u_piece.points, s_piece.points + shift):
-                    solutions = _solved(system, sides, (u_piece, s_piece), places, shift, settings)
-                    failed += int(sure and not solutions)
-                    for solution in solutions:
-                        if not _known(system, solution, here, settings):
-                            here.append(solution)
-                            here += [p for p in _partners(system, solution, settings)
-                                     if not _known(system, p, here, settings)]  # fmt: skip
-            found += here
-    return found, failed
+def _places(
+    system: System, section: Section, first: list[Piece], second: list[Piece], settings: ConnectionSettings
+) -> list[_Place]:
+    """Return where the pieces of one cut meet those of the other."""
+    margin, found = settings.cut.chord * system.section_scale, []
+    ways = np.array([piece.direction for piece in second])
+    momenta = np.array([(p.points[:, 1].min(), p.points[:, 1].max()) for p in second]).reshape(-1, 2)
+    for u in first:
+        low, high = u.points[:, 1].min() - margin, u.points[:, 1].max() + margin
+        for k in np.flatnonzero((ways == u.direction) & (momenta[:, 0] <= high) & (momenta[:, 1] >= low)):
+            s = second[k]
+            for shift in _shifts(system, section, u, s, margin):
+                for places, sure in _meetings(u.points, s.points + shift):
+                    phases = [float(np.interp(k, np.arange(len(p.phases)), p.phases))
+                              for k, p in zip(places, (u, s), strict=True)]  # fmt: skip
+                    found.append(_Place(np.array(phases), (_span(u, places[0]), _span(s, places[1])), shift, sure))
+    return found
 
 
 def balanced(crossings: list[Intersection], cuts: tuple[Cut, Cut]) -> bool:
@@ -283,8 +340,6 @@ def _shifts(system: System, section: Section, u: Piece, s: Piece, margin: float)
     """Return the whole turns (2,) in (q, p/p₀) that bring one piece to another, or within a margin of it."""
     period = float(system.periods[int(np.argmax(np.abs(section.position)))])
     (low, high), (least, most) = ((p.points.min(axis=0), p.points.max(axis=0)) for p in (u, s))
-    if high[1] < least[1] - margin or low[1] > most[1] + margin:
-        return []
     if not np.isfinite(period):
         return [np.zeros(2)] if high[0] >= least[0] - margin and low[0] <= most[0] + margin else []
     first = int(np.ceil((low[0] - most[0] - margin) / period))
@@ -305,33 +360,36 @@ def _meetings(first: Array, second: Array) -> list[tuple[tuple[float, float], bo
 
 
 def _solved(
-    system: System,
-    sides: tuple[TubeSide, TubeSide],
-    pieces: tuple[Piece, Piece],
-    places: tuple[float, float],
-    shift: Array,
-    settings: ConnectionSettings,
-) -> list[Intersection]:
-    """Solve for the intersections near a place along both pieces.
+    system: System, sides: tuple[TubeSide, TubeSide], places: list[_Place], settings: ConnectionSettings
+) -> list[list[Intersection]]:
+    """Solve for the intersections near each place.
 
     Where Newton's method leads elsewhere, as from beside a fold thinner than a chord, the cuts are looked at closer.
     """
-    spans = [_span(piece, place) for piece, place in zip(pieces, places, strict=True)]
-    guess = [np.interp(k, np.arange(len(p.phases)), p.phases) for k, p in zip(places, pieces, strict=True)]
-    # Newton's method may lead past neighbours of a place, but not to where the cuts have nothing to do with it.
-    reach = min(_FARTHEST, 20 * max(float(span[-1] - span[0]) for span in spans))
-    solution = _newton(system, sides, np.array(guess), settings, reach)
-    found = [] if solution is None else [solution]
-    if solution is not None and all(s[0] <= p <= s[-1] for s, p in zip(spans, solution.phases, strict=True)):
+    solutions = _newton(
+        system, sides, np.array([p.phases for p in places]), settings, np.array([p.reach for p in places])
+    )
+    found = [[] if one is None else [one] for one in solutions]
+    astray = [k for k, one in enumerate(solutions) if one is None or not places[k].holds(one.phases)]
+    if not astray:
         return found
-    curves = [side.points(span) for side, span in zip(sides, spans, strict=True)]
-    if curves[0] is None or curves[1] is None:
-        return found
-    for closer, _ in _meetings(curves[0], curves[1] + shift):
-        guess = [np.interp(k, np.arange(len(span)), span) for k, span in zip(closer, spans, strict=True)]
-        solution = _newton(system, sides, np.array(guess), settings, reach)
-        if solution is not None:
-            found.append(solution)
+    curves = []
+    for which, side in enumerate(sides):
+        states, *_ = side.arrive(np.concatenate([places[k].spans[which] for k in astray]))
+        ends = np.cumsum([len(places[k].spans[which]) for k in astray])[:-1]
+        curves.append(np.split(section_points(system, side.section, states), ends))
+    owners, guesses = [], []
+    for k, first, second in zip(astray, *curves, strict=True):
+        if np.isfinite(first).all() and np.isfinite(second).all():
+            for closer, _ in _meetings(first, second + places[k].shift):
+                owners.append(k)
+                guesses.append([np.interp(j, np.arange(len(span)), span)
+                                for j, span in zip(closer, places[k].spans, strict=True)])  # fmt: skip
+    again = _newton(
+        system, sides, np.array(guesses).reshape(-1, 2), settings, np.array([places[k].reach for k in owners])
+    )
+    for k, one in zip(owners, again, strict=True):
+        found[k] += [] if one is None else [one]
     return found
 
 
@@ -342,34 +400,48 @@ def _span(piece: Piece, place: float) -> Array:
     return np.interp(along, np.arange(len(piece.phases)), piece.phases)
 
 
-def _gap(system: System, first: Array, second: Array) -> tuple[Array, Array]:
-    """Return (state gap with whole turns removed (N,), whole turns (N,))."""
-    difference = first - second
-    turns = system.nearest_turns(difference)
-    lengths = np.where(np.isfinite(system.periods), system.periods, 0.0)
-    return difference - turns * lengths, turns
+@dataclass(frozen=True)
+class _Approach:
+    """A would-be intersection: the largest component of its state gap, its gap (2,) in section coordinates, and whether
+    both trajectories cross the section the same way."""
+
+    crossing: Intersection
+    gap: float
+    miss: Array
+    same_way: bool
 
 
-def _meeting(
-    system: System, sides: tuple[TubeSide, TubeSide], phases: Array
-) -> tuple[Intersection, Array, Array] | None:
-    """Return how the trajectories from two phases miss each other on the section, None where one does not arrive.
-
-    Returns (the would-be intersection, state gap (N,), gap (2,) in section coordinates).
-    """
+def _approaches(system: System, sides: tuple[TubeSide, TubeSide], phases: Array) -> list[_Approach | None]:
+    """Return how trajectories from pairs of phases (K, 2) miss each other, None where one does not arrive."""
     section = sides[0].section
-    scale = momentum_scale(system, section)
-    position, along = np.asarray(section.position), np.asarray(section.momentum)
-    forward, backward = sides[0].arrive(float(phases[0])), sides[1].arrive(float(phases[1]))
-    if forward is None or backward is None:
-        return None
-    (xu, du, tu), (xs, ds, ts) = forward, backward
-    gap, turns = _gap(system, xu, xs)
-    tangents = np.array(
-        [[position @ d, along @ (system.numeric.momentum_jacobian(x) @ d) / scale] for x, d in ((xu, du), (xs, ds))]
-    ).T
-    points = section_points(system, section, np.array([xu, xu - gap]))
-    return Intersection(sides, phases.copy(), (xu, xs), turns, tangents, (tu, ts)), gap, points[0] - points[1]
+    position, along = np.asarray(section.position), np.asarray(section.momentum) / momentum_scale(system, section)
+    found: list[_Approach | None] = [None] * len(phases)
+    flown = [side.arrive(phases[:, which]) for which, side in enumerate(sides)]
+    both = np.flatnonzero(np.isfinite(flown[0][1]) & np.isfinite(flown[1][1]))
+    if not both.size:
+        return found
+    states, times = [flown[k][0][both] for k in (0, 1)], [flown[k][1][both] for k in (0, 1)]
+    tangents = []
+    for which, side in enumerate(sides):
+        seeds, seed_slopes = flown[which][2]
+        slopes = side.slopes((seeds[both], seed_slopes[both]), states[which], times[which])
+        momenta = np.einsum("kij,kj->ki", system.numeric.momentum_jacobian(states[which]), slopes)
+        tangents.append(np.stack([slopes @ position, momenta @ along], axis=-1))
+    turns = system.nearest_turns(states[0] - states[1])
+    gaps = states[0] - states[1] - turns * system.turn_lengths
+    miss = section_points(system, section, states[0]) - section_points(system, section, states[0] - gaps)
+    ways = [np.sign(system.numeric.rate(arrived) @ np.asarray(section.normal)) for arrived in states]
+    for j, k in enumerate(both):
+        crossing = Intersection(
+            sides=sides,
+            phases=phases[k].copy(),
+            states=(states[0][j], states[1][j]),
+            turns=turns[j],
+            tangents=np.column_stack([tangents[0][j], tangents[1][j]]),
+            times=(float(times[0][j]), float(times[1][j])),
+        )
+        found[k] = _Approach(crossing, float(np.abs(gaps[j]).max()), miss[j], bool(ways[0][j] == ways[1][j]))
+    return found
 
 
 def _slopes(crossing: Intersection) -> Array:
@@ -378,56 +450,73 @@ def _slopes(crossing: Intersection) -> Array:
 
 
 def _newton(
-    system: System,
-    sides: tuple[TubeSide, TubeSide],
-    guess: Array,
-    settings: ConnectionSettings,
-    reach: float = _FARTHEST,
-) -> Intersection | None:
-    """Solve for the two phases; None where Newton goes farther than `reach` or does not converge."""
-    phases, resting = guess.copy(), np.inf
+    system: System, sides: tuple[TubeSide, TubeSide], guesses: Array, settings: ConnectionSettings, reach: Array
+) -> list[Intersection | None]:
+    """Solve for pairs of phases from guesses (K, 2); None where Newton goes farther than `reach` (K,) or never ends."""
+    phases, resting = guesses.copy(), np.full(len(guesses), np.inf)
+    found: list[Intersection | None] = [None] * len(guesses)
+    going = np.arange(len(guesses))
     for _ in range(settings.newton_iterations):
-        met = _meeting(system, sides, phases)
-        if met is None:
-            return None
-        crossing, gap, miss = met
-        if float(np.abs(gap).max()) < settings.accept:
-            return crossing
-        step = np.linalg.lstsq(_slopes(crossing), miss, rcond=1e-12)[0]
-        # A step of more than a few hundredths of a phase would leave the guess's neighbourhood.
-        longest = float(np.max(np.abs(step)))
-        if longest < _AT_REST:
-            # Sensitive flights end this far apart from phases that differ by rounding alone.
-            if float(np.abs(gap).max()) >= resting:
-                return crossing
-            resting = float(np.abs(gap).max())
-        phases = phases - step * min(1.0, 0.05 / longest if longest else 1.0)
-        if np.max(np.abs(phases - guess)) > reach:
-            return None
-    return None
+        on = []
+        for k, one in zip(going, _approaches(system, sides, phases[going]), strict=True):
+            if one is None:
+                continue
+            if one.gap < settings.accept:
+                found[k] = one.crossing
+                continue
+            step = np.linalg.lstsq(_slopes(one.crossing), one.miss, rcond=1e-12)[0]
+            longest = float(np.max(np.abs(step)))
+            if longest < _AT_REST:
+                # Sensitive flights end this far apart from phases that differ by rounding alone.
+                if one.gap >= resting[k]:
+                    found[k] = one.crossing if one.same_way else None
+                    continue
+                resting[k] = one.gap
+            # A step of more than a few hundredths of a phase would leave the guess's neighbourhood.
+            phases[k] -= step * min(1.0, 0.05 / longest if longest else 1.0)
+            if np.max(np.abs(phases[k] - guesses[k])) <= reach[k]:
+                on.append(k)
+        going = np.array(on, dtype=np.intp)
+        if not on:
+            break
+    return found
 
 
-def _partners(system: System, crossing: Intersection, settings: ConnectionSettings) -> list[Intersection]:
-    """Return the crossings within about one chord of the cuts from a known one, which polylines do not tell apart.
+def _partners(system: System, crossings: list[Intersection], settings: ConnectionSettings) -> list[Intersection]:
+    """Return the crossings within about one chord of the cuts from known ones, which polylines do not tell apart.
 
     Along the direction in which the gap changes least it is a s + ½ b s² + c s³/6, with a, b, c from its derivative
     there and on both sides: beside a saddle-node a second zero is near -2a/b, beside a pitchfork (b = 0) two more are
     near ±√(-6a/c). The angle between the cuts does not tell: where they bend sharply a pair a hundredth of a phase
     apart may meet at 60°.
     """
-    slopes = _slopes(crossing)
-    left, _, right = np.linalg.svd(slopes)
-    across, flat = left[:, -1], right[-1] / np.abs(right[-1]).max()
-    around = [_meeting(system, crossing.sides, crossing.phases + s * _BESIDE * flat) for s in (-1, 1)]
-    if around[0] is None or around[1] is None:
+    if not crossings:
         return []
-    before, here, after = (float(across @ m @ flat) for m in (_slopes(around[0][0]), slopes, _slopes(around[1][0])))
-    zeros = np.roots([(before - 2 * here + after) / (6 * _BESIDE**2), (after - before) / (4 * _BESIDE), here])
-    near = [float(s.real) for s in zeros if abs(s.imag) < abs(s.real) and abs(s) < _FARTHEST_PARTNER]
-    found = [_newton(system, crossing.sides, crossing.phases + s * flat, settings) for s in near]
-    return [f for f in found if f is not None]
+    sides, across, flat = crossings[0].sides, [], []
+    for crossing in crossings:
+        left, _, right = np.linalg.svd(_slopes(crossing))
+        across.append(left[:, -1])
+        flat.append(right[-1] / np.abs(right[-1]).max())
+    phases = np.array([crossing.phases for crossing in crossings])
+    beside = [_approaches(system, sides, phases + sign * _BESIDE * np.array(flat)) for sign in (-1, 1)]
+    guesses: list[Array] = []
+    for k, (crossing, *pair) in enumerate(zip(crossings, *beside, strict=True)):
+        if pair[0] is None or pair[1] is None:
+            continue
+        around = (_slopes(c) for c in (pair[0].crossing, crossing, pair[1].crossing))
+        before, here, after = (float(across[k] @ m @ flat[k]) for m in around)
+        zeros = np.roots([(before - 2 * here + after) / (6 * _BESIDE**2), (after - before) / (4 * _BESIDE), here])
+        guesses += [crossing.phases + float(s.real) * flat[k] for s in zeros
+                    if abs(s.imag) < abs(s.real) and abs(s) < _FARTHEST_PARTNER]  # fmt: skip
+    start = np.array(guesses).reshape(-1, 2)
+    return [one for one in _newton(system, sides, start, settings, np.full(len(start), _FARTHEST)) if one is not None]
 
 
-def _known(system: System, one: Intersection, found: list[Intersection], settings: ConnectionSettings) -> bool:
-    """Whether a solution is one of those found: the same point of the torus."""
-    return any(bool(system.scaled_distance(one.states[0], f.states[0]) < settings.same) for f in found)
+def _add(
+    system: System, solutions: list[Intersection], found: list[Intersection], settings: ConnectionSettings
+) -> None:
+    """Add to those found the solutions that are none of them: other points of the torus."""
+    for one in solutions:
+        known = np.array([other.states[0] for other in found]).reshape(-1, system.dimension)
+        if not (system.scaled_distance(known, one.states[0]) < settings.same).any():
+            found.append(one)

@@ -17,7 +17,7 @@ from dpcontrol.scenes.model import load_model
 from dpcontrol.shooting.newton import solve_shooting
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import CutSettings, section_points
-from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
+from dpcontrol.tubes.intersections import ConnectionSettings, Crossings, intersect_cuts
 
 REPEATABLE = 1e-7  # J: the bar; 1e-11 is reached
 RESIDUAL = 1e-8
@@ -246,7 +246,8 @@ def test_a_connection_that_a_search_misses_is_found_by_continuation(system, monk
     low, high = -0.13, -0.12
     whole = sweep.search(low)
     with monkeypatch.context() as patch:
-        patch.setattr("dpcontrol.bifurcations.sweep.intersect_cuts", lambda *cuts: (intersect_cuts(*cuts)[0][:1], 0))
+        one = lambda *cuts: Crossings(intersect_cuts(*cuts).found[:1], 0)  # noqa: E731
+        patch.setattr("dpcontrol.bifurcations.sweep.intersect_cuts", one)
         assert sweep.search(high).count == whole.count - 2
     interval = sweep.between(low, high)
     assert sweep.search(high).count == whole.count

@@ -41,8 +41,8 @@ def unrefined_errors(key, distance):
     orbit, _ = orbits_between(system, *key)
     manifold, section = UnstableManifold(orbit, distance), system.sections[key[:2]]
     cut = tube_cut(manifold, section, settings=settings.cut)
-    found, _ = intersect_cuts(system, section, (manifold, manifold), (cut, cut), settings)
-    return [off(crossing.states[0], images(key)) for crossing in found]
+    found = intersect_cuts(system, section, (manifold, manifold), (cut, cut), settings)
+    return [off(crossing.states[0], images(key)) for crossing in found.found]
 
 
 @pytest.fixture(scope="module")

@@ -36,8 +36,9 @@ def seed_phase(turn, manifold, section):
         amplitude = manifold.distance / float(manifold.frame(np.array([phase])).lengths[0])
         phase = start.phase + np.log(amplitude / abs(start.amplitude)) / manifold.exponent
     for _ in range(5):
-        state, slope, _ = side.arrive(float(phase))
-        phase -= (state - turn.state) @ slope / (slope @ slope)
+        states, times, seeds = side.arrive(np.array([phase]))
+        slope = side.slopes(seeds, states, times)[0]
+        phase -= (states[0] - turn.state) @ slope / (slope @ slope)
     return phase
 
 
