@@ -291,7 +291,7 @@ class Propagator:
         self.equations = equations
         self.parameters = np.asarray(parameters, dtype=float)
         self.tolerance = tolerance
-        self._compiled: dict[tuple[bool, bool], Any] = {}
+        self._compiled: dict[tuple[bool, int, bool], Any] = {}
 
     @cached_property
     def taylor_system(self) -> list[tuple[Any, Any]]:
@@ -299,22 +299,34 @@ class Propagator:
         return taylor_system(self.equations, [hy.expression(0.0)] * self.equations.input_count)
 
     @cached_property
+    def _tangent_system(self) -> list[tuple[Any, Any]]:
+        """The equations with one tangent beside each state, v' = Df(x) v: half the work of a state-transition matrix."""
+        pairs = self.taylor_system
+        tangent = hy.make_vars(*[f"v{i}" for i in range(len(pairs))])
+        rates = [hy.sum([hy.diff(rate, x) * v for (x, _), v in zip(pairs, tangent, strict=True)]) for _, rate in pairs]
+        return [*pairs, *zip(tangent, rates, strict=True)]
+
+    @cached_property
     def _finder(self) -> CrossingFinder:
         return CrossingFinder(self.taylor_system, self.parameters)
 
     def _at_zero(self, states: Array, *, stm: bool) -> Any:
-        """Return an integrator at time zero and at a state (N,), or with a lane for each of (N, LANES)."""
-        many = states.ndim == 2
-        if (stm, many) not in self._compiled:
-            system = hy.var_ode_sys(self.taylor_system, args=hy.var_args.vars, order=1) if stm else self.taylor_system
+        """Return an integrator at time zero and at a state (N,), or with a lane for each of (N, LANES).
+
+        States (2 N,) and (2 N, LANES) have their tangents beside them.
+        """
+        many, kind = states.ndim == 2, (stm, len(states), states.ndim == 2)
+        if kind not in self._compiled:
+            system = self.taylor_system if len(states) == self.equations.dimension else self._tangent_system
+            system = hy.var_ode_sys(system, args=hy.var_args.vars, order=1) if stm else system
             # compact_mode compiles ten times faster and runs at most two times slower.
             make = hy.taylor_adaptive_batch if many else hy.taylor_adaptive
             integrator = make(system, np.zeros(states.shape), tol=self.tolerance, compact_mode=True)
             # Parameters that the equations never use are not part of the compiled code.
             used = self.parameters[: len(integrator.pars)]
             integrator.pars[:] = used[:, None] if many else used
-            self._compiled[stm, many] = integrator
-        integrator, n = self._compiled[stm, many], len(states)
+            self._compiled[kind] = integrator
+        integrator, n = self._compiled[kind], len(states)
         if many:
             integrator.set_time(0.0)
         else:
@@ -406,10 +418,20 @@ class Propagator:
         out = self._flown(states, durations, stm=True)
         return out[:, :n].copy(), out[:, n:].reshape(-1, n, n).copy()
 
+    def flows_with_tangents(self, states: Array, durations: Array, tangents: Array) -> tuple[Array, Array]:
+        """Return the states (K, N) as `flows` does, and what `tangents` (K, N) at their starts have been carried to.
+
+        Raises:
+            ArithmeticError: a state became infinite or undefined.
+        """
+        n = self.equations.dimension
+        out = self._flown(np.hstack([states, tangents]), durations, stm=False)
+        return out[:, :n], out[:, n:]
+
     def _flown(self, states: Array, durations: Array, *, stm: bool) -> Array:
         if not (np.isfinite(states).all() and np.isfinite(durations).all()):
             raise ArithmeticError("a segment starts from a state, or lasts a time, that is not finite")
-        n = self.equations.dimension
+        n = states.shape[1]
         out = np.empty((len(states), n + n * n if stm else n))
         for first in range(0, len(states), LANES):
             # A last batch that is not full flies its last segment again.

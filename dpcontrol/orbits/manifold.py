@@ -374,20 +374,20 @@ class OrbitCurve:
         within = np.asarray(phases) % 1.0
         return self._spline(within) + within[..., None] * self.orbit.turn
 
-    def nearest(self, state: Array) -> tuple[float, float]:
-        """Return (phase, scaled distance) of the orbit's point nearest to a state (N,)."""
-        system = self.orbit.system
+    def nearest(self, states: Array) -> tuple[Array, Array]:
+        """Return (phases, scaled distances), each (…), of the orbit's points nearest to states (…, N)."""
+        system, x = self.orbit.system, np.asarray(states, dtype=float)
         # The nearest sample, by the Euclidean norm, and the nearest point by the largest component are not far apart.
-        phase, reach = float(np.ravel(self._tree.query(self._embedded(state[None]))[1])[0]) / SAMPLES, 3 / SAMPLES
-        grid = np.linspace(-1.0, 1.0, 33)
-        distances = np.empty(33)
+        around = self._tree.query(self._embedded(x.reshape(-1, system.dimension)))[1]
+        phases, reach = np.reshape(around, x.shape[:-1]) / SAMPLES, 3 / SAMPLES
+        grid, distances = np.linspace(-1.0, 1.0, 33), np.empty(0)
         while reach > 1e-13:
-            phases = phase + reach * grid
-            distances = system.scaled_distance(state, self.states(phases))
-            phase = float(phases[np.argmin(distances)])
+            tried = phases[..., None] + reach * grid
+            distances = system.scaled_distance(x[..., None, :], self.states(tried))
+            phases = np.take_along_axis(tried, np.argmin(distances, axis=-1)[..., None], axis=-1)[..., 0]
             # The smallest lies within a step of the smallest on the grid.
             reach *= 2 / 32
-        return phase % 1.0, float(distances.min())
+        return phases % 1.0, distances.min(axis=-1)
 
     def distances(self, states: Array) -> tuple[Array, Array]:
         """Return (phases, scaled distances), each (K,), of the orbit's points nearest to states (K, N).

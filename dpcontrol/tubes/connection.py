@@ -25,6 +25,9 @@ _ROUNDING = 1e-13
 """What rounding leaves of a gap between two tubes, scaled: divided by their angle, it is how far it moves their
 intersection along them."""
 
+_BEFORE = 16
+"""Steps looked at together before the one by which an orbit has come near."""
+
 _MIDDLE = 1e-3
 """Of a period: how far from its expected time the middle of an orbit may lie that a reverser turns into itself."""
 
@@ -167,21 +170,27 @@ def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, near: float) ->
     inside = np.flatnonzero(distances <= near)
     if inside.size == 0:
         return float("nan"), float("nan")
+
+    def nearest(seconds: Array) -> tuple[Array, Array]:
+        return curve.nearest(orbit.sample(sign * seconds))
+
     if inside[0] == 0:
-        return 0.0, float(curve.nearest(orbit.sample(np.array([0.0]))[0])[0])
-
-    def excess(seconds: float) -> float:
-        # Distances fall as an exponential.
-        return float(np.log(curve.nearest(orbit.sample(np.array([sign * seconds]))[0])[1] / near))
-
+        return 0.0, float(nearest(grid[:1])[0][0])
     # `nearest` minimises the largest component itself, so it never finds more than `distances` does: the first
     # approach may lie a few steps before the grid's, never after it.
-    first = int(inside[0])
-    while first > 1 and excess(grid[first - 1]) <= 0:
-        first -= 1
+    first, farther = int(inside[0]), np.empty(0, dtype=np.intp)
+    while first > 1 and not farther.size:
+        before = np.arange(max(1, first - _BEFORE), first)
+        farther = before[nearest(grid[before])[1] > near]
+        first = int(farther[-1]) + 1 if farther.size else int(before[0])
+
+    def excess(time: float) -> float:
+        # Distances fall as an exponential.
+        return float(np.log(nearest(np.array([time]))[1][0] / near))
+
     bracket = (grid[first - 1], grid[first])
     seconds = float(root_scalar(excess, bracket=bracket, xtol=1e-12, method="toms748").root)
-    return seconds, curve.nearest(orbit.sample(np.array([sign * seconds]))[0])[0]
+    return seconds, float(nearest(np.array([seconds]))[0][0])
 
 
 def mirrored(connection: Connection) -> Connection:

@@ -183,8 +183,8 @@ class TubeSide:
     def slopes(self, seeds: tuple[Array, Array], states: Array, times: Array) -> Array:
         """Return the derivatives (K, N) by phase, along the section, of states (K, N) that arrived after times (K,)."""
         system = self.manifold.orbit.system
-        _, stms = system.segments.flows_with_stm(seeds[0], times)
-        grown, normal = np.einsum("kij,kj->ki", stms, seeds[1]), np.asarray(self.section.normal)
+        _, grown = system.propagator.flows_with_tangents(seeds[0], times, seeds[1])
+        normal = np.asarray(self.section.normal)
         if self.stable:
             grown = grown @ self.manifold.orbit.reverser.T
         rates = system.numeric.rate(states)
