@@ -9,6 +9,7 @@ from dpcontrol.bifurcations.bifurcations import find_bifurcations
 from dpcontrol.bifurcations.sweep import SweepSettings
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections, orbits_between
+from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.symbols import choose, parse_symbol
 
@@ -77,6 +78,14 @@ def test_what_was_asked_for_and_found_is_complete_though_cuts_are_open():
     assert shown.document["open_cuts"]
     assert shown.document["complete"]
     assert shown.code == 0
+
+
+def test_a_search_that_runs_out_of_time_says_what_it_left():
+    orbits = orbits_between(load_model("lab").system, "down-up", "down-up", -0.07)
+    search = find_connections(*orbits, settings=ConnectionSettings(seconds=1e-6))
+    assert not search.complete
+    assert search.status.startswith("at least")
+    assert "places were left" in search.status
 
 
 def test_flights_whose_rounding_grows_past_any_fixed_gap_are_found():
