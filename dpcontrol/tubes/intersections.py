@@ -457,6 +457,8 @@ def _newton(
     found: list[Intersection | None] = [None] * len(guesses)
     going = np.arange(len(guesses))
     for _ in range(settings.newton_iterations):
+        if not going.size:
+            break
         on = []
         for k, one in zip(going, _approaches(system, sides, phases[going]), strict=True):
             if one is None:
@@ -477,8 +479,6 @@ def _newton(
             if np.max(np.abs(phases[k] - guesses[k])) <= reach[k]:
                 on.append(k)
         going = np.array(on, dtype=np.intp)
-        if not on:
-            break
     return found
 
 
