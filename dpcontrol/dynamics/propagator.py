@@ -300,7 +300,7 @@ class Propagator:
 
     @cached_property
     def _tangent_system(self) -> list[tuple[Any, Any]]:
-        """The equations with one tangent beside each state, v' = Df(x) v: half the work of a state-transition matrix."""
+        """The equations with a tangent beside each state, v' = Df(x) v: half the work of a state-transition matrix."""
         pairs = self.taylor_system
         tangent = hy.make_vars(*[f"v{i}" for i in range(len(pairs))])
         rates = [hy.sum([hy.diff(rate, x) * v for (x, _), v in zip(pairs, tangent, strict=True)]) for _, rate in pairs]
