@@ -326,12 +326,12 @@ class OgySession(ClockedSession):
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
         """Return what to do in the period from `tick` at `state` (N,)."""
-        action = super().command(tick, state, extra)
+        forward, feedback, wanted = self.steer(tick, state)
+        event = ""
         if self._lost is not None:
             section, moved = self._lost
             event = f"section {section + 1} was not crossed: clock of the orbit moved by {moved:+.4f} s"
-            action = action._replace(event=event)
-        return action._replace(mode=Mode.PULSING) if action.feedback else action
+        return Action(float(forward), float(feedback), wanted, Mode.PULSING if feedback else Mode.HOLDING, event)
 
     def steer(self, tick: int, states: Array) -> tuple[Any, Any, Array]:
         """Return feedforward and feedback in m/s², and the reference, at `tick` for the state (N,) or states (S, N)."""
@@ -346,9 +346,11 @@ class OgySession(ClockedSession):
         if lanes is MANY or near:
             ahead = (self._section + 1) % len(law.times)
             late = lanes.dot(x - law.states[ahead], law.normals[ahead])
-            overdue = (late < 0.0) & (self._elapsed > law.duration + law.window)
-            self._where(near & (late >= 0.0), OgySession._cross, ahead, late, x)
-            self._where(overdue, OgySession._lose, ahead, states)
+            due = late >= 0.0
+            overdue = (self._elapsed > law.duration + law.window) & (late < 0.0)
+            if lanes is MANY or due or overdue:
+                self._where(near & due, OgySession._cross, ahead, late, x)
+                self._where(overdue, OgySession._lose, ahead, states)
         clock, middle = self._times[self._section] + self._elapsed, self._elapsed + period / 2
         # Plus zero: none is minus zero.
         feedback = self._pulse * (middle < law.duration) * np.sin(np.pi * middle / law.duration) + 0.0
