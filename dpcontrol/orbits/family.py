@@ -19,7 +19,7 @@ Sources: Doedel et al., Computation of periodic solutions of conservative system
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -332,6 +332,42 @@ class FamilySettings(FollowingSettings):
     tail: int = 25
 
 
+Member = TypeVar("Member")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Family(Generic[Member]):
+    """Members along a family's curve, K in number; status: how it was followed, in a sentence."""
+
+    members: tuple[Member, ...]
+    converged: bool
+    status: str
+
+    @property
+    def energies(self) -> Array:
+        """Energies (K,) in J."""
+        return self.column("energy")
+
+    @property
+    def periods(self) -> Array:
+        """Periods (K,) in s."""
+        return self.column("period")
+
+    @property
+    def states(self) -> Array:
+        """States (K, N) where the members begin."""
+        return self.column("state")
+
+    @property
+    def floquet_multipliers(self) -> NDArray[np.complex128]:
+        """Multipliers (K, …), largest first in each row."""
+        return self.column("floquet_multipliers")
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Return one of the members' values, (K, …)."""
+        return np.array([getattr(member, name) for member in self.members])
+
+
 @dataclass(frozen=True)
 class FamilyEvent:
     """Something on the way: kind "fold", "multiplier +1" or "multiplier -1", located at an orbit of the family."""
@@ -341,8 +377,8 @@ class FamilyEvent:
 
 
 @dataclass(frozen=True)
-class LyapunovFamily:
-    """Members of a family, K in number, in order along its curve from the saddle on.
+class LyapunovFamily(Family[LyapunovOrbit]):
+    """Members of a family, in order along its curve from the saddle on.
 
     ends: the reason on the saddle's side and on the other. converged: every member closes, and neither end is where
     Newton's method failed.
@@ -351,31 +387,8 @@ class LyapunovFamily:
     system: System
     saddle: str
     family: int
-    members: tuple[LyapunovOrbit, ...]
     events: tuple[FamilyEvent, ...]
     ends: tuple[FamilyEnd, FamilyEnd]
-    converged: bool
-    status: str
-
-    @property
-    def energies(self) -> Array:
-        """Energies (K,) in J."""
-        return np.array([m.energy for m in self.members])
-
-    @property
-    def periods(self) -> Array:
-        """Periods (K,) in s."""
-        return np.array([m.period for m in self.members])
-
-    @property
-    def states(self) -> Array:
-        """States (K, N) at the crossing of the saddle's fixed set."""
-        return np.array([m.state for m in self.members])
-
-    @property
-    def floquet_multipliers(self) -> NDArray[np.complex128]:
-        """Multipliers (K, N), largest first in each row."""
-        return np.array([m.floquet_multipliers for m in self.members])
 
     def document(self) -> dict[str, Any]:
         """Return what `dpcontrol orbit --energies --json` prints, the energies that were asked for apart."""
@@ -453,7 +466,9 @@ def lyapunov_family(
     converged = last.kind != "not followed further"
     status = f"{len(members)} orbits from {members[0].energy:.9g} to {members[-1].energy:.9g} J; {last.reason}"
     events = tuple(FamilyEvent("fold" if e.test == SLOPE else e.test, orbit(e.place)) for e in run.events)
-    return LyapunovFamily(system, saddle, family, members, events, (first, last), converged, status)
+    return LyapunovFamily(
+        system, saddle, family, events, (first, last), members=members, converged=converged, status=status
+    )
 
 
 def _curve(problem: SymmetricShooting, linear: LinearCentre, settings: FamilySettings) -> FamilyCurve:

@@ -1,19 +1,14 @@
-"""Local manifolds of periodic orbits, and the orbits as closed curves.
-
-The unstable manifold of a Lyapunov orbit near the orbit: γ(φ) ± δ v(φ), on the orbit's energy.
+"""Periodic orbits as closed curves, and their local unstable manifolds γ(φ) ± δ v(φ), on the orbit's energy.
 
 γ(φ) is the orbit at phase φ (period 1), v(φ) the Floquet vector of the unstable multiplier λ, transported by the
-variational equations. The stable manifold is the unstable one turned around by a
-reverser; it is never integrated. Both γ and v are integrated over the shortest stretch from which the system's
-symmetries give the rest, so that rounding grows by λ^(1/4) at most (λ^(1/2) where there is one reverser).
+variational equations. The stable manifold is the unstable one turned around by a reverser R, γ(-φ) = R γ(φ); it is
+never integrated.
 
-Periodic orbits given by nodes, with their local manifolds, and periodic orbits as smooth closed curves.
-
-A hyperbolic orbit that belongs to no saddle's family is kept as nodes, and the unstable Floquet vector at each of them,
-so that a local manifold is never integrated over more than one segment, whatever the multiplier is. The orbit may turn:
-then γ(φ + 1) = γ(φ) + whole turns. A negative multiplier makes the manifold one-sided: v(φ + 1) = -v(φ), phases have
-period two, and what are called its branches at φ are the same one at φ and φ + 1. A reverser R about a resting point
-carries the orbit into itself, γ(-φ) = R γ(φ), so that the stable manifold is the unstable one turned around by R.
+A saddle's orbit is integrated over the shortest stretch from which the system's symmetries give the rest, so that
+rounding grows by λ^(1/4) at most (λ^(1/2) where there is one reverser). A hyperbolic orbit that belongs to no saddle's
+family is kept as nodes, with v at each of them, so that nothing is integrated over more than one segment, whatever λ
+is. It may turn: then γ(φ + 1) = γ(φ) + whole turns. A negative λ makes its manifold one-sided: v(φ + 1) = -v(φ), phases
+have period two, and what are called its branches at φ are the same one at φ and φ + 1.
 
 Sources: Kaheman et al. (2023), section 4; Meyer & Offin, Introduction to Hamiltonian Dynamical Systems and the N-Body
 Problem, 3rd ed., chapter 8.

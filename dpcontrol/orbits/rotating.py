@@ -33,6 +33,7 @@ from dpcontrol.orbits.family import (
     LINGERS,
     SLOPE,
     CurveEvent,
+    Family,
     FamilyCurve,
     FamilyPoint,
     Followed,
@@ -330,28 +331,20 @@ class StabilityChange:
 
 
 @dataclass(frozen=True)
-class RotatingFamily:
+class RotatingFamily(Family[RotatingOrbit]):
     """Members along the family's curve, from one end to the other; folds: where its energy turns back.
 
     ends: why it was left on either side, sentences. converged: neither end is where Newton's method failed.
     """
 
-    members: tuple[RotatingOrbit, ...]
     changes: tuple[StabilityChange, ...]
     folds: tuple[RotatingOrbit, ...]
     ends: tuple[str, str]
-    converged: bool
-    status: str
-
-    @property
-    def energies(self) -> Array:
-        """Energies (K,) in J."""
-        return np.array([m.energy for m in self.members])
 
     @property
     def traces(self) -> Array:
         """Traces (K,) of the section's map."""
-        return np.array([m.trace for m in self.members])
+        return self.column("trace")
 
     def document(self) -> dict[str, Any]:
         """Return its part of what `dpcontrol orbit --rotating --energies --json` prints."""
@@ -414,7 +407,7 @@ def rotating_family(
     status += f"{len(changes)} changes of stability, {len(folds)} folds in energy"
     if failed:
         status += "; " + "; ".join(failed)
-    return RotatingFamily(members, tuple(changes), folds, (lower, upper), not failed, status)
+    return RotatingFamily(tuple(changes), folds, (lower, upper), members=members, converged=not failed, status=status)
 
 
 def rotating_families(

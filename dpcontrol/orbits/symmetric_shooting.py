@@ -10,7 +10,7 @@ C_b the rows that vanish on Fix A_b: n equations for n + 1 unknowns, with exact 
 equations. They define the family as a curve; one equation more (an energy, a length along the curve) picks a member.
 Source: Lamb & Roberts, Time-reversal symmetry in dynamical systems (1998), theorem 4.2.
 
-Equilibria of a system: energy, eigenvalues and what kind of point each is.
+Orbits grow from equilibria, which are described here too: energy, eigenvalues and what kind of point each is.
 """
 
 from collections.abc import Callable

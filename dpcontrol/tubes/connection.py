@@ -4,7 +4,6 @@ Source: Kaheman et al. (2023), section 3.
 """
 
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
@@ -101,35 +100,37 @@ def described_connection(
     section, system = crossing.sides[0].section, orbit.system
     source, target = crossing.sides[0].manifold.orbit, crossing.sides[1].manifold.orbit
     state = orbit.states[int(np.argmin(np.abs(orbit.times)))]
-    n = system.dimension // 2
-    winding = tuple(int(k) for k in crossing.turns[:n])
-    saddles = (source.saddle, target.saddle)
-    first, second = (crossing.tangents[:, k] / np.linalg.norm(crossing.tangents[:, k]) for k in (0, 1))
-    angle = np.degrees(np.arcsin(min(1.0, abs(first[0] * second[1] - first[1] * second[0]))))
+    angle = angle_between(*crossing.tangents.T)
     # The seeds of one tube are the other's turned around: between them lies the middle.
     middle = (crossing.times[1] - crossing.times[0]) / 2
     symmetric = source.saddle == target.saddle and _meets_a_mirror(orbit, middle, uncertainty(angle, settings.same))
-    hits = (crossing.sides[0].hit, crossing.sides[1].hit)
     time_out, phase_out = approach(orbit, curves[0], -1, settings.near)
     time_in, phase_in = approach(orbit, curves[1], +1, settings.near)
-    return Connection(
-        name=connection_name(system, saddles, winding, hits, state, section),
+    connection = Connection(
+        name="",
         source=source,
         target=target,
         section=section,
         state=state,
-        winding=winding,
-        sense=connection_sense(system, saddles, winding, state, section),
+        winding=tuple(int(k) for k in crossing.turns[: system.dimension // 2]),
+        sense=0,
         symmetric=symmetric,
         residual=orbit.residual,
-        transversality_angle=float(angle),
-        hits=hits,
+        transversality_angle=angle,
+        hits=(crossing.sides[0].hit, crossing.sides[1].hit),
         time_out=time_out,
         time_in=time_in,
         phase_out=phase_out,
         phase_in=phase_in,
         orbit=orbit,
     )
+    return named(replace(connection, sense=connection_sense(connection)))
+
+
+def angle_between(first: Array, second: Array) -> float:
+    """Return the angle in degrees, 0 to 90, between two tangents (2,)."""
+    lengths = np.linalg.norm(first) * np.linalg.norm(second)
+    return float(np.degrees(np.arcsin(min(1.0, abs(first[0] * second[1] - first[1] * second[0]) / lengths))))
 
 
 def uncertainty(angle: float, least: float) -> float:
@@ -196,8 +197,7 @@ def approach(orbit: ShootingOrbit, curve: OrbitCurve, sign: int, near: float) ->
 def mirrored(connection: Connection) -> Connection:
     """Return the image under the symmetry S that exchanges both tubes' branches: the other sense."""
     orbit, source, target = connection.orbit, connection.source, connection.target
-    system = source.system
-    half_turn = orbit.start.manifold.half_turn
+    system, half_turn = source.system, orbit.start.manifold.half_turn
     assert half_turn is not None
     symmetry = half_turn[0]
     lengths = np.where(np.isfinite(system.periods), system.periods, 1.0)
@@ -215,18 +215,16 @@ def mirrored(connection: Connection) -> Connection:
         amplitude=-orbit.end.amplitude,
         turns=tuple(float(k) for k in end_turns),
     )
-    state = image(connection.state)
-    winding = tuple(int(k) for k in end_turns[: len(connection.winding)])
-    saddles = (source.saddle, target.saddle)
-    return replace(
-        connection,
-        name=connection_name(system, saddles, winding, connection.hits, state, connection.section),
-        state=state,
-        winding=winding,
-        sense=-connection.sense,
-        phase_out=(connection.phase_out + 0.5) % 1.0,
-        phase_in=(connection.phase_in + 0.5) % 1.0,
-        orbit=replace(orbit, ends=(start, end), states=image(orbit.states)),
+    return named(
+        replace(
+            connection,
+            state=image(connection.state),
+            winding=tuple(int(k) for k in end_turns[: len(connection.winding)]),
+            sense=-connection.sense,
+            phase_out=(connection.phase_out + 0.5) % 1.0,
+            phase_in=(connection.phase_in + 0.5) % 1.0,
+            orbit=replace(orbit, ends=(start, end), states=image(orbit.states)),
+        )
     )
 
 
@@ -256,70 +254,55 @@ def reversed_in_time(connection: Connection) -> Connection:
     at its end, y(t) = A x(-t) - A k is one on the lift that starts at the target's named position.
     """
     orbit, source, target = connection.orbit, connection.target, connection.source
-    system, section = source.system, connection.section
+    system = source.system
     reverser = system.reversers[0]
     turns = -reverser @ np.asarray(orbit.end.turns) + 0.0
     lift = turns * system.turn_lengths
-    state = reverser @ connection.state + lift
-    winding = tuple(int(k) for k in turns[: len(connection.winding)])
-    hits = (connection.hits[1], connection.hits[0])
     # The turned-around stable end is a point of the unstable manifold, with the same phase and amplitude.
     start = replace(orbit.end, stable=False, turns=(0.0,) * system.dimension)
     end = replace(orbit.start, stable=True, turns=tuple(float(k) for k in turns))
-    saddles = (source.saddle, target.saddle)
-    return replace(
+    states = orbit.states[::-1] @ reverser.T + lift
+    back = replace(
         connection,
-        name=connection_name(system, saddles, winding, hits, state, section),
         source=source,
         target=target,
-        state=state,
-        winding=winding,
-        sense=connection_sense(system, saddles, winding, state, section),
-        hits=hits,
+        state=reverser @ connection.state + lift,
+        winding=tuple(int(k) for k in turns[: len(connection.winding)]),
+        hits=(connection.hits[1], connection.hits[0]),
         time_out=connection.time_in,
         time_in=connection.time_out,
         phase_out=_reversed_phase(source, connection.phase_in),
         phase_in=_reversed_phase(target, connection.phase_out),
-        orbit=replace(
-            orbit,
-            ends=(start, end),
-            times=-orbit.times[::-1],
-            states=orbit.states[::-1] @ reverser.T + lift,
-        ),
+        orbit=replace(orbit, ends=(start, end), times=-orbit.times[::-1], states=states),
     )
+    return named(replace(back, sense=connection_sense(back)))
 
 
-def connection_sense(
-    system: System, saddles: tuple[str, str], winding: Sequence[int], state: Array, section: Section
-) -> int:
-    """Return which way (+1, -1) a homoclinic turns, if it does, or else the section is crossed at a state (N,)."""
-    turns = [k for k in winding if k]
-    return int(np.sign(turns[0])) if saddles[0] == saddles[1] and turns else section.sense(system.numeric.rate(state))
+def connection_sense(connection: Connection) -> int:
+    """Return which way (+1, -1) a homoclinic turns, if it does, or else the section is crossed."""
+    turns = [k for k in connection.winding if k]
+    if turns and connection.source.saddle == connection.target.saddle:
+        return int(np.sign(turns[0]))
+    return connection.section.sense(connection.source.system.numeric.rate(connection.state))
 
 
-def connection_name(
-    system: System,
-    saddles: tuple[str, str],
-    winding: tuple[int, ...],
-    hits: tuple[int, int],
-    state: Array,
-    section: Section,
-) -> str:
-    """Return a name made of what the connection is, not of the order in which it was found.
+def named(connection: Connection) -> Connection:
+    """Return a connection under a name made of what it is, not of the order in which it was found.
 
     Source, target, winding, hits, section where it is not the saddles' own, position and rate there to four digits.
     """
+    system, section, state = connection.source.system, connection.section, connection.state
+    saddles = (connection.source.saddle, connection.target.saddle)
     coordinate = int(np.argmax(np.abs(section.position)))
-    period = system.periods[coordinate]
-    position = state[coordinate]
+    period, position = system.periods[coordinate], state[coordinate]
     if np.isfinite(period):
         position = position - np.rint(position / period) * period
     # Adding zero turns -0.0 into 0.0.
     place = ",".join(f"{round(float(v), 4) + 0.0:.4f}" for v in (position, state[coordinate + len(state) // 2]))
-    turns = ",".join(str(k) for k in winding)
+    turns, (out, back) = ",".join(str(k) for k in connection.winding), connection.hits
     own = system.sections.get(saddles) == section
-    on = "" if own else f":{next((key for key, named in system.named_sections.items() if named == section), 'other')}"
-    return f"{saddles[0]}>{saddles[1]}[{turns}]h{hits[0]}.{hits[1]}{on}@{place}{section.mark(state)}"
+    on = "" if own else f":{next((key for key, one in system.named_sections.items() if one == section), 'other')}"
+    return replace(connection, name=f"{saddles[0]}>{saddles[1]}[{turns}]h{out}.{back}{on}@{place}{section.mark(state)}")
 
 
 def searched_at(name: str) -> tuple[tuple[int, int], str | None] | None:

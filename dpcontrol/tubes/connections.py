@@ -3,24 +3,17 @@
 Intersections of the cuts are refined by multiple shooting from farther out on both local manifolds, which leaves
 states good to about 1e-12; then each is described (winding, sense, symmetry, angle, flight times) and named.
 
-Source: Kaheman et al. (2023), section 3.
+A connection a → b, turned around in time, is one b → a: nothing is searched again.
 
-Connections the other way, by time reversal: a connection a → b, turned around, is a connection b → a.
+The tubes of an orbit that crosses the section itself, as every rotating orbit crosses its arm's, have no first
+crossing: they cross with every lap, on a curve through the orbit's own crossing that each lap stretches by λ. A search
+takes the laps on which the curve has grown large; a connection that is met on several is listed once, by its state
+where the other tube first (or last) crosses. It is described by the phase at which the turning orbit would run, had it
+never been left (or always been joined), in [0, 1) where the connection crosses the section; its winding counts from
+there, as γ(φ + 1) = γ(φ) + whole turns.
 
-Nothing is searched again.
-
-Connections of an orbit that crosses the section itself, as every rotating orbit crosses its arm's.
-
-Its tubes have no first crossing: they cross with every lap, on a curve through the orbit's own crossing that each lap
-stretches by λ. A search takes the laps on which the curve has grown large; the same connection may be met on several,
-and is listed once, by its state where the other tube first (or last) crosses.
-
-Phases of a turning orbit come with its lift: γ(φ + 1) = γ(φ) + whole turns. A connection is described by the phase at
-which the turning orbit would run, had it never been left (or always been joined), in [0, 1) where the connection
-crosses the section; its winding counts from there.
-
-Source: Koon, Lo, Marsden, Ross, Heteroclinic connections between periodic orbits and resonance transitions in celestial
-mechanics (2000), section 4.
+Sources: Kaheman et al. (2023), section 3; Koon, Lo, Marsden, Ross, Heteroclinic connections between periodic orbits and
+resonance transitions in celestial mechanics (2000), section 4.
 """
 
 import difflib
@@ -44,9 +37,9 @@ from dpcontrol.shooting.newton import solve_shooting
 from dpcontrol.tubes.connection import (
     Connection,
     can_be_reversed,
-    connection_name,
     described_connection,
     mirrored,
+    named,
     reversed_in_time,
     uncertainty,
 )
@@ -222,8 +215,7 @@ def find_connections(
         for image in [reversed_in_time(connection) for connection in found if not connection.symmetric]:
             if not _known(system, image, found, settings.same):
                 found.append(image)
-    # Ties in the position are noise: sorting on rounded values keeps the order from run to run.
-    found.sort(key=lambda c: (-c.sense, *np.round(section_points(system, section, c.state), 6)))
+    _sort(found)
     resolved = all(cut.resolved for cut in (unstable, backward))
     hidden = [end for cut in (unstable, backward) for end in cut.open_ends if end.hides]
     tangent = sum(uncertainty(c.transversality_angle, settings.same) > _TANGENT for c in found)
@@ -247,6 +239,13 @@ def find_connections(
         status += "; the cuts are open (see open_cuts), so crossings beyond their ends belong to other hits"
     progress("connections", 1.0)
     return ConnectionSearch(source, target, tuple(found), (unstable, backward), failed, complete, status)
+
+
+def _sort(found: list[Connection]) -> list[Connection]:
+    """Order connections in place by sense and position on their section."""
+    # Ties in the position are noise: sorting on rounded values keeps the order from run to run.
+    found.sort(key=lambda c: (-c.sense, *np.round(section_points(c.source.system, c.section, c.state), 6)))
+    return found
 
 
 def _crosses(curve: OrbitCurve, section: Section) -> bool:
@@ -321,10 +320,7 @@ def reversed_search(search: ConnectionSearch) -> ConnectionSearch:
     system = search.source.system
     if not can_be_reversed(system, search.source.saddle, search.target.saddle, section=search.cuts[0].section):
         raise ValueError(f"time reversal does not keep the section from {search.source.saddle}")
-    found = [reversed_in_time(connection) for connection in search.connections]
-    if found:
-        section = found[0].section
-        found.sort(key=lambda c: (-c.sense, *np.round(section_points(system, section, c.state), 6)))
+    found = _sort([reversed_in_time(connection) for connection in search.connections])
     unstable, stable = search.cuts[1], search.cuts[0]
     status = (
         f"{len(found)} connections, those from {search.source.saddle} to {search.target.saddle} turned around in time; "
@@ -395,7 +391,7 @@ def find_lap_connections(
             if not any(same):
                 found.append(canonical)
     assert search is not None
-    found.sort(key=lambda c: (-c.sense, *np.round(section_points(source.system, section, c.state), 6)))
+    _sort(found)
     progress("connections", 1.0)
     listed = ", ".join(str(c) for c in crossings)
     status = f"{len(found)} connections where {lapping[0].saddle}'s tube crosses {section.name} for the {listed}. time"
@@ -447,15 +443,14 @@ def _canonical(connection: Connection, near: float) -> Connection:
             turns=tuple(float(k) for k in np.asarray(end.turns) + on),
         )
     orbit = replace(orbit, ends=(start, end), states=states)
-    winding = tuple(int(k) for k in np.rint(end.turns)[: len(connection.winding)])
-    hits = _hits_since(orbit, connection, near)
-    return replace(
-        connection,
-        name=connection_name(system, (source.saddle, target.saddle), winding, hits, state, connection.section),
-        state=state,
-        winding=winding,
-        hits=hits,
-        orbit=orbit,
+    return named(
+        replace(
+            connection,
+            state=state,
+            winding=tuple(int(k) for k in np.rint(end.turns)[: len(connection.winding)]),
+            hits=_hits_since(orbit, connection, near),
+            orbit=orbit,
+        )
     )
 
 

@@ -1,10 +1,9 @@
-"""The connection graph of one energy with its orbits: what walks are made of.
+"""The connection graph of one energy: its orbits and the connections between them, of which walks are made.
 
-Rotating orbits are vertices that a walk asks for by name, as "outer-rotating" or "inner-rotating-back-2".
-
-The name says which arm turns, "-back" that it turns clockwise, and the number which of the hyperbolic ones is meant,
-the fastest first. Nothing looks for them unless they are named: they are many, and their connections with saddles'
-orbits are found among the laps of their tubes. A wrap at such a stop is a turn.
+Saddles' orbits are always in it. Rotating orbits are where a walk names them, as "outer-rotating" or
+"inner-rotating-back-2": the arm that turns, "-back" for clockwise, and which of the hyperbolic ones, the fastest first.
+They are many, and their connections with saddles' orbits are found among the laps of their tubes. A wrap at such a stop
+is a turn.
 
 Source: Kaheman et al. (2023), section 4.
 """

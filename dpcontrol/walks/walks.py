@@ -2,9 +2,8 @@
 
 Counting and uniform drawing use powers of the matrix that holds the number of connections between saddles.
 
-The theorem is iterative: an orbit that shadows a walk is itself a connection, and may be an edge of longer walks.
-
-It leaves the walk's first orbit, joins its last, and winds by the sum of its symbols' windings. Its section is the one
+An orbit that shadows a walk is itself a connection, and may be an edge of longer walks: the theorem is iterative. It
+leaves the walk's first orbit, joins its last, and winds by the sum of its symbols' windings. Its section is the one
 of its first symbol; where it crosses that, its time is zero. Whatever lies between the first and the last symbol is
 part of the flight in: the edge arrives when it comes near its last orbit after its last symbol.
 
@@ -26,7 +25,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import suggest
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.shooting.equations import ShootingOrbit
-from dpcontrol.tubes.connection import Connection, approach, connection_sense
+from dpcontrol.tubes.connection import Connection, angle_between, approach, connection_sense
 from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.atlas import walks
 from dpcontrol.walks.edges import Edges, is_rotating, rotating_names
@@ -59,7 +58,6 @@ def as_connection(orbit: ShadowingOrbit, *, settings: ConnectionSettings | None 
     whole = replace(orbit.orbit, times=orbit.orbit.times - orbit.symbol_times[0])
     state = whole.states[nodes[0]]
     winding = tuple(int(k) for k in orbit.offsets[-1][: len(first.winding)])
-    saddles = (source.saddle, target.saddle)
     # The mirror image of an orbit starts where its original ends: at the last symbol. In between it may still differ.
     stay = float(orbit.symbol_times[-1] - orbit.symbol_times[0])
     along = whole.sample(np.linspace(0.0, stay, 1 + 16 * (len(orbit.walk) - 1)))
@@ -77,14 +75,14 @@ def as_connection(orbit: ShadowingOrbit, *, settings: ConnectionSettings | None 
     till_joined = since + time_in if target.laps else float(whole.times[-1])
     hits = section_hits(whole, section, (since_left, till_joined))
     turns = ",".join(str(k) for k in winding)
-    return Connection(
+    edge = Connection(
         name=f"{source.saddle}>{target.saddle}[{turns}]h{hits[0]}.{hits[1]}@{composed(orbit.walk, orbit.wraps)}",
         source=source,
         target=target,
         section=section,
         state=state,
         winding=winding,
-        sense=connection_sense(system, saddles, winding, state, section),
+        sense=0,
         symmetric=symmetric,
         residual=orbit.residual,
         transversality_angle=transversality_angle(orbit, nodes[0]),
@@ -95,6 +93,7 @@ def as_connection(orbit: ShadowingOrbit, *, settings: ConnectionSettings | None 
         phase_in=phase_in,
         orbit=whole,
     )
+    return replace(edge, sense=connection_sense(edge))
 
 
 def _last_far(orbit: ShootingOrbit, curve: OrbitCurve) -> float:
@@ -146,8 +145,7 @@ def transversality_angle(orbit: ShadowingOrbit, node: int) -> float:
         stable = np.linalg.solve(stm, stable * scale) / scale
         stable = stable / np.linalg.norm(stable)
     tangents = [_on_section(system, section, shot.orbit.states[node], t * scale) for t in (unstable, stable)]
-    first, second = (t / np.linalg.norm(t) for t in tangents)
-    return float(np.degrees(np.arcsin(min(1.0, abs(first[0] * second[1] - first[1] * second[0])))))
+    return angle_between(*tangents)
 
 
 def _on_section(system: System, section: Section, state: Array, tangent: Array) -> Array:
