@@ -1,9 +1,11 @@
 """Work done in several processes of this machine; finished pieces come back in any order.
 
-A process that dies takes its piece along; processes are made anew and the piece is done again.
+A process that dies takes its piece along; processes are made anew and the piece is done again. Where the one that
+started them dies, they end.
 """
 
 import multiprocessing
+import multiprocessing.connection
 import os
 import signal
 import threading
@@ -47,7 +49,8 @@ def in_processes(
         done: set[int] = set()
         others = set(multiprocessing.active_children())
         # Forked processes would share heyoka's and casadi's threads in an unknown state.
-        pool = ProcessPoolExecutor(workers, mp_context=multiprocessing.get_context("spawn"))
+        context = multiprocessing.get_context("spawn")
+        pool = ProcessPoolExecutor(workers, mp_context=context, initializer=end_with_parent)
         try:
             with _ignoring_interrupts():
                 running = {pool.submit(function, pieces[k]): k for k in left}
@@ -68,6 +71,22 @@ def in_processes(
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
     raise GoalMissed(f"workers died {ATTEMPTS} times, with {len(left)} jobs undone; is there enough memory? {remedy}")
+
+
+def end_with_parent() -> None:
+    """End this process, started by `multiprocessing`, as soon as the one that started it has ended, however it did.
+
+    A thread waits for it: compiled code lets threads run, and the kernel's own death signal is Linux's alone and comes
+    when the parent's thread ends.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        threading.Thread(target=_exit_after, args=(parent.sentinel,), daemon=True).start()
+
+
+def _exit_after(sentinel: int) -> None:
+    multiprocessing.connection.wait([sentinel])
+    os._exit(1)
 
 
 @contextmanager

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.processes import end_with_parent
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import Rig
@@ -289,6 +290,7 @@ class BenchRecipe:
 def _serve(recipe: BenchRecipe, settings: BenchServerSettings, pipe: Connection) -> None:
     # An interrupt from the terminal is for the loop, which stops the cart first.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
     recipe.rehearse()
     arms = recipe.parameters.count
     with UdpBench(recipe.rig, arms=arms, ticks=recipe.ticks, settings=settings, say=pipe.send) as bench:
