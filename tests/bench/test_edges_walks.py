@@ -19,6 +19,7 @@ def test_nodes_nearer_together_reach_smaller_gaps():
     assert border(8, 2).near < 1e-12
 
 
+@pytest.mark.slow
 def test_rounding_bounds_the_gaps_from_below():
     for segments in (1, 4):
         assert border(segments, 2).near > rounding_floor(round_trip(), segments=segments) / 2

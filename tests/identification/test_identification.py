@@ -72,6 +72,7 @@ def test_true_ratios_are_recovered_those_of_friction_too(ten_runs) -> None:
         assert base_ratios(found.arms) == pytest.approx(found.values[:ratios], rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_third_of_the_motion_leaves_friction_less_well_known_and_says_so(ten_runs) -> None:
     arms = RUBBING.mismatched(0.05, np.random.default_rng(100))
     recording, zeros = recorded(arms, 0)

@@ -52,7 +52,7 @@ def _draw(
     )  # fmt: skip
 
 
-@pytest.mark.parametrize("scale", [0.5, 2.0])
+@pytest.mark.parametrize("scale", [0.5, pytest.param(2.0, marks=pytest.mark.slow)])
 def test_plants_spread_as_the_covariance_says_times_the_scale(scale: float) -> None:
     away = np.stack([base_ratios(_draw(scale, seed).plant.arms) / RATIOS - 1 for seed in range(DRAWS)])
     assert away.std(axis=0) == pytest.approx(np.full(len(RATIOS), scale * SHARE), rel=SPREAD)

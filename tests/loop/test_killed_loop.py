@@ -94,6 +94,7 @@ def interrupted_run(folder: Path, controller: Hanging, *, rate: float, moments: 
 
 
 @posix
+@pytest.mark.slow
 def test_a_killed_run_of_the_program_loses_no_more_than_twenty_five_milliseconds(tmp_path: Path) -> None:
     rng = np.random.default_rng(3)
     for k, after in enumerate(rng.uniform(0.05, 0.8, KILLS)):

@@ -30,6 +30,7 @@ def two_energies():
     return make_plan(load_itinerary("two-energies"))
 
 
+@pytest.mark.slow
 def test_a_change_of_energy_is_one_motion_from_rest_to_rest(two_energies):
     """Each interval, flown again on its own input, ends where the next begins."""
     reference, model = two_energies.reference, two_energies.itinerary.model
@@ -52,6 +53,7 @@ def test_a_change_of_energy_is_one_motion_from_rest_to_rest(two_energies):
     assert np.abs(last[2:]).max() < ROUNDING
 
 
+@pytest.mark.slow
 def test_both_energies_are_there_while_their_walks_last(two_energies):
     """With friction and cart the pendulum's own energy stays near that of the walk that it follows."""
     reference, notes = two_energies.reference, two_energies.notes
@@ -62,6 +64,7 @@ def test_both_energies_are_there_while_their_walks_last(two_energies):
         assert np.abs(numeric.hamiltonian(near) - energy).max() < 0.02
 
 
+@pytest.mark.slow
 def test_stops_and_symbols_tell_the_whole_story(two_energies):
     notes = two_energies.notes
     saddles = [stop["saddle"] for stop in notes["stops"]]
@@ -73,6 +76,7 @@ def test_stops_and_symbols_tell_the_whole_story(two_energies):
         assert (symbol["source"], symbol["target"]) == (before["saddle"], after["saddle"])
 
 
+@pytest.mark.slow
 def test_a_run_through_two_energies_and_a_hold_is_completed(two_energies, tmp_path):
     done = run_plan(two_energies, tmp_path / "run.mcap").score()
     assert (done.completed, done.symbols_completed) == (True, 5)
