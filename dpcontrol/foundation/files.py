@@ -11,11 +11,12 @@ import hashlib
 import json
 import math
 import os
+import re
 import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
 
@@ -55,19 +56,21 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` when the block ends without an error.
 
     The temporary name keeps `suffix` at its end, for writers that choose a format by it. Nothing is left
-    behind when the block raises.
+    behind when the block raises; what a killed process left is removed by the next that writes the same file.
 
     Raises:
         InputError: the folder cannot be made or written to, or `path` is a folder or a device.
     """
     path = Path(path)
     checked_target(path)
+    prefix, suffix = f".{path.name}.", suffix or ".partial"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=suffix or ".partial", dir=path.parent)
+        _sweep(path.parent, prefix, suffix)
+        handle, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=path.parent)
     except OSError as error:
         raise unwritable(path, error) from error
-    os.close(handle)
+    _locked(handle)
     temporary = Path(name)
     try:
         yield temporary
@@ -78,7 +81,36 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     except OSError as error:
         raise unwritable(path, error) from error
     finally:
+        os.close(handle)
         temporary.unlink(missing_ok=True)
+
+
+_RANDOM = r"[a-z0-9_]{8}"
+"""What `tempfile` puts between the beginning and the end of a name."""
+
+
+def _sweep(folder: Path, prefix: str, suffix: str) -> None:
+    """Remove temporary files whose writers are gone: a living one holds its file's lock."""
+    ours = re.compile(re.escape(prefix) + _RANDOM + re.escape(suffix))
+    with suppress(OSError):
+        for name in filter(ours.fullmatch, os.listdir(folder)):
+            handle = os.open(folder / name, os.O_RDWR)
+            try:
+                if _locked(handle):
+                    (folder / name).unlink(missing_ok=True)
+            finally:
+                os.close(handle)
+
+
+def _locked(handle: int) -> bool:
+    """Lock a file until it is closed; return False where another has locked it, or the system has no such locks."""
+    try:
+        import fcntl
+
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except (ImportError, OSError):
+        return False
+    return True
 
 
 def write_whole(path: Path, content: bytes | str) -> None:
