@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dpcontrol.bifurcations.bifurcations import BifurcationSearch
+    from dpcontrol.foundation.cache import CacheContents
     from dpcontrol.identification.identify import Identification
     from dpcontrol.orbits.lyapunov import LyapunovOrbit
     from dpcontrol.recordings.recording import Recording
@@ -492,6 +493,21 @@ def picture(result: "Run | Plan | ShadowingOrbit | Atlas", *, file: Place | None
     if file is not None:
         save_figure(figure, file)
     return figure
+
+
+def cache(*, clear: bool = False) -> "CacheContents":
+    """Return what is kept of earlier work, plans and the like, and delete it if asked; nothing else is lost by it.
+
+    >>> entries, size = dp.cache().kinds["plans"]
+    >>> entries > 0
+    True
+
+    Raises:
+        InputError: a file of it cannot be deleted.
+    """
+    from dpcontrol.foundation.cache import cache_contents
+
+    return cache_contents(clear=clear)
 
 
 def _system(model: Model | System) -> System:

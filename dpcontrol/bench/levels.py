@@ -9,7 +9,6 @@ each level. The rig's drive is not identified; the values below are those of a c
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -205,21 +204,21 @@ def gather(itinerary: Itinerary, *, seeds: int) -> tuple[Evidence, dict[str, Pla
     plans = {level: make_plan(replace(short, reference=replace(short.reference, level=level))) for level in levels}
     # One run on a plant that is the model, started on the reference, and runs on plants of each level.
     exact = replace(short.loop, mismatch=0.0, initial_error=0.0)
-    references = {level: _runs(short, plan.file, exact, 1) for level, plan in plans.items()}
+    references = {level: _runs(short, plan.archive, exact, 1) for level, plan in plans.items()}
     plants = {}
     for level in PLANT_LEVELS:
         plant = plant_at(level, short.model.arms)
         drive = replace(
             short.loop.drive, lag=plant.lag, cart_mass=plant.cart_mass, cart_viscous=plant.cart_viscous
         )  # fmt: skip
-        plants[level] = _runs(short, plans["cart"].file, replace(short.loop, drive=drive), seeds)
+        plants[level] = _runs(short, plans["cart"].archive, replace(short.loop, drive=drive), seeds)
     return Evidence(itinerary.name, motion_key(itinerary), references, plants), plans
 
 
-def _runs(itinerary: Itinerary, archive: Path, loop: LoopSettings, seeds: int) -> LevelRuns:
+def _runs(itinerary: Itinerary, archive: bytes, loop: LoopSettings, seeds: int) -> LevelRuns:
     """Return the results of `seeds` runs with the reference in `archive`."""
     job = Job(
-        itinerary.name, archive.read_bytes(), itinerary.model.arms, Case("level", (), loop), tuple(range(seeds)),
+        itinerary.name, archive, itinerary.model.arms, Case("level", (), loop), tuple(range(seeds)),
         "compiled",
     )  # fmt: skip
     rows = run_job(job)

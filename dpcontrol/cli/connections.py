@@ -1,6 +1,5 @@
 """The verbs of connections: connect, bifurcations, atlas."""
 
-import shutil
 from collections.abc import Iterator
 from decimal import Decimal
 from pathlib import Path
@@ -222,22 +221,20 @@ def atlas_command(
     The atlas is one file (orbits, cuts, connections with their flights), kept by content: it is computed once. Look at
     it with `dpcontrol review FILE`. Exits with 1 if the list of connections may be incomplete.
     """
-    from dpcontrol.foundation.files import whole_file
-    from dpcontrol.scenes.atlas import AtlasSettings, make_atlas
+    from dpcontrol.scenes.atlas import AtlasSettings, make_atlas, save_atlas
     from dpcontrol.scenes.model import load_model
     from dpcontrol.tubes.intersections import search_settings
 
     settings = AtlasSettings(hits=hits, search=search_settings(thorough=thorough))
     with progress_bar("atlas") as progress:
         found = make_atlas(load_model(model), energy, settings=settings, fresh=fresh, progress=progress)
-    atlas, file = found.atlas, found.file
+    atlas, file = found.atlas, found.file if found.file.is_file() else None
     if out is not None:
-        with whole_file(out, suffix=".npz") as temporary:
-            shutil.copyfile(file, temporary)
+        save_atlas(out, atlas)
         file = out
     missed = "" if atlas.complete else f"the atlas of {model} at {energy:g} J is not complete: {atlas.status}"
     document = {**atlas.document(), "file": file, "cached": found.cached}
-    return Answer(document, [*_atlas_text(atlas), f"file  {file}{' (cached)' if found.cached else ''}"], missed)
+    return Answer(document, [*_atlas_text(atlas), f"file  {file or 'none: the cache cannot be written'}{' (cached)' if found.cached else ''}"], missed)
 
 
 def _atlas_text(atlas: "Atlas") -> Iterator[str | TextTable]:

@@ -6,6 +6,7 @@ import importlib
 import signal
 import sys
 import threading
+import warnings
 from io import TextIOWrapper
 from types import FrameType
 from typing import Any
@@ -13,12 +14,13 @@ from typing import Any
 import click
 
 import dpcontrol
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
 
 GROUPS = {
     "Start": {
         "demo": ("start", "Plan, run, score and picture one itinerary."),
         "model": ("start", "Show a model: parameters, equilibria, eigenvalues."),
+        "cache": ("start", "Show what is kept of earlier work, where, and its sizes, or empty it."),
     },
     "Design": {
         "orbit": ("orbit", "Compute a Lyapunov orbit, or its family, and its Floquet multipliers."),
@@ -57,6 +59,20 @@ VERBS = {verb: entry for verbs in GROUPS.values() for verb, entry in verbs.items
 
 class _Verbs(click.Group):
     """A group whose commands live in modules that are imported on demand."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        with warnings.catch_warnings():
+            show_others, shown = warnings.showwarning, set[str]()
+
+            def show(message: Warning | str, category: type[Warning], *place: Any) -> None:
+                if not issubclass(category, Remark):
+                    show_others(message, category, *place)
+                elif str(message) not in shown:
+                    shown.add(str(message))
+                    click.echo(f"dpcontrol: {message}", err=True)
+
+            warnings.showwarning = show
+            return super().invoke(ctx)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(VERBS)

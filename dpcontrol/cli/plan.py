@@ -1,6 +1,5 @@
 """The verbs of references: plan, reference."""
 
-import shutil
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -26,23 +25,21 @@ def plan_command(
     Plans are kept by content: the same itinerary is planned once.
     """
     from dpcontrol import api
-    from dpcontrol.foundation.files import whole_file
+    from dpcontrol.foundation.files import write_whole
     from dpcontrol.scenes.levels import plan_remarks
 
     plan = api.plan(itinerary, fresh=fresh, progress=True)
-    file = plan.file
+    document = plan.document()
     if out is not None and plan.converged:
-        with whole_file(out, suffix=".npz") as temporary:
-            shutil.copyfile(file, temporary)
-        file = out
+        write_whole(out, plan.archive)
+        document["file"] = out
     for remark in plan_remarks(plan.itinerary):
         click.echo(remark, err=True)
     missed = "" if plan.converged else f"{plan.itinerary.name}: {plan.status}"
-    document = {**plan.document(), "file": None if missed else file}
-    return Answer(document, () if missed else _plan_text(plan, file), missed)
+    return Answer(document, () if missed else _plan_text(plan, document["file"]), missed)
 
 
-def _plan_text(plan: "Plan", file: Path) -> Iterator[str]:
+def _plan_text(plan: "Plan", file: Path | None) -> Iterator[str]:
     reference, notes = plan.reference, plan.notes
     yield plan.itinerary.title
     for symbol in notes["symbols"]:
@@ -56,7 +53,7 @@ def _plan_text(plan: "Plan", file: Path) -> Iterator[str]:
         f"  cart             {reference.max_cart_position * 1e3:.1f} mm at most, "
         f"{reference.rms_cart_acceleration:.3f} m/s² rms, {reference.max_cart_acceleration:.3f} m/s² at most"
     )
-    yield f"  file             {file}{' (cached)' if plan.cached else ''}"
+    yield f"  file             {file or 'none: the cache cannot be written'}{' (cached)' if plan.cached else ''}"
 
 
 _ORIGIN = ("program", "code", "scene_hash", "model_hash")

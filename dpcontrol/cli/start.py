@@ -87,6 +87,21 @@ def model_command(*, model: str = argument()) -> Answer:
     return Answer(document, _text(loaded, points))
 
 
+@verb("cache", example="dpcontrol cache --clear", note="The folder is $DPCONTROL_CACHE, else ~/.cache/dpcontrol.")
+def cache_command(*, clear: bool = option(help="Delete all of it; what is needed again is computed again.")) -> Answer:
+    """Show what is kept of earlier work: plans, atlases, diagrams of connections, machine code.
+
+    Results are kept by the content that they follow from, the program's code included, and checked when they are read:
+    what is damaged, or of another version, is computed anew. It is safe to empty the cache at any time, and other
+    files in its folder are left alone.
+    """
+    from dpcontrol.foundation.cache import cache_contents
+
+    found = cache_contents(clear=clear)
+    columns = {"kind": "{0[0]}", "entries": "{0[1][0]}", "MB": lambda row: f"{row[1][1] / 1e6:.1f}"}
+    return Answer(found.document(), [found.sentence, table("", found.kinds.items(), columns)])
+
+
 def _text(loaded: "Model", points: "dict[str, Equilibrium]") -> Iterator[str | TextTable]:
     parameters = [(name, f"{value:.12g}", unit) for name, (value, unit) in loaded.parameters.named().items()]
     yield TextTable(f"{loaded.name}: {loaded.title}", ("parameter", "value", "unit"), parameters)

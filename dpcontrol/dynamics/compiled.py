@@ -28,9 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.equations import Equations
-from dpcontrol.foundation.cache import cache_folder, code_hash
-from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import content_hash, write_whole
+from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.files import content_hash
 
 _UNARY = {
     ca.OP_ASSIGN: lambda a: a,
@@ -128,16 +127,16 @@ class Compiled:
     def machine(self) -> Any:
         """What `self` calls, with the same arguments: for loops that call nothing else."""
         file = _kept_at(self._function)
-        if file is not None:
-            # Damaged, or kept by a program that this one cannot read: compiled anew.
+        content = None if file is None else kept(file)
+        if content is not None:
+            # Kept by a program that this one cannot read: compiled anew.
             with suppress(Exception):
-                return pickle.loads(file.read_bytes())
+                return pickle.loads(content)
         variables = [hy.expression(f"v{i}") for i in range(self.size_in)]
         outputs = to_heyoka(self._function, [variables[where] for where in self.slices.values()])
         machine = hy.cfunc(outputs, variables, compact_mode=False, batch_size=VECTOR, force_avx512=True)
         if file is not None:
-            with suppress(InputError):
-                write_whole(file, pickle.dumps(machine))
+            keep(file, pickle.dumps(machine))
         return machine
 
     def __call__(self, inputs: Array, out: Array) -> Array:
@@ -155,7 +154,7 @@ def _kept_at(function: ca.Function) -> Path | None:
     if not processor:
         return None
     key = content_hash(function.serialize(), code_hash(__name__), hy.__version__, ca.CasadiMeta.version(), processor)
-    return cache_folder("machine-code") / f"{function.name()}-{key}.bin"
+    return cache_file("machine-code", function.name(), key)
 
 
 @cache

@@ -1,16 +1,35 @@
 """Where results are kept by the content they were made from: settings, parameters, and the code itself.
 
-Folder: $DPCONTROL_CACHE, else $XDG_CACHE_HOME/dpcontrol, else ~/.cache/dpcontrol.
+Folder: $DPCONTROL_CACHE, else $XDG_CACHE_HOME/dpcontrol, else ~/.cache/dpcontrol; in it one folder for each kind.
+
+Each file ends in a seal, the SHA-256 digest of its name and content, so that one that was damaged, edited or renamed is
+as good as absent. The seal stands last, where readers of .npz files pass over it. A cache that cannot be written is
+gone without.
 """
 
+import hashlib
 import os
 import re
 import subprocess
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import dpcontrol
-from dpcontrol.foundation.files import content_hash
+from dpcontrol.foundation.errors import InputError, remark
+from dpcontrol.foundation.files import content_hash, write_whole
+
+VARIABLE = "DPCONTROL_CACHE"
+"""Names the folder."""
+KINDS = {"plans": ".npz", "atlases": ".npz", "branches": ".json", "machine-code": ".bin"}
+"""What is kept, each kind in files of one suffix."""
+_OURS = re.compile(rf"-[0-9a-f]{{16}}({'|'.join(map(re.escape, sorted(set(KINDS.values()))))})(\..+)?$")
+"""How names of the cache's files end; those half written go on."""
+_SEAL = b"\nsha256:"
+_SEALED = len(_SEAL) + 64
 
 # Patterns that begin with plain text are found in a third of the time.
 _FROM = re.compile(rb"from (dpcontrol[\w.]*) import (\([^)]*\)|[^\n]*)")
@@ -18,13 +37,109 @@ _IMPORT = re.compile(rb"import (dpcontrol[\w.]*)")
 _WORD = re.compile(rb"\w+")
 
 
-def cache_folder(kind: str) -> Path:
-    """Return the folder for results of one kind; it need not exist."""
-    chosen = os.environ.get("DPCONTROL_CACHE")
+def cache_root() -> Path:
+    """Return the cache's folder; it need not exist."""
+    chosen = os.environ.get(VARIABLE)
     if chosen:
-        return Path(chosen) / kind
+        return Path(chosen)
     base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "dpcontrol" / kind
+    return (Path(base) if base else Path.home() / ".cache") / "dpcontrol"
+
+
+def cache_file(kind: str, name: str, key: str) -> Path:
+    """Return where a result of one of the `KINDS` is kept; key: 16 hexadecimal digits that identify its content."""
+    # The name is for people: of any length and with any signs, it stays one part of a path.
+    shown = re.sub(r"[^\w.+-]", "_", name)[:40]
+    return cache_root() / kind / f"{shown}-{key}{KINDS[kind]}"
+
+
+def kept(file: Path) -> bytes | None:
+    """Return the content that was kept under this name; None where there is none, or not the one that was kept."""
+    try:
+        content = file.read_bytes()
+    except OSError:
+        return None
+    return content[:-_SEALED] if content[-_SEALED:] == _seal(file, content[:-_SEALED]) else None
+
+
+def keep(file: Path, content: bytes) -> None:
+    """Keep content where `cache_file` says; where that cannot be, remark on it and go on."""
+    try:
+        write_whole(file, content + _seal(file, content))
+    except InputError as error:
+        reason = getattr(error.__cause__, "strerror", None) or str(error)
+        remark(
+            f"nothing can be kept in the cache {cache_root()} ({reason}), so what is slow is computed anew each time; "
+            f"set {VARIABLE} to a folder that can be written, or free some space"
+        )
+
+
+def _seal(file: Path, content: bytes) -> bytes:
+    return _SEAL + hashlib.sha256(file.name.encode(errors="surrogateescape") + b"\n" + content).hexdigest().encode()
+
+
+@dataclass(frozen=True)
+class CacheContents:
+    """What the cache holds, or held before it was emptied: of each kind the number of entries and their bytes."""
+
+    folder: Path
+    kinds: dict[str, tuple[int, int]]
+    emptied: bool
+
+    @property
+    def entries(self) -> int:
+        """How many files there are."""
+        return sum(count for count, _ in self.kinds.values())
+
+    @property
+    def bytes(self) -> int:
+        """How large they are together."""
+        return sum(size for _, size in self.kinds.values())
+
+    @property
+    def sentence(self) -> str:
+        """What is in it, and where."""
+        count = "1 entry" if self.entries == 1 else f"{self.entries} entries"
+        what = f"{count}, {self.bytes / 1e6:.1f} MB"
+        return f"emptied {self.folder}: {what}" if self.emptied else f"{self.folder} holds {what}"
+
+    def __repr__(self) -> str:
+        return f"<cache: {self.sentence}>"
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol cache --json` prints."""
+        kinds = {kind: {"entries": count, "bytes": size} for kind, (count, size) in self.kinds.items()}
+        return {"folder": self.folder, "variable": VARIABLE, "entries": self.entries, "bytes": self.bytes,
+                "kinds": kinds, "emptied": self.emptied, "status": self.sentence}  # fmt: skip
+
+
+def cache_contents(*, clear: bool = False) -> CacheContents:
+    """Return what the cache holds, and delete it if asked: its own files alone, whatever else the folder is for.
+
+    Raises:
+        InputError: a file cannot be deleted.
+    """
+    root = cache_root()
+    kinds: dict[str, tuple[int, int]] = {}
+    for kind in KINDS:
+        count = size = 0
+        for file in _files(root / kind):
+            # Another process may have deleted it meanwhile.
+            with suppress(FileNotFoundError):
+                length = file.stat().st_size
+                if clear:
+                    try:
+                        file.unlink()
+                    except PermissionError as error:
+                        raise InputError(f"cannot delete {file}: {error.strerror}; check who may write there") from error
+                count, size = count + 1, size + length
+        kinds[kind] = (count, size)
+    return CacheContents(root, kinds, clear)
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    with suppress(FileNotFoundError, NotADirectoryError):
+        yield from (file for file in sorted(folder.iterdir()) if _OURS.search(file.name) and file.is_file())
 
 
 @cache

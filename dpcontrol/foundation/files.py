@@ -16,7 +16,8 @@ import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
+from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
 
@@ -135,9 +136,11 @@ _DAMAGED = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFi
 
 
 def write_archive(
-    path: Path | str, header: Mapping[str, Any], arrays: Mapping[str, Any], *, compressed: bool = False
+    path: Path | str | BytesIO, header: Mapping[str, Any], arrays: Mapping[str, Any], *, compressed: bool = False
 ) -> None:
     """Write a header, plain JSON with its `format` and `version`, and arrays to `path`, whole or not at all.
+
+    path: or a file in memory.
 
     Raises:
         InputError: the file cannot be written, or the header is not plain JSON.
@@ -146,7 +149,7 @@ def write_archive(
         text = json.dumps(header, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise InputError(f"cannot write {path}: its notes are not plain JSON ({error})") from error
-    with whole_file(Path(path), suffix=".npz") as temporary:
+    with nullcontext(path) if isinstance(path, BytesIO) else whole_file(Path(path), suffix=".npz") as temporary:
         (np.savez_compressed if compressed else np.savez)(temporary, header=np.array(text), **arrays)
 
 

@@ -21,6 +21,7 @@ whose `parameters` are those of `dpcontrol.dynamics.chain.ArmChainParameters` by
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
@@ -169,8 +170,8 @@ _FOUND = ("max_error_between_nodes", "constraint_violation", "iterations", "solv
 _CART = ("max_cart_position", "max_cart_velocity", "max_cart_acceleration", "rms_cart_acceleration")
 
 
-def save_reference(path: Path, reference: Reference) -> None:
-    """Write `reference` to `path` (whole, or not at all) in the layout above.
+def save_reference(path: Path | BytesIO, reference: Reference) -> None:
+    """Write `reference` to `path` (whole, or not at all) in the layout above; path: or a file in memory.
 
     Raises:
         InputError: the file cannot be written, or the notes are not JSON.

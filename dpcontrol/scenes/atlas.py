@@ -35,10 +35,11 @@ Connections against energy, kept by content: a sweep takes ten seconds or more, 
 import json
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from io import BytesIO
 from pathlib import Path
-from typing import Any, TypeVar, get_args, get_type_hints
+from typing import IO, Any, TypeVar, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,9 +48,9 @@ from dpcontrol.bifurcations.bifurcations import BranchDiagram, branch_diagram, d
 from dpcontrol.bifurcations.sweep import SweepSettings
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.cache import cache_folder, code_hash
+from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import archive, content_hash, picked, plain, write_archive, write_whole
+from dpcontrol.foundation.files import archive, content_hash, picked, plain, write_archive
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, OrbitRecord
@@ -102,7 +103,7 @@ class AtlasSettings(Settings, table="atlas"):
 
 @dataclass(frozen=True)
 class FoundAtlas:
-    """An atlas, the file where it is kept, and whether it was found there."""
+    """An atlas, the file where it is kept, if the cache can be written, and whether it was found there."""
 
     atlas: Atlas
     file: Path
@@ -143,13 +144,13 @@ def make_atlas(
     settings = settings or AtlasSettings()
     if not np.isfinite(energy):
         raise InputError(f"energy = {energy}: must be a finite number of joules")
-    file = cache_folder("atlases") / f"{model.name}-{energy:g}-{atlas_key(model, energy, settings)}.npz"
-    if not fresh and file.is_file():
-        # A damaged cache entry is replaced, as if it were not there.
-        with suppress(InputError):
-            return FoundAtlas(load_atlas(file), file, cached=True)
+    file = cache_file("atlases", f"{model.name}-{energy:g}", atlas_key(model, energy, settings))
+    if not fresh and (content := kept(file)) is not None:
+        return FoundAtlas(load_atlas(BytesIO(content)), file, cached=True)
     atlas = compute_atlas(model, energy, settings=settings, progress=progress)
-    save_atlas(file, atlas)
+    content = BytesIO()
+    save_atlas(content, atlas)
+    keep(file, content.getvalue())
     return FoundAtlas(atlas, file, cached=False)
 
 
@@ -369,8 +370,8 @@ def _status(
     return "; ".join(parts)
 
 
-def save_atlas(path: Path, atlas: Atlas) -> None:
-    """Write `atlas` to `path` (whole, or not at all) in the layout above.
+def save_atlas(path: Path | BytesIO, atlas: Atlas) -> None:
+    """Write `atlas` to `path` (whole, or not at all) in the layout above; path: or a file in memory.
 
     Raises:
         InputError: the file cannot be written.
@@ -405,8 +406,8 @@ def _packed(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -
     return entry
 
 
-def load_atlas(path: Path) -> Atlas:
-    """Read what `save_atlas` wrote.
+def load_atlas(path: Path | IO[bytes]) -> Atlas:
+    """Read what `save_atlas` wrote, from a path or an open binary file.
 
     Raises:
         InputError: there is no such file, or it is damaged or not an atlas; says which.
@@ -492,11 +493,10 @@ def make_branches(
         "settings": asdict(settings),
     }
     key = content_hash(json.dumps(content, sort_keys=True))
-    file = cache_folder("branches") / f"{model.name}-{source}-{target}-{key}.json"
-    # One that was never made, or is damaged, is made.
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        return diagram_from(json.loads(file.read_text(encoding="utf-8")))
+    file = cache_file("branches", f"{model.name}-{source}-{target}", key)
+    if (known := kept(file)) is not None:
+        return diagram_from(json.loads(known))
     found = find_bifurcations(model.system, source, target, energies=energies, settings=settings, progress=progress)
     diagram = branch_diagram(found)
-    write_whole(file, json.dumps(diagram.document()) + "\n")
+    keep(file, json.dumps(diagram.document()).encode() + b"\n")
     return diagram

@@ -492,7 +492,7 @@ def run_campaign(
 
 
 def _jobs(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> list[Job]:
-    archive = plan.file.read_bytes()
+    archive = plan.archive
     seeds = range(settings.first_seed, settings.first_seed + settings.runs)
     # A batch never depends on how many runs were asked for, so that more runs of the same campaign reuse the first.
     name, arms = plan.itinerary.name, plan.itinerary.model.arms

@@ -6,12 +6,13 @@ so that a log that carries the reference can be scored and reviewed alone.
 
 import json
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dpcontrol.foundation.cache import cache_folder, code_hash
+from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -30,7 +31,7 @@ FORMAT = 2
 class Plan:
     """An itinerary's reference with its notes; file: where it is kept; cached: whether it was found there.
 
-    Of a reference that did not converge there is no file.
+    Of a reference that did not converge there is no file, nor where the cache cannot be written.
     """
 
     itinerary: Itinerary
@@ -45,6 +46,13 @@ class Plan:
     def notes(self) -> PlanNotes:
         """What the plan says beyond the trajectory."""
         return plan_notes(self.reference)
+
+    @cached_property
+    def archive(self) -> bytes:
+        """The reference as the bytes of its .npz file."""
+        file = BytesIO()
+        save_reference(file, self.reference)
+        return file.getvalue()
 
     @property
     def status(self) -> str:
@@ -75,7 +83,7 @@ class Plan:
         return {
             **{key: self.notes[key] for key in ("walk", "wraps", "shadowing")},
             "reference": {"intervals": len(self.reference.mesh) - 1, **picked(self.reference, *figures)},
-            "file": self.file if self.converged else None,
+            "file": self.file if self.converged and self.file.is_file() else None,
             **picked(self, "cached", "status"),
         }
 
@@ -114,22 +122,19 @@ def make_plan(
         InputError: the walk asks for connections that do not exist at this energy.
         GoalMissed: an orbit or the shadowing orbit did not converge.
     """
-    file = cache_folder("plans") / f"{itinerary.name}-{plan_key(itinerary)}.npz"
-    if not fresh and file.is_file():
-        # A damaged cache entry, or one under another's name, is replaced as if it were not there.
-        with suppress(InputError):
-            kept = load_reference(file)
-            if kept.notes.get("plan") == plan_key(itinerary):
-                return Plan(itinerary, kept, file, cached=True)
+    file = cache_file("plans", itinerary.name, plan_key(itinerary))
+    if not fresh and (content := kept(file)) is not None:
+        return Plan(itinerary, load_reference(BytesIO(content)), file, cached=True)
     # A plan that is kept needs nothing of what makes plans.
     from dpcontrol.scenes.planning import planned
 
     reference, notes, arrays = planned(itinerary, orbits, progress=progress)
     notes["plan"], notes["made_from"]["code"] = plan_key(itinerary), code_hash(__name__)
     reference = replace(reference, notes={**reference.notes, **notes}, extra={**reference.extra, **arrays})
-    if reference.converged:
-        save_reference(file, reference)
-    return Plan(itinerary, reference, file, cached=False)
+    plan = Plan(itinerary, reference, file, cached=False)
+    if plan.converged:
+        keep(file, plan.archive)
+    return plan
 
 
 def load_plan(file: Path) -> Plan:

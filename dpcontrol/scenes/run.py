@@ -197,7 +197,7 @@ def _attachments(plan: Plan) -> dict[str, bytes]:
     return {
         _SCENE: plan.itinerary.text.encode(),
         _MODEL: plan.itinerary.model.text.encode(),
-        REFERENCE_ATTACHMENT: plan.file.read_bytes(),
+        REFERENCE_ATTACHMENT: plan.archive,
     }
 
 

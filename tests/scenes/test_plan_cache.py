@@ -6,9 +6,11 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from command_line import dpcontrol as call
 
 import dpcontrol
 from dpcontrol.foundation.cache import code_hash, module_sources
@@ -40,6 +42,51 @@ def test_a_plan_under_anothers_name_is_made_anew(cache: Path) -> None:
     plan = make_plan(turn)
     assert not plan.cached
     assert plan.notes["itinerary"] == "outer-turn"
+
+
+@pytest.fixture(scope="module")
+def turn_plan(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """The outer turn's plan as its file's bytes, found without a cache."""
+    return make_plan(load_itinerary("outer-turn")).archive
+
+
+def test_a_kept_plan_whose_states_were_changed_is_never_served(
+    cache: Path, turn_plan: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    turn = load_itinerary("outer-turn")
+    monkeypatch.setattr("dpcontrol.scenes.planning.planned", lambda *_, **__: made_anew())
+    sound = load_reference(io.BytesIO(turn_plan))
+
+    def made_anew() -> tuple[Reference, dict[str, Any], dict[str, Any]]:
+        return replace(sound, notes={}, extra={}), dict(sound.notes), dict(sound.extra)
+
+    file = make_plan(turn).file
+    assert make_plan(turn).cached
+    with np.load(file) as archive:
+        arrays = dict(archive)
+    np.savez(file, **(arrays | {"states": 1.5 * arrays["states"]}))
+    assert load_reference(file).converged
+    again = make_plan(turn)
+    assert not again.cached
+    assert np.array_equal(again.reference.states, sound.states)
+    assert make_plan(turn).cached
+
+
+def test_a_plan_is_made_and_run_where_the_cache_cannot_be_written(
+    tmp_path: Path, turn_plan: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "a file").touch()
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "a file"))
+    sound = load_reference(io.BytesIO(turn_plan))
+    found = replace(sound, notes={}, extra={}), dict(sound.notes), dict(sound.extra)
+    monkeypatch.setattr("dpcontrol.scenes.planning.planned", lambda *_, **__: found)
+    ended = call("run", "outer-turn", "--out", tmp_path / "turn.mcap")
+    assert ended.code == 0, ended.stderr
+    assert ended.stderr.count("DPCONTROL_CACHE") == 1
+    assert "Traceback" not in ended.stderr
+    planned = call("plan", "outer-turn", "--out", tmp_path / "turn.npz", "--json").document
+    assert planned["file"] == str(tmp_path / "turn.npz")
+    assert call("plan", "outer-turn", "--json").document["file"] is None
 
 
 def test_a_changed_title_or_limit_asks_for_another_plan() -> None:

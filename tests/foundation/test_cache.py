@@ -1,0 +1,112 @@
+"""The cache: what was kept and nothing else, and never a reason to stop."""
+
+import errno
+import os
+import warnings
+from pathlib import Path
+
+import pytest
+from command_line import dpcontrol
+
+from dpcontrol.foundation import cache as store
+from dpcontrol.foundation.cache import KINDS, cache_contents, cache_file, keep, kept
+from dpcontrol.foundation.errors import Remark
+
+KEY = "0123456789abcdef"
+
+
+@pytest.fixture
+def root(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.mark.parametrize("content", [b"", b"orbits", bytes(range(256)) * 40])
+def test_what_was_kept_is_read_back(content: bytes, root: Path) -> None:
+    file = cache_file("atlases", "lab", KEY)
+    assert kept(file) is None
+    keep(file, content)
+    assert kept(file) == content
+    assert os.listdir(file.parent) == [file.name]
+
+
+def test_content_that_was_cut_changed_or_renamed_is_as_good_as_absent(root: Path) -> None:
+    file, other = cache_file("plans", "turn", KEY), cache_file("plans", "cross", KEY)
+    keep(file, b"states 1.0 2.0")
+    whole = file.read_bytes()
+    other.write_bytes(whole)
+    assert kept(other) is None
+    for damaged in (b"", whole[:-1], whole + b"\n", whole.replace(b"1.0", b"1.5"), b"states 1.5 2.0"):
+        file.write_bytes(damaged)
+        assert kept(file) is None
+    file.unlink()
+    file.mkdir()
+    assert kept(file) is None
+
+
+@pytest.mark.parametrize("reason", [errno.ENOSPC, errno.EROFS, errno.EACCES])
+def test_a_cache_that_cannot_be_written_is_gone_without_and_named_once(
+    reason: int, root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(path: Path, data: bytes) -> int:
+        raise OSError(reason, os.strerror(reason))
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with warnings.catch_warnings(record=True) as made:
+        warnings.simplefilter("default", Remark)
+        for kind in KINDS:
+            keep(cache_file(kind, "turn", KEY), b"content")
+    (remark,) = made
+    assert os.strerror(reason) in str(remark.message)
+    assert "set DPCONTROL_CACHE" in str(remark.message)
+    assert not [file for file in root.rglob("*") if file.is_file()]
+
+
+def test_a_name_of_any_length_and_any_signs_stays_within_the_cache(root: Path) -> None:
+    for name in ("ü" * 300, "../../etc/passwd", "a\0b", "\udcff"):
+        file = cache_file("plans", name, KEY)
+        assert file.parent == root / "plans"
+        keep(file, b"content")
+        assert kept(file) == b"content"
+
+
+def test_emptying_the_cache_leaves_what_others_keep_in_its_folder(root: Path) -> None:
+    for kind in KINDS:
+        keep(cache_file(kind, "turn", KEY), b"content")
+    half = root / "plans" / f".turn-{KEY}.npz.x3_y.partial"
+    others = [root / "notes.txt", root / "plans" / "thesis.npz", root / "logs" / f"turn-{KEY}.npz"]
+    for file in (half, *others):
+        file.parent.mkdir(exist_ok=True)
+        file.write_text("mine")
+    found = cache_contents()
+    assert found.entries == len(KINDS) + 1
+    assert found.bytes == sum(f.stat().st_size for f in root.rglob(f"*{KEY}*") if f not in others)
+    assert cache_contents(clear=True).kinds == found.kinds
+    assert cache_contents().entries == 0
+    assert all(file.read_text() == "mine" for file in others)
+
+
+def test_the_verb_shows_the_cache_and_empties_it(root: Path) -> None:
+    keep(cache_file("plans", "turn", KEY), b"content")
+    shown = dpcontrol("cache", "--json").document
+    assert shown["folder"] == str(root)
+    assert shown["variable"] == "DPCONTROL_CACHE"
+    assert shown["kinds"]["plans"]["entries"] == shown["entries"] == 1
+    assert set(shown["kinds"]) == set(KINDS)
+    assert f"emptied {root}: 1 entry" in dpcontrol("cache", "--clear").stdout
+    assert dpcontrol("cache", "--json").document["entries"] == 0
+
+
+def test_a_cache_that_is_not_there_is_empty(root: Path) -> None:
+    assert cache_contents(clear=True).entries == 0
+    assert not root.exists()
+    root.write_text("a file")
+    assert cache_contents().entries == 0
+
+
+def test_every_kind_is_written_by_what_makes_it() -> None:
+    """No module keeps anything by other means than the store, which seals it."""
+    package = Path(store.__file__).parents[1]
+    users = [file.read_text() for file in package.rglob("*.py") if file.name not in ("cache.py", "api.py")]
+    assert sum(text.count("cache_file(") for text in users) == len(KINDS)
+    assert not any("cache_root" in text for text in users)
