@@ -131,7 +131,8 @@ def cache_contents(*, clear: bool = False) -> CacheContents:
                     try:
                         file.unlink()
                     except PermissionError as error:
-                        raise InputError(f"cannot delete {file}: {error.strerror}; check who may write there") from error
+                        why = f"cannot delete {file}: {error.strerror}; check who may write there"
+                        raise InputError(why) from error
                 count, size = count + 1, size + length
         kinds[kind] = (count, size)
     return CacheContents(root, kinds, clear)
