@@ -234,7 +234,8 @@ def atlas_command(
         file = out
     missed = "" if atlas.complete else f"the atlas of {model} at {energy:g} J is not complete: {atlas.status}"
     document = {**atlas.document(), "file": file, "cached": found.cached}
-    return Answer(document, [*_atlas_text(atlas), f"file  {file or 'none: the cache cannot be written'}{' (cached)' if found.cached else ''}"], missed)
+    place = f"{file or 'none: the cache cannot be written'}{' (cached)' if found.cached else ''}"
+    return Answer(document, [*_atlas_text(atlas), f"file  {place}"], missed)
 
 
 def _atlas_text(atlas: "Atlas") -> Iterator[str | TextTable]:
