@@ -47,6 +47,7 @@ def run_settings() -> Any:
 
 
 BENCH = "Bench"
+KEY_HELP = "File with the key that bench and loop share [the environment's DPCONTROL_RIG_KEY]."
 _WITH_FROM = ("source", "out", "as_json")
 
 
@@ -66,6 +67,8 @@ def run_command(
         "started for the run.",
     ),
     real_time: bool = option(group=BENCH, help="With --rig: ask for priority over all ordinary work."),
+    key_file: Path | None = option(type=FILE, group=BENCH, help=KEY_HELP),
+    insecure: bool = option(group=BENCH, help="With --rig: take a bench on another computer without a key."),
     settings: RunOptions = run_settings(),
     out: Path | None = file_option(help="Log to write [logs/NAME-SEED.mcap]."),
 ) -> Answer:
@@ -80,6 +83,18 @@ def run_command(
         raise click.UsageError("give an ITINERARY, or a log to repeat with --from")
     if real_time and address is None:
         raise click.UsageError("--real-time is for runs on a rig: give --rig udp as well")
+    if address is None and (key_file or insecure):
+        raise click.UsageError("--key-file and --insecure are for runs on a rig: give --rig as well")
+    key = b""
+    if address is not None:
+        from dpcontrol.rig.access import shared_key
+        from dpcontrol.rig.client import parse_address
+        from dpcontrol.scenes.run import OWN_BENCH
+
+        # Before the plan, which can take minutes.
+        if address != OWN_BENCH:
+            parse_address(address)
+            key = shared_key(key_file)
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.levels import run_remarks
     from dpcontrol.scenes.plan import make_plan
@@ -89,7 +104,7 @@ def run_command(
     out = out or default_log(scene)
     with progress_bar("run") as progress:
         plan = make_plan(scene, progress=progress)
-        verdict = None if address else run_plan(plan, out, progress=progress).score()
+        verdict = run_plan(plan, out, progress=progress).score() if address is None else None
     if verdict is not None:
         for remark in run_remarks(scene):
             click.echo(remark, err=True)
@@ -97,7 +112,7 @@ def run_command(
     # Without a progress bar, whose own thread would take time from the loop's.
     from dpcontrol.scenes.run import run_on_rig
 
-    run = run_on_rig(plan, out, address or "", real_time=real_time)
+    run = run_on_rig(plan, out, address or "", key=key, insecure=insecure, real_time=real_time)
     verdict, result = run.score, run.result
     document = {**verdict.document(), "ending": result.ending.value, "deadlines": asdict(run.deadlines)}
     done = verdict.symbols_completed == verdict.symbols_total
@@ -142,18 +157,24 @@ def rig_command(
     port: int = option(type=click.IntRange(0, 65535), default=0, group=SERVER, help="Port; 0: any free."),
     runs: int = option(type=click.IntRange(0), default=0, group=SERVER, help="Runs to serve; 0: no end."),
     real_time: bool = option(group=SERVER, help="Ask the system for priority over all ordinary work."),
+    key_file: Path | None = option(type=FILE, group=SERVER, help=KEY_HELP),
+    insecure: bool = option(group=SERVER, help="Let anyone who can reach --host drive the cart, without a key."),
     settings: RunOptions = run_settings(),
 ) -> None:
     """Start an example bench: the itinerary's arms and cart, simulated in real time, reached over UDP.
 
     Prints its address, for `dpcontrol run ITINERARY --rig ADDRESS`, and serves one run after the other until Ctrl-C.
-    The arms start where the itinerary does. The packets are described in dpcontrol/rig/packets.py.
+    The arms start where the itinerary does. The packets are described in dpcontrol/rig/packets.py. Where --host can be
+    reached from other computers, loops need the bench's key.
     """
+    from dpcontrol.rig.access import checked_host, shared_key
     from dpcontrol.rig.bench import BenchServerSettings, UdpBench
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.plan import make_plan
     from dpcontrol.scenes.run import bench_recipe
 
+    key = shared_key(key_file)
+    checked_host(host, port, key=key, insecure=insecure)
     scene = load_itinerary(itinerary).with_run(settings, seed=seed)
     with progress_bar("rig") as progress:
         plan = make_plan(scene, progress=progress)
@@ -165,9 +186,12 @@ def rig_command(
         click.echo(f"dpcontrol: {text}", err=True)
 
     with (
-        UdpBench(recipe.rig, arms=arms, ticks=recipe.ticks, host=host, port=port, settings=server, say=say) as bench,
+        UdpBench(
+            recipe.rig, arms=arms, ticks=recipe.ticks, period=recipe.period, host=host, port=port, key=key,
+            insecure=insecure, settings=server, say=say,
+        ) as bench,
         suppress(KeyboardInterrupt),
-    ):
+    ):  # fmt: skip
         address = f"udp://{bench.address[0]}:{bench.address[1]}"
         document = {"address": address, "rate": recipe.settings.rate, "arms": arms, "ticks": recipe.ticks}
         show(Answer(document, [f"bench for {scene.name} at {address}"]))

@@ -5,18 +5,22 @@ out. Where none has come the last one goes on acting. A loop that is silent for 
 in which the bench itself kept its ticks counts. A bench that overslept works off its ticks at once: physics waits for
 nobody. Between ticks it sleeps, in `select`, so that a command's arrival is noted; the last `spin` seconds it polls.
 
-One run at a time, made ready at HELLO and begun at START; packets in `dpcontrol.rig.packets`.
+One run at a time, which begins at START: HELLO is answered, and binds the bench to nothing. Packets are those of
+`dpcontrol.rig.packets`. A run hears its own loop only, by a socket that the system lets nobody else's packets into, so
+that a flood of them neither delays a tick nor drives out a command; they are counted in the time that is left.
 The example bench of a run lives in a process of its own, so that the loop and it share neither interpreter nor core.
 """
 
+import hmac
 import math
 import multiprocessing
+import secrets
 import select
 import signal
 import socket
 import time
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from types import TracebackType
@@ -34,15 +38,32 @@ from dpcontrol.loop.result import Rig
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.problem import Limits
 from dpcontrol.rig import packets as packets
+from dpcontrol.rig.access import KEY_VARIABLE, checked_host
 from dpcontrol.rig.client import real_time_priority, without_collecting
-from dpcontrol.rig.packets import CommandPacket, Condition, Hello, Kind, ReadingPacket, Welcome
+from dpcontrol.rig.packets import (
+    LARGEST,
+    CommandPacket,
+    Condition,
+    Heard,
+    Kind,
+    Message,
+    OtherVersion,
+    ReadingPacket,
+    Role,
+    Start,
+    Talk,
+    Unsealed,
+    Welcome,
+)
 
 Say = Callable[[str], None]
 
 _LEAVING = 2.0
 """Seconds of silence after which a loop counts as gone, and the next may come."""
-_HESITATING = 60.0
-"""The same between HELLO and START; the arms are held until then."""
+_REFUSE_EVERY = 0.05
+"""Seconds between refusals, so that the bench does not help to flood whoever a HELLO pretends to come from."""
+_AT_ONCE, _STRANGERS_AT_ONCE = 64, 16
+"""Packets that are taken before the clock is looked at: the loop's, and others'."""
 _REMEMBERED = 1024
 """Ticks whose times of sending are kept, to time their answers."""
 
@@ -61,10 +82,11 @@ class BenchServerSettings(Settings, table="bench"):
 class UdpBench:
     """Serves a bench on a socket of its own; a context manager.
 
-    make: makes the rig of a run from the commands on their way. say: called with what happens.
+    make: makes the rig of a run from the commands on their way; its period in s. key: the one that loops share;
+    insecure: loops on other computers need none. say: called with what happens.
 
     Raises:
-        InputError: the port is not available.
+        InputError: the address or port is not available, or other computers can reach it and there is no key.
     """
 
     def __init__(
@@ -73,16 +95,21 @@ class UdpBench:
         *,
         arms: int,
         ticks: int,
+        period: float,
         host: str = "127.0.0.1",
         port: int = 0,
+        key: bytes = b"",
+        insecure: bool = False,
         settings: BenchServerSettings | None = None,
         say: Say = lambda text: None,
     ) -> None:
-        self._make, self._arms, self._ticks, self._say = make, arms, ticks, say
-        self._settings = settings or BenchServerSettings()
+        self._make, self._arms, self._ticks, self._period, self._say = make, arms, ticks, period, say
+        self._key, self._settings = key, settings or BenchServerSettings()
+        where = checked_host(host, port, key=key, insecure=insecure)
+        self._secret, self._refused_at = secrets.token_bytes(16), -math.inf
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.bind((host, port))
+            self._socket.bind(where)
         except (OSError, OverflowError) as error:
             self._socket.close()
             why = getattr(error, "strerror", None) or error
@@ -102,53 +129,148 @@ class UdpBench:
         served = 0
         while not runs or served < runs:
             select.select([self._socket], [], [])
-            for _, content, sender in _received(self._socket):
-                if isinstance(content, Hello):
-                    self._say(f"a run begins for {sender[0]}:{sender[1]}")
-                    rig = self._make(content.queued)
-                    with without_collecting(), real_time_priority() if self._settings.real_time else nullcontext():
-                        welcome = Welcome(self._arms, rig.period, self._ticks)
-                        run = _BenchRun(self._socket, sender, rig, welcome, self._settings)
-                        ended = run.go()
-                    self._say(f"run ended: {ended}; {run.sentence}")
-                    served += 1
-                    break
+            try:
+                data, sender = self._socket.recvfrom(LARGEST)
+            except OSError:
+                # It was damaged on the way, or a loop has left, which the system reports once.
+                continue
+            served += self._served(data, sender)
+
+    def _served(self, data: bytes, sender: Any) -> bool:
+        """Take a packet that came while nothing runs; tell whether it led to a run that has ended."""
+        try:
+            heard = packets.unpacked(data, Role.LOOP, key=self._key)
+        except ValueError as error:
+            if packets.is_hello(data) and (why := self._remedy(error)):
+                self._refuse(packets.refusal(data, why), sender)
+            return False
+        session = self._session(sender)
+        if heard.kind is Kind.HELLO:
+            self._answer(heard, packets.welcome(Welcome(self._arms, self._period, self._ticks, session)), sender)
+            return False
+        if heard.session != session:
+            if heard.kind is Kind.START:
+                self._refuse(self._packed(heard, packets.bye("the bench does not know this run; begin again")), sender)
+            return False
+        if not isinstance(heard.content, Start):
+            # A loop that finds that the bench does not suit it.
+            return heard.kind is Kind.BYE
+        if not all(map(math.isfinite, heard.content.queued)):
+            self._answer(heard, packets.bye("no run begins: a command on its way is not a finite number"), sender)
+            return False
+        self._say(f"a run begins for {sender[0]}:{sender[1]}")
+        # So that nothing of this run can begin another.
+        self._secret = secrets.token_bytes(16)
+        rig = self._make(heard.content.queued)
+        with without_collecting(), real_time_priority() if self._settings.real_time else nullcontext():
+            talk = Talk(Role.BENCH, session, key=self._key)
+            talk.hear(data)
+            with ExitStack() as stack:
+                sockets = [(self._socket, _AT_ONCE)]
+                if own := _own_socket(self._socket, sender):
+                    sockets = [(stack.enter_context(own), _AT_ONCE), (self._socket, _STRANGERS_AT_ONCE)]
+                run = _BenchRun(
+                    sockets, sender, rig, talk, ticks=self._ticks, settings=self._settings, busy=self._busy
+                )  # fmt: skip
+                ended = run.go()
+        self._say(f"run ended: {ended}; {run.sentence}")
+        return True
+
+    def _session(self, sender: Any) -> int:
+        """Return the number of the session that `sender` may begin.
+
+        Nothing is kept of it, so that nobody can lock others out; who pretends to be elsewhere does not get to know it.
+        """
+        return int.from_bytes(hmac.digest(self._secret, repr(sender).encode(), "sha256")[:8])
+
+    def _remedy(self, error: ValueError) -> str:
+        """Return what the sender of a HELLO that is not taken should be told; empty: nothing."""
+        if isinstance(error, OtherVersion):
+            return f"this bench speaks version {packets.VERSION} of the protocol; update the loop's dpcontrol"
+        if not isinstance(error, Unsealed):
+            return ""
+        if self._key:
+            return f"this bench asks for the key that it shares: give its file with --key-file, or set {KEY_VARIABLE}"
+        return f"this bench has no key: start it with one, or run without --key-file and {KEY_VARIABLE}"
+
+    def _busy(self, data: bytes, sender: Any) -> None:
+        """Tell a loop that asks for a run while there is one."""
+        with suppress(ValueError):
+            heard = packets.unpacked(data, Role.LOOP, key=self._key)
+            if heard.kind in (Kind.HELLO, Kind.START):
+                busy = packets.bye("the bench is busy with another loop; wait for it to end")
+                self._refuse(self._packed(heard, busy), sender)
+
+    def _packed(self, heard: Heard, message: Message) -> bytes:
+        return packets.packed(message, Role.BENCH, session=heard.session, sequence=1, key=self._key)
+
+    def _answer(self, heard: Heard, message: Message, sender: Any) -> None:
+        with suppress(OSError):
+            self._socket.sendto(self._packed(heard, message), sender)
+
+    def _refuse(self, data: bytes, sender: Any) -> None:
+        now = time.perf_counter()
+        if now - self._refused_at >= _REFUSE_EVERY:
+            self._refused_at = now
+            with suppress(OSError):
+                self._socket.sendto(data, sender)
+
+
+def _own_socket(shared: socket.socket, client: Any) -> socket.socket | None:
+    """Return a socket at the same address that hears `client` only; None where the system cannot do so."""
+    own = socket.socket(shared.family, socket.SOCK_DGRAM)
+    try:
+        # On the other one after its bind only, which has found out whether the port is free.
+        shared.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+        own.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
+        own.bind(shared.getsockname())
+        own.connect(client)
+        shared.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 0)
+    except (OSError, AttributeError):
+        own.close()
+        return None
+    own.setblocking(False)
+    return own
 
 
 class _BenchRun:
-    """One run of the bench for one loop."""
+    """One run of the bench for one loop.
+
+    sockets: where packets come in, the first also where they go out, with how many to take before a look at the clock.
+    busy: called with what others sent, and from where, once a tick at most.
+    """
 
     def __init__(
-        self, sock: socket.socket, client: Any, rig: Rig, welcome: Welcome, settings: BenchServerSettings
-    ) -> None:
-        self._socket, self._client, self._rig, self._settings = sock, client, rig, settings
-        self._welcome = packets.welcome(welcome)
-        self._ticks, self._tick = welcome.ticks, -1
+        self, sockets: list[tuple[socket.socket, int]], client: Any, rig: Rig, talk: Talk, *, ticks: int,
+        settings: BenchServerSettings, busy: Callable[[bytes, Any], None],
+    ) -> None:  # fmt: skip
+        self._sockets, self._client, self._rig, self._talk, self._settings = sockets, client, rig, talk, settings
+        self._busy, self._busy_at = busy, -1
+        self._ticks, self._tick = ticks, -1
         self._sent_at = [0.0] * _REMEMBERED
         self._heard, self._held, self._trip, self._fresh = -1, 0, 0.0, True
-        self._silent, self._stopped, self._ready, self._over = 0, False, False, ""
+        self._silent, self._stopped, self._over, self._ignored = 0, False, "", 0
         self._condition, self._text = Condition.WELL, ""
         self._worst, self._behind = 0.0, 0
 
     @property
     def sentence(self) -> str:
-        """How it kept time."""
+        """How it kept time, and what it ignored."""
+        ignored = f"; {self._ignored} packets that were not this loop's, or not new, were ignored"
         return (
             f"{self._tick + 1} ticks, {self._behind} of them a period late or later, the worst {1e3 * self._worst:.3g} "
-            f"ms; a command was repeated {self._held} times"
+            f"ms; a command was repeated {self._held} times{ignored if self._ignored else ''}"
         )
 
     def go(self) -> str:
         """Run until the loop says goodbye or is gone; return why it ended."""
         period, clock = self._rig.period, time.perf_counter
         watchdog, leaving = self._settings.watchdog / period, _LEAVING / period
-        if not self._started():
-            return self._over or "the loop did not start"
         begin = clock()
         for k in range(self._ticks):
             due = begin + k * period
             self._wait(due)
-            self._take(clock())
+            self._take()
             if self._over:
                 return self._over
             late = clock() - due
@@ -178,58 +300,65 @@ class _BenchRun:
             if reading.present is None or reading.present.any():
                 content = ReadingPacket(
                     k, tuple(reading.positions.tolist()), self._heard, self._held, self._trip, reading.switch,
-                    self._condition, self._text,
+                    self._condition, self._text, self._ignored,
                 )  # fmt: skip
                 self._send(packets.reading(content))
         text = f"the bench was made for {self._ticks} ticks and has run them"
         self._send(packets.bye(text))
         return text
 
-    def _started(self) -> bool:
-        """Answer HELLO and wait for START; tell whether it came."""
-        self._send(self._welcome)
-        until = time.perf_counter() + _HESITATING
-        while not self._ready and not self._over and (left := until - time.perf_counter()) > 0:
-            select.select([self._socket], [], [], left)
-            self._take(time.perf_counter())
-        return self._ready and not self._over
-
     def _wait(self, due: float) -> None:
         """Wait until `due`, taking what comes: asleep, then polling."""
         clock, spin = time.perf_counter, self._settings.spin
+        sockets = [sock for sock, _ in self._sockets]
         while (left := due - clock() - spin) > 0:
-            if select.select([self._socket], [], [], left)[0]:
-                self._take(clock())
+            if select.select(sockets, [], [], left)[0]:
+                self._take()
         while clock() < due:
             pass
 
-    def _take(self, now: float) -> None:
-        """Take the packets that have come."""
-        for kind, content, sender in _received(self._socket):
-            if sender != self._client:
-                if kind is Kind.HELLO:
-                    self._send(packets.bye("the bench is busy with another loop; wait for it to end"), sender)
-                continue
-            self._silent = 0
-            if isinstance(content, CommandPacket):
-                self._obey(content, now)
-            elif kind is Kind.HELLO and self._tick < 0:
-                self._send(self._welcome)
-            elif kind is Kind.START:
-                self._ready = True
-            elif kind is Kind.STOP:
-                self._stop(self._condition, self._text)
-            elif kind is Kind.BYE:
-                self._over = str(content)
-                self._rig.stop()
+    def _take(self) -> None:
+        """Take packets that have come, so few that no tick is late for them."""
+        for sock, most in self._sockets:
+            for _ in range(most):
+                try:
+                    data, sender = sock.recvfrom(LARGEST)
+                except OSError:
+                    # Nothing more; or a loop that has left, which the system reports once.
+                    break
+                if sender == self._client:
+                    self._hear(data)
+                    continue
+                self._ignored += 1
+                if self._busy_at != self._tick:
+                    self._busy_at = self._tick
+                    self._busy(data, sender)
 
-    def _obey(self, content: CommandPacket, now: float) -> None:
+    def _hear(self, data: bytes) -> None:
+        """Take a packet from the loop's address."""
+        try:
+            heard = self._talk.hear(data)
+        except ValueError:
+            heard = None
+        if heard is None or not heard.new:
+            self._ignored += 1
+            return
+        self._silent = 0
+        if isinstance(heard.content, CommandPacket):
+            self._obey(heard.content)
+        elif heard.kind is Kind.STOP:
+            self._stop(self._condition, self._text)
+        elif heard.kind is Kind.BYE:
+            self._over = str(heard.content)
+            self._rig.stop()
+
+    def _obey(self, content: CommandPacket) -> None:
         """Let a command act, unless a newer one has come or it is for a tick that has not been."""
         if not self._heard < content.tick <= self._tick:
             return
         self._heard, self._fresh = content.tick, True
         if self._tick - content.tick < _REMEMBERED:
-            self._trip = now - self._sent_at[content.tick % _REMEMBERED]
+            self._trip = time.perf_counter() - self._sent_at[content.tick % _REMEMBERED]
         if not math.isfinite(content.acceleration):
             self._stop(Condition.FAULT, f"the command at tick {content.tick} was not finite; the cart was stopped")
         elif not self._stopped:
@@ -239,23 +368,10 @@ class _BenchRun:
         self._condition, self._text, self._stopped = condition, text, True
         self._rig.stop()
 
-    def _send(self, data: bytes, to: Any = None) -> None:
+    def _send(self, message: Message) -> None:
         # A packet that cannot be sent is like one lost on the way: the loop notices.
         with suppress(OSError):
-            self._socket.sendto(data, self._client if to is None else to)
-
-
-def _received(sock: socket.socket) -> list[tuple[Kind, packets.Packet, Any]]:
-    """Return the packets that have come, with their senders; malformed packets are skipped."""
-    out = []
-    while True:
-        try:
-            kind, content, sender = packets.received(sock)
-        except OSError:
-            # Nothing more; or a loop that has left, which the system reports once.
-            return out
-        if kind is not None:
-            out.append((kind, content, sender))
+            self._sockets[0][0].sendto(self._talk.say(message), self._client)
 
 
 _START = 120.0
@@ -274,6 +390,11 @@ class BenchRecipe:
     ticks: int
     uncertainty: Uncertainty | None = None
 
+    @property
+    def period(self) -> float:
+        """Time from tick to tick, s."""
+        return 1 / self.settings.rate
+
     def rig(self, queued: Sequence[float]) -> SimulatedRig:
         """Return a bench at its start, with the commands (m/s²) on their way, oldest first."""
         draw = self.settings.draw(self.parameters, ticks=self.ticks, uncertainty=self.uncertainty)
@@ -287,19 +408,23 @@ class BenchRecipe:
             rig.command(0.0)
 
 
-def _serve(recipe: BenchRecipe, settings: BenchServerSettings, pipe: Connection) -> None:
+def _serve(recipe: BenchRecipe, settings: BenchServerSettings, key: bytes, pipe: Connection) -> None:
     # An interrupt from the terminal is for the loop, which stops the cart first.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     end_with_parent()
     recipe.rehearse()
     arms = recipe.parameters.count
-    with UdpBench(recipe.rig, arms=arms, ticks=recipe.ticks, settings=settings, say=pipe.send) as bench:
+    with UdpBench(
+        recipe.rig, arms=arms, ticks=recipe.ticks, period=recipe.period, key=key, settings=settings, say=pipe.send
+    ) as bench:
         pipe.send(bench.address)
         bench.serve(runs=1)
 
 
 class BenchProcess:
     """Serves one run of the recipe's bench on loopback; a context manager, which ends the process.
+
+    key: shared with it alone, so that no other program of this computer can take the run.
 
     Raises:
         InputError: the process did not come up.
@@ -308,8 +433,9 @@ class BenchProcess:
     def __init__(self, recipe: BenchRecipe, settings: BenchServerSettings | None = None) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe(duplex=False)
+        self.key = secrets.token_bytes(32)
         self._process = context.Process(
-            target=_serve, args=(recipe, settings or BenchServerSettings(), theirs), daemon=True
+            target=_serve, args=(recipe, settings or BenchServerSettings(), self.key, theirs), daemon=True
         )
         self._process.start()
         theirs.close()

@@ -4,12 +4,14 @@ The bench has the clock: it sends a reading each period, and uses the newest com
 counts as a tick at which no sensor was read, so that the loop's ticks stay the bench's; a command that is lost is made
 good by the next. After a stall the readings that wait are worked off one by one, which takes a fraction of a period
 each. A tick is due a period after the one before it, counted from the earliest that a reading ever came.
-How well the loop kept time, what was lost on the way and how long answers took is counted (`Deadlines`).
+How well the loop kept time, what was lost on the way and how long answers took is counted (`Deadlines`), and so are
+packets that are not of the run: neither end believes them.
 """
 
 import gc
 import math
 import os
+import secrets
 import select
 import socket
 import time
@@ -26,7 +28,8 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.loop.result import Reading
 from dpcontrol.rig import packets as packets
-from dpcontrol.rig.packets import Condition, Kind, ReadingPacket, Welcome
+from dpcontrol.rig.access import check_access, resolved
+from dpcontrol.rig.packets import LARGEST, Condition, Heard, Kind, Message, ReadingPacket, Role, Talk, Welcome
 
 
 @contextmanager
@@ -68,6 +71,7 @@ class Deadlines:
     worst, lateness_99, lateness_median: of how late ticks began. lost: readings that never came; stale: readings that
     came when their tick had passed; held: periods in which the bench had to do with an old command; trip_median,
     trip_99, trip_worst: from a reading leaving the bench to its command arriving there; not-a-number: none arrived.
+    ignored: packets that came to the bench and were not of this run's loop, or repeated; refused: the same at the loop.
     """
 
     ticks: int
@@ -81,6 +85,18 @@ class Deadlines:
     trip_median: float
     trip_99: float
     trip_worst: float
+    ignored: int = 0
+    refused: int = 0
+
+    @property
+    def strangers(self) -> str:
+        """A sentence on packets that neither end believed; empty where there were none."""
+        if not (self.ignored or self.refused):
+            return ""
+        return (
+            f"packets that were not of this run, or not new, came and were ignored: {self.ignored} by the bench, "
+            f"{self.refused} by the loop"
+        )
 
     @property
     def sentence(self) -> str:
@@ -89,7 +105,7 @@ class Deadlines:
             f"{self.missed} of {self.ticks} deadlines missed; ticks began up to {1e3 * self.worst:.3g} ms late (99 %: "
             f"{1e3 * self.lateness_99:.3g} ms); {self.lost} readings lost, {self.stale} too late; the bench repeated a "
             f"command {self.held} times; from reading to command {1e3 * self.trip_median:.3g} ms (99 %: "
-            f"{1e3 * self.trip_99:.3g} ms)"
+            f"{1e3 * self.trip_99:.3g} ms){self.strangers and f'; {self.strangers}'}"
         )
 
     def record(self) -> dict[str, str]:
@@ -104,6 +120,10 @@ _DRIFT = 1e-4
 """By how much the two clocks may differ in pace; clocks of computers differ by some 5e-5."""
 _ASK_EVERY = 0.2
 """Seconds between HELLOs."""
+_LONGEST_PERIOD = 60.0
+"""Seconds."""
+_MOST_REFUSED = 256
+"""Packets that are refused in a row before the loop looks at its clock again."""
 
 
 @dataclass(frozen=True)
@@ -126,10 +146,13 @@ def parse_address(text: str) -> tuple[str, int]:
     try:
         parts = urlsplit(text)
         host, port = parts.hostname, parts.port
+        # A host that is absurd is a ValueError here, and would be one at the first look for it.
+        (host or "").encode("idna")
     except ValueError:
         parts = host = port = None
     if not (parts and host and port) or parts.scheme != SCHEME or parts.path.strip("/"):
-        raise InputError(f"rig {text!r}: must be udp://HOST:PORT, as `dpcontrol rig` prints it, or udp alone")
+        shown = text if len(text) <= 100 else f"{text[:100]}…"
+        raise InputError(f"rig {shown!r}: must be udp://HOST:PORT, as `dpcontrol rig` prints it, or udp alone")
     return host, port
 
 
@@ -137,10 +160,11 @@ class UdpRig:
     """A bench at `address` (host, port) behind the `Rig` protocol; a context manager, which says goodbye.
 
     queued m/s²: the commands to be on their way when the run begins, oldest first. The first `read` lets the
-    bench begin. fault: why the bench says that it has failed, or "".
+    bench begin. key: the one that is shared with it; insecure: a bench on another computer needs none. fault: why the
+    bench says that it has failed, or "".
 
     Raises:
-        InputError: no such address, or no bench answers there.
+        InputError: no such address, or no bench answers there, or it needs a key or another one.
     """
 
     # Nobody knows the true state, nor what acted.
@@ -148,15 +172,22 @@ class UdpRig:
     acted: None = None
 
     def __init__(
-        self, address: tuple[str, int], *, queued: Sequence[float] = (), settings: LinkSettings | None = None
+        self,
+        address: tuple[str, int],
+        *,
+        queued: Sequence[float] = (),
+        settings: LinkSettings | None = None,
+        key: bytes = b"",
+        insecure: bool = False,
     ) -> None:
-        self._settings = settings or LinkSettings()
+        self._settings, self._queued = settings or LinkSettings(), queued
         self.fault = ""
         self.address = f"{SCHEME}://{address[0]}:{address[1]}"
+        family, where = resolved(*address, name=f"rig {self.address}")
+        check_access(where, name=f"rig {self.address}", key=key, insecure=insecure)
         try:
-            family = socket.getaddrinfo(*address, type=socket.SOCK_DGRAM)[0][0]
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
-            self._socket.connect(address)
+            self._socket.connect(where)
         except OSError as error:
             raise InputError(f"rig {self.address}: {error.strerror or error}; check the address") from error
         # What comes during a stall should wait there.
@@ -170,11 +201,18 @@ class UdpRig:
         self._lateness: list[float] = []
         self._trips: list[float] = []
         self._heard, self._held, self._missed, self._lost, self._stale = -1, 0, 0, 0, 0
+        self._ignored = self._refused = 0
+        self._why_refused = ""
+        # A number that nobody can guess shows that the answer is to this HELLO.
+        self._asked = secrets.token_bytes(8)
+        self._talk = Talk(Role.LOOP, int.from_bytes(self._asked, "little"), key=key)
         try:
-            self.welcome = self._introduced(queued)
+            self.welcome = self._introduced()
         except BaseException:
             self._socket.close()
             raise
+        self._talk = Talk(Role.LOOP, self.welcome.session, key=key)
+        self._refused = 0
         self.period = self.welcome.period
         self._last_packet = 0.0
         self._nothing = np.zeros(self.welcome.arms + 1, dtype=bool)
@@ -187,7 +225,7 @@ class UdpRig:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.stop()
-        self._send(packets.bye("the run is over"))
+        self._say(packets.bye("the run is over"))
         self._socket.close()
 
     @property
@@ -199,6 +237,7 @@ class UdpRig:
             lateness_median=float(np.median(late)), lateness_99=float(np.percentile(late, 99)),
             lost=self._lost, stale=self._stale, held=self._held,
             trip_median=float(np.median(trip)), trip_99=float(np.percentile(trip, 99)), trip_worst=float(trip.max()),
+            ignored=self._ignored, refused=self._refused,
         )  # fmt: skip
 
     def read(self) -> Reading:
@@ -220,13 +259,16 @@ class UdpRig:
         if packet.heard > self._heard:
             self._heard = packet.heard
             self._trips.append(packet.trip)
-        self._held = packet.held
+        self._held, self._ignored = packet.held, packet.ignored
         if packet.condition is Condition.SILENCE and not self._stopped:
             raise ArithmeticError(f"the bench stopped the cart: {packet.text}")
         if packet.condition is Condition.FAULT:
             self.fault = packet.text
-        self._positions = np.array(packet.positions)
-        return Reading(k * period, self._positions, None, packet.switch, late)
+        positions = np.array(packet.positions)
+        finite = np.isfinite(positions)
+        # What is not a number is not a reading.
+        self._positions = np.where(finite, positions, self._positions)
+        return Reading(k * period, self._positions, None if finite.all() else finite, packet.switch, late)
 
     def command(self, acceleration: float) -> None:
         """Send the cart's wanted acceleration, m/s² to the right.
@@ -237,28 +279,40 @@ class UdpRig:
         if not math.isfinite(acceleration):
             raise ArithmeticError(f"command = {acceleration!r}: the drive takes finite accelerations only")
         # A STOP may be lost; until the bench is known to stand, each tick says it again.
-        self._send(packets.stop() if self._stopped else packets.command(max(self._tick, 0), acceleration))
+        self._say(packets.stop() if self._stopped else packets.command(max(self._tick, 0), acceleration))
 
     def stop(self) -> None:
         """Have the bench brake the cart to a standstill, and send no further commands."""
         self._stopped = True
-        self._send(packets.stop())
+        self._say(packets.stop())
 
-    def _introduced(self, queued: Sequence[float]) -> Welcome:
+    def _introduced(self) -> Welcome:
         """Return the bench's welcome."""
         until = time.perf_counter() + self._settings.answer
         while (now := time.perf_counter()) < until:
-            self._send(packets.hello(queued))
+            self._say(packets.hello())
             waited = now + _ASK_EVERY
             while (now := time.perf_counter()) < waited:
-                kind, content = self._received(waited - now)
-                if isinstance(content, Welcome):
-                    return content
-                if kind is Kind.BYE:
-                    raise InputError(f"rig {self.address}: {content}")
+                heard = self._received(waited - now)
+                if heard is None:
+                    continue
+                if isinstance(heard.content, Welcome):
+                    return self._checked(heard.content)
+                if heard.kind is Kind.BYE:
+                    raise InputError(f"rig {self.address}: {heard.content}")
+        came = f" ({self._refused} packets came and were refused: {self._why_refused})" if self._refused else ""
         raise InputError(
-            f"rig {self.address}: no bench answered for {self._settings.answer:g} s; start one with `dpcontrol rig`"
+            f"rig {self.address}: no bench answered for {self._settings.answer:g} s{came}; start one with "
+            "`dpcontrol rig` of this version, and give both the same key, if any"
         )
+
+    def _checked(self, welcome: Welcome) -> Welcome:
+        if not 0 < welcome.period <= _LONGEST_PERIOD:
+            raise InputError(
+                f"rig {self.address} announces a period of {welcome.period:g} s: it must be above 0 and at most "
+                f"{_LONGEST_PERIOD:g} s; mend the bench"
+            )
+        return welcome
 
     def _packet_of(self, k: int) -> ReadingPacket | None:
         """Return the reading of tick k, or None where it is lost or overdue."""
@@ -269,11 +323,12 @@ class UdpRig:
             return None
         if k == 0:
             self._last_packet = time.perf_counter()
-            self._send(packets.start())
+            self._say(packets.start(self._queued))
         while True:
             now = time.perf_counter()
             due = self._begin + k * period if k else now
-            kind, content = self._received(max(due + settings.patience - now, 0.0))
+            heard = self._received(max(due + settings.patience - now, 0.0))
+            content = heard.content if heard else None
             now = time.perf_counter()
             if isinstance(content, ReadingPacket):
                 self._last_packet = now
@@ -286,33 +341,59 @@ class UdpRig:
                     waiting[tick] = content
                     return None
                 self._stale += 1
-            elif kind is Kind.BYE:
+            elif heard and heard.kind is Kind.BYE:
                 raise ArithmeticError(f"the bench ended the run: {content}")
             elif now - self._last_packet > settings.silence:
                 why = self._gone or "nothing came from it"
                 raise ArithmeticError(f"the bench at {self.address} is gone: {why} for {now - self._last_packet:.3g} s")
             elif k == 0:
                 # The first reading is waited for; START may have been lost.
-                self._send(packets.start())
+                self._say(packets.start(self._queued))
             elif now >= due + settings.patience:
                 return None
 
-    def _received(self, wait: float) -> tuple[Kind | None, packets.Packet]:
-        """Return the next packet, or (None, None) if none came within `wait` s; malformed packets are ignored."""
+    def _received(self, wait: float) -> Heard | None:
+        """Return the next packet that is to be believed, or None if none came within `wait` s."""
+        until = time.perf_counter() + wait
         try:
-            try:
-                return packets.received(self._socket)[:2]
-            except BlockingIOError:
-                return packets.received(self._socket)[:2] if self._poll.poll(math.ceil(wait * 1e3)) else (None, None)
+            for _ in range(_MOST_REFUSED):
+                try:
+                    heard = self._believed(self._socket.recv(LARGEST))
+                except BlockingIOError:
+                    if not self._poll.poll(math.ceil(max(until - time.perf_counter(), 0.0) * 1e3)):
+                        return None
+                    continue
+                if heard is not None:
+                    return heard
         except OSError as error:
             self._gone = f"{error.strerror or error}"
             # Nobody listens there now; a bench that is restarted might.
             time.sleep(min(wait, _ASK_EVERY))
-            return None, None
+        return None
 
-    def _send(self, data: bytes) -> None:
+    def _believed(self, data: bytes) -> Heard | None:
+        """Return a packet that is the bench's, of this run, new and fits its welcome; others are counted."""
         try:
-            self._socket.send(data)
+            heard = self._talk.hear(data)
+        except ValueError as error:
+            # A second answer to a HELLO that was sent twice is no sign of strangers.
+            if self._tick < 0 or data[8:16] != self._asked:
+                self._refused += 1
+                self._why_refused = str(error)
+            return None
+        content = heard.content
+        if isinstance(content, ReadingPacket):
+            if len(content.positions) != self.welcome.arms + 1 or content.tick >= self.welcome.ticks:
+                self._refused += 1
+                return None
+            if not heard.new:
+                self._stale += 1
+                return None
+        return heard if heard.new else None
+
+    def _say(self, message: Message) -> None:
+        try:
+            self._socket.send(self._talk.say(message))
         except OSError as error:
             # Like a packet lost on the way.
             self._gone = f"{error.strerror or error}"

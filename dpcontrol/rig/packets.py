@@ -1,40 +1,53 @@
-"""What a bench and its loop say to each other over UDP, version 1.
+"""What a bench and its loop say to each other over UDP, version 2.
 
-Little-endian, one packet a datagram. Every packet begins with a head of eight bytes:
+Little-endian, one packet a datagram. Every packet begins with a head of 20 bytes:
 
-    magic 4 bytes "dpcb", version u8, kind u8, count u16
+    magic 4 bytes "dpcb", version u8, kind u8, count u16, session u64, sequence u32
 
     kind         from    count                    then
-    HELLO    1   loop    commands that follow     f64 each: m/s², on their way when the run begins, oldest first
-    WELCOME  2   bench   arms                     f64 period s, u32 ticks that the bench can run for
-    START    7   loop    0                        nothing: the loop is ready for the first reading
+    HELLO    1   loop    0                        nothing
+    WELCOME  2   bench   arms                     f64 period s, u32 ticks that the bench can run for, u64 session
+    START    7   loop    commands that follow     f64 each: m/s², on their way when the run begins, oldest first; the
+                                                  loop is ready for the first reading
     READING  3   bench   arms                     u32 tick, u32 tick of the newest command heard (no tick: 2³²-1),
-                                                  u32 periods that had to do with an old command, f64 s from that
-                                                  reading to its command, i8 switch, u8 condition, u16 bytes of a
-                                                  sentence, f64 positions (arms, then the cart), the sentence
+                                                  u32 periods that had to do with an old command, u32 packets ignored,
+                                                  f64 s from that reading to its command, i8 switch, u8 condition,
+                                                  u16 bytes of a sentence, f64 positions (arms, then the cart), the
+                                                  sentence
     COMMAND  4   loop    0                        u32 tick of the reading that it answers, f64 acceleration m/s²
     STOP     5   loop    0                        nothing: brake to a standstill
     BYE      6   both    bytes of a sentence      the sentence: the run is over
 
-A lost packet is not sent again, and a packet counts once: READING and COMMAND carry the tick that they belong to.
+and ends, where the two share a key, with a seal of 16 bytes: the first of HMAC-SHA256, with that key, of "loop" or
+"bench", whoever sends it, and of all that stands before the seal.
+
+The session of HELLO is a number that the loop draws, and the answer (WELCOME, or BYE) repeats it, so that no old answer
+serves. WELCOME names the run's own session, which the bench draws and which goes to the address of the loop only; all
+later packets carry it, so that none of another run, or of someone who cannot read these, counts. HELLO binds the bench
+to nothing: the run begins with START. The sequence rises with each packet of a sender; one that is not above all before
+it is not believed. A lost packet is not sent again, and READING and COMMAND carry the tick that they belong to.
+
+Version 1 had a head of eight bytes, without session and sequence, and HELLO carried the commands on their way.
 """
 
-import socket
+import hmac
 import struct
 from collections.abc import Sequence
-from enum import IntEnum
-from typing import Any, NamedTuple
+from enum import Enum, IntEnum
+from typing import NamedTuple
 
-MAGIC, VERSION = b"dpcb", 1
+MAGIC, VERSION = b"dpcb", 2
 LARGEST = 4096
 """Bytes of a datagram at most."""
 _LONGEST_TEXT = 2048
 NO_TICK = 2**32 - 1
 
-_HEAD = struct.Struct("<4sBBH")
-_WELCOME = struct.Struct("<dI")
-_READING = struct.Struct("<IIIdbBH")
+_HEAD = struct.Struct("<4sBBHQI")
+_OLD_HEAD = struct.Struct("<4sBBH")
+_WELCOME = struct.Struct("<dIQ")
+_READING = struct.Struct("<IIIIdbBH")
 _COMMAND = struct.Struct("<Id")
+_SEAL = 16
 
 
 class Kind(IntEnum):
@@ -59,25 +72,55 @@ class Condition(IntEnum):
     """It heard nothing from the loop for too long and has stopped the cart."""
 
 
-class Hello(NamedTuple):
-    """A loop wants a run: the commands on their way when it begins, m/s², oldest first."""
+class Role(Enum):
+    """An end of the line."""
+
+    LOOP = b"loop"
+    BENCH = b"bench"
+
+    @property
+    def other(self) -> "Role":
+        """The other end."""
+        return Role.BENCH if self is Role.LOOP else Role.LOOP
+
+
+class OtherVersion(ValueError):
+    """The packet is of another version of the protocol."""
+
+
+class Unsealed(ValueError):
+    """The packet is not sealed with the shared key, or with one where none is shared."""
+
+
+class Message(NamedTuple):
+    """A packet without its head: kind, count and what follows the head."""
+
+    kind: Kind
+    count: int = 0
+    body: bytes = b""
+
+
+class Start(NamedTuple):
+    """A loop begins its run: the commands on their way, m/s², oldest first."""
 
     queued: tuple[float, ...]
 
 
 class Welcome(NamedTuple):
-    """The bench is ready: arms, period s, ticks that it can run for."""
+    """The bench is ready: arms, period s, ticks that it can run for, number of the session."""
 
     arms: int
     period: float
     ticks: int
+    session: int = 0
 
 
 class ReadingPacket(NamedTuple):
     """What the sensors said at `tick`: positions, absolute angles in rad, then the cart's in m.
 
     heard: tick of the newest command that has come, -1 for none; held: periods so far in which no new one came; trip s:
-    from the reading `heard` to its command; switch -1, 0, +1; condition of the bench, and a sentence on it.
+    from the reading `heard` to its command; switch -1, 0, +1; condition of the bench, and a sentence on it; ignored:
+    packets so far that were not of this run's loop, or not new.
     """
 
     tick: int
@@ -88,6 +131,7 @@ class ReadingPacket(NamedTuple):
     switch: int
     condition: Condition
     text: str
+    ignored: int = 0
 
 
 class CommandPacket(NamedTuple):
@@ -97,90 +141,126 @@ class CommandPacket(NamedTuple):
     acceleration: float
 
 
-def _packed(kind: Kind, count: int = 0, *rest: bytes) -> bytes:
-    return b"".join([_HEAD.pack(MAGIC, VERSION, kind, count), *rest])
+Packet = Start | Welcome | ReadingPacket | CommandPacket | str | None
+"""Of BYE the sentence, of HELLO and STOP None."""
 
 
-def hello(queued: Sequence[float]) -> bytes:
-    """Return the packet that begins a run, with the commands on their way (m/s²), oldest first."""
-    return _packed(Kind.HELLO, len(queued), struct.pack(f"<{len(queued)}d", *queued))
+class Heard(NamedTuple):
+    """A packet that has come; new: whether its sequence is above all that were heard before."""
+
+    kind: Kind
+    session: int
+    sequence: int
+    content: Packet
+    new: bool = True
 
 
-def welcome(content: Welcome) -> bytes:
+def hello() -> Message:
+    """Return what asks a bench for a run."""
+    return Message(Kind.HELLO)
+
+
+def welcome(content: Welcome) -> Message:
     """Return the bench's answer to HELLO."""
-    return _packed(Kind.WELCOME, content.arms, _WELCOME.pack(content.period, content.ticks))
+    return Message(Kind.WELCOME, content.arms, _WELCOME.pack(content.period, content.ticks, content.session))
 
 
-def start() -> bytes:
-    """Return the packet that lets the first tick come."""
-    return _packed(Kind.START)
+def start(queued: Sequence[float] = ()) -> Message:
+    """Return what begins a run and lets the first tick come, with the commands on their way (m/s²), oldest first."""
+    return Message(Kind.START, len(queued), struct.pack(f"<{len(queued)}d", *queued))
 
 
-def reading(content: ReadingPacket) -> bytes:
-    """Return the packet of one tick."""
+def reading(content: ReadingPacket) -> Message:
+    """Return the message of one tick."""
     text = content.text.encode()[:_LONGEST_TEXT]
     count, heard = len(content.positions), NO_TICK if content.heard < 0 else content.heard
-    body = _READING.pack(content.tick, heard, content.held, content.trip, content.switch, content.condition, len(text))
-    return _packed(Kind.READING, count - 1, body, struct.pack(f"<{count}d", *content.positions), text)
+    body = _READING.pack(
+        content.tick, heard, content.held, min(content.ignored, NO_TICK), content.trip, content.switch,
+        content.condition, len(text),
+    )  # fmt: skip
+    return Message(Kind.READING, count - 1, body + struct.pack(f"<{count}d", *content.positions) + text)
 
 
-def command(tick: int, acceleration: float) -> bytes:
-    """Return the packet that answers the reading of `tick`, acceleration in m/s²."""
-    return _packed(Kind.COMMAND, 0, _COMMAND.pack(tick, acceleration))
+def command(tick: int, acceleration: float) -> Message:
+    """Return the answer to the reading of `tick`, acceleration in m/s²."""
+    return Message(Kind.COMMAND, 0, _COMMAND.pack(tick, acceleration))
 
 
-def stop() -> bytes:
-    """Return the packet that stops the cart."""
-    return _packed(Kind.STOP)
+def stop() -> Message:
+    """Return what stops the cart."""
+    return Message(Kind.STOP)
 
 
-def bye(text: str) -> bytes:
-    """Return the packet that ends a run, and why."""
+def bye(text: str) -> Message:
+    """Return what ends a run, and why."""
     said = text.encode()[:_LONGEST_TEXT]
-    return _packed(Kind.BYE, len(said), said)
+    return Message(Kind.BYE, len(said), said)
 
 
-Packet = Hello | Welcome | ReadingPacket | CommandPacket | str | None
-"""Of BYE the sentence, of STOP and START None."""
+def packed(message: Message, role: Role, *, session: int, sequence: int, key: bytes = b"") -> bytes:
+    """Return the packet of a message from `role`; sealed if there is a key."""
+    kind, count, body = message
+    data = _HEAD.pack(MAGIC, VERSION, kind, count, session, sequence) + body
+    return data + _seal(data, role, key) if key else data
 
 
-def unpacked(data: bytes) -> tuple[Kind, Packet]:
-    """Return a packet's kind and content.
+def _seal(data: bytes, role: Role, key: bytes) -> bytes:
+    return hmac.digest(key, role.value + data, "sha256")[:_SEAL]
+
+
+def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> Heard:
+    """Return a packet's head and content, if `role` sent it and, where there is a key, has sealed it.
 
     Raises:
-        ValueError: it is not of version 1, or damaged; says how.
+        OtherVersion: it is of another version.
+        Unsealed: the seal is missing, or of another key, or there is one and no key.
+        ValueError: it is not a packet, or damaged; says how.
     """
-    if len(data) < _HEAD.size:
+    if len(data) < _OLD_HEAD.size:
         raise ValueError(f"a packet of {len(data)} bytes has no head")
-    magic, version, number, count = _HEAD.unpack_from(data)
+    magic, version, number, count = _OLD_HEAD.unpack_from(data)
     if magic != MAGIC:
         raise ValueError(f"a packet that begins with {magic!r} is not from a bench")
     if version != VERSION:
-        raise ValueError(f"the packet's version is {version}, this program speaks {VERSION}")
+        raise OtherVersion(f"the packet's version is {version}, this program speaks {VERSION}")
+    if key:
+        data, seal = data[:-_SEAL], data[-_SEAL:]
+        if not hmac.compare_digest(seal, _seal(data, role, key)):
+            raise Unsealed("a packet is not sealed with the shared key")
     try:
+        session, sequence = _HEAD.unpack_from(data)[-2:]
         kind = Kind(number)
-        content = _content(kind, data, count)
+        content, end = _content(kind, data, count)
     except (struct.error, UnicodeDecodeError) as error:
         raise ValueError(f"a packet of kind {number} is damaged: {error}") from error
-    return kind, content
+    if len(data) == end + _SEAL and not key:
+        raise Unsealed("a packet is sealed with a key, and none is given here")
+    if len(data) != end:
+        raise ValueError(f"a packet of kind {number} is damaged: it has {len(data)} bytes instead of {end}")
+    return Heard(kind, session, sequence, content)
 
 
-def _content(kind: Kind, data: bytes, count: int) -> Packet:
+def _content(kind: Kind, data: bytes, count: int) -> tuple[Packet, int]:
+    """Return the content of a packet, and where it ends."""
     at = _HEAD.size
     if kind is Kind.READING:
-        tick, heard, held, trip, switch, condition, size = _READING.unpack_from(data, at)
+        tick, heard, held, ignored, trip, switch, condition, size = _READING.unpack_from(data, at)
         at += _READING.size
         positions = struct.unpack_from(f"<{count + 1}d", data, at)
-        text = _text(data, at + 8 * (count + 1), size) if size else ""
+        at += 8 * (count + 1)
+        if abs(switch) > 1:
+            raise struct.error(f"a switch of {switch}")
         heard = -1 if heard == NO_TICK else heard
-        return ReadingPacket(tick, positions, heard, held, trip, switch, Condition(condition), text)
+        text = _text(data, at, size)
+        said = ReadingPacket(tick, positions, heard, held, trip, switch, Condition(condition), text, ignored)
+        return said, at + size
     if kind is Kind.COMMAND:
-        return CommandPacket(*_COMMAND.unpack_from(data, at))
-    if kind is Kind.HELLO:
-        return Hello(struct.unpack_from(f"<{count}d", data, at))
+        return CommandPacket(*_COMMAND.unpack_from(data, at)), at + _COMMAND.size
+    if kind is Kind.START:
+        return Start(struct.unpack_from(f"<{count}d", data, at)), at + 8 * count
     if kind is Kind.WELCOME:
-        return Welcome(count, *_WELCOME.unpack_from(data, at))
-    return _text(data, at, count) if kind is Kind.BYE else None
+        return Welcome(count, *_WELCOME.unpack_from(data, at)), at + _WELCOME.size
+    return (_text(data, at, count), at + count) if kind is Kind.BYE else (None, at)
 
 
 def _text(data: bytes, at: int, size: int) -> str:
@@ -189,14 +269,42 @@ def _text(data: bytes, at: int, size: int) -> str:
     return data[at : at + size].decode()
 
 
-def received(sock: socket.socket) -> tuple[Kind | None, Packet, Any]:
-    """Return kind, content and sender of the packet that waits; no kind where it is malformed.
+def is_hello(data: bytes) -> bool:
+    """Tell whether these bytes begin as HELLO of some version does: its sender can be told why it gets no welcome."""
+    return data[:4] == MAGIC and data[5:6] == bytes([Kind.HELLO])
 
-    Raises:
-        OSError: none waits, or the other end is gone.
-    """
-    data, sender = sock.recvfrom(LARGEST)
-    try:
-        return (*unpacked(data), sender)
-    except ValueError:
-        return None, None, sender
+
+def refusal(data: bytes, why: str) -> bytes:
+    """Return an unsealed BYE that the sender of the HELLO `data`, of version 1 or of ours, understands."""
+    said = bye(why)
+    if data[4] == 1:
+        return _OLD_HEAD.pack(MAGIC, 1, said.kind, said.count) + said.body
+    session = int.from_bytes(data[_OLD_HEAD.size : _OLD_HEAD.size + 8], "little")
+    return packed(said, Role.BENCH, session=session, sequence=1)
+
+
+class Talk:
+    """One end of a session: numbers and seals what it says, and believes only what the other end says in it."""
+
+    def __init__(self, role: Role, session: int, *, key: bytes = b"") -> None:
+        self._role, self._session, self._key = role, session, key
+        self._said = self._newest = 0
+
+    def say(self, message: Message) -> bytes:
+        """Return the packet to be sent."""
+        self._said += 1
+        return packed(message, self._role, session=self._session, sequence=self._said, key=self._key)
+
+    def hear(self, data: bytes) -> Heard:
+        """Return a packet that has come.
+
+        Raises:
+            ValueError: it is not of this session, or one of the errors of `unpacked`.
+        """
+        heard = unpacked(data, self._role.other, key=self._key)
+        if heard.session != self._session:
+            raise ValueError("a packet is not of this run")
+        if heard.sequence <= self._newest:
+            return heard._replace(new=False)
+        self._newest = heard.sequence
+        return heard

@@ -343,15 +343,23 @@ def bench_recipe(plan: Plan, controller: Controller | None = None) -> "BenchReci
 
 
 def run_on_rig(
-    plan: Plan, out: Path, address: str, *, real_time: bool = False, progress: Progress = no_progress
+    plan: Plan,
+    out: Path,
+    address: str,
+    *,
+    key: bytes = b"",
+    insecure: bool = False,
+    real_time: bool = False,
+    progress: Progress = no_progress,
 ) -> RigRun:
     """Run the closed loop of a planned itinerary on the bench at `address`, write its log to `out`, and score it.
 
-    address: udp://HOST:PORT, or `udp` for an example bench of its own. real_time: ask the system for priority.
+    address: udp://HOST:PORT, or `udp` for an example bench of its own. key: the one that is shared with the bench;
+    insecure: a bench on another computer needs none. real_time: ask the system for priority.
 
     Raises:
-        InputError: the address is malformed, no bench answers or it does not fit the itinerary, or the log cannot be
-            written.
+        InputError: the address is malformed, no bench answers, it needs a key or does not fit the itinerary, or the log
+            cannot be written.
         GoalMissed: the plan did not converge, no controller can be made for it, or the bench failed at once.
     """
     from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
@@ -374,8 +382,8 @@ def run_on_rig(
                 process = stack.enter_context(
                     BenchProcess(bench_recipe(plan, controller), BenchServerSettings(real_time=real_time))
                 )
-                where = process.address
-            rig = stack.enter_context(UdpRig(where, queued=loop.queued))
+                where, key = process.address, process.key
+            rig = stack.enter_context(UdpRig(where, queued=loop.queued, key=key, insecure=insecure))
             _fits(rig, loop, arms=arms.count, rate=settings.rate)
             stack.enter_context(without_collecting())
             if real_time:
@@ -384,6 +392,8 @@ def run_on_rig(
         if not len(result.ticks.times):
             raise GoalMissed(result.reason)
         deadlines = rig.deadlines
+        if deadlines.strangers:
+            writer.event(float(result.ticks.times[-1]), "warn", "rig", deadlines.strangers)
         writer.result(**_outcome(result), rig=rig.address, **deadlines.record())
     return RigRun(score(read_log(out)), result, deadlines, tuple(process.said if process else ()))
 

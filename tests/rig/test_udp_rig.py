@@ -3,6 +3,7 @@
 No time is asserted: a busy computer may be late, and must then say so.
 """
 
+import hmac
 import math
 import socket
 import struct
@@ -10,6 +11,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,8 +25,9 @@ from dpcontrol.references.reference import Reference
 from dpcontrol.rig import packets as packets
 from dpcontrol.rig.bench import BenchProcess, BenchRecipe, BenchServerSettings, UdpBench
 from dpcontrol.rig.client import LinkSettings, UdpRig, parse_address
-from dpcontrol.rig.packets import Condition, Kind
+from dpcontrol.rig.packets import Condition, Kind, Role, Talk, Unsealed
 
+KEY = bytes(range(32))
 KEEPING_TIME = 3  # attempts
 LATE = 0.05  # share of deadlines
 PATIENT = BenchServerSettings(watchdog=60.0)  # So that a stalled test is not taken for a silent loop.
@@ -56,14 +59,16 @@ class Toy:
 
 
 @contextmanager
-def served(toy: Toy, *, settings: BenchServerSettings = PATIENT, ticks: int = 100_000) -> Iterator[UdpBench]:
+def served(
+    toy: Toy, *, settings: BenchServerSettings = PATIENT, ticks: int = 100_000, key: bytes = b""
+) -> Iterator[UdpBench]:
     queued: list[float] = []
 
     def made(commands: tuple[float, ...]) -> Toy:
         queued.extend(commands)
         return toy
 
-    with UdpBench(made, arms=2, ticks=ticks, settings=settings) as bench:
+    with UdpBench(made, arms=2, ticks=ticks, period=toy.period, settings=settings, key=key) as bench:
         thread = threading.Thread(target=bench.serve, kwargs={"runs": 1}, daemon=True)
         thread.start()
         yield bench
@@ -96,17 +101,48 @@ def relayed(address: tuple[str, int], passes: Callable[[bytes], bool]) -> Iterat
         thread.join()
 
 
+class Raw:
+    """A loop on a plain socket, which says whatever it is told to."""
+
+    def __init__(self, address: tuple[str, int], *, key: bytes = b"") -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.settimeout(30)
+        self.socket.connect(address)
+        self.talk, self.key = Talk(Role.LOOP, 77, key=key), key
+
+    def send(self, message: packets.Message) -> bytes:
+        data = self.talk.say(message)
+        self.socket.send(data)
+        return data
+
+    def heard(self) -> packets.Heard:
+        return packets.unpacked(self.socket.recv(4096), Role.BENCH, key=self.key)
+
+    def greet(self) -> packets.Welcome:
+        self.send(packets.hello())
+        welcome = self.heard().content
+        assert isinstance(welcome, packets.Welcome)
+        self.talk = Talk(Role.LOOP, welcome.session, key=self.key)
+        return welcome
+
+
 @contextmanager
-def raw(bench: UdpBench) -> Iterator[socket.socket]:
-    """Yield a plain socket that has begun a run, and ends it."""
-    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as client:
-        client.settimeout(30)
-        client.connect(bench.address)
-        client.send(packets.hello([]))
-        assert packets.unpacked(client.recv(4096))[0] is Kind.WELCOME
+def raw(bench: UdpBench, *, key: bytes = b"") -> Iterator[Raw]:
+    """Yield a plain loop that has begun a run, and ends it."""
+    client = Raw(bench.address, key=key)
+    with closing(client.socket):
+        client.greet()
         client.send(packets.start())
         yield client
         client.send(packets.bye("done"))
+
+
+def welcomed(bench: socket.socket, welcome: packets.Welcome) -> tuple[Any, Talk]:
+    """Welcome the loop that asks at a bench of ours; return where it is, and the bench's side of the run."""
+    data, client = bench.recvfrom(4096)
+    session = packets.unpacked(data, Role.LOOP).session
+    bench.sendto(packets.packed(packets.welcome(welcome), Role.BENCH, session=session, sequence=1), client)
+    return client, Talk(Role.BENCH, welcome.session)
 
 
 def read_on(rig: UdpRig) -> None:
@@ -114,34 +150,64 @@ def read_on(rig: UdpRig) -> None:
         rig.read()
 
 
-def next_reading(client: socket.socket) -> packets.ReadingPacket:
-    content = packets.unpacked(client.recv(4096))[1]
+def next_reading(client: Raw) -> packets.ReadingPacket:
+    content = client.heard().content
     assert isinstance(content, packets.ReadingPacket)
     return content
 
 
+def head(kind: int, count: int) -> bytes:
+    """Return the head of packet 3 of session 258."""
+    return b"dpcb\x02" + struct.pack("<BHQI", kind, count, 258, 3)
+
+
 def test_packets_are_laid_out_as_described() -> None:
-    assert packets.command(7, -1.5) == b"dpcb\x01\x04\x00\x00" + struct.pack("<Id", 7, -1.5)
-    assert packets.hello([0.5, -2.0]) == b"dpcb\x01\x01\x02\x00" + struct.pack("<2d", 0.5, -2.0)
-    content = packets.ReadingPacket(9, (0.1, 0.2, 0.3), -1, 4, 0.002, -1, Condition.FAULT, "Ach, die Mühle")
+    at = {"session": 258, "sequence": 3}
+    told = packets.packed(packets.command(7, -1.5), Role.LOOP, **at)
+    assert told == head(4, 0) + struct.pack("<Id", 7, -1.5)
+    assert packets.packed(packets.hello(), Role.LOOP, **at) == head(1, 0)
+    assert packets.packed(packets.start([0.5, -2.0]), Role.LOOP, **at) == head(7, 2) + struct.pack("<2d", 0.5, -2.0)
+    welcome = packets.welcome(packets.Welcome(2, 0.001, 9, 5))
+    assert packets.packed(welcome, Role.BENCH, **at) == head(2, 2) + struct.pack("<dIQ", 0.001, 9, 5)
+    content = packets.ReadingPacket(9, (0.1, 0.2, 0.3), -1, 4, 0.002, -1, Condition.FAULT, "Ach, die Mühle", 6)
     text = "Ach, die Mühle".encode()
-    expected = struct.pack("<IIIdbBH", 9, 2**32 - 1, 4, 0.002, -1, 1, len(text)) + struct.pack("<3d", 0.1, 0.2, 0.3)
-    assert packets.reading(content) == b"dpcb\x01\x03\x02\x00" + expected + text
-    assert packets.unpacked(packets.reading(content)) == (Kind.READING, content)
+    expected = struct.pack("<IIIIdbBH", 9, 2**32 - 1, 4, 6, 0.002, -1, 1, len(text)) + struct.pack("<3d", 0.1, 0.2, 0.3)
+    data = packets.packed(packets.reading(content), Role.BENCH, **at)
+    assert data == head(3, 2) + expected + text
+    assert packets.unpacked(data, Role.BENCH) == packets.Heard(Kind.READING, 258, 3, content)
+    sealed = packets.packed(packets.command(7, -1.5), Role.LOOP, **at, key=KEY)
+    assert sealed == told + hmac.new(KEY, b"loop" + told, "sha256").digest()[:16]
+    assert packets.unpacked(sealed, Role.LOOP, key=KEY).content == packets.CommandPacket(7, -1.5)
 
 
 def test_what_is_no_packet_is_refused_by_name() -> None:
-    whole = packets.reading(packets.ReadingPacket(9, (0.1, 0.2, 0.3), 8, 4, 0.002, 0, Condition.WELL, "so"))
+    content = packets.reading(packets.ReadingPacket(9, (0.1, 0.2, 0.3), 8, 4, 0.002, 0, Condition.WELL, "so"))
+    whole = packets.packed(content, Role.BENCH, session=1, sequence=1)
     for data, said in (
         (b"dp", "no head"),
         (b"HTTP" + whole[4:], "not from a bench"),
-        (whole[:4] + b"\x02" + whole[5:], "version is 2, this program speaks 1"),
+        (whole[:4] + b"\x01" + whole[5:], "version is 1, this program speaks 2"),
         (whole[:5] + b"\x63" + whole[6:], "99"),
         (whole[:-1], "damaged"),
         (whole[:30], "damaged"),
+        (whole[:12], "damaged"),
+        (whole + b"x", "damaged"),
     ):
         with pytest.raises(ValueError, match=said):
-            packets.unpacked(data)
+            packets.unpacked(data, Role.BENCH)
+
+
+def test_a_seal_of_another_key_or_the_other_end_is_refused() -> None:
+    sealed = packets.packed(packets.stop(), Role.LOOP, session=1, sequence=1, key=KEY)
+    for data, role, key in (
+        (sealed, Role.LOOP, b""),
+        (sealed, Role.LOOP, KEY[::-1]),
+        (sealed, Role.BENCH, KEY),
+        (sealed[:-16], Role.LOOP, KEY),
+        (sealed[:19] + b"\x09" + sealed[20:], Role.LOOP, KEY),
+    ):
+        with pytest.raises(Unsealed, match="sealed"):
+            packets.unpacked(data, role, key=key)
 
 
 def test_every_tick_comes_once_and_its_command_goes_back() -> None:
@@ -206,13 +272,13 @@ def test_readings_that_come_after_their_tick_are_counted_and_dropped() -> None:
         bench.settimeout(30)
 
         def shuffled() -> None:
-            _, client = bench.recvfrom(4096)
-            bench.sendto(packets.welcome(packets.Welcome(2, 0.001, 100)), client)
+            client, talk = welcomed(bench, packets.Welcome(2, 0.001, 100, 5))
             while bench.recvfrom(4096)[0][5] != Kind.START:
                 pass
+            contents = [packets.ReadingPacket(k, (float(k),) * 3, -1, 0, 0.0, 0, Condition.WELL, "") for k in range(5)]
+            made = [talk.say(packets.reading(content)) for content in contents]
             for tick in (0, 2, 3, 1, 4):
-                content = packets.ReadingPacket(tick, (float(tick),) * 3, -1, 0, 0.0, 0, Condition.WELL, "")
-                bench.sendto(packets.reading(content), client)
+                bench.sendto(made[tick], client)
 
         thread = threading.Thread(target=shuffled)
         thread.start()
@@ -261,7 +327,7 @@ def test_old_and_future_commands_do_not_act_and_one_that_is_not_finite_stops() -
         client.send(packets.command(3, 30.0))
         client.send(packets.command(4, 41.0))
         client.send(packets.command(10**6, 99.0))
-        client.send(b"noise")
+        client.socket.send(b"noise")
         client.send(packets.command(5, 50.0))
         while next_reading(client).heard < 5:
             pass
@@ -314,7 +380,7 @@ def test_where_no_bench_is_or_it_is_busy_a_sentence_says_so() -> None:
             UdpRig(bench.address, settings=LONG)
     with served(Toy()) as bench:
         with pytest.raises(InputError, match=f"port {bench.address[1]} .*choose another --port"):
-            UdpBench(lambda queued: Toy(), arms=2, ticks=1, port=bench.address[1])
+            UdpBench(lambda queued: Toy(), arms=2, ticks=1, period=1.0, port=bench.address[1])
         with UdpRig(bench.address, settings=LONG) as rig, pytest.raises(ArithmeticError, match="finite"):
             rig.command(math.inf)
 
@@ -351,7 +417,7 @@ def test_the_loop_follows_its_reference_on_a_bench_in_a_process_of_its_own(turn:
         with BenchProcess(recipe, PATIENT) as bench:
             loop = control_loop(LAB, settings, short, limits=turn[1].limits)
             loop.rehearse()
-            with UdpRig(bench.address, queued=loop.queued) as rig:
+            with UdpRig(bench.address, queued=loop.queued, key=bench.key) as rig:
                 result = loop.run(rig)
         assert result.late == rig.deadlines.missed
         if result.late < LATE * rig.deadlines.ticks:
