@@ -10,70 +10,25 @@ import struct
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager, suppress
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from bench_at_hand import KEY, LONG, PATIENT, Toy, next_reading, raw, served, welcomed
 from shadowing_stand_in import LAB, StandIn
 
 from dpcontrol.control.tracking import tracking_controller
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.loop import LoopSettings, control_loop, sampled_model
-from dpcontrol.loop.result import Ending, Reading
+from dpcontrol.loop.result import Ending
 from dpcontrol.references.reference import Reference
 from dpcontrol.rig import packets as packets
 from dpcontrol.rig.bench import BenchProcess, BenchRecipe, BenchServerSettings, UdpBench
 from dpcontrol.rig.client import LinkSettings, UdpRig, parse_address
-from dpcontrol.rig.packets import Condition, Kind, Role, Talk, Unsealed
+from dpcontrol.rig.packets import Condition, Kind, Role, Unsealed
 
-KEY = bytes(range(32))
 KEEPING_TIME = 3  # attempts
 LATE = 0.05  # share of deadlines
-PATIENT = BenchServerSettings(watchdog=60.0)  # So that a stalled test is not taken for a silent loop.
-LONG = LinkSettings(answer=60.0, patience=60.0, silence=60.0)
-
-
-@dataclass
-class Toy:
-    """A rig whose positions are its tick, and which remembers what it was told."""
-
-    period: float = 0.002
-    fault: str = ""
-    tick: int = -1
-    commands: list[tuple[int, float]] = field(default_factory=list)
-    stopped_at: int | None = None
-    truth: None = None
-    acted: None = None
-
-    def read(self) -> Reading:
-        self.tick += 1
-        return Reading(self.tick * self.period, np.full(3, float(self.tick)))
-
-    def command(self, acceleration: float) -> None:
-        self.commands.append((self.tick, acceleration))
-
-    def stop(self) -> None:
-        if self.stopped_at is None:
-            self.stopped_at = self.tick
-
-
-@contextmanager
-def served(
-    toy: Toy, *, settings: BenchServerSettings = PATIENT, ticks: int = 100_000, key: bytes = b""
-) -> Iterator[UdpBench]:
-    queued: list[float] = []
-
-    def made(commands: tuple[float, ...]) -> Toy:
-        queued.extend(commands)
-        return toy
-
-    with UdpBench(made, arms=2, ticks=ticks, period=toy.period, settings=settings, key=key) as bench:
-        thread = threading.Thread(target=bench.serve, kwargs={"runs": 1}, daemon=True)
-        thread.start()
-        yield bench
-        thread.join(60)
-        assert not thread.is_alive()
 
 
 @contextmanager
@@ -101,59 +56,9 @@ def relayed(address: tuple[str, int], passes: Callable[[bytes], bool]) -> Iterat
         thread.join()
 
 
-class Raw:
-    """A loop on a plain socket, which says whatever it is told to."""
-
-    def __init__(self, address: tuple[str, int], *, key: bytes = b"") -> None:
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.settimeout(30)
-        self.socket.connect(address)
-        self.talk, self.key = Talk(Role.LOOP, 77, key=key), key
-
-    def send(self, message: packets.Message) -> bytes:
-        data = self.talk.say(message)
-        self.socket.send(data)
-        return data
-
-    def heard(self) -> packets.Heard:
-        return packets.unpacked(self.socket.recv(4096), Role.BENCH, key=self.key)
-
-    def greet(self) -> packets.Welcome:
-        self.send(packets.hello())
-        welcome = self.heard().content
-        assert isinstance(welcome, packets.Welcome)
-        self.talk = Talk(Role.LOOP, welcome.session, key=self.key)
-        return welcome
-
-
-@contextmanager
-def raw(bench: UdpBench, *, key: bytes = b"") -> Iterator[Raw]:
-    """Yield a plain loop that has begun a run, and ends it."""
-    client = Raw(bench.address, key=key)
-    with closing(client.socket):
-        client.greet()
-        client.send(packets.start())
-        yield client
-        client.send(packets.bye("done"))
-
-
-def welcomed(bench: socket.socket, welcome: packets.Welcome) -> tuple[Any, Talk]:
-    """Welcome the loop that asks at a bench of ours; return where it is, and the bench's side of the run."""
-    data, client = bench.recvfrom(4096)
-    session = packets.unpacked(data, Role.LOOP).session
-    bench.sendto(packets.packed(packets.welcome(welcome), Role.BENCH, session=session, sequence=1), client)
-    return client, Talk(Role.BENCH, welcome.session)
-
-
 def read_on(rig: UdpRig) -> None:
     for _ in range(10_000):
         rig.read()
-
-
-def next_reading(client: Raw) -> packets.ReadingPacket:
-    content = client.heard().content
-    assert isinstance(content, packets.ReadingPacket)
-    return content
 
 
 def head(kind: int, count: int) -> bytes:
