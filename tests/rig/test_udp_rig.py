@@ -127,7 +127,7 @@ def test_every_tick_comes_once_and_its_command_goes_back() -> None:
             rig.command(float(k))
         rig.read()
     found = rig.deadlines
-    assert (found.ticks, found.lost, found.stale) == (101, 0, 0)
+    assert (found.ticks, found.lost, found.stale, found.refused) == (101, 0, 0, 0)
     assert found.trip_median > 0
     values = [value for _, value in toy.commands]
     assert values == sorted(set(values))
