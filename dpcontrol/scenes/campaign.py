@@ -44,6 +44,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 import dpcontrol
 from dpcontrol.control.interface import Controller
@@ -64,6 +65,7 @@ from dpcontrol.scenes.plan import Plan
 from dpcontrol.scenes.run_options import RunOptions
 
 if TYPE_CHECKING:
+    import pyarrow as pa
     from pandas import DataFrame
 
 Row = dict[str, Any]
@@ -223,30 +225,33 @@ METADATA = b"dpcontrol.campaign"
 """Key of the file's own metadata: JSON with the settings, version and commit."""
 
 
-def write_rows(
-    path: Path, rows: Iterable[Row], *, extra: Sequence[str] = (), metadata: Mapping[str, Any] | None = None
-) -> None:
-    """Write rows to a Parquet file, whole or not at all; extra: names of further columns of numbers.
+def _schema(extra: Sequence[str], metadata: Mapping[str, Any] | None = None) -> "pa.Schema":
+    import pyarrow as pa
+
+    fields = [(name, pa.type_for_alias(kind)) for name, kind in {**COLUMNS, **dict.fromkeys(extra, "double")}.items()]
+    return pa.schema(fields, metadata={METADATA: json.dumps(metadata or {}).encode()})
+
+
+def _table(rows: Iterable[Row], extra: Sequence[str]) -> "pa.Table":
+    """Return rows as columns, in a tenth of the memory; extra: names of further columns of numbers."""
+    import pyarrow as pa
+
+    return pa.Table.from_pylist(list(rows), schema=_schema(extra))
+
+
+def _write(path: Path, table: "pa.Table") -> None:
+    """Write a table to a Parquet file, whole or not at all.
 
     Raises:
         InputError: the file cannot be written.
     """
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
-    fields = [(name, pa.type_for_alias(kind)) for name, kind in {**COLUMNS, **dict.fromkeys(extra, "double")}.items()]
-    schema = pa.schema(fields, metadata={METADATA: json.dumps(metadata or {}).encode()})
-    table = pa.Table.from_pylist(list(rows), schema=schema)
     with whole_file(path, suffix=".parquet") as temporary:
         pq.write_table(table, temporary, compression="zstd")
 
 
-def read_rows(path: Path) -> tuple[list[Row], dict[str, Any]]:
-    """Return a campaign file's rows, and its metadata.
-
-    Raises:
-        InputError: the file is missing, damaged or no campaign.
-    """
+def _read(path: Path) -> "pa.Table":
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -260,16 +265,26 @@ def read_rows(path: Path) -> tuple[list[Row], dict[str, Any]]:
     missing = [name for name in COLUMNS if name not in table.column_names]
     if missing:
         raise InputError(f"{path} is no campaign of dpcontrol: it has no column {missing[0]!r}")
-    metadata = (table.schema.metadata or {}).get(METADATA, b"{}")
-    return table.to_pylist(), json.loads(metadata)
+    return table
 
 
-def _kept_rows(part: Path) -> list[Row] | None:
-    """Return a finished job's rows; None where there are none, or they are damaged."""
+def read_rows(path: Path) -> tuple[list[Row], dict[str, Any]]:
+    """Return a campaign file's rows, and its metadata.
+
+    Raises:
+        InputError: the file is missing, damaged or no campaign.
+    """
+    table = _read(path)
+    return table.to_pylist(), json.loads((table.schema.metadata or {}).get(METADATA, b"{}"))
+
+
+def _kept(part: Path, extra: Sequence[str]) -> "pa.Table | None":
+    """Return a finished job's rows; None where there are none, or they are damaged or have other columns."""
     try:
-        return read_rows(part)[0]
+        table = _read(part)
     except InputError:
         return None
+    return table if table.schema.equals(_schema(extra)) else None
 
 
 ANSWERS_WITHIN = "10s"
@@ -358,13 +373,18 @@ class CaseResult:
 
     case: Case
     completed: Share
-    failures: tuple[Row, ...]
+    failed: "pa.Table" = field(repr=False)
+
+    @property
+    def failures(self) -> tuple[Row, ...]:
+        """The rows of runs that were not completed."""
+        return tuple(self.failed.to_pylist())
 
 
 @dataclass(frozen=True)
 class Campaign:
     """What came out. completed: of all cases; pairs: (first case, second case, comparison) for each two of a few cases.
-    rows: by the names of `COLUMNS`, and the numbers that vary; file: where they are kept, if they are.
+    table: of all runs, in columns (Arrow); file: where it is kept, if it is.
     """
 
     itinerary: str
@@ -373,7 +393,7 @@ class Campaign:
     pairs: tuple[tuple[str, str, Pairing], ...]
     seconds: float
     simulated_seconds: float
-    rows: tuple[Row, ...]
+    table: "pa.Table"
     file: Path | None
 
     def __repr__(self) -> str:
@@ -386,6 +406,11 @@ class Campaign:
         band = f"{share.low:.1%} to {share.high:.1%}"
         return f"{share.successes} of {share.runs} runs completed, {share.rate:.1%} (95 %: {band})"
 
+    @property
+    def rows(self) -> tuple[Row, ...]:
+        """Each run by the names of `COLUMNS`, and the numbers that vary."""
+        return tuple(self.table.to_pylist())
+
     def frame(self) -> "DataFrame":
         """Return a pandas table, one row for each run.
 
@@ -396,17 +421,17 @@ class Campaign:
             from pandas import DataFrame
         except ImportError as error:
             raise InputError("a table of runs needs pandas; install it with `pip install pandas`") from error
-        return DataFrame(list(self.rows))
+        return DataFrame(self.table.to_pylist())
 
     def document(self) -> dict[str, Any]:
         """Return what `dpcontrol campaign --json` prints."""
-        kept = ("seed", "symbol", "reason", "ending", "replays")
+        kept = ["seed", "symbol", "reason", "ending", "replays"]
         cases = [
             {
                 "case": r.case.label,
                 **dict(r.case.values),
                 **share_document(r.completed),
-                "failures": [{key: row[key] for key in kept} for row in r.failures],
+                "failures": r.failed.select(kept).to_pylist(),
             }
             for r in self.results
         ]
@@ -468,27 +493,30 @@ def run_campaign(
         InputError: the file cannot be written; no cluster answers; the settings do not fit the plan.
         GoalMissed: the plan did not converge, or workers died again and again.
     """
+    import pyarrow as pa
+
     began = time.perf_counter()
     itinerary = plan.itinerary
     jobs = _jobs(plan.followed(), cases, settings)
     extra = tuple(dict.fromkeys(name for case in cases for name in _numbers(case)))
     parts = None if file is None else file.with_name(file.name + ".parts")
-    kept: dict[str, list[Row]] = {}
+    kept: dict[str, pa.Table] = {}
     if parts is not None:
-        kept = {job.key: rows for job in jobs if (rows := _kept_rows(parts / f"{job.key}.parquet")) is not None}
+        kept = {job.key: rows for job in jobs if (rows := _kept(parts / f"{job.key}.parquet", extra)) is not None}
     if left := [job for job in jobs if job.key not in kept]:
         local = not settings.scheduler
         workers = settings.workers or processors()
         for job, rows in run_locally(left, workers) if local else run_on_cluster(left, settings.scheduler):
-            kept[job.key] = [{**row, **_numbers(job.case)} for row in rows]
+            kept[job.key] = _table(({**row, **_numbers(job.case)} for row in rows), extra)
             if parts is not None:
-                write_rows(parts / f"{job.key}.parquet", kept[job.key], extra=extra)
+                _write(parts / f"{job.key}.parquet", kept[job.key])
             progress(f"{len(kept)} of {len(jobs)} jobs", len(kept) / len(jobs))
-    rows = [row for job in jobs for row in kept[job.key]]
+    metadata = _schema(extra, _metadata(itinerary, cases, settings)).metadata
+    table = pa.concat_tables(kept[job.key] for job in jobs).replace_schema_metadata(metadata)
     if file is not None and parts is not None:
-        write_rows(file, rows, extra=extra, metadata=_metadata(itinerary, cases, settings))
+        _write(file, table)
         shutil.rmtree(parts, ignore_errors=True)
-    return _summary(itinerary.name, cases, rows, seconds=time.perf_counter() - began, file=file)
+    return _summary(itinerary.name, cases, table, seconds=time.perf_counter() - began, file=file)
 
 
 def _jobs(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> list[Job]:
@@ -523,23 +551,29 @@ def _metadata(itinerary: Itinerary, cases: Sequence[Case], settings: CampaignSet
     }
 
 
-def _summary(name: str, cases: Sequence[Case], rows: Sequence[Row], *, seconds: float, file: Path | None) -> Campaign:
-    by_case = {case.label: [row for row in rows if row["case"] == case.label] for case in cases}
+def _summary(name: str, cases: Sequence[Case], table: "pa.Table", *, seconds: float, file: Path | None) -> Campaign:
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    done = table["completed"].to_numpy()
+
+    def of(case: Case) -> NDArray[np.bool_]:
+        return pc.equal(table["case"], case.label).to_numpy()
+
     results = tuple(
-        CaseResult(
-            case,
-            wilson(sum(row["completed"] for row in by_case[case.label]), len(by_case[case.label])),
-            tuple(row for row in by_case[case.label] if not row["completed"]),
-        )
-        for case in cases
+        CaseResult(case, _share(done[mine]), table.filter(pa.array(mine & ~done)))
+        for case, mine in ((case, of(case)) for case in cases)
     )
     pairs = tuple(
-        (a.label, b.label, paired(*([row["completed"] for row in by_case[c.label]] for c in (a, b))))
+        (a.label, b.label, paired(done[of(a)], done[of(b)]))
         for a, b in itertools.combinations(cases if len(cases) <= MOST_PAIRED else (), 2)
     )
-    simulated = sum(row["simulated_seconds"] for row in rows)
-    completed = wilson(sum(row["completed"] for row in rows), len(rows))
-    return Campaign(name, completed, results, pairs, seconds, simulated, tuple(rows), file)
+    simulated = sum(table["simulated_seconds"].to_pylist())
+    return Campaign(name, _share(done), results, pairs, seconds, simulated, table, file)
+
+
+def _share(done: NDArray[np.bool_]) -> Share:
+    return wilson(int(done.sum()), len(done))
 
 
 LEVELS = 21
