@@ -229,7 +229,7 @@ def test_the_parents_memory_grows_by_less_than_half_a_kilobyte_a_run(
 ) -> None:
     import pyarrow
 
-    runs = 5_000
+    runs = 2_500
 
     def simulated(jobs: Sequence[campaign_jobs.Job], workers: int) -> Iterator[tuple[campaign_jobs.Job, list[Any]]]:
         for job in jobs:
@@ -265,7 +265,7 @@ def simulated_row(job: campaign_jobs.Job, seed: int) -> dict[str, Any]:
         "symbols_total": 1,
         "symbol": "" if done else "down-up +",
         "ending": "finished" if done else "aborted",
-        "reason": "" if done else f"'down-up +' was not completed: the run ended {seed / 1000:.3f} s early: too far off",
+        "reason": "" if done else f"'down-up +' was not completed: it ended {seed / 1000:.3f} s early: too far off",
         "path": "compiled",
         "replays": None,
     }
