@@ -3,17 +3,23 @@
 import difflib
 import errno
 import importlib
+import os
+import shlex
 import signal
 import sys
+import tempfile
 import threading
+import traceback
 import warnings
-from io import TextIOWrapper
+from collections.abc import Sequence
+from io import StringIO, TextIOWrapper
 from types import FrameType
 from typing import Any
 
 import click
 
 import dpcontrol
+from dpcontrol.cli.verbs import DEBUG, Call, print_json, say
 from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
 
 GROUPS = {
@@ -69,7 +75,7 @@ class _Verbs(click.Group):
                     show_others(message, category, *place)
                 elif str(message) not in shown:
                     shown.add(str(message))
-                    click.echo(f"dpcontrol: {message}", err=True)
+                    say(f"dpcontrol: {message}")
 
             warnings.showwarning = show
             return super().invoke(ctx)
@@ -104,10 +110,12 @@ class _Verbs(click.Group):
     epilog="Start with `dpcontrol demo`; every verb has --help with an example, and --json for programs.",
 )
 @click.version_option(dpcontrol.__version__, prog_name="dpcontrol")
+@click.option("--debug", **DEBUG)
 def cli() -> None:
     """Design trajectories of a double pendulum on a cart, and test closed loops that follow them.
 
-    Exit status: 0 done, 1 goal missed (with the reason), 2 bad input.
+    Exit status: 0 done, 1 goal missed (with the reason), 2 bad input, 70 an error of dpcontrol itself (with the file
+    that its report needs), 130 interrupted.
     """
 
 
@@ -119,31 +127,73 @@ def main(arguments: list[str] | None = None) -> None:
         # A terminal that cannot show an arrow shows a question mark; it is no reason to fail.
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
+    call = Call()
     try:
-        cli.main(given, prog_name="dpcontrol", standalone_mode=False)
+        cli.main(given, prog_name="dpcontrol", standalone_mode=False, obj=call)
         code = 0
     except click.ClickException as error:
-        error.show()
+        shown = StringIO()
+        error.show(shown)
+        say(shown.getvalue().rstrip("\n"))
         code = error.exit_code
     except click.exceptions.Exit as done:
         code = done.exit_code
-    except (InputError, GoalMissed) as error:
-        click.echo(f"dpcontrol: {error}", err=True)
-        _echo_notes(error)
-        code = 2 if isinstance(error, InputError) else 1
-    except OSError as error:
-        if error.errno != errno.ENOSPC:
-            raise
-        click.echo("dpcontrol: no space left where the output goes; nothing more was written", err=True)
-        code = 1
-    except (KeyboardInterrupt, click.Abort, ImportError, SystemError) as error:
+    except (KeyboardInterrupt, click.Abort) as error:
+        code = _interrupted(error)
+    except Exception as error:  # noqa: BLE001 - the last one: a traceback on a user's terminal is a defect
         # Compiled code that is interrupted reports it as an error of its own.
-        if isinstance(error, ImportError | SystemError) and not interrupted:
-            raise
-        click.echo("dpcontrol: interrupted; what was finished is kept", err=True)
-        _echo_notes(error)
-        code = 130
+        if interrupted and isinstance(error, ImportError | SystemError):
+            code = _interrupted(error)
+        else:
+            code = _failed(error, given, call)
     sys.exit(code)
+
+
+def _interrupted(error: BaseException) -> int:
+    say("dpcontrol: interrupted; what was finished is kept")
+    _echo_notes(error)
+    return 130
+
+
+def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
+    """Say in a sentence what went wrong; return the exit code."""
+    if isinstance(error, GoalMissed):
+        sentence, code = str(error), 1
+    elif isinstance(error, InputError):
+        sentence, code = str(error), 2
+    elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
+        sentence, code = "no space left where the output goes; nothing more was written", 1
+    elif isinstance(error, MemoryError):
+        sentence, code = "there is not enough memory for this; ask for less at once", 1
+    elif isinstance(error, OSError) and error.filename is not None:
+        sentence, code = f"cannot use {error.filename}: {error.strerror}; choose another file or folder", 2
+    else:
+        sentence, code = _unforeseen(error, arguments), 70
+    if call.as_json and not call.shown:
+        print_json({"status": sentence, "error": code != 1})
+    if call.debug:
+        say("".join(traceback.format_exception(error)).rstrip())
+    say(f"dpcontrol: {sentence}")
+    _echo_notes(error)
+    return code
+
+
+def _unforeseen(error: Exception, arguments: Sequence[str]) -> str:
+    """Keep the traceback of an error that no verb foresaw in a file; return the sentence that asks for a report."""
+    trace = "".join(traceback.format_exception(error))
+    program = f"dpcontrol {dpcontrol.__version__}, Python {sys.version}, {sys.platform}"
+    what = f"this is an error of dpcontrol, {' '.join(f'{type(error).__name__}: {error}'.split())[:_MOST]}"
+    try:
+        handle, name = tempfile.mkstemp(prefix="dpcontrol-error-", suffix=".txt")
+        with os.fdopen(handle, "w", encoding="utf-8", errors="backslashreplace") as file:
+            file.write(f"{program}\n{shlex.join(arguments)}\n\n{trace}")
+    except OSError:
+        return f"{what}; please report it with what --debug prints: no file could be written to keep it"
+    return f"{what}; please report it with the file {name}, which holds the command and the traceback"
+
+
+_MOST = 200
+"""Characters of an unforeseen error that its sentence repeats."""
 
 
 def _echo_notes(error: BaseException) -> None:
@@ -151,7 +201,7 @@ def _echo_notes(error: BaseException) -> None:
     found: BaseException | None = error
     while found is not None:
         for note in getattr(found, "__notes__", ()):
-            click.echo(f"dpcontrol: {note}", err=True)
+            say(f"dpcontrol: {note}")
         found = found.__cause__ or found.__context__
 
 

@@ -4,9 +4,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from dpcontrol.cli.verbs import Answer, TextTable, argument, drawn_to, file_option, option, table, verb
+from dpcontrol.cli.verbs import Answer, TextTable, argument, drawn_to, file_option, option, say, table, verb
 from dpcontrol.foundation.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,8 +31,8 @@ def plan_command(
     if out is not None and plan.converged:
         write_whole(out, plan.archive)
         document["file"] = out
-    for remark in plan_remarks(plan.itinerary):
-        click.echo(remark, err=True)
+    for line in plan_remarks(plan.itinerary):
+        say(line)
     missed = "" if plan.converged else f"{plan.itinerary.name}: {plan.status}"
     return Answer(document, () if missed else _plan_text(plan, document["file"]), missed)
 

@@ -6,9 +6,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import click
-
-from dpcontrol.cli.verbs import Answer, TextTable, argument, file_option, option, table, verb
+from dpcontrol.cli.verbs import Answer, TextTable, argument, file_option, option, say, table, verb
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import progress_bar
 
@@ -202,7 +200,7 @@ def _info_text(summary: "LogSummary") -> Iterator[str | TextTable]:
     for key, value in summary.metadata.items():
         yield f"  {key}: {value if len(value) <= _LONG else f'{value[:_LONG]}…'}"
     for file in summary.partials:
-        click.echo(f"  beside it: {file}, of a run that was interrupted or is under way", err=True)
+        say(f"  beside it: {file}, of a run that was interrupted or is under way")
 
 
 @verb("recover", example="dpcontrol recover logs/outer-turn-0.mcap.partial")

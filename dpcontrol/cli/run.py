@@ -20,6 +20,7 @@ from dpcontrol.cli.verbs import (
     argument,
     file_option,
     option,
+    say,
     show,
     table,
     verb,
@@ -48,7 +49,7 @@ def run_settings() -> Any:
 
 BENCH = "Bench"
 KEY_HELP = "File with the key that bench and loop share [the environment's DPCONTROL_RIG_KEY]."
-_WITH_FROM = ("source", "out", "as_json")
+_WITH_FROM = ("source", "out", "as_json", "debug")
 
 
 @verb("run", example="dpcontrol run outer-turn --seed 3 --mismatch 0.05")
@@ -106,8 +107,8 @@ def run_command(
         plan = make_plan(scene, progress=progress)
         verdict = run_plan(plan, out, progress=progress).score() if address is None else None
     if verdict is not None:
-        for remark in run_remarks(scene):
-            click.echo(remark, err=True)
+        for line in run_remarks(scene):
+            say(line)
         return Answer(verdict.document(), score_text(verdict), shortfall(verdict))
     # Without a progress bar, whose own thread would take time from the loop's.
     from dpcontrol.scenes.run import run_on_rig
@@ -182,13 +183,13 @@ def rig_command(
     recipe.rehearse()
     arms, server = recipe.parameters.count, BenchServerSettings(real_time=real_time)
 
-    def say(text: str) -> None:
-        click.echo(f"dpcontrol: {text}", err=True)
+    def report(text: str) -> None:
+        say(f"dpcontrol: {text}")
 
     with (
         UdpBench(
             recipe.rig, arms=arms, ticks=recipe.ticks, period=recipe.period, host=host, port=port, key=key,
-            insecure=insecure, settings=server, say=say,
+            insecure=insecure, settings=server, say=report,
         ) as bench,
         suppress(KeyboardInterrupt),
     ):  # fmt: skip

@@ -7,6 +7,7 @@ def score_command(*, logs: tuple[Path, ...] = argument(), seed: int = option(def
 
 import inspect
 import json
+import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
@@ -17,10 +18,30 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin
 import click
 
 from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.text import printable
 
 OUTPUT = "Output"
 """Group of the options that say where results go."""
-_SHOWN = "dpcontrol.shown"
+
+
+@dataclass
+class Call:
+    """One call of the program: whether it asked for JSON, for tracebacks, and whether its answer was shown."""
+
+    as_json: bool = False
+    debug: bool = False
+    shown: bool = False
+
+
+def note_debug(context: click.Context, param: click.Parameter, value: bool) -> None:
+    """Note --debug, before a verb or after it."""
+    context.ensure_object(Call).debug |= value
+
+
+DEBUG: dict[str, Any] = {
+    "is_flag": True, "expose_value": False, "callback": note_debug, "help": "Print the traceback of an error."
+}  # fmt: skip
+"""Settings of the option --debug."""
 
 
 class TextTable(NamedTuple):
@@ -168,18 +189,16 @@ def verb(
             Option(["--json", "as_json"], is_flag=True, group=OUTPUT, help="Print one JSON document on stdout.")
         )
 
+        params.append(Option(["--debug"], group=OUTPUT, **DEBUG))
+
         def run(*, as_json: bool, **given: Any) -> None:
-            try:
-                for param in params:
-                    if isinstance(param, Option):
-                        param.check(given.get(str(param.name)))
-                for name, group in groups.items():
-                    given[name] = group.make(**{str(one.name): given.pop(str(one.name)) for one in group.options})
-                answer = function(**given)
-            except (InputError, GoalMissed) as error:
-                if as_json and _SHOWN not in click.get_current_context().meta:
-                    _print_json({"status": str(error), "error": isinstance(error, InputError)})
-                raise
+            click.get_current_context().ensure_object(Call).as_json = as_json
+            for param in params:
+                if isinstance(param, Option):
+                    param.check(given.get(str(param.name)))
+            for name, group in groups.items():
+                given[name] = group.make(**{str(one.name): given.pop(str(one.name)) for one in group.options})
+            answer = function(**given)
             if answer is not None:
                 show(answer)
 
@@ -196,33 +215,43 @@ def show(answer: Answer) -> None:
     Raises:
         GoalMissed: the answer says why.
     """
-    context = click.get_current_context()
-    context.meta[_SHOWN] = True
-    if context.params["as_json"]:
-        _print_json(answer.document)
+    call = click.get_current_context().ensure_object(Call)
+    call.shown = True
+    if call.as_json:
+        print_json(answer.document)
     else:
         for item in answer.text:
-            click.echo(item) if isinstance(item, str) else _print_table(item)
+            click.echo(printable(item)) if isinstance(item, str) else _print_table(item)
     if answer.missed:
         raise GoalMissed(answer.missed)
 
 
-def _print_json(document: Mapping[str, Any]) -> None:
+def print_json(document: Mapping[str, Any]) -> None:
+    """Print the one JSON document of a call."""
     from dpcontrol.foundation.files import plain
 
-    click.echo(json.dumps(plain(document), indent=1, ensure_ascii=False))
+    click.echo(printable(json.dumps(plain(document), indent=1, ensure_ascii=False), json=True))
+
+
+def say(text: str) -> None:
+    """Print a line on stderr, beside the answer."""
+    click.echo(printable(text), err=True)
 
 
 def _print_table(shown: TextTable) -> None:
-    """Print a table on stdout; as wide as it needs when stdout is no terminal."""
+    """Print a table on stdout; as wide as it needs when stdout is no terminal. Brackets in it are no markup."""
     from rich.console import Console
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(title=shown.title or None, title_justify="left", title_style="bold")
+    def text(cell: str) -> Text:
+        return Text(printable(cell))
+
+    table = Table(title=text(shown.title) if shown.title else None, title_justify="left", title_style="bold")
     for k, column in enumerate(shown.columns):
-        table.add_column(column, justify="left" if k == 0 else "right", no_wrap=True)
+        table.add_column(text(column), justify="left" if k == 0 else "right", no_wrap=True)
     for row in shown.rows:
-        table.add_row(*row)
+        table.add_row(*map(text, row))
     console = Console()
     # A narrow terminal wraps lines; a narrow table would leave out names and digits.
     console = Console(width=max(console.width, 130) if console.is_terminal else 200)
@@ -272,9 +301,12 @@ class DecimalNumber(click.ParamType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Decimal:
         try:
-            return Decimal(value)
+            number = Decimal(value)
+            if number.is_finite() and math.isfinite(float(number)):
+                return number
         except InvalidOperation:
             self.fail(f"{value!r} is not a number.", param, ctx)
+        raise InputError(f"{param.opts[0] if param else 'number'} {value}: must be a finite number")
 
 
 ENERGY = option(help="Energy in J, zero at the pivot's height.")

@@ -19,6 +19,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
 from io import BytesIO
 from pathlib import Path
+from tokenize import TokenError
 from typing import IO, Any
 
 import numpy as np
@@ -43,7 +44,10 @@ def checked_other_file(out: Path, source: Path | str, *, what: str) -> None:
     Raises:
         InputError: `out` is the file `source`, by whatever name; what: what that file is, as in "the log to repeat".
     """
-    if out.resolve() == Path(source).resolve() or (out.exists() and out.samefile(source)):
+    same = os.path.realpath(out) == os.path.realpath(source)
+    with suppress(OSError):
+        same = same or out.samefile(source)
+    if same:
         raise InputError(f"--out {out}: that is {what}; choose another name")
 
 
@@ -64,7 +68,8 @@ def whole_file(path: Path, *, suffix: str = "") -> Iterator[Path]:
     """
     path = Path(path)
     checked_target(path)
-    prefix, suffix = f".{path.name}.", suffix or ".partial"
+    # A name of any length leaves room for what is added to it.
+    prefix, suffix = f".{path.name[:40]}.", suffix or ".partial"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         _sweep(path.parent, prefix, suffix)
@@ -131,8 +136,11 @@ def content_hash(*parts: str | bytes) -> str:
     return digest.hexdigest()[:16]
 
 
-_DAMAGED = (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error)
-"""What reading a damaged archive may raise."""
+_DAMAGED = (
+    OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, MemoryError, RuntimeError,
+    SyntaxError, TokenError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What reading a damaged archive may raise: nothing in it can be trusted, neither sizes nor how deep it is nested."""
 
 
 def write_archive(
@@ -195,8 +203,8 @@ def archive(
         yield header, arrays
     except FileNotFoundError as error:
         raise InputError(f"there is no {what.partition(' ')[2]} {path}; {make}") from error
-    except (*_DAMAGED, AttributeError, IndexError, InputError) as error:
-        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error) or type(error).__name__
+    except (*_DAMAGED, InputError) as error:
+        reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error)[:200] or type(error).__name__
         # What is no archive at all numpy takes for pickled data, and advises to trust it.
         reason = "it is no .npz file" if "pickle" in reason else reason
         raise InputError(f"{path} is not {what} of dpcontrol, or is damaged: {reason}; {again}") from error

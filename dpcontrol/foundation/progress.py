@@ -4,6 +4,8 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
+from dpcontrol.foundation.text import printable
+
 Progress = Callable[[str, float], None]
 """Called with what is being done and how much of it is done (0 to 1)."""
 
@@ -29,18 +31,18 @@ def progress_bar(label: str) -> Iterator[Progress]:
     """
     if not sys.stderr.isatty():
         yield no_progress
-        sys.stderr.write(f"{label}: done\n")
+        sys.stderr.write(f"{printable(label)}: done\n")
         return
     from rich.console import Console
     from rich.progress import BarColumn, TextColumn, TimeElapsedColumn
     from rich.progress import Progress as Bar
 
-    columns = (TextColumn("{task.description:<34}"), BarColumn(), TextColumn("{task.percentage:>3.0f}%"))
+    columns = (TextColumn("{task.description:<34}", markup=False), BarColumn(), TextColumn("{task.percentage:>3.0f}%"))
     with Bar(*columns, TimeElapsedColumn(), console=Console(stderr=True)) as bar:
-        task = bar.add_task(label, total=1.0)
+        task = bar.add_task(printable(label), total=1.0)
 
         def report(what: str, done: float) -> None:
-            bar.update(task, completed=done, description=what)
+            bar.update(task, completed=done, description=printable(what))
 
         yield report
-        bar.update(task, completed=1.0, description=label)
+        bar.update(task, completed=1.0, description=printable(label))

@@ -201,6 +201,11 @@ def recording_of(log: RunLog) -> Recording:
         InputError: its segments do not fit its samples.
     """
     n, k = len(log.arm_lengths), len(log.time)
+    if (back := np.flatnonzero(np.diff(log.time) < 0)).size:
+        raise InputError(
+            f"{log.path}: its time runs backward after {log.time[back[0]]:.3f} s; record it again, or import what was "
+            "recorded with `--repair time`"
+        )
     said = {"title": log.path.stem, "source": log.path.name, "segments": f"0:{k}"}
     command = log.controls.get("applied")
     if log.metadata.get("kind") in (KIND, REPLAYED):

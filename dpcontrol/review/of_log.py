@@ -204,7 +204,10 @@ def _placed_orbits(plan: Reference, notes: PlanNotes) -> tuple[PlacedOrbit, ...]
             note = notes["orbits"][k]
             home = np.asarray(notes["saddles"][stop["saddle"]]["angles"])
             lift = np.asarray(stop["angles"]) - home
-            states = np.asarray(plan.extra[f"orbit_{k}"]) + np.concatenate([lift, np.zeros_like(lift)])
+            orbit = np.asarray(plan.extra[f"orbit_{k}"])
+            if orbit.ndim != 2 or orbit.shape[1] != 2 * len(lift) or orbit.dtype.kind != "f":
+                raise ValueError(f"orbit_{k} is no list of states of {len(lift)} arms")
+            states = orbit + np.concatenate([lift, np.zeros_like(lift)])
             name = f"{note['saddle']} at {note['energy']:.4g} J"
             placed[(k, *np.rint(lift).tolist())] = PlacedOrbit(name, states, note["saddle"])
     return tuple(placed.values())

@@ -18,9 +18,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch, Rectangle
+from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
+from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.review import series, style
 from dpcontrol.review.motion import RunView
@@ -44,15 +46,24 @@ def new_figure(width: float, height: float, title: str = "") -> Figure:
 
 
 def save_figure(figure: Figure, path: Path | str) -> None:
-    """Write a figure as PNG or PDF, by the name's suffix.
+    """Write a figure as PNG or PDF, by the name's suffix. A dollar sign in a user's text is no formula.
 
     Raises:
         InputError: the file cannot be written.
     """
     path = Path(path)
     kind = "pdf" if path.suffix.lower() == ".pdf" else "png"
+    for text in figure.findobj(Text):
+        # The ticks of a logarithmic axis are formulas of matplotlib's own.
+        if isinstance(text, Text) and "$" in text.get_text() and "\\mathdefault" not in text.get_text():
+            text.set_parse_math(False)
     with whole_file(path, suffix=f".{kind}") as temporary:
-        figure.savefig(temporary, format=kind)
+        try:
+            figure.savefig(temporary, format=kind)
+        except OverflowError as error:
+            raise InputError(
+                f"cannot draw {path}: its curves reach too far ({error}); look for time that runs backward or jumps"
+            ) from error
 
 
 def quiet(axes: Axes, title: str = "", *, x: str = "", y: str = "", size: float = 9.5) -> None:

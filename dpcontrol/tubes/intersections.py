@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
+from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.tubes.cut import Cut, CutSettings, Piece, longest_flight, section_points
 
@@ -139,12 +140,20 @@ class ConnectionSettings:
     seconds: float = np.inf
 
 
+MOST_PERIODS = 1000.0
+
+
 def search_settings(*, longest: float | None = None, thorough: bool = False) -> ConnectionSettings:
     """Return settings for a search.
 
     longest: periods of its orbit that a trajectory may take to the section, None for the system's own number; thorough:
     go on where a search is given up after seconds, for up to a minute.
+
+    Raises:
+        InputError: no time, or more than the longest.
     """
+    if longest is not None and not 0 < longest <= MOST_PERIODS:
+        raise InputError(f"longest = {longest:g}: must be positive, and at most {MOST_PERIODS:g} periods of the orbit")
     cut = CutSettings(longest=longest)
     return ConnectionSettings(cut=cut.thoroughly(), seconds=_THOROUGH) if thorough else ConnectionSettings(cut=cut)
 

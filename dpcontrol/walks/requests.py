@@ -13,7 +13,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import picked, plain, write_archive
 from dpcontrol.shooting.extended import ExtendedOrbit, refine
 from dpcontrol.walks.edges import Edges
-from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver, check_stops
+from dpcontrol.walks.shadowing import MOST_WRAPS, ShadowingOrbit, WalkSolver, check_stops
 from dpcontrol.walks.symbols import composed
 from dpcontrol.walks.walks import Walk, random_walk
 
@@ -106,8 +106,10 @@ def drawn_requests(
         InputError: an empty range, or no such walk at this energy.
     """
     for name, (low, high), least in (("lengths", lengths, 1), ("extra wraps", extra, 0)):
-        if not least <= low <= high:
-            raise InputError(f"{name} {low} to {high}: must be two whole numbers from {least} up, the smaller first")
+        if not least <= low <= high <= MOST_WRAPS:
+            raise InputError(
+                f"{name} {low} to {high}: must be two whole numbers from {least} to {MOST_WRAPS:,}, the smaller first"
+            )
     generator = np.random.default_rng(seed)
     requests = []
     for _ in range(count):

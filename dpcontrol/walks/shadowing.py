@@ -381,6 +381,9 @@ def _apart(system: System, first: Array, second: Array) -> float:
     return float(np.max(np.abs(first - second) / system.scale))
 
 
+MOST_WRAPS = 1_000_000
+
+
 def check_stops(chain: Sequence[Connection], wraps: Sequence[int] | None, *, periodic: bool) -> int:
     """Return how many stops a walk has, one more if it closes.
 
@@ -409,6 +412,8 @@ def _check(chain: tuple[Connection, ...], wraps: Sequence[int], lead_in: int, le
         for value in values:
             if isinstance(value, bool) or int(value) != value or value < 0:
                 raise InputError(f"{name} = {value!r}: must be a whole number, zero or more")
+            if value > MOST_WRAPS:
+                raise InputError(f"{name} = {value}: must be at most {MOST_WRAPS:,}")
     energies = {c.source.energy for c in chain}
     if len(energies) > 1:
         raise InputError(

@@ -105,6 +105,10 @@ class Symbol:
         return tuple(s for part in self.parts for s in part.simple) if self.parts else (self,)
 
 
+MOST_NESTED = 20
+"""Brackets within brackets in a symbol: each is an edge grown from walks of others."""
+
+
 def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
     """Read one symbol.
 
@@ -114,6 +118,8 @@ def parse_symbol(text: str, saddles: Sequence[str]) -> Symbol:
         InputError: the text is not a symbol, or names a saddle that is not among `saddles`.
     """
     text = text.strip()
+    if "(" in text and np.cumsum([(c == "(") - (c == ")") for c in text]).max() > MOST_NESTED:
+        raise InputError(f"{text[:60]!r}…: symbols in brackets may be nested {MOST_NESTED} deep at most")
     if components(text) is not None:
         return _grown(text, saddles)
     named = _NAME.match(text)
