@@ -239,7 +239,7 @@ def seeds_chart(quick: bool, progress: Progress) -> EdgeChart:
             "Rounding over the distance hides where tubes meet; too far, seeds leave the manifold by the square of "
             "their distance.",
         ),
-        chosen="Seeds 1e-4 from the orbit: at least ninety times from the nearer border where that is worst.",
+        chosen="Seeds 1e-4 from the orbit: some six hundred times the nearer border where that is worst.",
         parts=measured_maps(
             progress,
             (near, lambda energy: near_border(*known(energy), draws=draws, ratio=ratio), energies),
