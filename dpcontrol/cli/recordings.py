@@ -226,4 +226,6 @@ def _replay_text(result: "Replay", model: str, written: Path) -> Iterator[str | 
     if result.rates_rms is not None:
         yield f"  rates     {', '.join(f'{value:.3f}' for value in result.rates_rms)} rad/s rms from those recorded"
     yield f"  NIS       {result.nis_inside_95:.1%} inside its 95 % band, {result.nis_below_95:.1%} below its top"
+    if result.nis_means is not None:
+        yield f"            {result.nis_means.sentence}"
     yield str(written)

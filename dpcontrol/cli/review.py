@@ -44,6 +44,8 @@ def score_text(verdict: "Score") -> Iterator[str]:
         f"most, {verdict.rms_cart_acceleration:.3f} m/s² rms; NIS inside its 95 % band "
         f"{verdict.nis_inside_95:.1%}{pace}"
     )
+    if verdict.nis_means is not None:
+        yield f"  NIS      {verdict.nis_means.sentence}"
 
 
 def shortfall(verdict: "Score") -> str:

@@ -193,6 +193,52 @@ def share_inside(values: Array, freedom: int, *, share: float = 0.95) -> float:
     return float(((values >= low) & (values <= high)).mean())
 
 
+MEANS_OF = 50
+"""Updates to each mean of the NIS. Single values scatter so far that most are in their band at a third of the mean."""
+
+
+def mean_band(freedom: int) -> tuple[float, float]:
+    """Return the interval that holds 95 % of the means of `MEANS_OF` chi-square variables."""
+    low, high = chi_square_band(MEANS_OF * freedom)
+    return low / MEANS_OF, high / MEANS_OF
+
+
+def means_of(values: Array) -> Array:
+    """Return means (K // MEANS_OF,) of values (K,), one after the other; the values themselves where they are fewer."""
+    count = len(values) // MEANS_OF
+    return values[: count * MEANS_OF].reshape(count, MEANS_OF).mean(axis=1) if count else values
+
+
+@dataclass(frozen=True)
+class NisMeans:
+    """A NIS in the mean, what is expected of it, and the share of its means of `MEANS_OF` inside their 95 % band."""
+
+    mean: float
+    expected: int
+    inside_95: float
+
+    @property
+    def sentence(self) -> str:
+        """The figures, and what they say of the estimator's noise."""
+        text = f"{self.mean:.2f} of {self.expected} in the mean; of its means of {MEANS_OF} {self.inside_95:.1%} inside"
+        ratio = self.mean / self.expected
+        if ratio < _CAUTIOUS:
+            return f"{text}: the estimator expects more noise than there is"
+        return f"{text}: the estimator expects less noise than there is" if ratio > 1 / _CAUTIOUS else text
+
+
+_CAUTIOUS = 0.8
+
+
+def nis_means(values: Array, freedom: int) -> NisMeans | None:
+    """Return what the finite values (K,) of a NIS say in the mean; None where there are too few for one mean."""
+    known = values[np.isfinite(values)]
+    if len(known) < MEANS_OF:
+        return None
+    (low, high), means = mean_band(freedom), means_of(known)
+    return NisMeans(float(known.mean()), freedom, float(np.mean((means >= low) & (means <= high))))
+
+
 def nees(error: Array, covariance: Array) -> Array:
     """Return the normalised estimation error squared (…) of truth minus estimate (…, n) and covariance (…, n, n)."""
     return (error * np.linalg.solve(covariance, error[..., None])[..., 0]).sum(-1)

@@ -25,7 +25,7 @@ Nocedal & Wright, Numerical Optimization (2006), section 10.3.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.ekf import ESTIMATORS, make_estimator
-from dpcontrol.control.estimator_settings import EstimatorSettings, chi_square_band
+from dpcontrol.control.estimator_settings import EstimatorSettings, NisMeans, chi_square_band, nis_means
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import compiled_step
@@ -371,7 +371,7 @@ class Replay:
     where no mean of samples ends. stretches: (segment, first, end) rows of each predicted stretch, fits one for each.
     ahead: {samples: (n,) rad rms of each angle} from the estimate. rates_rms (n,) rad/s: estimate against the recorded
     rates, or None. nis_inside_95: share of the settled NIS in its two-sided 95 % band; nis_below_95: below its 95 %
-    quantile.
+    quantile; nis_means: of its means, None where there is none.
     """
 
     recording: Recording
@@ -386,15 +386,17 @@ class Replay:
     rates_rms: Array | None
     nis_inside_95: float
     nis_below_95: float
+    nis_means: NisMeans | None = None
 
     def summary(self, model: str) -> str:
         """Return a sentence: how well this model predicts, and whether the estimator agrees with it."""
         rms = sorted(1e3 * fit.rms for fit in self.fits)
         seconds = max(end - first for _, first, end in self.stretches) * self.recording.dt
         whole = len(self.nis) * self.recording.dt
+        means = "" if self.nis_means is None else f", {self.nis_means.sentence}"
         return (
             f"{whole:.4g} s predicted by {model}, {seconds:.3g} s from each fitted start: {np.median(rms):.3g} mrad "
-            f"rms in the median, {rms[-1]:.3g} at worst; NIS {self.nis_inside_95:.1%} in its band"
+            f"rms in the median, {rms[-1]:.3g} at worst; NIS {self.nis_inside_95:.1%} in its band{means}"
         )
 
     @property
@@ -436,6 +438,7 @@ class Replay:
         return {
             "segments": self.stretch_errors,
             **picked(self, "nis_inside_95", "nis_below_95", "rates_rms", "cart", "status"),
+            "nis_means": None if self.nis_means is None else asdict(self.nis_means),
             "rms_ahead": {str(samples): rms for samples, rms in self.ahead.items()},
         }
 
@@ -529,6 +532,7 @@ def replay_recording(
         rates_rms=rates_rms,
         nis_inside_95=float(np.mean((known >= low) & (known <= high))) if len(known) else float("nan"),
         nis_below_95=float(np.mean(known <= chi_square_band(n, share=0.9)[1])) if len(known) else float("nan"),
+        nis_means=nis_means(known, n),
     )
 
 

@@ -26,7 +26,19 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.review import series, style
 from dpcontrol.review.motion import RunView
-from dpcontrol.review.series import Chart, LevelLine, Line, Plane, Range, Span, Strip, arm_points, extreme_rows, strips
+from dpcontrol.review.series import (
+    Chart,
+    LevelLine,
+    Line,
+    Plane,
+    Range,
+    Span,
+    Strip,
+    arm_points,
+    extreme_rows,
+    gap_times,
+    strips,
+)
 
 Array = NDArray[np.float64]
 
@@ -136,7 +148,7 @@ def curve(view: RunView, time: Array, values: Array) -> tuple[Array, Array]:
     time, values = time[rows], values[rows]
     if not len(view.breaks):
         return time, values
-    gaps = (view.time[view.breaks] + view.time[view.breaks - 1]) / 2
+    gaps = gap_times(view)
     places = np.searchsorted(time, gaps)
     return np.insert(time, places, gaps), np.insert(values, places, np.nan)
 

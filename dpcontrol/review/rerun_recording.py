@@ -30,6 +30,7 @@ from dpcontrol.review.series import (
     arm_points,
     check_charts,
     extreme_rows,
+    gap_times,
     motion_charts,
     plane,
     strips,
@@ -49,6 +50,9 @@ _EDGE = np.array([-1e-6, 0.0, 1e-6])
 """s: offsets at which the edge of a band is sampled."""
 
 
+_NO_GAPS: Array = np.zeros(0)
+
+
 def follow(recording: rr.RecordingStream, path: str, look: Any, time: Array, columns: Any) -> None:
     """Record what changes at instants (K,) s under a path, and how it looks throughout."""
     recording.log(path, look, static=True)
@@ -66,7 +70,7 @@ def record_chart(recording: rr.RecordingStream, home: str, chart: Chart, view: R
         return
     home = f"{home}/{chart.key}"
     for line in chart.lines:
-        _line(recording, f"{home}/{line.key}", line)
+        _line(recording, f"{home}/{line.key}", line, gaps=gap_times(view))
     for level in chart.levels:
         ends = np.array([view.time[0], view.time[-1]])
         _line(
@@ -83,10 +87,10 @@ def record_chart(recording: rr.RecordingStream, home: str, chart: Chart, view: R
         _line(recording, f"{home}/cut", Line("", name, "", time, np.zeros(len(time)), style.LIMIT, 1.0, reach=reach))
 
 
-def _line(recording: rr.RecordingStream, path: str, line: Line) -> None:
+def _line(recording: rr.RecordingStream, path: str, line: Line, *, gaps: Array = _NO_GAPS) -> None:
     """Record a line under a path, with its band if it has one; of a long line only the extremes, as the log keeps all.
 
-    Ink becomes pale on the viewer's dark plots, and a reference grey.
+    Ink becomes pale on the viewer's dark plots, and a reference grey. gaps: instants, s, that no line crosses.
     """
     colour = {style.INK: style.PALE_INK, style.CART: style.PALE_INK}.get(line.colour, line.colour)
     tint = style.rgb(style.REFERENCE if line.role == "reference" else colour)
@@ -99,7 +103,14 @@ def _line(recording: rr.RecordingStream, path: str, line: Line) -> None:
         look = rr.Measurements.from_fields(names=[line.name], colors=[tint], widths=[line.width])
         # The viewer's band is one standard deviation of what it is given.
         columns = rr.Measurements.columns(values=line.values[rows], variances=line.reach[rows] ** 2)
-    follow(recording, path, look, line.time[rows], columns)
+    time = line.time[rows]
+    if len(time):
+        # Where a row holds no value the viewer ends one line and begins another.
+        gaps = gaps[(time[0] < gaps) & (gaps < time[-1])]
+        places = np.searchsorted(time, gaps)
+        columns = columns.partition(np.insert(np.ones(len(time), dtype=np.int64), places, 0))
+        time = np.insert(time, places, gaps)
+    follow(recording, path, look, time, columns)
 
 
 def record_strips(recording: rr.RecordingStream, home: str, strips: Sequence[Strip], view: RunView) -> None:
@@ -425,7 +436,12 @@ def recording_to(path: Path, name: str, view: rrb.Blueprint, summary: str) -> It
         recording.send_recording_name(name)
         recording.log(SUMMARY, rr.TextDocument(summary, media_type="text/markdown"), static=True)
         yield recording
-        recording.flush()
+        try:
+            recording.flush()
+        except RuntimeError as error:
+            # The thread that writes has given up; it has said why on stderr, and only there.
+            remedy = "see above, or free some space on the disk, or choose another folder"
+            raise InputError(f"cannot write {path}: the recording could not be written whole; {remedy}") from error
         recording.disconnect()
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.estimator_settings import chi_square_band
+from dpcontrol.control.estimator_settings import NisMeans, chi_square_band, nis_means
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog
 from dpcontrol.references.reference import PlanNotes, Reference, StopNote, load_reference, plan_notes
@@ -231,7 +231,8 @@ class Score:
 
     completed: None where the true state is not known. wraps: at each interior stop that was reached, None beside a
     transfer. rms_tracking_error rad, over the angles; max_cart_position m; rms_cart_acceleration m/s²; nis_inside_95:
-    share of ticks. real_time_factor: None where the log does not say. reason: a sentence.
+    share of ticks; nis_means: of its means, None of a run too short for one. real_time_factor: None where the log does
+    not say. reason: a sentence.
     """
 
     log: str
@@ -246,6 +247,7 @@ class Score:
     nis_inside_95: float
     real_time_factor: float | None
     reason: str
+    nis_means: NisMeans | None = None
 
     @property
     def sentence(self) -> str:
@@ -394,6 +396,7 @@ def score(log: RunLog) -> Score:
         nis_inside_95=float(np.mean((nis >= low) & (nis <= high))) if nis.size else float("nan"),
         real_time_factor=None if factor is None else float(factor),
         reason=reason,
+        nis_means=nis_means(log.control["nis"], log.measured.shape[1]),
     )
 
 
@@ -416,6 +419,8 @@ def _done(wraps: tuple[int | None, ...], notes: PlanNotes) -> str:
 
 def _problem(flown: Flown, plan: Reference, decoded: Decoded) -> str:
     """Return why the run is not completed, naming the symbol, or an empty string."""
+    if unknown := _unseen(flown):
+        return unknown
     notes, visits, matched = plan_notes(plan), decoded.visits, decoded.matched
     stops, symbols = notes["stops"], notes["symbols"]
     short = plan.duration - float(flown.time[-1])
@@ -444,6 +449,25 @@ def _problem(flown: Flown, plan: Reference, decoded: Decoded) -> str:
         if asked is not None and asked != done:
             return f"wraps at stop {k + 1} are {done} instead of {asked}, before symbol {k + 2}"
     return _limits(flown) or _last_orbit(flown, plan, last=last, ended=early)
+
+
+_UNSEEN = 0.05
+"""s: in this time no arm of a bench makes half a turn."""
+
+
+def _unseen(flown: Flown) -> str:
+    """Return where the stamps leave open what the arms did, or an empty string."""
+    steps = np.diff(flown.time)
+    if not len(steps):
+        return ""
+    for index, fault in ((int(np.argmin(steps)), "go back by"), (int(np.argmax(steps)), "jump by")):
+        step = float(steps[index])
+        if (step < 0) if fault == "go back by" else (step > max(_UNSEEN, 1.5 / flown.rate_hz)):
+            return (
+                f"its stamps {fault} {abs(step):.3g} s at t = {flown.time[index]:.2f} s, where its period is "
+                f"{1 / flown.rate_hz:g} s: what the arms did is not known"
+            )
+    return ""
 
 
 def _limits(flown: Flown) -> str:

@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.control.estimator_settings import MEANS_OF, mean_band, means_of
 from dpcontrol.logs import Mode
 from dpcontrol.review import style
 from dpcontrol.review.motion import ACTUAL, RunView, Stay, clean
@@ -316,8 +317,8 @@ def _nis(view: RunView) -> Chart | None:
     """Show means of the NIS over windows, and where 95 % of them lie if the estimator is consistent."""
     if view.nis is None:
         return None
-    time, means, spread = smoothed_nis(view)
-    ends = (max(view.sensors - spread, 0.0), view.sensors + spread)
+    time, means = smoothed_nis(view)
+    ends = mean_band(view.sensors)
     levels = [
         LevelLine(name, f"{name} for 95 %", value, style.ARMS[2], "band")
         for name, value in zip(("least", "greatest"), ends, strict=True)
@@ -327,9 +328,9 @@ def _nis(view: RunView) -> Chart | None:
     lost = highest > NIS_LOST * view.sensors
     return Chart(
         "nis",
-        f"NIS, means of 50 updates; 95 % belong in {ends[0]:.1f} to {ends[1]:.1f}",
-        "NIS: means of 50 updates; 95 % belong between the green lines",
-        (Line("mean", "mean of 50 updates", "", time, means, style.CART, 1.0),),
+        f"NIS, means of {MEANS_OF} updates; 95 % belong in {ends[0]:.1f} to {ends[1]:.1f}",
+        f"NIS: means of {MEANS_OF} updates; 95 % belong between the green lines",
+        (Line("mean", f"mean of {MEANS_OF} updates", "", time, means, style.CART, 1.0),),
         levels=tuple(levels),
         shown=(0.0, NIS_LOST * view.sensors if lost else max(1.15 * highest, 1.6 * view.sensors)),
         log=lost,
@@ -441,22 +442,16 @@ def arm_points(angles: Array, arm_lengths: Sequence[float]) -> Array:
     return np.concatenate([np.zeros((len(angles), 1, 2)), np.cumsum(steps, axis=1)], axis=1)
 
 
-def smoothed_nis(view: RunView, *, window: int = 50) -> tuple[Array, Array, float]:
-    """Return times (K,), means (K,) of the NIS over windows of ticks that have one, and two sigmas of such a mean.
-
-    With a consistent filter the NIS of m measurements has mean m and variance 2m (chi-square), so that the mean
-    over a window of w ticks has variance 2m/w.
-    """
+def smoothed_nis(view: RunView) -> tuple[Array, Array]:
+    """Return times (K,) and means (K,) of the NIS over stretches of ticks that have one."""
     nis = np.full(len(view.time), np.nan) if view.nis is None else view.nis
     known = np.isfinite(nis)
-    values, times = nis[known], view.time[known]
-    count = len(values) // window
-    if count < 1:
-        return times, values, 2 * float(np.sqrt(2 * view.sensors))
-    kept = count * window
-    means = values[:kept].reshape(count, window).mean(axis=1)
-    moments = times[:kept].reshape(count, window).mean(axis=1)
-    return moments, means, 2 * float(np.sqrt(2 * view.sensors / window))
+    return means_of(view.time[known]), means_of(nis[known])
+
+
+def gap_times(view: RunView) -> Array:
+    """Return the middle of each gap in a view's ticks, s."""
+    return (view.time[view.breaks] + view.time[view.breaks - 1]) / 2
 
 
 def spans(time: Array, flags: NDArray[np.bool_]) -> list[Range]:

@@ -1,12 +1,16 @@
 """Logs that hold measured angles only: shown for what they are, with nothing made up and no line across a gap."""
 
+import resource
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import rerun as rr
 from synthetic_run import ARM_LENGTHS, synthetic_run, write_log
 
+from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
 from dpcontrol.review.motion import series_of
 from dpcontrol.review.of_log import run_view
@@ -56,6 +60,39 @@ def test_no_line_is_drawn_across_a_gap(bench: RunLog) -> None:
     between = (time > 0.9995) & (time < 1.9995)
     assert np.isnan(values[between]).all()
     assert between.sum() == 1
+
+
+def test_the_viewer_is_told_of_a_gap_so_that_it_draws_no_line_across(
+    bench: RunLog, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A row without a value ends the viewer's line (its series_query: an empty batch is a Clear)."""
+    empty: dict[str, list[int]] = {}
+    send = rr.RecordingStream.send_columns
+
+    def noted(self: rr.RecordingStream, path: str, indexes: Any, columns: Any, **others: Any) -> None:
+        if path.startswith("plots/"):
+            (index,) = indexes
+            times = index.as_arrow_array().cast("int64").to_pylist()
+            (rows,) = (column.as_arrow_array().to_pylist() for column in columns)
+            empty[path] = [time for time, row in zip(times, rows, strict=True) if not row]
+        send(self, path, indexes, columns, **others)
+
+    monkeypatch.setattr(rr.RecordingStream, "send_columns", noted)
+    write_recording(run_view(bench), tmp_path / "bench.rrd")
+    assert len(empty) == 4
+    assert all(times == [1_499_500_000] for times in empty.values())
+
+
+def test_a_disk_that_fills_under_a_recording_is_a_sentence_and_leaves_nothing(bench: RunLog, tmp_path: Path) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    shown = run_view(bench)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, limits[1]))
+    try:
+        with pytest.raises(InputError, match=r"cannot write .*bench\.rrd.*space"):
+            write_recording(shown, tmp_path / "bench.rrd")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert not list(tmp_path.iterdir())
 
 
 def test_nothing_is_judged_where_nothing_was_asked(bench: RunLog) -> None:
