@@ -10,6 +10,7 @@ different machines, and of a busy one, can be held against each other.
 """
 
 import json
+import math
 import os
 import platform
 import time
@@ -17,13 +18,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
-from itertools import combinations
+from itertools import combinations, pairwise
 from pathlib import Path
 from textwrap import fill
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator
+from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator, PercentFormatter
+from numpy.typing import NDArray
 
 from dpcontrol import __version__
 from dpcontrol.bench.chart import ALLOWED, CHARTS, GROUPS, ChartPage, EdgeMap, Panel, Point, PrecisionChart, check_names
@@ -34,6 +37,8 @@ from dpcontrol.foundation.files import whole_file, write_whole
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.review.style import FAINT, INK, LIMIT, REFERENCE, STABLE
+
+Array = NDArray[np.float64]
 
 PACKAGES = ("numpy", "scipy", "casadi", "heyoka", "filterpy", "control", "mcap", "zstandard", "matplotlib")
 
@@ -265,6 +270,11 @@ def figure(page: ChartPage) -> Figure:
         axis.set_visible(False)
     text = [fill(line, int(WIDTH * columns * 13)) for line in page.reading]
     picture.supxlabel("\n".join(text), fontsize=9, color=INK, x=0.01, ha="left")
+    if panels:
+        # Where labels fit is known once the axes have their places.
+        picture.draw_without_rendering()
+        for axis, panel in zip(axes, panels, strict=False):
+            _label_settings(axis, panel, looks)
     return picture
 
 
@@ -297,31 +307,27 @@ def _draw_map(axis: Any, one: EdgeMap) -> None:
     axis.legend(fontsize=7, loc="upper left", framealpha=0.85)
 
 
-def _draw_panel(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) -> None:
-    def height(error: float) -> float:
-        return max(error, panel.floor, FLOOR) if panel.log_y else error
+def _height(panel: Panel, error: float) -> float:
+    return max(error, panel.floor, FLOOR) if panel.log_y else error
 
+
+def _draw_panel(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) -> None:
     for method in dict.fromkeys(p.method for p in panel.points):
         mark, colour = looks[method]
         points = sorted((p for p in panel.points if p.method == method), key=lambda p: p.seconds)
         hollow = any(p.outside or p.stored for p in points)
         axis.plot(
-            [p.seconds for p in points], [height(p.error) for p in points], mark, color=colour, markersize=6,
+            [p.seconds for p in points], [_height(panel, p.error) for p in points], mark, color=colour, markersize=6,
             markerfacecolor="white" if hollow else colour, label=method, zorder=3,
         )  # fmt: skip
-        for p in points:
-            if p.setting:
-                axis.annotate(
-                    p.setting, (p.seconds, height(p.error)), xytext=(4, 3), textcoords="offset points", fontsize=5.5,
-                    color=colour, alpha=0.9,
-                )  # fmt: skip
     front = panel.front
     axis.plot(
-        [p.seconds for p in front], [height(p.error) for p in front], color=FAINT, linewidth=4, zorder=1,
+        [p.seconds for p in front], [_height(panel, p.error) for p in front], color=FAINT, linewidth=4, zorder=1,
         drawstyle="steps-post", label="front",
     )  # fmt: skip
     for p in panel.defaults:
-        axis.plot(p.seconds, height(p.error), "o", markersize=15, markerfacecolor="none", color=LIMIT, zorder=4)
+        axis.plot(p.seconds, _height(panel, p.error), "o", markersize=_RING, markerfacecolor="none", color=LIMIT,
+                  zorder=4)  # fmt: skip
     if panel.defaults:
         standing = "; ".join(dict.fromkeys(panel.standing(p) for p in panel.defaults))
         axis.plot([], [], "o", markersize=9, markerfacecolor="none", color=LIMIT, label=f"default: {standing}")
@@ -332,7 +338,70 @@ def _draw_panel(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) -> N
     _readable_ticks(axis.xaxis)
     if panel.log_y:
         _readable_ticks(axis.yaxis)
-    axis.legend(fontsize=6, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+    else:
+        _share_axis(axis, max(p.error for p in panel.points))
+    axis.legend(fontsize=7.5, loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
+
+
+def _share_axis(axis: Any, most: float) -> None:
+    """Show shares from none to all, or to somewhat more than the most where that is a tenth at the most."""
+    top = 1.0 if most > 0.15 or most == 0 else 1.2 * most
+    # A little below zero, so that marks at zero are whole; labels stand from zero on.
+    axis.set_ylim(-0.05 * top, 1.05 * top)
+    axis.set_yticks([tick for tick in MaxNLocator(6).tick_values(0.0, top) if 0 <= tick <= 1.001 * top])
+    axis.yaxis.set_major_formatter(PercentFormatter(1.0))
+
+
+_RING, _LABEL, _CLEAR = 15.0, 8.0, 10.0
+"""In points: a ring's diameter, the height of a label's letters, and the width that a mark is given."""
+_AWAY = np.array([0.0, 6.0, 12.0, 20.0, 30.0, 42.0])
+"""Distances between mark and label that are tried, in points; a line leads over those from `_LED` on."""
+_LED = 10.0
+_SIDES = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0), (0, 1), (0, -1)])
+
+
+def _label_settings(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) -> None:
+    """Write each setting beside its mark, where it covers least of marks, rings, the front and other labels."""
+    unit = axis.figure.dpi / 72
+    renderer = axis.figure._get_renderer()
+
+    def pixels(points: Sequence[Point]) -> Array:
+        return axis.transData.transform([(p.seconds, _height(panel, p.error)) for p in points])
+
+    spots, front = pixels(panel.points), pixels(panel.front)
+    clear = [unit * (_RING + 2 if p.default else _CLEAR) for p in panel.points]
+    taken = [_box(spot, size) for spot, size in zip(spots, clear, strict=True)]
+    for one, other in pairwise(front):
+        corner = np.array([other[0], one[1]])
+        taken += [_box((a + b) / 2, np.abs(b - a) + 4 * unit) for a, b in ((one, corner), (corner, other))]
+    for p, spot, size in zip(panel.points, spots, clear, strict=True):
+        if not p.setting:
+            continue
+        look = {"textcoords": "offset points", "xy": (p.seconds, _height(panel, p.error)), "in_layout": False}
+        colour = looks[p.method][1]
+        text = axis.annotate(p.setting, xytext=(0, 0), fontsize=_LABEL, color=colour, ha="center", va="center", **look)
+        extent = np.array([*text.get_window_extent(renderer).size])
+        away = np.repeat(_AWAY, len(_SIDES))
+        offsets = np.tile(_SIDES, (len(_AWAY), 1)) * (size / 2 + unit * away[:, None] + extent / 2)
+        boxes = np.array([_box(spot + offset, extent) for offset in offsets])
+        outside = extent.prod() - _common(boxes, axis.bbox.extents)
+        cost = sum(_common(boxes, other) for other in taken) + 10 * outside + away
+        best = int(np.argmin(cost))
+        text.set_position(offsets[best] / unit)
+        taken.append(boxes[best])
+        if away[best] >= _LED:
+            line = {"arrowstyle": "-", "color": colour, "linewidth": 0.5, "shrinkA": 2, "shrinkB": 3}
+            axis.annotate("", xytext=offsets[best] / unit, arrowprops=line, **look)
+
+
+def _box(middle: Array, size: Array | float) -> Array:
+    """Return left, bottom, right and top."""
+    return np.concatenate([middle - np.divide(size, 2), middle + np.divide(size, 2)])
+
+
+def _common(boxes: Array, other: Array) -> Array:
+    """Return the areas that boxes (K, 4) share with another."""
+    return np.clip(np.minimum(boxes[:, 2:], other[2:]) - np.maximum(boxes[:, :2], other[:2]), 0, None).prod(axis=1)
 
 
 def _readable_ticks(axis: Any, many: float = _MANY) -> None:

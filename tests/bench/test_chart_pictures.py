@@ -1,0 +1,51 @@
+"""What a chart's picture must be: labels that can be read, and no shares below zero."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+from matplotlib.text import Annotation
+
+from dpcontrol.bench.chart import Panel, Point, PrecisionChart
+from dpcontrol.bench.run import figure
+
+LEAST = 7.5
+"""Points; of 5.5 nothing can be read where the README shows the picture."""
+
+
+def drawn(*panels: Panel):
+    """Return the picture's axes, laid out as when it is saved."""
+    picture = figure(PrecisionChart("x", "title", ("1", "2", "3"), "", panels))
+    picture.draw_without_rendering()
+    return picture.axes
+
+
+def test_labels_are_legible_and_cover_neither_marks_nor_rings_nor_one_another() -> None:
+    rng = np.random.default_rng(4)
+    spots = 10.0 ** rng.uniform([-4, -10], [-1, 0], (16, 2))
+    points = [Point(f"m{k % 4}", f"1e-{k:02d}", *spot, default=k % 5 == 0) for k, spot in enumerate(spots.tolist())]
+    # Two nearly in one place, the first with its ring.
+    points.append(Point("m1", "beside", 1.05 * spots[0, 0], spots[0, 1]))
+    (axes,) = drawn(Panel("crowded", "s", "error", tuple(points)))
+    labels = {t.get_text(): t for t in axes.texts if isinstance(t, Annotation) and t.get_text()}
+    assert set(labels) == {p.setting for p in points}
+    assert min(label.get_fontsize() for label in labels.values()) >= LEAST
+    boxes = [label.get_window_extent() for label in labels.values()]
+    assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
+    unit = axes.figure.dpi / 72
+    for point in points:
+        spot = axes.transData.transform((point.seconds, point.error))
+        radius = unit * (15 / 2 if point.default else 3)
+        for box in boxes:
+            assert np.hypot(*(spot - np.clip(spot, box.min, box.max))) >= radius
+
+
+@pytest.mark.parametrize("shares", [(0.0, 0.0), (0.0, 0.4), (0.0, 0.12)])
+def test_shares_are_shown_from_none_up_and_never_below(shares: tuple[float, float]) -> None:
+    points = tuple(Point("m", f"{k}", 1.0 + k, share, default=k == 0) for k, share in enumerate(shares))
+    (axes,) = drawn(Panel("failures", "s", "share that fails", points, log_y=False))
+    ticks = axes.get_yticks()
+    assert ticks.min() == 0.0
+    assert 0.1 <= ticks.max() <= 1.0
+    assert axes.get_ylim()[0] > -0.1 * axes.get_ylim()[1]
+    assert axes.yaxis.get_major_formatter()(0.4).endswith("%")
