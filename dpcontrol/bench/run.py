@@ -10,7 +10,6 @@ different machines, and of a busy one, can be held against each other.
 """
 
 import json
-import math
 import os
 import platform
 import time
