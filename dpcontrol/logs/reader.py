@@ -12,7 +12,7 @@ takes the numbers of thousands of ticks out. Source: the MCAP format specificati
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from io import BytesIO
@@ -43,6 +43,9 @@ _RECORD = struct.Struct("<BQH")
 """Of a record: opcode and length, and of a message its channel."""
 _BATCH_BYTES = 4_000_000
 LARGEST_CHUNK = 1 << 28
+_FOREIGN_CHUNKS = 20
+"""Chunks of another program's file in which topics are looked for."""
+_SHOWN_TOPICS = 5
 _AGAIN = "make it again with `dpcontrol run`"
 MALFORMED = (
     McapError,
@@ -113,10 +116,10 @@ class VerifiedFile:
         """What a tick of the log holds, by its own description."""
         described = self.metadata.get(layout.LAYOUT_RECORD)
         if described is None:
-            writer = f" (written by {self.library})" if self.library else ""
             raise InputError(
-                f"{self.path}{writer} is not a log of dpcontrol: it lacks the metadata record {layout.LAYOUT_RECORD}; "
-                "give a log of `dpcontrol run`"
+                f"{self.path}{self._writer} is not a log of `dpcontrol run`: it lacks the metadata record "
+                f"{layout.LAYOUT_RECORD}{self._no_measurements()}; give a log of `dpcontrol run`, or bring a "
+                "recording of the bench in by `dpcontrol import`, from CSV, Parquet or MATLAB"
             )
         if unsealed(layout.LAYOUT_RECORD, described) is None and described.get("format") == layout.FORMAT:
             raise ValueError(f"the checksum of {layout.LAYOUT_RECORD} differs")
@@ -144,23 +147,76 @@ class VerifiedFile:
                 pending, size = [], 0
 
     def _batch(self, data: bytes) -> "Batch":
-        batch = Batch(data, self.tick)
-        for opcode, start, end in batch.declared:
-            self.note(opcode, data[start:end])
+        try:
+            batch = Batch(data, self.tick)
+        except ValueError:
+            # Ticks that are not as described mislead the walk over them; the channels may say why they are not.
+            self._declare(Batch(data))
+            self._check_channels()
+            raise
+        self._declare(batch)
         return batch
 
+    def _declare(self, batch: "Batch") -> None:
+        for opcode, start, end in batch.declared:
+            self.note(opcode, batch.data[start:end])
+
     def _check_channels(self) -> None:
-        by_topic = {channel.topic: channel for channel in self.channels.values()}
-        for topic, (name, definition) in self.tick.schemas.items():
-            channel, due = by_topic.get(topic), self.tick.channels[topic]
-            schema = self.schemas.get(channel.schema_id) if channel else None
-            encoding, number = (channel.message_encoding, channel.id) if channel else ("", None)
-            if schema is None or schema.data != definition or encoding != "cdr" or number != due:
-                found = f"channel {number}: {schema.name if schema else 'no schema'} in {encoding or 'no encoding'}"
-                raise InputError(
-                    f"{self.path}: topic {topic} is on {found}, not on channel {due}: {name} "
-                    "in cdr as in a log of `dpcontrol run`; give the log as it was written"
-                )
+        check_channels(self.path, self.tick, schemas=self.schemas, channels=self.channels, writer=self._writer)
+
+    @property
+    def _writer(self) -> str:
+        return f" (written by {self.library})" if self.library else ""
+
+    def _no_measurements(self) -> str:
+        """Return what keeps /joint_states of a foreign file from being a log's; empty where nothing does."""
+        decompressor = zstandard.ZstdDecompressor()
+        # A file that is another program's may be anything: what does not read has no channels.
+        with suppress(*MALFORMED):
+            for chunk in self.chunks[:_FOREIGN_CHUNKS]:
+                self._declare(Batch(unpacked(chunk, decompressor)))
+        kind, definition = layout.JOINT_STATE
+        channel = next((c for c in self.channels.values() if c.topic == layout.MEASURED), None)
+        if channel is None:
+            there = ", ".join(sorted({c.topic for c in self.channels.values()})[:_SHOWN_TOPICS])
+            return f" and the topic {layout.MEASURED} ({kind} in cdr); it has {there or 'no topics'}"
+        found = _other_messages(channel, self.schemas, kind, definition)
+        return f", and {layout.MEASURED} holds {found}, not {kind} in cdr" if found else ""
+
+
+def _other_messages(channel: Channel, schemas: Mapping[int, Schema], name: str, definition: bytes) -> str:
+    """Return what a channel holds instead of messages `name` in CDR; empty where it holds these."""
+    schema = schemas.get(channel.schema_id)
+    encoding = channel.message_encoding or "no encoding"
+    if schema is None or schema.name != name or encoding != "cdr":
+        return f"{schema.name if schema else 'messages without a schema'} in {encoding}"
+    return "" if schema.data == definition else "messages of that name with other fields"
+
+
+def check_channels(
+    path: Path, tick: TickLayout, *, schemas: Mapping[int, Schema], channels: Mapping[int, Channel], writer: str = ""
+) -> None:
+    """Reject a log whose channels are not those that its layout describes, as another program may have left them.
+
+    Raises:
+        InputError: a topic is missing, holds other messages or has another number; says which.
+    """
+    by_topic = {channel.topic: channel for channel in channels.values()}
+    remedy = "give the log as `dpcontrol run` wrote it"
+    if missing := [topic for topic in tick.schemas if topic not in by_topic]:
+        raise InputError(
+            f"{path}{writer} lacks {', '.join(missing)}, which its own description names: another program has taken "
+            f"topics out; {remedy}"
+        )
+    for topic, (name, definition) in tick.schemas.items():
+        if found := _other_messages(by_topic[topic], schemas, name, definition):
+            raise InputError(f"{path}{writer}: topic {topic} holds {found}, not {name} in cdr; {remedy}")
+    for topic, due in tick.channels.items():
+        if by_topic[topic].id != due:
+            raise InputError(
+                f"{path}{writer}: another program has numbered the channels anew ({topic} is channel "
+                f"{by_topic[topic].id} instead of {due}); {remedy}"
+            )
 
 
 def unpacked(chunk: memoryview, decompressor: zstandard.ZstdDecompressor) -> bytes:

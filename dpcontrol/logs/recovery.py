@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 import zstandard
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Metadata
+from mcap.records import Attachment, Channel, Metadata, Schema
 
 import dpcontrol
 from dpcontrol.foundation.errors import InputError
@@ -36,6 +36,7 @@ from dpcontrol.logs.reader import (
     LARGEST_CHUNK,
     MALFORMED,
     Batch,
+    check_channels,
     described_layout,
     gathered,
     parsed,
@@ -57,6 +58,7 @@ class SoundChunk:
     """A chunk whose checksum agrees: its record's body, size and checksum unpacked, and what messages it holds.
 
     sequences: first and last sequence number by channel. times: first and last tick in ns, or None without ticks.
+    schemas, channels: by number, that it declares.
     """
 
     body: memoryview
@@ -64,6 +66,8 @@ class SoundChunk:
     checksum: int
     sequences: Mapping[int, tuple[int, int]]
     times: tuple[int, int] | None
+    schemas: Mapping[int, Schema]
+    channels: Mapping[int, Channel]
 
     @property
     def identity(self) -> tuple[int, int, tuple[tuple[int, tuple[int, int]], ...]]:
@@ -143,7 +147,10 @@ def _chunk(body: memoryview) -> SoundChunk:
         sequences[channel] = (int(heads["sequence"][0]), int(heads["sequence"][1]))
         if channel == layout.MEASURED_CHANNEL:
             times = (int(heads["log_time"][0]), int(heads["log_time"][1]))
-    return SoundChunk(body, size, checksum, sequences, times)
+    declared = [parsed(opcode, batch.data[start:end]) for opcode, start, end in batch.declared]
+    schemas = {record.id: record for record in declared if isinstance(record, Schema)}
+    channels = {record.id: record for record in declared if isinstance(record, Channel)}
+    return SoundChunk(body, size, checksum, sequences, times, schemas, channels)
 
 
 def _walked(body: memoryview) -> tuple[int, Batch]:
@@ -203,6 +210,7 @@ def recover(path: Path | str, out: Path | None = None, *, progress: Progress = n
         raise InputError(f"{path} cannot be recovered: {_nothing(found)}; make the log again with `dpcontrol run`")
     try:
         tick = described_layout(path, described)
+        _check_declared(path, tick, found.chunks)
         chunks = _in_order(path, found.chunks)
         done = _account(path, found, chunks, described=described, tick=tick)
     except MALFORMED as error:
@@ -213,6 +221,14 @@ def recover(path: Path | str, out: Path | None = None, *, progress: Progress = n
     done = replace(done, log=_free_name(path) if out is None else Path(out))
     _write(found, chunks, described=described, tick=tick, done=done, progress=part_of(progress, 0.6, 1.0))
     return done
+
+
+def _check_declared(path: Path, tick: TickLayout, chunks: Sequence[SoundChunk]) -> None:
+    """Reject a log that another program has rewritten; one that lost its declarations is rebuilt without them."""
+    schemas = {number: schema for chunk in chunks for number, schema in chunk.schemas.items()}
+    channels = {number: channel for chunk in chunks for number, channel in chunk.channels.items()}
+    if channels:
+        check_channels(path, tick, schemas=schemas, channels=channels)
 
 
 def _free_name(path: Path) -> Path:
@@ -244,7 +260,9 @@ def _several(path: Path) -> InputError:
 def _nothing(found: Salvage) -> str:
     if layout.LAYOUT_RECORD in found.metadata:
         return "not one whole tick is in it"
-    return "the description of its layout is damaged" if found.chunks else "it ends before its first tick"
+    if not found.chunks:
+        return "it ends before its first tick"
+    return "the description of its layout is damaged, or it is not a log of `dpcontrol run`"
 
 
 def _in_order(path: Path, chunks: Sequence[SoundChunk]) -> list[SoundChunk]:
@@ -350,7 +368,11 @@ def _write(
                 file.add_metadata(layout.RESULT_RECORD, sealed(layout.RESULT_RECORD, values))
             file.finish()
             os.fsync(stream.fileno())
-        written = read_log(temporary)
+        try:
+            written = read_log(temporary)
+        except InputError as error:
+            # The file that it names is gone by then.
+            raise InputError(f"{done.source} cannot be recovered: what was rebuilt from it does not read") from error
         if len(written.time) != done.ticks or tuple(written.attachments) != done.attachments:
             raise InputError(f"{done.source} cannot be recovered: what was rebuilt from it does not read back the same")
     progress("writing what is sound", 1.0)

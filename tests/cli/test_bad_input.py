@@ -341,7 +341,7 @@ FOREIGN: dict[str, tuple[Callable[[], bytes], str]] = {
     "empty": (lambda: b"", "is empty"),
     "random bytes": (lambda: np.random.default_rng(5).bytes(4096), "is not an MCAP file"),
     "only the first bytes": (lambda: foreign_log()[:8], "is cut off"),
-    "another program's": (foreign_log, "it lacks the metadata record dpcontrol.layout; give a log of `dpcontrol run`"),
+    "another program's": (foreign_log, "it lacks the metadata record dpcontrol.layout"),
     "damaged reference": (
         lambda: log_carrying({"reference.npz": b"PK\x03\x04" + bytes(100)}),
         "reference.npz is damaged",
