@@ -223,9 +223,11 @@ def find_connections(
     count = f"{'' if complete else 'at least '}{len(found)} connections"
     status = f"{count}; unstable tube {unstable.status}; stable tube {backward.status}"
     if not even:
-        status += "; closed cuts cross one way more often than the other, so crossings were missed: search thoroughly"
+        status += "; closed cuts cross one way more often than the other, so crossings were missed"
+        status += ": try another energy" if settings.thorough else ": search thoroughly"
     if failed:
-        status += f"; {failed} crossings of the cuts did not converge: search thoroughly, or at another energy"
+        remedy = "try another energy" if settings.thorough else "search thoroughly, or at another energy"
+        status += f"; {failed} crossings of the cuts did not converge: {remedy}"
     if left:
         status += (
             f"; {left} places were left when {settings.seconds:.0f} s of processor time were over: at an energy nearer "
@@ -234,7 +236,8 @@ def find_connections(
     if tangent:
         status += f"; the tubes are tangent to rounding at {tangent}, so near a bifurcation that each may be several"
     if hidden:
-        status += "; the cuts are open (see open_cuts) where connections may lie: allow more time, or search thoroughly"
+        remedy = "try another energy" if settings.thorough else "search thoroughly"
+        status += f"; the cuts are open (see open_cuts) where connections may lie: allow more time, or {remedy}"
     elif unstable.open_ends or backward.open_ends:
         status += "; the cuts are open (see open_cuts), so crossings beyond their ends belong to other hits"
     progress("connections", 1.0)

@@ -161,7 +161,7 @@ def refined(sampler: Sampler, start: float) -> tuple[Samples, str]:
             )
         samples = Samples.joined([samples, sampler.fly(((phases[:-1] + phases[1:]) / 2)[wide])])
         samples = samples[np.argsort(samples.phases, kind="stable")]
-    return samples, f"branch {sampler.branch:+d}: {settings.most_points} points leave wide chords; allow more"
+    return samples, f"branch {sampler.branch:+d}: {settings.most_points} points leave wide chords; allow less time"
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,9 @@ Source: Koon, Lo, Marsden, Ross, Heteroclinic connections between periodic orbit
 celestial mechanics (2000), section 4; Kaheman et al. (2023), section 3.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,6 +140,11 @@ class ConnectionSettings:
     finest: float = 0.003
     seconds: float = np.inf
 
+    @property
+    def thorough(self) -> bool:
+        """Whether a search goes on for as long as it may: to advise a thorough one would not help."""
+        return bool(np.isfinite(self.seconds))
+
 
 MOST_PERIODS = 1000.0
 
@@ -202,7 +208,10 @@ class TubeSide:
 
 @dataclass(frozen=True)
 class Intersection:
-    """Where two cuts meet: phases and branches of the seeds, states on the section, whole turns, tangents, times."""
+    """Where two cuts meet: phases and branches of the seeds, states on the section, whole turns, tangents, times.
+
+    scale: of the place that led here, zero where none did.
+    """
 
     sides: tuple[TubeSide, TubeSide]
     phases: Array
@@ -210,11 +219,12 @@ class Intersection:
     turns: Array
     tangents: Array
     times: tuple[float, float]
+    scale: float = 0.0
 
 
 @dataclass(frozen=True)
 class Crossings:
-    """Where two cuts cross.
+    """Where two cuts cross, those that a coarse sampling shows first.
 
     failed: places that led to no crossing; left: places not tried, and crossings beside which none was looked for, as
     time had run out.
@@ -230,10 +240,16 @@ class _Place:
     """Where two polylines meet: phases (2,), and each cut's phases near it; `shift` (2,) brings the second to the
     first. sure: they really cross."""
 
+    sides: tuple[TubeSide, TubeSide]
     phases: Array
     spans: tuple[Array, Array]
     shift: Array
     sure: bool
+
+    @property
+    def scale(self) -> float:
+        """How many phases the more finely sampled of the cuts takes here."""
+        return min(float(span[-1] - span[0]) for span in self.spans)
 
     @property
     def reach(self) -> float:
@@ -243,6 +259,9 @@ class _Place:
     def holds(self, phases: Array) -> bool:
         """Whether phases (2,) lie within both cuts' near the place."""
         return all(span[0] <= phase <= span[-1] for span, phase in zip(self.spans, phases, strict=True))
+
+
+Meeting = TypeVar("Meeting", _Place, Intersection)
 
 
 def _turned_piece(system: System, side: TubeSide, piece: Piece) -> Piece:
@@ -271,41 +290,51 @@ def intersect_cuts(
     Where a symmetry exchanges the branches, only one branch of the unstable tube is searched.
     """
     mirrored = all(m.branches_are_mirrored for m in manifolds)
-    found: list[Intersection] = []
-    failed = left = 0
+    places: list[_Place] = []
     for branches in ((1, 1), (1, -1)) if mirrored else ((1, 1), (1, -1), (-1, 1), (-1, -1)):
-        unstable, stable = (
+        sides = tuple(
             TubeSide(m, section, k == 1, cuts[k].hit, branches[k], 2 * longest_flight(m, settings.cut) * m.orbit.period)
             for k, m in enumerate(manifolds)
         )
-        first = [piece for piece in cuts[0].pieces if piece.branch == branches[0]]
-        second = [_turned_piece(system, stable, piece) for piece in cuts[1].pieces if piece.branch == branches[1]]
-        # Those that really cross come first, and partners last, should time run out.
-        places = sorted(_places(system, section, first, second, settings), key=lambda place: not place.sure)
-        here: list[Intersection] = []
-        for start in range(0, len(places), _TOGETHER):
-            if out_of_time():
-                left += len(places) - start
-                break
-            part = places[start : start + _TOGETHER]
-            solutions = _solved(system, (unstable, stable), part, settings)
-            failed += sum(place.sure and not each for place, each in zip(part, solutions, strict=True))
-            _add(system, [one for each in solutions for one in each], here, settings)
-        alone = here.copy()
-        for start in range(0, len(alone), _TOGETHER):
-            if out_of_time():
-                left += len(alone) - start
-                break
-            _add(system, _partners(system, alone[start : start + _TOGETHER], settings), here, settings)
-        found += here
-    return Crossings(found, failed, left)
+        places += _places(system, (sides[0], sides[1]), cuts, settings)
+    # What a coarse sampling shows comes first, should time run out: where tubes scatter, ever finer pieces follow.
+    places.sort(key=lambda place: (-place.scale, not place.sure))
+    found: list[Intersection] = []
+    failed = left = 0
+    for part in _together(places):
+        if out_of_time():
+            left += len(part)
+            continue
+        solutions = _solved(system, part, settings)
+        failed += sum(place.sure and not each for place, each in zip(part, solutions, strict=True))
+        _add(system, [one for each in solutions for one in each], found, settings)
+    for part in _together(found):
+        if out_of_time():
+            left += len(part)
+            continue
+        _add(system, _partners(system, part, settings), found, settings)
+    return Crossings(sorted(found, key=lambda one: -one.scale), failed, left)
+
+
+def _together(many: Sequence[Meeting]) -> list[list[Meeting]]:
+    """Split places or crossings, in their order, into parts that are solved at once: of the same branches."""
+    parts = []
+    for start in range(0, len(many), _TOGETHER):
+        within: dict[tuple[int, int], list[Meeting]] = {}
+        for one in many[start : start + _TOGETHER]:
+            within.setdefault((one.sides[0].branch, one.sides[1].branch), []).append(one)
+        parts += within.values()
+    return parts
 
 
 def _places(
-    system: System, section: Section, first: list[Piece], second: list[Piece], settings: ConnectionSettings
+    system: System, sides: tuple[TubeSide, TubeSide], cuts: tuple[Cut, Cut], settings: ConnectionSettings
 ) -> list[_Place]:
-    """Return where the pieces of one cut meet those of the other."""
-    margin, found = settings.cut.chord * system.section_scale, []
+    """Return where the pieces of one cut's branch meet those of the other's."""
+    section, margin, found = sides[0].section, settings.cut.chord * system.section_scale, []
+    first, second = ([piece for piece in cut.pieces if piece.branch == side.branch]
+                     for cut, side in zip(cuts, sides, strict=True))  # fmt: skip
+    second = [_turned_piece(system, sides[1], piece) for piece in second]
     ways = np.array([piece.direction for piece in second])
     momenta = np.array([(p.points[:, 1].min(), p.points[:, 1].max()) for p in second]).reshape(-1, 2)
     for u in first:
@@ -314,9 +343,9 @@ def _places(
             s = second[k]
             for shift in _shifts(system, section, u, s, margin):
                 for places, sure in _meetings(u.points, s.points + shift):
-                    phases = [float(np.interp(k, np.arange(len(p.phases)), p.phases))
-                              for k, p in zip(places, (u, s), strict=True)]  # fmt: skip
-                    found.append(_Place(np.array(phases), (_span(u, places[0]), _span(s, places[1])), shift, sure))
+                    phases = np.array([np.interp(k, np.arange(len(p.phases)), p.phases)
+                                       for k, p in zip(places, (u, s), strict=True)])  # fmt: skip
+                    found.append(_Place(sides, phases, (_span(u, places[0]), _span(s, places[1])), shift, sure))
     return found
 
 
@@ -368,13 +397,12 @@ def _meetings(first: Array, second: Array) -> list[tuple[tuple[float, float], bo
     return [(place, True) for place in crossings] + [(place, False) for place in touches]
 
 
-def _solved(
-    system: System, sides: tuple[TubeSide, TubeSide], places: list[_Place], settings: ConnectionSettings
-) -> list[list[Intersection]]:
-    """Solve for the intersections near each place.
+def _solved(system: System, places: list[_Place], settings: ConnectionSettings) -> list[list[Intersection]]:
+    """Solve for the intersections near each place, of the same sides.
 
     Where Newton's method leads elsewhere, as from beside a fold thinner than a chord, the cuts are looked at closer.
     """
+    sides = places[0].sides
     solutions = _newton(
         system, sides, np.array([p.phases for p in places]), settings, np.array([p.reach for p in places])
     )
@@ -399,7 +427,7 @@ def _solved(
     )
     for k, one in zip(owners, again, strict=True):
         found[k] += [] if one is None else [one]
-    return found
+    return [[replace(one, scale=place.scale) for one in each] for place, each in zip(places, found, strict=True)]
 
 
 def _span(piece: Piece, place: float) -> Array:
@@ -499,8 +527,6 @@ def _partners(system: System, crossings: list[Intersection], settings: Connectio
     near ±√(-6a/c). The angle between the cuts does not tell: where they bend sharply a pair a hundredth of a phase
     apart may meet at 60°.
     """
-    if not crossings:
-        return []
     sides, across, flat = crossings[0].sides, [], []
     for crossing in crossings:
         left, _, right = np.linalg.svd(_slopes(crossing))
@@ -508,24 +534,27 @@ def _partners(system: System, crossings: list[Intersection], settings: Connectio
         flat.append(right[-1] / np.abs(right[-1]).max())
     phases = np.array([crossing.phases for crossing in crossings])
     beside = [_approaches(system, sides, phases + sign * _BESIDE * np.array(flat)) for sign in (-1, 1)]
-    guesses: list[Array] = []
+    owners, guesses = [], []
     for k, (crossing, *pair) in enumerate(zip(crossings, *beside, strict=True)):
         if pair[0] is None or pair[1] is None:
             continue
         around = (_slopes(c) for c in (pair[0].crossing, crossing, pair[1].crossing))
         before, here, after = (float(across[k] @ m @ flat[k]) for m in around)
         zeros = np.roots([(before - 2 * here + after) / (6 * _BESIDE**2), (after - before) / (4 * _BESIDE), here])
-        guesses += [crossing.phases + float(s.real) * flat[k] for s in zeros
-                    if abs(s.imag) < abs(s.real) and abs(s) < _FARTHEST_PARTNER]  # fmt: skip
+        near = [float(s.real) for s in zeros if abs(s.imag) < abs(s.real) and abs(s) < _FARTHEST_PARTNER]
+        guesses += [crossing.phases + s * flat[k] for s in near]
+        owners += [crossing] * len(near)
     start = np.array(guesses).reshape(-1, 2)
-    return [one for one in _newton(system, sides, start, settings, np.full(len(start), _FARTHEST)) if one is not None]
+    solved = _newton(system, sides, start, settings, np.full(len(start), _FARTHEST))
+    return [replace(one, scale=owner.scale) for owner, one in zip(owners, solved, strict=True) if one is not None]
 
 
 def _add(
     system: System, solutions: list[Intersection], found: list[Intersection], settings: ConnectionSettings
 ) -> None:
     """Add to those found the solutions that are none of them: other points of the torus."""
+    known = np.array([other.states[0] for other in found]).reshape(-1, system.dimension)
     for one in solutions:
-        known = np.array([other.states[0] for other in found]).reshape(-1, system.dimension)
         if not (system.scaled_distance(known, one.states[0]) < settings.same).any():
             found.append(one)
+            known = np.vstack([known, one.states[0]])

@@ -6,11 +6,11 @@ from scipy.integrate import solve_ivp
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold
+from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold, local_manifold
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import CutSettings, tube_cut
-from dpcontrol.tubes.intersections import ConnectionSettings, near_touches, polyline_crossings
+from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts, near_touches, polyline_crossings
 from tests.reference_values import CONNECTIONS
 
 STATE = 1e-9  # the bar; what is reached is about 1e-12
@@ -220,7 +220,32 @@ def test_closed_cuts_that_cross_unevenly_are_refined_until_they_do_not():
     assert not coarse.complete
     assert coarse.status.startswith("at least")
     assert "more often than the other" in coarse.status
+    assert "search thoroughly" in coarse.status
     for distance in (1e-4, 5e-5):
         fine = find_connections(*orbits, settings=ConnectionSettings(distance=distance))
         assert len(fine.connections) == 12
         assert "more often" not in fine.status
+
+
+def test_a_search_out_of_time_has_refined_first_what_a_coarse_sampling_shows(monkeypatch):
+    monkeypatch.setattr("dpcontrol.tubes.intersections._TOGETHER", 1)
+    orbits = orbits_between(load_model("lab").system, "down-up", "down-up", 0.2)
+    system, settings, asked = orbits[0].system, ConnectionSettings(), iter([False] * 3)
+    manifold, section = local_manifold(orbits[0], settings.distance), system.sections["down-up", "down-up"]
+    cut = tube_cut(manifold, section, settings=settings.cut)
+    case = (system, section, (manifold, manifold), (cut, cut), settings)
+    every, some = intersect_cuts(*case), intersect_cuts(*case, out_of_time=lambda: next(asked, True))
+    scales = [one.scale for one in every.found]
+    assert scales == sorted(scales, reverse=True)
+    assert [one.scale for one in some.found] == scales[: len(some.found)]
+    assert 0 < len(some.found) < len(every.found)
+    assert some.left > 0 == every.left
+
+
+def test_a_thorough_search_that_missed_some_says_how_many_at_least_and_advises_no_thorough_one():
+    orbits = orbits_between(load_model("lab").system, "down-up", "down-up", -0.07)
+    search = find_connections(*orbits, settings=ConnectionSettings(seconds=1e-9))
+    assert not search.complete
+    assert search.status.startswith("at least 0 connections")
+    assert "places were left" in search.status
+    assert "thorough" not in search.status
