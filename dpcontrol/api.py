@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Literal
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.propagator import Section as Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.progress import Progress, no_progress, part_of, progress_bar
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.scenes.model import Model, ModelSystem, model_of
@@ -368,7 +368,7 @@ def identify(
 ) -> "Identification":
     """Identify arms from recordings of free swings: inertia ratios, friction laws, encoder zeros.
 
-    model: to start from. zeros: whether the encoders' zeros are fitted, by the segments left out by default. out: the
+    model: to start from; a recording that contradicts it is remarked on. zeros: whether the encoders' zeros are fitted, by the segments left out by default. out: the
     model file to write, for `load_model`, if any.
 
     >>> dp.identify(dp.swings(lab, count=3, seconds=1.5), model=lab).friction_terms
@@ -379,6 +379,7 @@ def identify(
     """
     from dpcontrol.identification.identify import IdentificationSettings
     from dpcontrol.identification.identify import identify as found_in
+    from dpcontrol.recordings.contradictions import contradiction
     from dpcontrol.recordings.recording import Recording
     from dpcontrol.scenes.model import write_model
 
@@ -386,6 +387,9 @@ def identify(
     choice = {None: "chosen", True: "free", False: "none"}[zeros]
     with _reporting(progress, "identify") as report:
         found = found_in(given, model.arms, settings=IdentificationSettings(zeros=choice), progress=report)
+    for one in given:
+        if against := contradiction(one, model.arms, model=model.name):
+            remark(f"{one.name}: {against}")
     if out is not None:
         names = [one.name for one in given]
         title = f"{model.title}, identified from {', '.join(names)}"

@@ -25,6 +25,7 @@ def import_command(
     mapping: str | None = option(
         help="Meaning of the columns: a name or a TOML file [.mat: by its contents; else table]."
     ),
+    model: str | None = option(help="Model of the arms, to remark on what of the recording contradicts it."),
     repair: str = option(default="", help="What may be mended, with commas: nan,time,gaps,wrap,spikes,sampling."),
     simulated: str | None = option(
         metavar="MODEL", group=SIMULATED, help="In place of a file: free swings of this model, as encoders show them."
@@ -38,10 +39,13 @@ def import_command(
 
     Gaps, repeated times, missing numbers, wrapped angles and columns that contradict each other are rejected with
     their row, and mended only where --repair says so; the log notes what was. Segments count from 0, rows from 1.
-    With --simulated the truth is known: to try `identify` and `replay` on.
+    What is odd but may be meant is remarked on: an angle that stands still, and with --model a recording that its arms
+    cannot have made. With --simulated the truth is known: to try `identify` and `replay` on.
     """
     from dpcontrol import api
+    from dpcontrol.foundation.errors import remark
     from dpcontrol.foundation.files import checked_other_file
+    from dpcontrol.recordings.contradictions import constant_angles, contradiction
     from dpcontrol.recordings.importing import import_recording
     from dpcontrol.recordings.recording import write_recording
     from dpcontrol.scenes.model import load_model
@@ -51,6 +55,7 @@ def import_command(
     if file is not None and out is not None:
         checked_other_file(out, file, what="the recording to import")
     repairs = [name.strip() for name in repair.split(",") if name.strip()]
+    own = None if model is None else load_model(model)
     with progress_bar("import") as progress:
         if file is None:
             recording = api.swings(load_model(str(simulated)), count=swings, seconds=seconds, seed=seed)
@@ -58,7 +63,11 @@ def import_command(
             recording = import_recording(file, mapping, repairs=repairs, progress=progress)
         progress("writing", 0.7)
         log = write_recording(recording, out or Path("logs") / f"{recording.name}.mcap")
-    document = {"log": log, "source": file or recording.source, **recording.document()}
+    against = "" if own is None else contradiction(recording, own.arms, model=own.name)
+    remarks = [*constant_angles(recording), *filter(None, [against])]
+    for sentence in remarks:
+        remark(f"{file or recording.source}: {sentence}")
+    document = {"log": log, "source": file or recording.source, **recording.document(), "remarks": remarks}
     return Answer(document, _import_text(recording, document))
 
 
@@ -191,8 +200,10 @@ def replay_command(
     reference: `dpcontrol review` shows both together. Where the cart moved, as in a log of `dpcontrol run`, its command
     or its recorded motion is the model's input. Encoder zeros given in the model's file are subtracted.
     """
+    from dpcontrol.foundation.errors import remark
     from dpcontrol.foundation.files import checked_other_file
     from dpcontrol.identification.replay import ReplaySettings, filter_settings, replay_recording, write_replay
+    from dpcontrol.recordings.contradictions import contradiction
     from dpcontrol.recordings.recording import load_recording
     from dpcontrol.scenes.model import load_model
 
@@ -206,6 +217,8 @@ def replay_command(
             recording, loaded.arms, filters, settings, zeros=loaded.encoder_zeros, progress=progress
         )
         written = write_replay(result, target, model=loaded.name, model_text=loaded.text)
+    if against := contradiction(recording, loaded.arms, model=loaded.name):
+        remark(f"{log}: {against}")
     document = {"log": written, "model": loaded.name, "estimator": estimator, **result.document()}
     missed = "" if all(fit.converged for fit in result.fits) else result.status
     return Answer(document, _replay_text(result, loaded.name, written), missed)

@@ -82,6 +82,7 @@ def model_command(*, model: str = argument()) -> Answer:
             name: {"value": value, "unit": unit} for name, (value, unit) in loaded.parameters.named().items()
         },
         "sources": loaded.sources,
+        "remarks": loaded.remarks,
         "equilibria": {name: picked(e, "state", "energy", "eigenvalues", "kind") for name, e in points.items()},
     }
     return Answer(document, _text(loaded, points))

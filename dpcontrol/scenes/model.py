@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import dpcontrol
+from dpcontrol.dynamics.bodies import oddities
 from dpcontrol.dynamics.chain import ArmChainParameters, Friction, Uncertainty, pendulum_system, ratio_names, unit_name
 from dpcontrol.dynamics.system import System, ThreeBodyParameters, three_body_system
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.settings import Table, parse_toml, read_toml
 
@@ -75,7 +76,7 @@ class Model:
     """A model as its file gives it: title, parameters, the source of each table, and the text itself.
 
     encoder_zeros (n,) rad: recorded absolute angles where the true ones are zero, if the file gives them;
-    uncertainty: of identified arms.
+    uncertainty: of identified arms; remarks: sentences on what is odd about its numbers.
     """
 
     name: str
@@ -86,6 +87,7 @@ class Model:
     text: str
     encoder_zeros: tuple[float, ...] = ()
     uncertainty: Uncertainty | None = None
+    remarks: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         return f"<model {self.name!r}: {self.title}>"
@@ -150,7 +152,7 @@ def model_of(system: System) -> Model:
 
 
 def load_model(name: str) -> Model:
-    """Load a model by name or path.
+    """Load a model by name or path; what is odd about its numbers is remarked on.
 
     >>> dp.load_model("lab").arms.count
     2
@@ -160,7 +162,10 @@ def load_model(name: str) -> Model:
     """
     path = find("models", name)
     table, text = read_toml(path)
-    return _model(table, text, path)
+    model = _model(table, text, path)
+    for sentence in model.remarks:
+        remark(f"{path}: {sentence}")
+    return model
 
 
 def model_from(text: str, name: str) -> Model:
@@ -204,6 +209,7 @@ def _model(table: Table, text: str, path: Path) -> Model:
         )
     try:
         parameters = ArmChainParameters(**columns, gravity=acceleration, viscous=viscous, **laws)
+        remarks = oddities(parameters)
     except InputError as error:
         key = str(error).split()[0]
         home = {"acceleration": gravity}.get(key, friction if key in ("viscous", "smoothing", *Friction) else arms)
@@ -215,7 +221,7 @@ def _model(table: Table, text: str, path: Path) -> Model:
             uncertainty.check(parameters)
         except InputError as error:
             raise InputError(f"{uncertain.where()} {error}") from error
-    return Model(path.stem, path, title, parameters, sources, text, zeros, uncertainty)
+    return Model(path.stem, path, title, parameters, sources, text, zeros, uncertainty, remarks)
 
 
 def _three_body(table: Table, title: str, text: str, path: Path) -> Model:

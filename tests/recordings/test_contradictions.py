@@ -1,0 +1,86 @@
+"""Recordings that a model's arms cannot have made are remarked on; those that they made are not."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.recordings.contradictions import constant_angles, contradiction
+from dpcontrol.recordings.recording import Recording, simulated_recording
+from dpcontrol.scenes.model import load_model
+
+LAB = load_model("lab").arms
+START = [np.array([0.5, 0.8])]
+SWAP, NEGATE, STOP = [[0.0, 1.0], [1.0, 0.0]], [[1.0, 0.0], [0.0, -1.0]], [[1.0, 0.0], [0.0, 0.0]]
+
+
+@pytest.fixture(scope="module")
+def swing() -> Recording:
+    return simulated_recording(LAB, START, seconds=2.0)
+
+
+def said(recording: Recording, arms: ArmChainParameters = LAB) -> str:
+    return contradiction(recording, arms, model="lab")
+
+
+def changed(recording: Recording, matrix: list[list[float]]) -> Recording:
+    return replace(recording, angles=recording.angles @ np.array(matrix))
+
+
+@pytest.mark.parametrize("about", [{}, {"counts": 1000}, {"period": 0.01}, {"counts": 0, "period": 0.005}])
+def test_a_models_own_swings_do_not_contradict_it(about: dict[str, float]) -> None:
+    assert said(simulated_recording(LAB, START, seconds=2.0, **about)) == ""
+    assert said(simulated_recording(LAB, [np.array([0.02, 0.01])], seconds=1.0, **about)) == ""
+
+
+def test_a_model_that_is_a_tenth_off_does_not_contradict(swing: Recording) -> None:
+    arms = LAB.mismatched(0.1, np.random.default_rng(1))
+    assert said(swing, arms) == ""
+
+
+def test_exchanged_columns_contradict_the_model_and_are_named(swing: Recording) -> None:
+    text = said(changed(swing, SWAP))
+    assert "contradicts the recording" in text
+    assert "in the order 2, 1" in text
+
+
+@pytest.mark.parametrize("matrix", [NEGATE, STOP])
+def test_a_wrong_sign_or_an_angle_that_stands_still_contradicts_the_model(
+    matrix: list[list[float]], swing: Recording
+) -> None:
+    text = said(changed(swing, matrix))
+    assert "times as large" in text
+    assert "exchanged" not in text
+
+
+def test_arms_of_twice_the_length_contradict_by_half(swing: Recording) -> None:
+    twice = {name: tuple(2 * v for v in getattr(LAB, name)) for name in ("length", "centre_of_mass")}
+    assert "contradicts" in said(swing, replace(LAB, **twice, inertia=tuple(4 * v for v in LAB.inertia)))
+
+
+def test_an_angle_that_stands_still_while_others_move_is_named(swing: Recording) -> None:
+    assert constant_angles(swing) == ()
+    (text,) = constant_angles(changed(swing, STOP))
+    assert text.startswith("angle 2 is 0 rad in all 2001 samples while angle 1 moves over ")
+    assert "no angle changes" in constant_angles(changed(swing, [[0.0, 0.0], [0.0, 0.0]]))[0]
+
+
+def test_the_import_says_what_contradicts_the_model(swing: Recording, tmp_path: Path) -> None:
+    file = tmp_path / "swing.csv"
+    exchanged = np.column_stack([swing.time, swing.angles[:, ::-1]])
+    np.savetxt(file, exchanged, delimiter=",", header="time,angle_1,angle_2", comments="", fmt="%.9g")
+    mapping = tmp_path / "angles.toml"
+    mapping.write_text(
+        'title = "a test"\narm_lengths = [0.17, 0.23]\n[time]\ncolumn = "time"\nunit = "s"\n'
+        '[angles]\ncolumns = ["angle_1", "angle_2"]\nunit = "rad"\n'
+    )
+    call = ("import", file, "--mapping", mapping, "--out", tmp_path / "s.mcap", "--json")
+    assert dpcontrol(*call).document["remarks"] == []
+    ended = dpcontrol(*call, "--model", "lab")
+    assert ended.code == 0
+    (remark,) = ended.document["remarks"]
+    assert "in the order 2, 1" in remark
+    assert f"dpcontrol: {file}: {remark}" in ended.stderr
