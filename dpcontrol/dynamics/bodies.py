@@ -1,10 +1,10 @@
 """Whether arms can be of a bench: what is odd about their parameters, and what no bench has.
 
-An arm of mass m and length l with its centre a from the joint, between joint and end, has an inertia about its centre of
-at most m a (l - a), all its mass at both ends, and of zero only as a point mass, which belongs at a rod's end. It swings
-if its friction leaves gravity's torque room: with I about the joint and the largest torque G of its weight and of what
-hangs on it, a viscous coefficient beyond 2 √(G I) lets it creep down without a swing, Coulomb friction beyond G holds it
-anywhere, and the drag b λ v², λ = I/S, beyond G brakes it before it reaches the speed of a fall, v² = 4 g λ.
+An arm of mass m and length l with its centre a from the joint, between joint and end, has an inertia about its centre
+of at most m a (l - a), all its mass at both ends, and of zero only as a point mass, which belongs at a rod's end. It
+swings if its friction leaves gravity's torque room: with I about the joint and the largest torque G of its weight and
+of what hangs on it, a viscous coefficient beyond 2 √(G I) lets it creep down without a swing, Coulomb friction beyond G
+holds it anywhere, and the drag b λ v², λ = I/S, beyond G brakes it before it reaches the speed of a fall, v² = 4 g λ.
 """
 
 from collections.abc import Iterator
