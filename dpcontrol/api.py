@@ -368,8 +368,8 @@ def identify(
 ) -> "Identification":
     """Identify arms from recordings of free swings: inertia ratios, friction laws, encoder zeros.
 
-    model: to start from; a recording that contradicts it is remarked on. zeros: whether the encoders' zeros are fitted, by the segments left out by default. out: the
-    model file to write, for `load_model`, if any.
+    model: to start from; a recording that contradicts it is remarked on. zeros: whether the encoders' zeros are fitted,
+    by the segments left out by default. out: the model file to write, for `load_model`, if any.
 
     >>> dp.identify(dp.swings(lab, count=3, seconds=1.5), model=lab).friction_terms
     ('viscous',)
