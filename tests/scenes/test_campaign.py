@@ -5,6 +5,7 @@ import multiprocessing
 import os
 import pickle
 import signal
+import socket
 import subprocess
 import time
 import tracemalloc
@@ -271,31 +272,84 @@ def simulated_row(job: campaign_jobs.Job, seed: int) -> dict[str, Any]:
     }
 
 
-def killed_cluster(scene: Itinerary, file: Path, *, runs: int, batch: int) -> list[dict[str, Any]]:
-    """Return the rows of a campaign on two Dask workers, one of which is killed after the first job."""
-    distributed = pytest.importorskip("distributed", reason="the package distributed is not installed")
-    killed = []
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=2, host="127.0.0.1", dashboard_address=None, silence_logs=50
-    ) as cluster, distributed.Client(cluster) as client:  # fmt: skip
+class Cluster:
+    """A Dask scheduler and two workers, programs of their own as a lab starts them; a context manager."""
 
-        def kill(what: str, done: float) -> None:
-            if not killed and " of " in what:
-                pids = client.run(os.getpid)
-                killed.append(next(iter(pids.values())))
-                os.kill(killed[0], signal.SIGKILL)
+    def __init__(self, folder: Path) -> None:
+        pytest.importorskip("distributed", reason="the package distributed is not installed")
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.address = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+        self._log = (folder / "cluster.log").open("w")
+        self._scheduler, self.workers = self._start_scheduler(), [self._start_worker() for _ in range(2)]
 
-        settings = CampaignSettings(runs=runs, batch=batch, replayed=1, scheduler=cluster.scheduler_address)
-        run_campaign(make_plan(scene), cases_of(scene, fixed=HARD, over={}), file, settings=settings, progress=kill)
-    assert killed
-    return read_rows(file)[0]
+    def _start(self, what: str, *arguments: str) -> subprocess.Popen[bytes]:
+        call = [PROGRAM.with_name("dask"), what, *arguments]
+        return subprocess.Popen(call, stdout=self._log, stderr=self._log, start_new_session=True)
+
+    def _start_scheduler(self) -> subprocess.Popen[bytes]:
+        host, port = self.address.removeprefix("tcp://").split(":")
+        return self._start("scheduler", "--host", host, "--port", port, "--no-dashboard")
+
+    def _start_worker(self) -> subprocess.Popen[bytes]:
+        return self._start("worker", self.address, "--nthreads", "2", "--no-dashboard", "--host", "127.0.0.1")
+
+    def kill_worker(self) -> None:
+        """Kill the process in which a worker runs jobs; its keeper starts another."""
+        works = [p for p in psutil.Process(self.workers[0].pid).children() if "spawn_main" in " ".join(p.cmdline())]
+        works[0].kill()
+
+    def restart_scheduler(self) -> None:
+        """Kill the scheduler, and start another at its address, with workers: Dask's own end with it."""
+        self._scheduler.kill()
+        self._scheduler.wait()
+        self._end(self.workers)
+        self._scheduler, self.workers = self._start_scheduler(), [self._start_worker() for _ in range(2)]
+
+    def __enter__(self) -> "Cluster":
+        from distributed import Client
+
+        with Client(self.address, timeout="60s") as client:
+            client.wait_for_workers(2, timeout=60)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._end([self._scheduler, *self.workers])
+        self._log.close()
+
+    @staticmethod
+    def _end(programs: list[subprocess.Popen[bytes]]) -> None:
+        for program in programs:
+            with suppress(ProcessLookupError):
+                os.killpg(program.pid, signal.SIGKILL)
+            program.wait()
+
+
+def on_failing_cluster(scene: Itinerary, file: Path, *, runs: int, batch: int) -> Campaign:
+    """Return a campaign on a cluster whose worker is killed after the first job, its scheduler after the third."""
+    happened = []
+    with Cluster(file.parent) as cluster:
+        fates = {"1 of": cluster.kill_worker, "3 of": cluster.restart_scheduler}
+
+        def fate(what: str, done: float) -> None:
+            for when, happens in fates.items():
+                if what.startswith(when):
+                    happens()
+                    happened.append(when)
+
+        settings = CampaignSettings(runs=runs, batch=batch, replayed=1, scheduler=cluster.address)
+        cases = cases_of(scene, fixed=HARD, over={})
+        found = run_campaign(make_plan(scene), cases, file, settings=settings, progress=fate)
+    assert happened == list(fates)
+    return found
 
 
 @pytest.mark.slow
-def test_a_killed_dask_worker_changes_nothing_in_the_table(
+def test_a_killed_dask_worker_and_a_restarted_scheduler_change_nothing_in_the_table(
     turn: Itinerary, undisturbed: list[dict[str, Any]], tmp_path: Path
 ) -> None:
-    assert killed_cluster(turn, tmp_path / "cluster.parquet", runs=24, batch=4) == undisturbed
+    on_failing_cluster(turn, tmp_path / "cluster.parquet", runs=24, batch=4)
+    assert read_rows(tmp_path / "cluster.parquet")[0] == undisturbed
 
 
 @pytest.mark.slow
@@ -369,7 +423,14 @@ def test_a_score_is_the_mean_share_over_the_kinds(turn: Itinerary, tmp_path: Pat
 
 
 @pytest.mark.benchmark
-def test_a_thousand_runs_with_a_killed_dask_worker_give_the_same_table(turn: Itinerary, tmp_path: Path) -> None:
-    whole = tmp_path / "whole.parquet"
-    campaign(turn, whole, runs=1000, batch=64, workers=2)
-    assert killed_cluster(turn, tmp_path / "cluster.parquet", runs=1000, batch=64) == read_rows(whole)[0]
+def test_a_thousand_runs_with_a_killed_dask_worker_and_a_restarted_scheduler_give_the_same_table(
+    turn: Itinerary, tmp_path: Path
+) -> None:
+    whole, cluster = tmp_path / "whole.parquet", tmp_path / "cluster.parquet"
+    quiet = campaign(turn, whole, runs=1000, batch=64, workers=2)
+    failing = on_failing_cluster(turn, cluster, runs=1000, batch=64)
+    assert read_rows(cluster)[0] == read_rows(whole)[0]
+    figures = [
+        {k: v for k, v in found.document().items() if k not in ("seconds", "file")} for found in (quiet, failing)
+    ]
+    assert figures[0] == figures[1]
