@@ -93,10 +93,10 @@ class Unsealed(ValueError):
 
 
 class Message(NamedTuple):
-    """A packet without its head: kind, count and what follows the head."""
+    """A packet without its head: kind, the head's count, and what follows the head."""
 
     kind: Kind
-    count: int = 0
+    number: int = 0
     body: bytes = b""
 
 
@@ -278,7 +278,7 @@ def refusal(data: bytes, why: str) -> bytes:
     """Return an unsealed BYE that the sender of the HELLO `data`, of version 1 or of ours, understands."""
     said = bye(why)
     if data[4] == 1:
-        return _OLD_HEAD.pack(MAGIC, 1, said.kind, said.count) + said.body
+        return _OLD_HEAD.pack(MAGIC, 1, said.kind, said.number) + said.body
     session = int.from_bytes(data[_OLD_HEAD.size : _OLD_HEAD.size + 8], "little")
     return packed(said, Role.BENCH, session=session, sequence=1)
 

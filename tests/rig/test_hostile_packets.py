@@ -113,8 +113,15 @@ def test_the_loop_believes_its_own_bench_only_and_counts_the_rest() -> None:
 
 def test_a_run_that_was_recorded_cannot_be_played_again() -> None:
     first, second = Toy(), Toy()
-    toys = iter([first, second])
-    with UdpBench(lambda queued: next(toys), arms=2, ticks=10_000, period=0.002, settings=PATIENT, key=KEY) as bench:
+    toys, ended = iter([first, second]), threading.Event()
+
+    def say(text: str) -> None:
+        if text.startswith("run ended"):
+            ended.set()
+
+    with UdpBench(
+        lambda queued: next(toys), arms=2, ticks=10_000, period=0.002, settings=PATIENT, key=KEY, say=say
+    ) as bench:
         thread = threading.Thread(target=bench.serve, kwargs={"runs": 2}, daemon=True)
         thread.start()
         client = Raw(bench.address, key=KEY)
@@ -126,10 +133,7 @@ def test_a_run_that_was_recorded_cannot_be_played_again() -> None:
                 next_reading(client)
                 recorded.append(client.send(packets.command(k, 1.0)))
             recorded.append(client.send(packets.bye("done")))
-            deadline = time.monotonic() + 30
-            while first.stopped_at is None and time.monotonic() < deadline:
-                time.sleep(0.01)
-            assert first.stopped_at is not None
+            assert ended.wait(30)
             for data in recorded * 3:
                 client.socket.send(data)
             # It still serves whoever asks anew.
