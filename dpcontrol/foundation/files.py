@@ -1,5 +1,7 @@
 """Files that are either whole or absent: written under a temporary name, then renamed.
 
+Files to read are regular ones: a pipe or a device never ends. What packs others says first to how much it unpacks.
+
 Files of arrays with a JSON header (NumPy's .npz): written whole, and read so that damage is reported in a sentence.
 
 Format: NumPy Enhancement Proposal 1, a zip archive of .npy files; `header` is a string of JSON among them.
@@ -7,11 +9,14 @@ Format: NumPy Enhancement Proposal 1, a zip archive of .npy files; `header` is a
 Documents: what results are in JSON's terms.
 """
 
+import errno
 import hashlib
 import json
 import math
 import os
 import re
+import stat
+import struct
 import tempfile
 import zipfile
 import zlib
@@ -38,12 +43,48 @@ def checked_target(path: Path) -> None:
         raise InputError(f"cannot write {path}: it is {what}; choose another file name")
 
 
+def checked_source(path: Path | str) -> Path:
+    """Return the path of a file to read, where it is one or there is nothing; only what is regular is ever opened.
+
+    Raises:
+        InputError: `path` is a folder, a device, a pipe or a link that leads to itself.
+    """
+    path = Path(path)
+    try:
+        mode = os.stat(path).st_mode
+    except (OSError, ValueError) as error:
+        if getattr(error, "errno", None) == errno.ELOOP:
+            raise InputError(f"cannot read {path}: it is a link that leads to itself; give a regular file") from error
+        # Whoever opens it says what there is instead, or what else is wrong.
+        return path
+    if not stat.S_ISREG(mode):
+        kinds = {stat.S_IFDIR: "a folder", stat.S_IFIFO: "a pipe", stat.S_IFSOCK: "a socket"}
+        what = kinds.get(stat.S_IFMT(mode), "a device")
+        raise InputError(f"cannot read {path}: it is {what}; give a regular file")
+    return path
+
+
+MOST_UNPACKED = 1 << 29
+"""Bytes to which a packed file may unpack: tens of times as many as the longest plans and recordings need."""
+
+
+def checked_size(size: float, what: str = "it", *, most: int = MOST_UNPACKED) -> None:
+    """Reject what would unpack to more than `most` bytes, by its headers and before it is unpacked.
+
+    Raises:
+        ValueError: says how much that is, and what is allowed.
+    """
+    if size > most:
+        raise ValueError(f"{what} would unpack to {size / 1e9:.3g} GB, and {most / 1e9:.2g} GB are allowed")
+
+
 def checked_other_file(out: Path, source: Path | str, *, what: str) -> None:
     """Reject a target that is the file being read.
 
     Raises:
         InputError: `out` is the file `source`, by whatever name; what: what that file is, as in "the log to repeat".
     """
+    checked_source(source)
     same = os.path.realpath(out) == os.path.realpath(source)
     with suppress(OSError):
         same = same or out.samefile(source)
@@ -136,11 +177,11 @@ def content_hash(*parts: str | bytes) -> str:
     return digest.hexdigest()[:16]
 
 
-_DAMAGED = (
+UNREADABLE = (
     OSError, ValueError, LookupError, TypeError, AttributeError, ArithmeticError, EOFError, MemoryError, RuntimeError,
-    SyntaxError, TokenError, zipfile.BadZipFile, zlib.error,
+    AssertionError, SyntaxError, SystemError, TokenError, zipfile.BadZipFile, zlib.error, struct.error,
 )  # fmt: skip
-"""What reading a damaged archive may raise: nothing in it can be trusted, neither sizes nor how deep it is nested."""
+"""What reading a damaged file may raise: nothing in it can be trusted, neither sizes nor how deep it is nested."""
 
 
 def write_archive(
@@ -162,21 +203,53 @@ def write_archive(
 
 
 def archive_format(path: Path | str) -> str:
-    """Return the format that a file's header names, "" where it has none or cannot be read."""
+    """Return the format that a file's header names, "" where it has none or cannot be read.
+
+    Raises:
+        InputError: it is no regular file.
+    """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return str(json.loads(str(file["header"]))["format"])
-    except _DAMAGED:
+        with zipfile.ZipFile(checked_source(path)) as packed:
+            return str(json.loads(str(_member(packed, packed.getinfo("header.npy"))))["format"])
+    except UNREADABLE:
         return ""
 
 
+def _member(packed: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
+    """Return an array of an archive.
+
+    Raises:
+        ValueError: it would unpack to more than is allowed, or its header contradicts its size.
+    """
+    checked_size(info.file_size, info.filename)
+    stream = BytesIO(packed.read(info))
+    # Only header version 1 can be of what is written here; later ones are for thousands of named fields.
+    if np.lib.format.read_magic(stream) != (1, 0):
+        raise ValueError(f"{info.filename} is of another version")
+    shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+    there = info.file_size - stream.tell()
+    if dtype.hasobject:
+        raise ValueError(f"{info.filename} holds Python objects")
+    if math.prod(shape) > MOST_UNPACKED or dtype.itemsize * math.prod(shape) != there:
+        raise ValueError(f"{info.filename} declares {' x '.join(map(str, shape))} values in {there} bytes")
+    stream.seek(0)
+    return np.lib.format.read_array(stream, allow_pickle=False)
+
+
 def is_archive(path: Path | str) -> bool:
-    """Tell by its first bytes whether a file is such an archive, whole or damaged."""
+    """Tell by its first bytes whether a file is such an archive, whole or damaged.
+
+    Raises:
+        InputError: it is no regular file.
+    """
     try:
-        with Path(path).open("rb") as file:
-            return file.read(4) == b"PK\x03\x04"
+        with checked_source(path).open("rb") as file:
+            return file.read(4) == _ZIP
     except OSError:
         return False
+
+
+_ZIP = b"PK\x03\x04"
 
 
 @contextmanager
@@ -191,9 +264,13 @@ def archive(
     Raises:
         InputError: there is no such file, or it is damaged or of another kind; says which.
     """
+    packed_rightly = not isinstance(path, Path | str) or is_archive(path) or not Path(path).exists()
     try:
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
+        if not packed_rightly:
+            raise ValueError("it is no .npz file")
+        with zipfile.ZipFile(path) as packed:
+            checked_size(sum(info.file_size for info in packed.infolist()))
+            arrays = {info.filename.removesuffix(".npy"): _member(packed, info) for info in packed.infolist()}
         header = json.loads(str(arrays.pop("header")))
         if header["format"] != format:
             raise ValueError(f"its format is {header['format']!r}")
@@ -203,10 +280,8 @@ def archive(
         yield header, arrays
     except FileNotFoundError as error:
         raise InputError(f"there is no {what.partition(' ')[2]} {path}; {make}") from error
-    except (*_DAMAGED, InputError) as error:
+    except (*UNREADABLE, InputError) as error:
         reason = f"it lacks {error}" if isinstance(error, KeyError) else str(error)[:200] or type(error).__name__
-        # What is no archive at all numpy takes for pickled data, and advises to trust it.
-        reason = "it is no .npz file" if "pickle" in reason else reason
         raise InputError(f"{path} is not {what} of dpcontrol, or is damaged: {reason}; {again}") from error
 
 

@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING, NamedTuple, NoReturn
 
 import numpy as np
 import zstandard
+from lz4.frame import LZ4FrameDecompressor
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -30,6 +31,7 @@ from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import checked_size, checked_source
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import CHUNK_HEAD, MAGIC, ZSTD, partials_of, unsealed
 from dpcontrol.logs.layout import TickLayout
@@ -42,7 +44,8 @@ Array = NDArray[np.float64]
 _RECORD = struct.Struct("<BQH")
 """Of a record: opcode and length, and of a message its channel."""
 _BATCH_BYTES = 4_000_000
-LARGEST_CHUNK = 1 << 28
+LARGEST_CHUNK, LARGEST_LOG = 1 << 28, 1 << 33
+"""Bytes to which a chunk, and all of a log, may unpack: five hours at 1 kHz."""
 _FOREIGN_CHUNKS = 20
 """Chunks of another program's file in which topics are looked for."""
 _SHOWN_TOPICS = 5
@@ -226,10 +229,17 @@ def unpacked(chunk: memoryview, decompressor: zstandard.ZstdDecompressor) -> byt
         Exception: one of `MALFORMED`: it does not unpack, or not to what its checksum says.
     """
     _, _, size, checksum, kind, packed = CHUNK_HEAD.unpack_from(chunk)
-    if kind != ZSTD or size > LARGEST_CHUNK:
-        stream, length = get_chunk_data_stream(Chunk.read(ReadDataStream(BytesIO(chunk))), validate_crc=True)
-        return stream.read(length)
-    content = decompressor.decompress(chunk[CHUNK_HEAD.size :], max_output_size=size)
+    checked_size(size, most=LARGEST_CHUNK)
+    if kind == ZSTD:
+        content = decompressor.decompress(chunk[CHUNK_HEAD.size :], max_output_size=size)
+    else:
+        other = Chunk.read(ReadDataStream(BytesIO(chunk)))
+        if other.compression != "lz4":
+            stream, length = get_chunk_data_stream(other, validate_crc=True)
+            return stream.read(length)
+        # The package itself would unpack all that there is, whatever the chunk says.
+        content = LZ4FrameDecompressor().decompress(other.data, max_length=size + 1)
+        packed = len(chunk) - CHUNK_HEAD.size
     if len(content) != size or packed != len(chunk) - CHUNK_HEAD.size or zlib.crc32(content) != checksum:
         raise ValueError("its checksum or its size differs")
     return content
@@ -259,7 +269,7 @@ def recorded_bytes(path: Path) -> bytes:
         InputError: there is no such file, or it cannot be read or is empty.
     """
     try:
-        data = path.read_bytes()
+        data = checked_source(path).read_bytes()
     except FileNotFoundError as error:
         left = partials_of(path)
         remedy = f"a run left {left[-1]}: {_recover(left[-1])}" if left else f"check the name or {_AGAIN}"
@@ -338,6 +348,7 @@ def open_verified(path: Path) -> VerifiedFile:
                 break
             if opcode != Opcode.MESSAGE_INDEX:
                 file.note(opcode, view[start:end])
+        checked_size(sum(CHUNK_HEAD.unpack_from(chunk)[2] for chunk in file.chunks), most=LARGEST_LOG)
     except MALFORMED as error:
         damaged(path, f"a record does not read: {error}", cause=error)
     with file.decoding():

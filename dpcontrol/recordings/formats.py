@@ -6,6 +6,7 @@ Source: MathWorks, MAT-File Format (the version 5 format that scipy reads).
 """
 
 import csv
+import math
 import re
 import struct
 import zlib
@@ -17,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import UNREADABLE, checked_size, checked_source
 from dpcontrol.foundation.settings import suggest
 
 Array = NDArray[np.float64]
@@ -32,6 +34,7 @@ def read_table(path: Path, columns: Sequence[str]) -> dict[str, Array]:
     """
     import pyarrow as pa
 
+    checked_source(path)
     try:
         table = _parquet(path, columns) if path.suffix.lower() == ".parquet" else _csv(path, columns)
     except OSError as error:
@@ -39,7 +42,7 @@ def read_table(path: Path, columns: Sequence[str]) -> dict[str, Array]:
         raise InputError(
             f"cannot read {path}: {error.strerror or _reason(error)}; check the name, or save the recording again"
         ) from error
-    except (pa.ArrowException, UnicodeError, csv.Error, MemoryError) as error:
+    except (pa.ArrowException, ValueError, csv.Error, MemoryError) as error:
         raise InputError(f"{path} is not a readable table ({_reason(error)}); save the recording again") from error
     if table.num_rows == 0:
         raise InputError(f"{path} holds no rows; save the recording again")
@@ -63,6 +66,7 @@ def _parquet(path: Path, columns: Sequence[str]) -> Any:
     import pyarrow.parquet as pq
 
     file = pq.ParquetFile(path)
+    checked_size(8.0 * file.metadata.num_rows * len(columns))
     _check(path, list(file.schema_arrow.names), columns)
     return file.read(columns=list(columns))
 
@@ -126,12 +130,6 @@ _LARGEST_RATIO = 2000
 """Elements for each byte of the file; zlib makes at most 1,032 of one."""
 _MOST_SAMPLES = 10**8
 
-UNREADABLE = (
-    ValueError, TypeError, KeyError, IndexError, OSError, EOFError, NotImplementedError, OverflowError, MemoryError,
-    AttributeError, RecursionError, AssertionError, UnicodeError, SystemError, RuntimeError, zlib.error, struct.error,
-)  # fmt: skip
-"""What readers raise on a damaged file."""
-
 
 def read_matlab(path: Path) -> dict[str, Any]:
     """Return the variables of a MATLAB file by name.
@@ -139,8 +137,10 @@ def read_matlab(path: Path) -> dict[str, Any]:
     Raises:
         InputError: the file cannot be read, or is not a MATLAB file.
     """
+    checked_source(path)
     try:
-        head = path.open("rb").read(600)
+        with path.open("rb") as stream:
+            head = stream.read(600)
         size = path.stat().st_size
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}; check the name") from error
@@ -148,8 +148,10 @@ def read_matlab(path: Path) -> dict[str, Any]:
         raise InputError(f"{path} is empty; save or copy the recording again")
     try:
         if b"MATLAB 7.3" in head[:128] or b"\x89HDF\r\n\x1a\n" in head:
+            checked_size(_hdf5_size(path))
             variables = _with_objects(path)
         else:
+            checked_size(_unpacked_size(path))
             variables = _plain(path, size)
     except UNREADABLE as error:
         raise InputError(
@@ -169,11 +171,45 @@ def _plain(path: Path, size: int) -> dict[str, Any]:
     except TypeError:
         # scipy cannot tell the shape of objects.
         return _with_objects(path)
+    checked_size(sum(8 * math.prod(map(float, shape)) for _, shape, _ in declared))
     for name, shape, _ in declared:
         if np.prod([float(length) for length in shape]) > _LARGEST_RATIO * size:
             raise ValueError(f"it declares {' x '.join(map(str, shape))} values in {name}, in {size} bytes")
     variables = loadmat(path)
     return _with_objects(path) if "__function_workspace__" in variables else variables
+
+
+_PACKED = 15
+"""Type of the elements of a version 5 file that zlib has packed."""
+
+
+def _unpacked_size(path: Path) -> int:
+    """Return to how many bytes the packed variables of a version 5 file unpack, as each says at its beginning."""
+    data = path.read_bytes()
+    order = {b"IM": "<", b"MI": ">"}.get(data[126:128], "")
+    size, place = 0, 128
+    while order and place + 8 <= len(data):
+        kind, length = struct.unpack_from(f"{order}II", data, place)
+        if kind == _PACKED:
+            beginning = zlib.decompressobj().decompress(data[place + 8 : place + 8 + length], 8)
+            size += struct.unpack_from(f"{order}I", beginning, 4)[0] if len(beginning) == 8 else 0
+        place += 8 + length
+    return size
+
+
+def _hdf5_size(path: Path) -> int:
+    """Return to how many bytes the data sets of a version 7.3 file unpack."""
+    import h5py
+
+    sizes: list[int] = []
+
+    def visit(name: str, one: Any) -> None:
+        if isinstance(one, h5py.Dataset):
+            sizes.append(one.size * one.dtype.itemsize)
+
+    with h5py.File(path) as file:
+        file.visititems(visit)
+    return sum(sizes)
 
 
 def _with_objects(path: Path) -> dict[str, Any]:

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
+from dpcontrol.foundation.files import checked_source, picked
 from dpcontrol.logs import LogWriter, Mode, RunLog, control_fields, read_log
 from dpcontrol.logs.container import MAGIC
 
@@ -186,6 +186,7 @@ def load_recording(path: Path | str) -> Recording:
         InputError: the file cannot be read, is not a log, or holds too few samples.
     """
     path = Path(path)
+    checked_source(path)
     with suppress(OSError), path.open("rb") as file:
         head = file.read(len(MAGIC))
         if head != MAGIC[: len(head)]:

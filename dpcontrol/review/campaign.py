@@ -23,7 +23,7 @@ from matplotlib.ticker import MaxNLocator, PercentFormatter
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
+from dpcontrol.foundation.files import checked_size, checked_source, picked
 from dpcontrol.foundation.statistics import Share, wilson
 from dpcontrol.review import style
 from dpcontrol.review.page import new_figure, quiet
@@ -170,10 +170,12 @@ def _columns(path: Path) -> dict[str, list[Any]]:
     import pyarrow
     import pyarrow.parquet
 
-    if not path.is_file():
+    if not checked_source(path).is_file():
         raise InputError(f"there is no campaign {path}")
     try:
-        return pyarrow.parquet.read_table(path).to_pydict()
+        file = pyarrow.parquet.ParquetFile(path)
+        checked_size(8.0 * file.metadata.num_rows * file.metadata.num_columns)
+        return file.read().to_pydict()
     except (pyarrow.ArrowException, OSError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"{path} is not a Parquet table, or is damaged: {reason}; run the campaign again") from error

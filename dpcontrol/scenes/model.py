@@ -23,7 +23,7 @@ from dpcontrol.dynamics.bodies import oddities
 from dpcontrol.dynamics.chain import ArmChainParameters, Friction, Uncertainty, pendulum_system, ratio_names, unit_name
 from dpcontrol.dynamics.system import System, ThreeBodyParameters, three_body_system
 from dpcontrol.foundation.errors import InputError, remark
-from dpcontrol.foundation.files import write_whole
+from dpcontrol.foundation.files import checked_source, write_whole
 from dpcontrol.foundation.settings import Table, parse_toml, read_toml
 
 if TYPE_CHECKING:
@@ -55,6 +55,8 @@ def find(kind: str, name: str) -> Path:
     """
     given, names = Path(name), known(kind)
     is_path = given.suffix == ".toml" or given.name != name
+    if is_path:
+        checked_source(given)
     for file in [given] if is_path else [folder / f"{name}.toml" for folder in folders(kind)]:
         # A name that no file can have is an error of its own.
         with suppress(OSError, ValueError):

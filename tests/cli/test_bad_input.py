@@ -290,7 +290,7 @@ def test_a_wrong_value_in_an_itinerary_is_named(
         (b"\0" * 100, "not valid TOML"),
         (b"\x89PNG\r\n\xff\xfe", "not a text file"),
         ("title = 'é'\n".encode("latin-1"), "not a text file"),
-        (None, "there is no file"),
+        (None, "it is a folder; give a regular file"),
     ],
     ids=["empty", "prose", "zeros", "picture", "Latin-1", "folder"],
 )
