@@ -117,25 +117,28 @@ def cache_contents(*, clear: bool = False) -> CacheContents:
     """Return what the cache holds, and delete it if asked: its own files alone, whatever else the folder is for.
 
     Raises:
-        InputError: a file cannot be deleted.
+        InputError: a file cannot be deleted, or a folder not read.
     """
     root = cache_root()
     kinds: dict[str, tuple[int, int]] = {}
-    for kind in KINDS:
-        count = size = 0
-        for file in _files(root / kind):
-            # Another process may have deleted it meanwhile.
-            with suppress(FileNotFoundError):
-                length = file.stat().st_size
-                if clear:
-                    try:
-                        file.unlink()
-                    except PermissionError as error:
-                        why = f"cannot delete {file}: {error.strerror}; check who may write there"
-                        raise InputError(why) from error
-                count, size = count + 1, size + length
-        kinds[kind] = (count, size)
+    try:
+        for kind in KINDS:
+            sizes = [size for file in _files(root / kind) if (size := _size(file, clear=clear)) is not None]
+            kinds[kind] = (len(sizes), sum(sizes))
+    except OSError as error:
+        what = f"cannot {'empty' if clear else 'look into'} the cache: {error.filename}: {error.strerror}"
+        raise InputError(f"{what}; check who may read and write there, or set {VARIABLE} to another folder") from error
     return CacheContents(root, kinds, clear)
+
+
+def _size(file: Path, *, clear: bool) -> int | None:
+    """Return a file's size in bytes, and delete it if asked; None where another process has deleted it meanwhile."""
+    with suppress(FileNotFoundError):
+        size = file.stat().st_size
+        if clear:
+            file.unlink()
+        return size
+    return None
 
 
 def _files(folder: Path) -> Iterator[Path]:

@@ -104,6 +104,19 @@ def test_a_cache_that_is_not_there_is_empty(root: Path) -> None:
     assert cache_contents().entries == 0
 
 
+def test_a_cache_that_cannot_be_emptied_is_a_sentence(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    keep(cache_file("plans", "turn", KEY), b"content")
+
+    def read_only(path: Path, missing_ok: bool = False) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
+
+    monkeypatch.setattr(Path, "unlink", read_only)
+    ended = dpcontrol("cache", "--clear")
+    assert ended.code == 2
+    assert "cannot empty the cache" in ended.message
+    assert "DPCONTROL_CACHE" in ended.message
+
+
 def test_every_kind_is_written_by_what_makes_it() -> None:
     """No module keeps anything by other means than the store, which seals it."""
     package = Path(store.__file__).parents[1]

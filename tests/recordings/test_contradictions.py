@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -31,7 +32,7 @@ def changed(recording: Recording, matrix: list[list[float]]) -> Recording:
 
 
 @pytest.mark.parametrize("about", [{}, {"counts": 1000}, {"period": 0.01}, {"counts": 0, "period": 0.005}])
-def test_a_models_own_swings_do_not_contradict_it(about: dict[str, float]) -> None:
+def test_a_models_own_swings_do_not_contradict_it(about: dict[str, Any]) -> None:
     assert said(simulated_recording(LAB, START, seconds=2.0, **about)) == ""
     assert said(simulated_recording(LAB, [np.array([0.02, 0.01])], seconds=1.0, **about)) == ""
 
