@@ -26,6 +26,8 @@ SAME = 1e-12
 """Rad, m: a rotation vector from a quaternion and back."""
 WRITTEN = 1e-6
 """m: lengths stand in the URDF to six digits."""
+LEVELS = {"info": 20, "warn": 30, "error": 40}
+"""rcl_interfaces/msg/Log."""
 TOPICS = ("/joint_states", "/estimate/joint_states", "/reference/joint_states", "/truth/joint_states")
 
 Messages = dict[str, list]
@@ -89,7 +91,7 @@ def test_rosbags_reads_a_log_whole_and_sees_every_message_as_written(tmp_path: P
         assert np.array_equal(row, run.control[time // 10**6], equal_nan=True)
     assert [time for time, _ in control] == [k * 10**6 for k in range(TICKS)]
     events = [(time / 1e9, message.level, message.name, message.msg) for time, message in found.pop("/rosout")]
-    assert [(time, name, text) for time, _, name, text in events] == [(e.time, e.name, e.text) for e in log.events]
+    assert events == [(e.time, LEVELS[e.level], e.name, e.text) for e in log.events]
     links = (*frames(2, has_cart=True), *frames(2, has_cart=True, prefix="reference/"))
     for time, message in (moved := found.pop("/tf")):
         assert [(t.header.frame_id, t.child_frame_id) for t in message.transforms] == list(links)
