@@ -226,8 +226,8 @@ class Intersection:
 class Crossings:
     """Where two cuts cross, those that a coarse sampling shows first.
 
-    failed: places that led to no crossing; left: places not tried, and crossings beside which none was looked for, as
-    time had run out.
+    failed: places that led to no crossing although the cuts, looked at closer, cross there; left: places not tried, and
+    crossings beside which none was looked for, as time had run out.
     """
 
     found: list[Intersection]
@@ -305,9 +305,9 @@ def intersect_cuts(
         if out_of_time():
             left += len(part)
             continue
-        solutions = _solved(system, part, settings)
-        failed += sum(place.sure and not each for place, each in zip(part, solutions, strict=True))
-        _add(system, [one for each in solutions for one in each], found, settings)
+        solutions, unsolved = _solved(system, part, settings)
+        failed += unsolved
+        _add(system, solutions, found, settings)
     for part in _together(found):
         if out_of_time():
             left += len(part)
@@ -397,28 +397,33 @@ def _meetings(first: Array, second: Array) -> list[tuple[tuple[float, float], bo
     return [(place, True) for place in crossings] + [(place, False) for place in touches]
 
 
-def _solved(system: System, places: list[_Place], settings: ConnectionSettings) -> list[list[Intersection]]:
-    """Solve for the intersections near each place, of the same sides.
+def _solved(system: System, places: list[_Place], settings: ConnectionSettings) -> tuple[list[Intersection], int]:
+    """Solve for the intersections near places of the same sides; return them, and how many led to none.
 
     Where Newton's method leads elsewhere, as from beside a fold thinner than a chord, the cuts are looked at closer.
+    Curves that run beside each other nearer than their chords follow them may not cross there at all.
     """
     sides = places[0].sides
     solutions = _newton(
         system, sides, np.array([p.phases for p in places]), settings, np.array([p.reach for p in places])
     )
-    found = [[] if one is None else [one] for one in solutions]
+    found = [replace(one, scale=place.scale) for place, one in zip(places, solutions, strict=True) if one is not None]
     astray = [k for k, one in enumerate(solutions) if one is None or not places[k].holds(one.phases)]
     if not astray:
-        return found
+        return found, 0
     curves = []
     for which, side in enumerate(sides):
         states, *_ = side.arrive(np.concatenate([places[k].spans[which] for k in astray]))
         ends = np.cumsum([len(places[k].spans[which]) for k in astray])[:-1]
         curves.append(np.split(section_points(system, side.section, states), ends))
     owners, guesses = [], []
+    unsolved = {k for k in astray if places[k].sure and solutions[k] is None}
     for k, first, second in zip(astray, *curves, strict=True):
         if np.isfinite(first).all() and np.isfinite(second).all():
-            for closer, _ in _meetings(first, second + places[k].shift):
+            meetings = _meetings(first, second + places[k].shift)
+            if not any(sure for _, sure in meetings):
+                unsolved.discard(k)
+            for closer, _ in meetings:
                 owners.append(k)
                 guesses.append([np.interp(j, np.arange(len(span)), span)
                                 for j, span in zip(closer, places[k].spans, strict=True)])  # fmt: skip
@@ -426,8 +431,10 @@ def _solved(system: System, places: list[_Place], settings: ConnectionSettings) 
         system, sides, np.array(guesses).reshape(-1, 2), settings, np.array([places[k].reach for k in owners])
     )
     for k, one in zip(owners, again, strict=True):
-        found[k] += [] if one is None else [one]
-    return [[replace(one, scale=place.scale) for one in each] for place, each in zip(places, found, strict=True)]
+        if one is not None:
+            found.append(replace(one, scale=places[k].scale))
+            unsolved.discard(k)
+    return found, len(unsolved)
 
 
 def _span(piece: Piece, place: float) -> Array:

@@ -11,7 +11,7 @@ from itertools import product
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
-from scipy.optimize import root
+from scipy.optimize import approx_fprime, root
 from uniform_rods import uniform_rods
 
 from dpcontrol.orbits.manifold import OrbitCurve, local_manifold
@@ -24,6 +24,7 @@ pytestmark = pytest.mark.benchmark
 POINTS = 20_000
 NEIGHBOURS = 0.3  # in (q, p/p₀): farther apart they are not of one piece
 SOLVED = 1e-6  # of a root, in (q, p/p₀): what differences reach where flights are sensitive
+SETTLED = 1e-8  # of a phase: beside a graze two cuts run 6e-7 apart without meeting; the next step there is 4e-6
 SAME = 1e-5  # scaled
 REFINED = 1e-9  # rad, rad/s
 SECONDS = 60.0  # of processor time
@@ -128,6 +129,9 @@ def brute_force(system, saddles, energy):
         for guess in crossings(first, second):
             solved = root(gap, guess, options={"eps": 1e-12, "xtol": 1e-13})
             if np.abs(gap(solved.x)).max() > SOLVED or np.abs(solved.x - guess).max() > 3 / POINTS:
+                continue
+            slopes = approx_fprime(solved.x, gap, 1e-9)
+            if not np.abs(np.linalg.lstsq(slopes, gap(solved.x))[0]).max() < SETTLED:
                 continue
             state = first.states(solved.x[:1])[0]
             images = [state] if branch < 0 or not all(m.branches_are_mirrored for m in manifolds) else [state, -state]
