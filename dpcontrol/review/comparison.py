@@ -173,6 +173,11 @@ def _plain(name: str) -> str:
     return re.sub(r"[^A-Za-z0-9]+", "_", name)
 
 
+def _home(k: int, run: ComparedRun) -> str:
+    """Return the place of a run's strips in a recording, which the viewer shows."""
+    return f"{k + 1}_{_plain(run.name)}"
+
+
 Array = NDArray[np.float64]
 
 _WIDE = 16.0
@@ -269,8 +274,8 @@ def write_comparison_recording(comparison: RunComparison, path: Path) -> None:
         for k, run in enumerate(runs):
             rerun_recording.draw_pendulum(recording, f"runs/{k + 1}/scene", run.view)
             rerun_recording.record_planes(recording, f"runs/{k + 1}/planes", run.view, boxes=boxes)
-            shown = [s for s in strips(run.view, until=comparison.span[1]) if s.key in ("1_asked", "2_done")]
-            rerun_recording.record_strips(recording, f"states/{k + 1}_{_plain(run.name)}", shown, run.view)
+            shown = [s for s in strips(run.view, until=comparison.span[1]) if s.key in ("asked", "done")]
+            rerun_recording.record_strips(recording, _home(k, run), shown, run.view)
         for chart in compared:
             rerun_recording.record_chart(recording, "plots", chart, runs[0].view)
 
@@ -292,7 +297,7 @@ def _blueprint(comparison: RunComparison, charts: Sequence[Chart], boxes: list[r
     checks = rerun_recording.plots([c for c in charts if c.key in ("tracking_error", "acceleration", "energy", "nis")])
     if any(run.view.plan.planned for run in runs):
         name = f"Itineraries, aligned at symbol {comparison.symbol}"
-        middle.insert(0, rrb.StateTimelineView(name=name, origin="/states"))
+        middle.insert(0, rrb.StateTimelineView(name=name, contents=[f"+ /{_home(k, r)}/**" for k, r in enumerate(runs)]))
     beside = rrb.Grid(*planes, grid_columns=len(runs))
     left = rrb.Vertical(rrb.Horizontal(*scenes), beside, rerun_recording.summary_view(), row_shares=[3, 4, 1.6])
     return rerun_recording.page([left, *(rrb.Vertical(*views) for views in (middle, checks) if views)], [5, 4, 4])

@@ -32,8 +32,10 @@ from dpcontrol.review.series import (
     extreme_rows,
     gap_times,
     motion_charts,
+    padded,
     plane,
     strips,
+    ticked,
 )
 
 Array = NDArray[np.float64]
@@ -314,9 +316,9 @@ def blueprint(view: RunView, *, from_log: bool) -> rrb.Blueprint:
     shares = [2.0] * len(middle)
     shown = {strip.key: strip.name or "symbols" for strip in strips(view)}
     if shown:
-        words = ["itinerary as asked and done" if view.done else "itinerary as asked"] if "1_asked" in shown else []
+        words = ["itinerary as asked and done" if view.done else "itinerary as asked"] if "asked" in shown else []
         words += [name for name in shown.values() if name not in ("asked", "done")]
-        middle.insert(0, rrb.StateTimelineView(name=", ".join(words).capitalize(), origin="/states"))
+        middle.insert(0, rrb.StateTimelineView(name=", ".join(words).capitalize(), contents=[f"+ /{key}" for key in shown]))
         shares.insert(0, 2.2)
     planes = [
         plane_view(arm, "/phase_planes", bounds(plane(view, arm)), name=f"Arm {arm + 1}: rate over angle")
@@ -366,12 +368,19 @@ def summary_view() -> rrb.View:
     return rrb.TextDocumentView(name="Summary", origin=f"/{SUMMARY}")
 
 
+_FOR_NAMES = 0.06
+"""Share of a phase plane that is left free on each side."""
+
+
 def plane_view(arm: int, home: str, box: Box, *, name: str) -> rrb.View:
     """Return the view of an arm's phase plane."""
+    left, right, top, bottom = box
+    # Names of lines stand at the edge of the box.
+    wide, high = _FOR_NAMES * (right - left), _FOR_NAMES * (bottom - top)
     return rrb.Spatial2DView(
         name=name,
         origin=f"{home}/arm_{arm + 1}",
-        visual_bounds=rrb.VisualBounds2D(x_range=box[:2], y_range=box[2:]),
+        visual_bounds=rrb.VisualBounds2D(x_range=(left - wide, right + wide), y_range=(top - high, bottom + high)),
         background=PAPER,
     )
 
@@ -384,11 +393,19 @@ def plots(charts: Sequence[Chart]) -> list[rrb.View]:
             name=chart.named,
             origin=f"/plots/{chart.key}",
             plot_legend=rrb.PlotLegend(visible=chart.legend, corner=corner if chart.legend else None),
-            axis_y=rrb.ScalarAxis(range=chart.shown) if chart.shown else None,
+            axis_y=rrb.ScalarAxis(range=_shown(chart)),
         )
         for chart in charts
         if chart.key
     ]
+
+
+def _shown(chart: Chart) -> tuple[float, float] | None:
+    """Return the values that the viewer shows of a chart at first; None where it holds none."""
+    if chart.shown:
+        return ticked(*chart.shown)
+    values = np.concatenate([line.values for line in chart.lines])
+    return ticked(*padded(values)) if np.isfinite(values).any() else None
 
 
 _APPLICATION = "dpcontrol"
@@ -411,7 +428,7 @@ def write_recording(view: RunView, path: Path) -> None:
         raise InputError(f"the log {view.path} has gone; put it back and try again")
     from_log = from_log and view.time[-1] - view.time[0] <= _LONG
     with recording_to(path, view.title, blueprint(view, from_log=from_log), _summary(view)) as recording:
-        record_strips(recording, "states", strips(view), view)
+        record_strips(recording, "", strips(view), view)
         for chart in (*motion_charts(view), *check_charts(view)):
             record_chart(recording, "plots", chart, view)
         record_planes(recording, "phase_planes", view)

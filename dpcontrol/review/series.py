@@ -4,6 +4,7 @@ The viewer's recording (`rerun_recording`) and the drawn page (`page`) show the 
 page shows a chart in a handier unit by its `scale`.
 """
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -110,7 +111,9 @@ class Span:
 
 @dataclass(frozen=True)
 class Strip:
-    """Spans in the order of time; key: its place in a recording; name: on a page, "" for what only the viewer shows."""
+    """Spans in the order of time; key: its place in a recording, which the viewer shows, strips in alphabetical order;
+    name: on a page, "" for what only the viewer shows.
+    """
 
     key: str
     name: str
@@ -379,18 +382,18 @@ def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
     if view.plan.planned:
         between = [Span(a, b, "change of orbit", style.FAINT, "transfer") for a, b in view.plan.transfers]
         name = "near" if view.what == "walk" else "asked"
-        found.append(Strip("1_asked", name, (*_stays(view.plan.planned), *between)))
+        found.append(Strip("asked", name, (*_stays(view.plan.planned), *between)))
         if view.what not in ("reference", "walk"):
-            found.append(Strip("2_done", "done", (*_stays(view.done), *ended)))
+            found.append(Strip("done", "done", (*_stays(view.done), *ended)))
     if view.plan.symbols:
         moments = [begin, *(at for at, _ in view.plan.symbols), end]
         names = ["before the first", *(f"{k + 1}: {name}" for k, (_, name) in enumerate(view.plan.symbols))]
         tints = [style.FAINT, *(style.RUNS[k % len(style.RUNS)] for k in range(len(view.plan.symbols)))]
         parts = zip(pairwise(moments), names, tints, strict=True)
-        found.append(Strip("3_symbol", "", tuple(Span(a, b, name, tint, "symbol") for (a, b), name, tint in parts)))
+        found.append(Strip("symbol", "", tuple(Span(a, b, name, tint, "symbol") for (a, b), name, tint in parts)))
     modes = tuple(Span(a, b, name, style.MODES.get(name, style.FAINT), "mode") for a, b, name in mode_spans(view))
     if modes:
-        found.append(Strip("4_controller", "controller", (*modes, *ended)))
+        found.append(Strip("mode", "controller", (*modes, *ended)))
     return tuple(found)
 
 
@@ -486,6 +489,31 @@ def extreme_rows(values: Array, *, bins: int) -> NDArray[np.int64]:
         block = np.where(np.isfinite(block), block, 0.0)
     ends = np.sort(np.stack([block.argmin(axis=1), block.argmax(axis=1)], axis=1), axis=1)
     return np.unique(np.concatenate([(ends + size * np.arange(len(block))[:, None]).ravel(), [len(values) - 1]]))
+
+
+_LABELLED = 5.5
+"""Labels for which a plot of the viewer has room; of more steps every tenth is labelled, be it one or none."""
+_EDGE = 0.06
+"""Share of a plot at its edges in which a label is cut."""
+
+
+def ticked(low: float, high: float) -> Range:
+    """Return bounds about these between which the viewer, which labels multiples of a power of ten, labels two at least.
+
+    The nearer next multiple is taken in, or both where they are equally near.
+    """
+    step = 10.0 ** math.ceil(math.log10(max(high - low, 1e-12) / _LABELLED))
+    margin = _EDGE * (high - low)
+    first, last = math.ceil((low + margin) / step), math.floor((high - margin) / step)
+    if last > first:
+        return low, high
+    if last < first:
+        first, last = last, first
+    else:
+        down, up = low - (first - 1) * step, (last + 1) * step - high
+        first, last = first - (down < 1.01 * up), last + (up < 1.01 * down)
+    margin = _EDGE * (max(high, last * step) - min(low, first * step))
+    return min(low, first * step - margin), max(high, last * step + margin)
 
 
 def padded(values: Array) -> Range:

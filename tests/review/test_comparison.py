@@ -112,5 +112,5 @@ def test_the_recording_of_a_pair_is_verified_by_the_viewers_own_tool(pair: list[
             [str(program), "rrd", verb, str(tmp_path / "pair.rrd")], capture_output=True, text=True, check=False
         )
         assert done.returncode == 0, done.stderr
-    for entity in ("/runs/1/scene/arms/arm_2", "/runs/2/scene/arms/arm_2", "/plots/angle_1/2_second", "/2_done"):
+    for entity in ("/runs/1/scene/arms/arm_2", "/runs/2/scene/arms/arm_2", "/plots/angle_1/2_second", "/done"):
         assert entity in done.stdout

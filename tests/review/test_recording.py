@@ -14,6 +14,7 @@ from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
 from dpcontrol.review.motion import ACTUAL, RunView, series_of
 from dpcontrol.review.picture import open_viewer, viewer_program
 from dpcontrol.review.rerun_recording import write_recording
+from dpcontrol.review.series import ticked
 
 ACCELERATION = 1e-9  # m/s²: velocities of 1 m/s differ by rounding, over 1 ms
 
@@ -60,8 +61,8 @@ def test_a_recording_holds_scene_plots_events_and_blueprint(run: RunView, tmp_pa
         "/pendulum/visual_geometries/arm_2_link",
         "/reference_pendulum/visual_geometries/",
         "/rosout",
-        "/states/3_symbol",
-        "/states/4_controller",
+        "/symbol",
+        "/mode",
         "/plots/angles/arm_1/3_plant",
         "/plots/estimation_error/arm_2",
         "/plots/energy/down_up",
@@ -125,3 +126,19 @@ def test_logs_and_contexts_are_imported_without_the_viewer_or_matplotlib() -> No
         "assert not {'rerun', 'matplotlib'} & sys.modules.keys()\n"
     )
     subprocess.run([sys.executable, "-c", program], check=True, timeout=60)
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(-0.045, 0.045), (-4.0, 1.5), (-1.3, 10.9), (0.0, 5.6), (2.3, 2.34), (-0.2, 0.22), (11, 19)]
+)
+def test_the_viewer_labels_two_values_of_every_axis(low: float, high: float) -> None:
+    least, greatest = ticked(low, high)
+    assert least <= low
+    assert high <= greatest
+    # It labels multiples of a power of ten, where they lie some 28 of a plot's 160 pixels apart, not at its edge.
+    reach = greatest - least
+    powers = [10.0**k for k in range(-14, 4) if 10.0**k > reach * 28 / 160]
+    labels = [v for v in powers[0] * np.arange(-999, 999) if least + 0.04 * reach < v < greatest - 0.04 * reach]
+    assert len(labels) >= 2
+    # Little room is given up for it.
+    assert reach < 3 * (high - low)
