@@ -498,7 +498,7 @@ _EDGE = 0.06
 
 
 def ticked(low: float, high: float) -> Range:
-    """Return bounds about these between which the viewer, which labels multiples of a power of ten, labels two at least.
+    """Return bounds about these between which the viewer labels two values, multiples of a power of ten, at least.
 
     The nearer next multiple is taken in, or both where they are equally near.
     """
