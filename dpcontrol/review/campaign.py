@@ -3,8 +3,9 @@
 Shares come with Wilson's 95 % interval (`foundation.statistics`). Only `completed` is required; other columns are used
 where they are present: itinerary, controller, estimator, mismatch, symbols_completed, symbols_total, reason, ending,
 rms_tracking_error (rad), max_cart_position (m). A table with kind and level comes from the standard score: its groups
-are formed by kind of trouble, its levels over all kinds together. Other columns are ignored. The page leaves out panels
-for which there is nothing to show, such as failures.
+are formed by kind of trouble, its levels over all kinds together. Cases that these columns do not tell apart are told
+apart by `case`. Other columns are ignored. The page leaves out panels for which there is nothing to show, such as
+failures.
 """
 
 import re
@@ -29,7 +30,7 @@ from dpcontrol.review import style
 from dpcontrol.review.page import new_figure, quiet
 
 _WHAT = ("itinerary", "controller", "estimator")
-_KIND, _LEVEL = "kind", "level"
+_KIND, _LEVEL, _CASE = "kind", "level", "case"
 _EARLY = re.compile(r"; the run ended [^:;]* early: ")
 _APART, _BINS = 21, 6
 """The most values that are shown one by one, and the number of bins for more."""
@@ -48,13 +49,18 @@ class Group:
 
     @property
     def label(self) -> str:
-        """The names as one line."""
-        return " · ".join(self.names.values()) or "all runs"
+        """The names as one line, once each where the case holds them too."""
+        return self._line()
 
     @property
     def family(self) -> str:
         """The names but for the kind of trouble, as one line."""
-        return " · ".join(name for column, name in self.names.items() if column != _KIND) or "all runs"
+        return self._line(without=_KIND)
+
+    def _line(self, *, without: str = "") -> str:
+        said = self.names.get(_CASE, "").split(", ")
+        parts = (n for column, n in self.names.items() if column != without and f"{column}={n}" not in said)
+        return " · ".join(parts) or "all runs"
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,12 +71,13 @@ class CampaignSummary:
         path: of the table.
         runs: rows whose outcome is known. unknown: other rows.
         share: of all runs.
-        groups: by itinerary, controller and estimator as far as these differ, and by kind of trouble.
+        groups: by itinerary, controller and estimator as far as these differ, by case where they and the mismatch do
+            not tell cases apart, and by kind of trouble.
         axis: "mismatch", or "level" of the standard score.
         levels: by family and mismatch or level; empty where it does not vary.
         failed_symbols: (family, symbol from 1, how many runs failed at it), symbol 0 where that is not known.
         reasons: how many runs failed for each reason, the most frequent first; numbers in it are left out.
-        spreads: by column, values of runs that completed and of those that did not.
+        spreads: by column and family, values of runs that completed and of those that did not.
     """
 
     path: Path
@@ -82,7 +89,7 @@ class CampaignSummary:
     levels: tuple[Group, ...]
     failed_symbols: tuple[tuple[str, int, int], ...]
     reasons: tuple[tuple[str, int], ...]
-    spreads: dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]
+    spreads: dict[str, dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]]
 
     @property
     def status(self) -> str:
@@ -135,6 +142,8 @@ def campaign_summary(path: Path) -> CampaignSummary:
     done = np.array(table["completed"], dtype=bool)
     families = [name for name in _WHAT if name in table and len(set(table[name])) > 1]
     standard = _KIND in table and _LEVEL in table
+    if not standard and _CASE in table and _merged(table):
+        families.append(_CASE)
     axis = _LEVEL if standard else "mismatch"
     groups = _groups(table, [*families, _KIND] if standard else families, done)
     alone = _groups(table, families, done)
@@ -148,11 +157,18 @@ def campaign_summary(path: Path) -> CampaignSummary:
         levels=_levels(_numbers(table, axis), alone, done),
         failed_symbols=_symbols(table, alone, done),
         reasons=_reasons(table, done),
-        spreads=_spreads(table, done),
+        spreads=_spreads(table, alone, done),
     )
 
 
 Rows = NDArray[np.bool_]
+
+
+def _merged(table: dict[str, list[Any]]) -> bool:
+    """Tell whether columns that groups and levels are formed by leave runs of several cases together."""
+    columns = [table[name] for name in (*_WHAT, "mismatch") if name in table]
+    places = list(zip(*columns, strict=True)) if columns else [()] * len(table[_CASE])
+    return len(set(zip(places, table[_CASE], strict=True))) > len(set(places))
 
 
 def _groups(table: dict[str, list[Any]], columns: list[str], done: Rows) -> list[tuple[Group, Rows]]:
@@ -235,13 +251,19 @@ def _plain(reason: str) -> str:
     return text if len(text) <= _MOST_LETTERS else text[: _MOST_LETTERS - 1] + "…"
 
 
-def _spreads(table: dict[str, list[Any]], done: Rows) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def _spreads(
+    table: dict[str, list[Any]], groups: list[tuple[Group, Rows]], done: Rows
+) -> dict[str, dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]]:
     found = {}
     for name in _SPREADS:
         values = _numbers(table, name)
         if values is not None:
             known = np.isfinite(values)
-            found[name] = (values[known & done], values[known & ~done])
+            found[name] = {
+                group.family: (values[mine & known & done], values[mine & known & ~done])
+                for group, mine in groups
+                if (mine & known).any()
+            }
     return found
 
 
@@ -350,11 +372,36 @@ def _spread(axes: Axes, summary: CampaignSummary, name: str, title: str) -> None
         axes.text(0.5, 0.5, f"the table has no {name}", transform=axes.transAxes, ha="center", color=style.NOTE)
         axes.set(xticks=[], yticks=[])
         return
-    good, bad = (1e3 * values for values in summary.spreads[name])
-    both = "completed green, failed red" if len(good) and len(bad) else "all completed" if len(good) else "all failed"
-    quiet(axes, f"{title}: {both}", y="runs")
-    every = np.concatenate([good, bad])
+    families = dict(list(summary.spreads[name].items())[: len(style.RUNS)])
+    every = 1e3 * np.concatenate([values for both in families.values() for values in both])
     edges = np.linspace(float(every.min()), float(np.quantile(every, 0.99)) + 1e-9, 31)
-    parts = [np.clip(values, edges[0], edges[-1]) for values in (good, bad)]
-    axes.hist(parts, bins=list(edges), color=[style.GOOD, style.LIMIT], stacked=True, alpha=0.75)
-    axes.yaxis.set_major_locator(MaxNLocator(3, integer=True))
+    if len(families) == 1:
+        good, bad = next(iter(families.values()))
+        both = "completed green, failed red" if len(good) and len(bad) else "all completed" if len(good) else "all failed"
+        quiet(axes, f"{title}: {both}", y="runs")
+        _bars(axes, good, bad, edges, colour=style.GOOD)
+        axes.yaxis.set_major_locator(MaxNLocator(3, integer=True))
+        return
+    hidden = len(summary.spreads[name]) - len(families)
+    more = f", first {len(families)} of {len(families) + hidden} groups" if hidden else ""
+    quiet(axes, f"{title}: failed red{more}")
+    # One row for each group, as high as its fullest bin: all together would hide what is compared.
+    colours = _colours(summary, list(families))
+    for row, ((family, (good, bad)), colour) in enumerate(zip(families.items(), colours, strict=True)):
+        _bars(axes, good, bad, edges, colour=colour, row=-row)
+        name = shorten(family, 40, placeholder=" …")
+        axes.text(0.99, 0.9 - row, name, transform=axes.get_yaxis_transform(), fontsize=7.5, ha="right", va="top",
+                  color=colour, bbox={"color": "white", "alpha": 0.7, "pad": 1, "linewidth": 0})  # fmt: skip
+    axes.set(yticks=[-row for row in range(len(families))], yticklabels=[], ylim=(1 - len(families), 1))
+
+
+def _bars(
+    axes: Axes, good: NDArray[np.float64], bad: NDArray[np.float64], edges: NDArray[np.float64], *, colour: str,
+    row: int | None = None,
+) -> None:
+    """Draw a histogram, what failed upon what was completed; in a row of its own, scaled to it, where one is given."""
+    counts = [np.histogram(np.clip(1e3 * values, edges[0], edges[-1]), edges)[0] for values in (good, bad)]
+    scale = 1.0 if row is None else 0.85 / max(int(sum(counts).max()), 1)
+    look = {"width": np.diff(edges), "align": "edge", "alpha": 0.75}
+    axes.bar(edges[:-1], counts[0] * scale, bottom=row or 0, color=colour, **look)
+    axes.bar(edges[:-1], counts[1] * scale, bottom=(row or 0) + counts[0] * scale, color=style.LIMIT, **look)

@@ -318,7 +318,8 @@ def blueprint(view: RunView, *, from_log: bool) -> rrb.Blueprint:
     if shown:
         words = ["itinerary as asked and done" if view.done else "itinerary as asked"] if "asked" in shown else []
         words += [name for name in shown.values() if name not in ("asked", "done")]
-        middle.insert(0, rrb.StateTimelineView(name=", ".join(words).capitalize(), contents=[f"+ /{key}" for key in shown]))
+        contents = [f"+ /{key}" for key in shown]
+        middle.insert(0, rrb.StateTimelineView(name=", ".join(words).capitalize(), contents=contents))
         shares.insert(0, 2.2)
     planes = [
         plane_view(arm, "/phase_planes", bounds(plane(view, arm)), name=f"Arm {arm + 1}: rate over angle")

@@ -159,3 +159,32 @@ def test_what_is_no_campaign_is_refused_in_one_sentence(tmp_path: Path) -> None:
         campaign_summary(table(tmp_path / "bare.parquet", [{"seed": 1}]))
     with pytest.raises(InputError, match="no runs with a verdict"):
         campaign_summary(table(tmp_path / "empty.parquet", [{"completed": None}]))
+
+
+def test_cases_that_a_campaign_compares_are_never_merged(tmp_path: Path) -> None:
+    content = [
+        {**row, "case": f"controller={row['controller']}, lag={lag}", "max_cart_position": lag + 0.01}
+        for lag in (0.0, 0.1)
+        for row in rows()
+    ]
+    summary = campaign_summary(table(tmp_path / "cases.parquet", content))
+    assert [group.label for group in summary.groups] == [
+        f"controller={controller}, lag={lag}" for controller in ("feedforward", "tvlqr") for lag in (0.0, 0.1)
+    ]
+    assert [group.share.successes for group in summary.groups] == [0, 0, 8, 8]
+    assert {group["controller"] for group in summary.document()["groups"]} == {"tvlqr", "feedforward"}
+    # Each has a histogram of its own.
+    spread = summary.spreads["max_cart_position"]
+    assert [(np.unique(good).tolist(), np.unique(bad).tolist()) for good, bad in spread.values()] == [
+        ([], [0.01]), ([], [0.11]), ([0.01], [0.01]), ([0.11], [0.11]),
+    ]  # fmt: skip
+    page = draw_campaign(summary)
+    shown = [axes for axes in page.axes if axes.get_title(loc="left").startswith("Cart's largest distance")]
+    assert {text.get_text() for text in shown[0].texts} == {group.label for group in summary.groups}
+
+
+def test_cases_of_one_mismatch_each_stay_levels_of_one_group(tmp_path: Path) -> None:
+    content = [{**row, "case": f"mismatch={row['mismatch']}"} for row in rows(controllers=("tvlqr",))]
+    summary = campaign_summary(table(tmp_path / "levels.parquet", content))
+    assert [group.label for group in summary.groups] == ["all runs"]
+    assert len(summary.levels) == 2
