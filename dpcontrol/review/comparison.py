@@ -297,7 +297,8 @@ def _blueprint(comparison: RunComparison, charts: Sequence[Chart], boxes: list[r
     checks = rerun_recording.plots([c for c in charts if c.key in ("tracking_error", "acceleration", "energy", "nis")])
     if any(run.view.plan.planned for run in runs):
         name = f"Itineraries, aligned at symbol {comparison.symbol}"
-        middle.insert(0, rrb.StateTimelineView(name=name, contents=[f"+ /{_home(k, r)}/**" for k, r in enumerate(runs)]))
+        contents = [f"+ /{_home(k, run)}/**" for k, run in enumerate(runs)]
+        middle.insert(0, rrb.StateTimelineView(name=name, contents=contents))
     beside = rrb.Grid(*planes, grid_columns=len(runs))
     left = rrb.Vertical(rrb.Horizontal(*scenes), beside, rerun_recording.summary_view(), row_shares=[3, 4, 1.6])
     return rerun_recording.page([left, *(rrb.Vertical(*views) for views in (middle, checks) if views)], [5, 4, 4])
