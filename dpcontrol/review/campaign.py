@@ -377,8 +377,8 @@ def _spread(axes: Axes, summary: CampaignSummary, name: str, title: str) -> None
     edges = np.linspace(float(every.min()), float(np.quantile(every, 0.99)) + 1e-9, 31)
     if len(families) == 1:
         good, bad = next(iter(families.values()))
-        both = "completed green, failed red" if len(good) and len(bad) else "all completed" if len(good) else "all failed"
-        quiet(axes, f"{title}: {both}", y="runs")
+        alone = "all completed" if len(good) else "all failed"
+        quiet(axes, f"{title}: {'completed green, failed red' if len(good) and len(bad) else alone}", y="runs")
         _bars(axes, good, bad, edges, colour=style.GOOD)
         axes.yaxis.set_major_locator(MaxNLocator(3, integer=True))
         return
