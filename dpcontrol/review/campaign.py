@@ -396,7 +396,12 @@ def _spread(axes: Axes, summary: CampaignSummary, name: str, title: str) -> None
 
 
 def _bars(
-    axes: Axes, good: NDArray[np.float64], bad: NDArray[np.float64], edges: NDArray[np.float64], *, colour: str,
+    axes: Axes,
+    good: NDArray[np.float64],
+    bad: NDArray[np.float64],
+    edges: NDArray[np.float64],
+    *,
+    colour: str,
     row: int | None = None,
 ) -> None:
     """Draw a histogram, what failed upon what was completed; in a row of its own, scaled to it, where one is given."""
