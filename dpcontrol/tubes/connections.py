@@ -51,9 +51,6 @@ Array = NDArray[np.float64]
 _TANGENT = 1e-5  # scaled: rounding that moves an intersection farther may hide the others of a bifurcation
 
 
-_MEETING = 0.6  # of a search's time: after it only crossings known by then are refined
-
-
 @dataclass(frozen=True)
 class ConnectionSearch:
     """All connections found between two orbits on one section, and what may hide others.
@@ -181,9 +178,12 @@ def find_connections(
     else:
         unstable, backward = cuts
     progress("intersections", 0.6)
-    met = intersect_cuts(
-        system, section, manifolds, (unstable, backward), settings, out_of_time=lambda: spent() > _MEETING
-    )
+    after_cuts = spent()
+
+    def spent_since() -> float:
+        return (spent() - after_cuts) / max(1 - after_cuts, 1e-9)
+
+    met = intersect_cuts(system, section, manifolds, (unstable, backward), settings, spent=spent_since)
     crossings, failed, left = met.found, met.failed, met.left
     even = balanced(crossings, (unstable, backward))
     remaining = settings.seconds * (1 - spent())

@@ -5,6 +5,7 @@ points are close. Where it cannot be refined the curve is open: a trajectory gra
 jumps), or never arrives in the time allowed. Open ends are found by bisection and reported, never bridged.
 """
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -22,6 +23,9 @@ Flags = NDArray[np.bool_]
 _THOROUGH = 20_000
 """Phases of a thorough cut: windows between them in which trajectories go another way are narrower than 5e-5."""
 
+_LONG = 12.0
+"""Seconds of processor time after which a thorough cut is refined no further."""
+
 _NARROWEST = 1e-7
 """Phase between neighbours at which a thorough cut stops: where tubes scatter, narrower windows follow without end."""
 
@@ -34,6 +38,7 @@ class CutSettings:
     a trajectory may take, None for the system's own number; most_jumps: more phase intervals than this that stay wide
     below fine_phase_step mean that the curve is not a curve there (its trajectories scatter chaotically before they
     arrive), and refinement stops. grazing: a normal rate below this share of the largest means a grazing crossing.
+    seconds: of processor time after which refinement stops.
     """
 
     first_phases: int = 100
@@ -44,6 +49,7 @@ class CutSettings:
     fine_phase_step: float = 1e-4
     most_jumps: int = 40
     grazing: float = 0.01
+    seconds: float = np.inf
 
     def thoroughly(self) -> "CutSettings":
         """Return settings that sample phases ten thousandths of a turn apart and refine wherever chords stay wide."""
@@ -53,6 +59,7 @@ class CutSettings:
             most_points=3 * _THOROUGH,
             most_jumps=3 * _THOROUGH,
             smallest_phase_step=_NARROWEST,
+            seconds=_LONG,
         )
 
 
@@ -146,9 +153,9 @@ def refined(sampler: Sampler, start: float) -> tuple[Samples, str]:
 
     Returns the samples and why refinement stopped early, empty if it did not.
     """
-    settings = sampler.settings
+    settings, began = sampler.settings, time.process_time()
     samples = sampler.fly(start + np.arange(settings.first_phases + 1) / settings.first_phases)
-    while len(samples) < settings.most_points:
+    while len(samples) < settings.most_points and time.process_time() - began < settings.seconds:
         phases, arrived, steps = samples.phases, samples.arrived, np.diff(samples.phases)
         wide = (arrived[:-1] | arrived[1:]) & (steps > settings.smallest_phase_step)
         wide &= ~samples.continuous(sampler.chord)
@@ -161,7 +168,7 @@ def refined(sampler: Sampler, start: float) -> tuple[Samples, str]:
             )
         samples = Samples.joined([samples, sampler.fly(((phases[:-1] + phases[1:]) / 2)[wide])])
         samples = samples[np.argsort(samples.phases, kind="stable")]
-    return samples, f"branch {sampler.branch:+d}: {settings.most_points} points leave wide chords; allow less time"
+    return samples, f"branch {sampler.branch:+d}: {len(samples)} points leave wide chords; allow less time"
 
 
 @dataclass(frozen=True)

@@ -106,6 +106,7 @@ def _to_segment(points: Array, start: Array, end: Array) -> Array:
     return np.linalg.norm(points - start - share[:, None] * along, axis=1)
 
 
+_PLACED, _SOLVED, _PAIRED = 0.25, 0.5, 0.6  # of the time left after the cuts: what each step must have ended by
 _THOROUGH = 50.0  # s of processor time: what is under way when they have passed takes a few more
 _BESIDE = 1e-3  # phase over which the cuts' bend is measured, less than the 1/100 between the first samples of a cut
 _FARTHEST_PARTNER = 0.05  # phase; the polylines tell partners apart that are farther off
@@ -226,8 +227,8 @@ class Intersection:
 class Crossings:
     """Where two cuts cross, those that a coarse sampling shows first.
 
-    failed: places that led to no crossing although the cuts, looked at closer, cross there; left: places not tried, and
-    crossings beside which none was looked for, as time had run out.
+    failed: places that led to no crossing although the cuts, looked at closer, cross there; left: pieces not compared,
+    places not tried, and crossings beside which none was looked for, as time had run out.
     """
 
     found: list[Intersection]
@@ -261,6 +262,35 @@ class _Place:
         return all(span[0] <= phase <= span[-1] for span, phase in zip(self.spans, phases, strict=True))
 
 
+@dataclass(frozen=True)
+class _Pair:
+    """Two cuts' pieces that may meet where the second's points are moved by `shift` (2,)."""
+
+    sides: tuple[TubeSide, TubeSide]
+    pieces: tuple[Piece, Piece]
+    shift: Array
+
+    @property
+    def scale(self) -> float:
+        """The longer of the shorter piece's steps: at most what its places have."""
+        return min(float(np.diff(piece.phases).max()) for piece in self.pieces)
+
+    def places(self) -> list[_Place]:
+        """Return where the pieces meet."""
+        first, second = self.pieces
+        return [
+            _Place(
+                self.sides,
+                np.array([np.interp(k, np.arange(len(p.phases)), p.phases)
+                          for k, p in zip(at, self.pieces, strict=True)]),
+                (_span(first, at[0]), _span(second, at[1])),
+                self.shift,
+                sure,
+            )
+            for at, sure in _meetings(first.points, second.points + self.shift)
+        ]  # fmt: skip
+
+
 Meeting = TypeVar("Meeting", _Place, Intersection)
 
 
@@ -283,33 +313,41 @@ def intersect_cuts(
     cuts: tuple[Cut, Cut],
     settings: ConnectionSettings,
     *,
-    out_of_time: Callable[[], bool] = lambda: False,
+    spent: Callable[[], float] = lambda: 0.0,
 ) -> Crossings:
     """Intersect the pieces of two cuts; return distinct intersections.
 
+    spent: returns which share of a search's time after the cuts has passed; the connections' refinement takes the rest.
     Where a symmetry exchanges the branches, only one branch of the unstable tube is searched.
     """
     mirrored = all(m.branches_are_mirrored for m in manifolds)
-    places: list[_Place] = []
+    pairs: list[_Pair] = []
     for branches in ((1, 1), (1, -1)) if mirrored else ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         sides = tuple(
             TubeSide(m, section, k == 1, cuts[k].hit, branches[k], 2 * longest_flight(m, settings.cut) * m.orbit.period)
             for k, m in enumerate(manifolds)
         )
-        places += _places(system, (sides[0], sides[1]), cuts, settings)
+        pairs += _pairs(system, (sides[0], sides[1]), cuts, settings)
     # What a coarse sampling shows comes first, should time run out: where tubes scatter, ever finer pieces follow.
-    places.sort(key=lambda place: (-place.scale, not place.sure))
+    pairs.sort(key=lambda pair: -pair.scale)
+    places: list[_Place] = []
     found: list[Intersection] = []
     failed = left = 0
+    for k, pair in enumerate(pairs):
+        if spent() > _PLACED:
+            left += len(pairs) - k
+            break
+        places += pair.places()
+    places.sort(key=lambda place: (-place.scale, not place.sure))
     for part in _together(places):
-        if out_of_time():
+        if spent() > _SOLVED:
             left += len(part)
             continue
         solutions, unsolved = _solved(system, part, settings)
         failed += unsolved
         _add(system, solutions, found, settings)
     for part in _together(found):
-        if out_of_time():
+        if spent() > _PAIRED:
             left += len(part)
             continue
         _add(system, _partners(system, part, settings), found, settings)
@@ -327,10 +365,10 @@ def _together(many: Sequence[Meeting]) -> list[list[Meeting]]:
     return parts
 
 
-def _places(
+def _pairs(
     system: System, sides: tuple[TubeSide, TubeSide], cuts: tuple[Cut, Cut], settings: ConnectionSettings
-) -> list[_Place]:
-    """Return where the pieces of one cut's branch meet those of the other's."""
+) -> list[_Pair]:
+    """Return the pieces of one cut's branch and those of the other's that come near each other."""
     section, margin, found = sides[0].section, settings.cut.chord * system.section_scale, []
     first, second = ([piece for piece in cut.pieces if piece.branch == side.branch]
                      for cut, side in zip(cuts, sides, strict=True))  # fmt: skip
@@ -341,11 +379,7 @@ def _places(
         low, high = u.points[:, 1].min() - margin, u.points[:, 1].max() + margin
         for k in np.flatnonzero((ways == u.direction) & (momenta[:, 0] <= high) & (momenta[:, 1] >= low)):
             s = second[k]
-            for shift in _shifts(system, section, u, s, margin):
-                for places, sure in _meetings(u.points, s.points + shift):
-                    phases = np.array([np.interp(k, np.arange(len(p.phases)), p.phases)
-                                       for k, p in zip(places, (u, s), strict=True)])  # fmt: skip
-                    found.append(_Place(sides, phases, (_span(u, places[0]), _span(s, places[1])), shift, sure))
+            found += [_Pair(sides, (u, s), shift) for shift in _shifts(system, section, u, s, margin)]
     return found
 
 

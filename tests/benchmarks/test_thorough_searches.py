@@ -149,7 +149,7 @@ def distances_after(system, connections, sign):
         return (sign * seconds * system.numeric.rate(states.reshape(-1, 4))).ravel()
 
     start = np.array([c.state for c in connections]).ravel()
-    flown = solve_ivp(rate, (0.0, 1.0), start, method="DOP853", rtol=1e-12, atol=1e-12)
+    flown = solve_ivp(rate, (0.0, 1.0), start, method="DOP853", rtol=3e-14, atol=1e-15)
     return OrbitCurve(orbit).distances(flown.y[:, -1].reshape(-1, 4))[1]
 
 

@@ -8,6 +8,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold, local_manifold
 from dpcontrol.scenes.model import load_model
+from dpcontrol.tubes import intersections
 from dpcontrol.tubes.connections import find_connections, orbits_between
 from dpcontrol.tubes.cut import CutSettings, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts, near_touches, polyline_crossings
@@ -229,13 +230,17 @@ def test_closed_cuts_that_cross_unevenly_are_refined_until_they_do_not():
 
 
 def test_a_search_out_of_time_has_refined_first_what_a_coarse_sampling_shows(monkeypatch):
-    monkeypatch.setattr("dpcontrol.tubes.intersections._TOGETHER", 1)
+    solve, solved = intersections._solved, []
+    monkeypatch.setattr(intersections, "_TOGETHER", 1)
+    monkeypatch.setattr(intersections, "_solved", lambda *each: solved.append(each) or solve(*each))
     orbits = orbits_between(load_model("lab").system, "down-up", "down-up", 0.2)
-    system, settings, asked = orbits[0].system, ConnectionSettings(), iter([False] * 3)
+    system, settings = orbits[0].system, ConnectionSettings()
     manifold, section = local_manifold(orbits[0], settings.distance), system.sections["down-up", "down-up"]
     cut = tube_cut(manifold, section, settings=settings.cut)
     case = (system, section, (manifold, manifold), (cut, cut), settings)
-    every, some = intersect_cuts(*case), intersect_cuts(*case, out_of_time=lambda: next(asked, True))
+    every = intersect_cuts(*case)
+    solved.clear()
+    some = intersect_cuts(*case, spent=lambda: float(len(solved) >= 3))
     scales = [one.scale for one in every.found]
     assert scales == sorted(scales, reverse=True)
     assert [one.scale for one in some.found] == scales[: len(some.found)]
@@ -252,15 +257,13 @@ def test_a_thorough_search_that_missed_some_says_how_many_at_least_and_advises_n
     assert "thorough" not in search.status
 
 
-def test_cuts_that_run_beside_each_other_without_meeting_are_no_failed_crossings():
+def test_cuts_that_run_beside_each_other_without_meeting_are_no_failed_crossings(monkeypatch):
     """From q = 0.3 down to a graze the cuts near each other to 6e-7, nearer than their chords follow them."""
     system = uniform_rods((0.35, 0.1), (0.25, 0.5))
     orbit, settings = lyapunov_orbit(system, "up-down", energy=2.047837), ConnectionSettings()
     manifold, section = local_manifold(orbit, settings.distance), system.sections["up-down", "up-down"]
     cut = tube_cut(manifold, section, settings=settings.cut)
-    asked = iter([False])  # so that none is looked for beside those that are found
-    crossings = intersect_cuts(
-        system, section, (manifold, manifold), (cut, cut), settings, out_of_time=lambda: next(asked, True)
-    )
+    monkeypatch.setattr(intersections, "_partners", lambda *_: [])
+    crossings = intersect_cuts(system, section, (manifold, manifold), (cut, cut), settings)
     assert len(crossings.found) > 20
     assert crossings.failed == 0
