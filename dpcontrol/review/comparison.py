@@ -288,7 +288,11 @@ def _blueprint(comparison: RunComparison, charts: Sequence[Chart], boxes: list[r
     ]
     planes = [
         rerun_recording.plane_view(
-            arm, f"/runs/{k + 1}/planes", boxes[arm], name=f"{run.name}: arm {arm + 1}, rate over angle"
+            arm,
+            f"/runs/{k + 1}/planes",
+            boxes[arm],
+            name=f"{run.name}: arm {arm + 1}, rate over angle",
+            free=0.2,
         )
         for arm in range(min(runs[0].view.arms, 2))
         for k, run in enumerate(runs)

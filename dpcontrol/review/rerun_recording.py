@@ -369,15 +369,10 @@ def summary_view() -> rrb.View:
     return rrb.TextDocumentView(name="Summary", origin=f"/{SUMMARY}")
 
 
-_FOR_NAMES = 0.06
-"""Share of a phase plane that is left free on each side."""
-
-
-def plane_view(arm: int, home: str, box: Box, *, name: str) -> rrb.View:
-    """Return the view of an arm's phase plane."""
+def plane_view(arm: int, home: str, box: Box, *, name: str, free: float = 0.1) -> rrb.View:
+    """Return the view of an arm's phase plane; free: share of the box that is left on each side, for lines' names."""
     left, right, top, bottom = box
-    # Names of lines stand at the edge of the box.
-    wide, high = _FOR_NAMES * (right - left), _FOR_NAMES * (bottom - top)
+    wide, high = free * (right - left), free * (bottom - top)
     return rrb.Spatial2DView(
         name=name,
         origin=f"{home}/arm_{arm + 1}",

@@ -13,7 +13,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import LogWriter, RunLog, control_fields, read_log
 from dpcontrol.review.motion import ACTUAL, RunView, series_of
 from dpcontrol.review.picture import open_viewer, viewer_program
-from dpcontrol.review.rerun_recording import write_recording
+from dpcontrol.review.rerun_recording import plane_view, write_recording
 from dpcontrol.review.series import ticked
 
 ACCELERATION = 1e-9  # m/s²: velocities of 1 m/s differ by rounding, over 1 ms
@@ -142,3 +142,12 @@ def test_the_viewer_labels_two_values_of_every_axis(low: float, high: float) -> 
     assert len(labels) >= 2
     # Little room is given up for it.
     assert reach < 3 * (high - low)
+
+
+def test_names_of_reading_lines_are_not_cut_at_the_edge_of_a_phase_plane() -> None:
+    box = (0.0, 1.0, -2.0, 0.0)
+    (shown,) = plane_view(0, "/phase_planes", box, name="").properties["VisualBounds2D"].range.as_arrow_array().to_pylist()
+    for axis, (low, high) in (("x_range", box[:2]), ("y_range", box[2:])):
+        # They stand at the box's own edge, and are as high as a tenth of a plane.
+        assert shown[axis][0] <= low - 0.09 * (high - low)
+        assert shown[axis][1] >= high + 0.09 * (high - low)
