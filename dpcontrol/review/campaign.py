@@ -406,7 +406,7 @@ def _bars(
 ) -> None:
     """Draw a histogram, what failed upon what was completed; in a row of its own, scaled to it, where one is given."""
     counts = [np.histogram(np.clip(1e3 * values, edges[0], edges[-1]), edges)[0] for values in (good, bad)]
-    scale = 1.0 if row is None else 0.85 / max(int(sum(counts).max()), 1)
+    scale = 1.0 if row is None else 0.85 / max(int(np.add(*counts).max()), 1)
     look = {"width": np.diff(edges), "align": "edge", "alpha": 0.75}
     axes.bar(edges[:-1], counts[0] * scale, bottom=row or 0, color=colour, **look)
     axes.bar(edges[:-1], counts[1] * scale, bottom=(row or 0) + counts[0] * scale, color=style.LIMIT, **look)

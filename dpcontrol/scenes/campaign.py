@@ -306,8 +306,8 @@ def run_locally(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[R
     )  # fmt: skip
 
 
-BACK_WITHIN = "120s"
-"""How long a scheduler that was lost may take to be there again, with workers."""
+BACK_WITHIN = 120.0
+"""s: how long a scheduler that was lost may take to be there again, with workers."""
 MOST_SUBMITTED = 512
 """Jobs that a cluster is given at once: each carries its plan, and their number has no bound."""
 

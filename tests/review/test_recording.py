@@ -146,7 +146,8 @@ def test_the_viewer_labels_two_values_of_every_axis(low: float, high: float) -> 
 
 def test_names_of_reading_lines_are_not_cut_at_the_edge_of_a_phase_plane() -> None:
     box = (0.0, 1.0, -2.0, 0.0)
-    (shown,) = plane_view(0, "/phase_planes", box, name="").properties["VisualBounds2D"].range.as_arrow_array().to_pylist()
+    bounds = plane_view(0, "/phase_planes", box, name="").properties["VisualBounds2D"]
+    (shown,) = bounds.range.as_arrow_array().to_pylist()
     for axis, (low, high) in (("x_range", box[:2]), ("y_range", box[2:])):
         # They stand at the box's own edge, and are as high as a tenth of a plane.
         assert shown[axis][0] <= low - 0.09 * (high - low)
