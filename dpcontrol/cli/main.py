@@ -129,6 +129,8 @@ def main(arguments: list[str] | None = None) -> None:
             stream.reconfigure(errors="replace")
     call = Call()
     try:
+        if any("\0" in text for text in given):
+            raise InputError("an argument holds a NUL character, which no name or number has; leave it out")
         cli.main(given, prog_name="dpcontrol", standalone_mode=False, obj=call)
         code = 0
     except click.ClickException as error:
@@ -173,7 +175,8 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
         print_json({"status": sentence, "error": code != 1})
     if call.debug:
         say("".join(traceback.format_exception(error)).rstrip())
-    say(f"dpcontrol: {sentence}")
+    # Names may hold line breaks; what is said is one line.
+    say(f"dpcontrol: {sentence.replace(chr(10), chr(92) + 'n')}")
     _echo_notes(error)
     return code
 

@@ -168,6 +168,7 @@ class ArmChainParameters(Settings):
             factors = np.maximum(1 + random.uniform(-by, by, len(values)), 0.0)
             return tuple(float(v) for v in np.asarray(values) * factors)
 
+        fraction += 0.0  # Minus zero makes an empty range of plus and minus it.
         # Friction beyond the viscous is drawn last, so that a seed gives the same arms with and without it.
         spread = dict.fromkeys(_INERTIAL, fraction) | dict.fromkeys(_FRICTION, 5 * fraction)
         return replace(self, **{name: vary(getattr(self, name), by) for name, by in spread.items()})

@@ -248,7 +248,10 @@ class Bounds:
             return "" if value in self.choices else suggest(str(value), self.choices)
         if not isinstance(value, Real):
             return "must be a number"
-        number = float(value)
+        try:
+            number = float(value)
+        except OverflowError:
+            return f"must be {self.range}; this one has too many digits"
         allowed = (
             (bool(self.zero) and number == 0)
             or (bool(self.infinite) and number == math.inf)

@@ -72,6 +72,10 @@ class Segment:
     rms: float
 
 
+_FEWEST = 10
+"""Samples of a piece that a swing is fitted to."""
+
+
 def cut_into_swings(
     recordings: Sequence[Recording], arms: int, longest: float | None
 ) -> tuple[list[Swing], list[Segment]]:
@@ -90,6 +94,11 @@ def cut_into_swings(
         for part in recording.split():
             cart = cart_motion(part)
             most = longest or (LONGEST if cart is None else LONGEST_DRIVEN)
+            if part.dt * _FEWEST > most:
+                raise InputError(
+                    f"{recording.name} has a sample every {part.dt:g} s, and swings are followed for {most:g} s at a "
+                    "time: too few to fit; record faster"
+                )
             pieces = max(int(np.ceil((len(part.time) - 1) * part.dt / most)), 1)
             edges = np.linspace(0, len(part.time), pieces + 1).round().astype(int)
             filled = _filled(part)

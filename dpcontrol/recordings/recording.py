@@ -215,10 +215,18 @@ def recording_of(log: RunLog) -> Recording:
     segments = _segments(said["segments"])
     if not segments or any(not 0 <= first < end <= k for first, end in segments):
         raise InputError(f"{log.path}: its segments do not fit its {k} samples; import the recording again")
+    period = _period(log)
+    for first, end in segments:
+        span, steps = log.time[end - 1] - log.time[first], end - 1 - first
+        if not 0 < period < np.inf or not 0.5 <= (span + period) / ((steps + 1) * period) <= 2:
+            raise InputError(
+                f"{log.path}: its {end - first} samples from {log.time[first]:.6g} s on take {span:.6g} s, but are "
+                f"said to be {period:g} s apart; import the recording again"
+            )
     return Recording(
         name=said["title"],
         source=said["source"],
-        dt=_period(log),
+        dt=period,
         time=log.time,
         angles=log.measured[:, :n],
         rates=None if log.rates is None else log.rates[:, :n],
