@@ -1,0 +1,83 @@
+"""A laboratory's folder: short logs, plans, recordings and tables that the program itself made, to be spoilt."""
+
+import os
+import shutil
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+
+from command_line import dpcontrol
+
+ROOT = Path(__file__).parents[2]
+REST = """\
+title = "At rest"
+model = "lab"
+start = "hold"
+hold = "down-down"
+seconds = 0.5
+
+[controller]
+kind = "lqr"
+
+[limits]
+position = 0.4
+velocity = 3.0
+acceleration = 30.0
+
+[run]
+mismatch = 0.02
+initial_error = 0.02
+noise = 1e-4
+delay = 1.0
+lag = 0.001
+"""
+COMMANDS = (
+    "run rest.toml --out run.mcap",
+    "plan rest.toml --out reference.npz",
+    "atlas lab --energy -0.07 --out atlas.npz",
+    "import --simulated lab --swings 3 --seconds 0.3 --out swings.mcap",
+    "campaign rest.toml --runs 2 --workers 1 --out campaign.parquet",
+)
+SPECIAL = ("folder", "loop", "dangling", "/dev/null", "/dev/zero", "/dev/full", "/proc/self/mem", "empty")
+"""Names of what is no ordinary file: a folder, links to itself and to nothing, devices, and a file of no bytes."""
+
+
+class Laboratory:
+    """Contents of the laboratory's files by name; no dataclass, whose files hypothesis would print whole."""
+
+    def __init__(self, files: Mapping[str, bytes]) -> None:
+        self.files, self.names = files, tuple(files)
+
+    def __repr__(self) -> str:
+        return f"Laboratory({', '.join(self.names)})"
+
+    def fill(self, folder: Path, words: Iterable[str], changed: Mapping[str, bytes]) -> None:
+        """Write the files that the words name, some changed, and what is no ordinary file."""
+        (folder / "folder").mkdir()
+        (folder / "loop").symlink_to("loop")
+        (folder / "dangling").symlink_to("nowhere")
+        (folder / "empty").touch()
+        text = " ".join(words)
+        for name, content in {**self.files, **changed}.items():
+            if name in text or name in changed or (name == "lab.toml" and "with-model.toml" in text):
+                (folder / name).write_bytes(content)
+
+
+def make_laboratory(folder: Path) -> Laboratory:
+    """Make the files in `folder`, which is the working directory meanwhile."""
+    (folder / "rest.toml").write_text(REST)
+    (folder / "with-model.toml").write_text(REST.replace('"lab"', '"lab.toml"'))
+    for name, source in (("turn", "itineraries/outer-turn"), ("lab", "models/lab"), ("moon", "models/three-body")):
+        shutil.copy(ROOT / f"{source}.toml", folder / f"{name}.toml")
+    shutil.copy(ROOT / "dpcontrol/recordings/mappings/table.toml", folder / "mapping.toml")
+    rows = [f"{k / 1000},{0.3 - 1e-6 * k * k},{0.2 - 1e-6 * k * k},{-2e-3 * k},{-2e-3 * k}" for k in range(120)]
+    (folder / "swing.csv").write_text("\n".join(["time,angle_1,angle_2,rate_1,rate_2", *rows]) + "\n")
+    before = Path.cwd()
+    os.chdir(folder)
+    try:
+        for line in COMMANDS:
+            assert dpcontrol(*line.split()).code == 0, line
+    finally:
+        os.chdir(before)
+    whole = (folder / "run.mcap").read_bytes()
+    (folder / "cut.mcap.partial").write_bytes(whole[: len(whole) // 2])
+    return Laboratory({file.name: file.read_bytes() for file in sorted(folder.iterdir()) if file.is_file()})
