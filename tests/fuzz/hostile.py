@@ -47,7 +47,7 @@ TEXTS = (
 TOML = (
     *("nan", "inf", "-inf", "1e400", "-1", "0", "1e-300", "1e300", "7", "99999999999999999999", "1" * 5000, "true"),
     *('""', '"[/nope]"', r'"\u001b[31mred"', r'"a\u0000b"'),
-    *( f'"{"n" * 240}"', '"a\\nb"', '"lab"', '"down-up"', '"nosuch"', "[]", "[[]]"),
+    *(f'"{"n" * 240}"', '"a\\nb"', '"lab"', '"down-up"', '"nosuch"', "[]", "[[]]"),
     *("[1, 'a']", "[nan, nan]", "[1e300, 1e300]", "[-1.0, 0.0]", "[1.0]", "[1.0, 1.0, 1.0]", "{}", "{a = 1}"),
     *("1979-05-27T07:32:00Z", "[" * 200 + "]" * 200, '["down-up +"]', '["down-up +", "down-up -"]', "[99999999999999]"),
 )
@@ -83,9 +83,7 @@ BASES: dict[str, tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]] = {
         (("three-body",), ("--saddle=L1", "--energy=-1.5")),
     ),
     "connect": ((("lab.toml",), ("--from=down-up", "--to=down-up", "--energy=-0.07")),),
-    "bifurcations": (
-        (("lab",), ("--from=down-up", "--to=down-up", "--energies", "-0.3", "-0.2", "--samples=2")),
-    ),
+    "bifurcations": ((("lab",), ("--from=down-up", "--to=down-up", "--energies", "-0.3", "-0.2", "--samples=2")),),
     "atlas": ((("lab.toml",), ("--energy=-0.07",)),),
     "walk": (
         (("lab.toml",), ("--energy=-0.07",)),
