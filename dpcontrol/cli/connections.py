@@ -70,7 +70,8 @@ def connect_command(
     """Find every connection between the Lyapunov orbits of two saddles (or one) that meets their section at given hits.
 
     All connections on the torus of angles are listed: both senses, mirror pairs and reflections. A connection's name
-    may stand in an itinerary's walk. Exits with 1 if the list may be incomplete.
+    may stand in an itinerary's walk. Exits with 1 if the list may be incomplete (`complete` in --json); with --name
+    only that connection counts, and `complete` says whether there may be others.
 
     On another --section other connections come first: homoclinics that pass by the other saddle's side cross "aligned"
     and cross back, and so are found there at --hits 1,2.

@@ -186,7 +186,8 @@ def read_toml(path: Path) -> tuple[Table, str]:
         InputError: the file cannot be read, is not text, or is not TOML; names the line.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        # Editors on Windows begin a file with a mark that is no part of its text.
+        text = path.read_text(encoding="utf-8-sig")
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror or error}; check the name") from error
     except UnicodeDecodeError as error:

@@ -146,8 +146,8 @@ class Supervisor:
                 farthest = max(farthest, self.stopping_point(position, sent))
             if farthest >= self.travel:
                 why = (
-                    f"at {position:.3f} m with {velocity:.2f} m/s it must brake now to stay on the track; weigh its "
-                    "position more, or allow more travel"
+                    f"at {position:.3f} m with {velocity:.2f} m/s it must brake now to stay on the track; raise "
+                    "its weight (position in [controller]) or lengthen the track (travel in [run])"
                 )
                 return Outcome.STOP, Ending.CART_STOP, f"cart at its stop at t = {now:.3f} s: {why}"
         if self.error > self.lost:

@@ -62,6 +62,19 @@ def _check(path: Path, header: Sequence[str], columns: Sequence[str]) -> None:
             raise InputError(f"{path}: the column {name!r} is missing; {suggest(name, shown)}; check file and mapping")
 
 
+def table_columns(path: Path) -> list[str]:
+    """Return the names of a table's columns; none where it cannot be read, which reading it reports."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        if path.suffix.lower() == ".parquet":
+            return list(pq.ParquetFile(path).schema_arrow.names)
+        return _header(path)[0]
+    except (OSError, ValueError, pa.ArrowException, csv.Error, InputError):
+        return []
+
+
 def _parquet(path: Path, columns: Sequence[str]) -> Any:
     import pyarrow.parquet as pq
 
@@ -71,16 +84,21 @@ def _parquet(path: Path, columns: Sequence[str]) -> Any:
     return file.read(columns=list(columns))
 
 
-def _csv(path: Path, columns: Sequence[str]) -> Any:
-    import pyarrow as pa
-    from pyarrow import csv as arrow
-
+def _header(path: Path) -> tuple[list[str], str]:
+    """Return the names in the first line of a table of text, and what stands between them."""
     with path.open(encoding="utf-8-sig", newline="") as stream:
         first = stream.readline(1_000_000)
     if not first.strip():
         raise InputError(f"{path} is empty or begins with an empty line; its first line must name the columns")
     delimiter = max(",;\t", key=first.count)
-    header = [name.strip() for name in next(csv.reader([first], delimiter=delimiter))]
+    return [name.strip() for name in next(csv.reader([first], delimiter=delimiter))], delimiter
+
+
+def _csv(path: Path, columns: Sequence[str]) -> Any:
+    import pyarrow as pa
+    from pyarrow import csv as arrow
+
+    header, delimiter = _header(path)
     _check(path, header, columns)
     # Read as text, so that a cell that is not a number can be reported by its row.
     table = arrow.read_csv(

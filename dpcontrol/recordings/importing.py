@@ -35,7 +35,7 @@ from dpcontrol.recordings.checks import (
     checked_repairs,
     sound_segments,
 )
-from dpcontrol.recordings.formats import column, find, numbers, read_matlab, read_table
+from dpcontrol.recordings.formats import column, find, numbers, read_matlab, read_table, table_columns
 from dpcontrol.recordings.recording import Recording
 
 Array = NDArray[np.float64]
@@ -267,7 +267,7 @@ def import_recording(
         chosen = given or _fitting(variables, path)
         stretches, period = _matlab(path, chosen, variables)
     else:
-        chosen = given or load_mapping("table")
+        chosen = given or _with_rates_that_are_there(load_mapping("table"), path)
         stretches, period = _table(path, chosen), chosen.period
     progress("checking", 0.5)
     return _recording(path, chosen, stretches, period=period, repairs=allowed)
@@ -285,6 +285,12 @@ def _fitting(variables: dict[str, Any], path: Path) -> Mapping:
             continue
         return mapping
     return load_mapping(_KNOWN[0])
+
+
+def _with_rates_that_are_there(mapping: Mapping, path: Path) -> Mapping:
+    """Return the mapping as it is, or without its rates where a table has none of their columns."""
+    there = table_columns(path)
+    return mapping if any(name in there for name in mapping.rate_columns) else replace(mapping, rate_columns=())
 
 
 def _table(path: Path, mapping: Mapping) -> list[Samples]:

@@ -64,7 +64,9 @@ def save_figure(figure: Figure, path: Path | str) -> None:
         InputError: the file cannot be written.
     """
     path = Path(path)
-    kind = "pdf" if path.suffix.lower() == ".pdf" else "png"
+    kind = path.suffix.lower().removeprefix(".")
+    if kind not in ("png", "pdf"):
+        raise InputError(f"{path}: a picture is a .png or .pdf file; choose a name that ends so")
     for text in figure.findobj(Text):
         # The ticks of a logarithmic axis are formulas of matplotlib's own.
         if isinstance(text, Text) and "$" in text.get_text() and "\\mathdefault" not in text.get_text():

@@ -120,7 +120,7 @@ def test_a_standard_score_is_told_by_kind_and_by_level_of_all_kinds(tmp_path: Pa
     [
         (
             "symbol 1 of 1 ('down-up +') was not done; the run ended 2.38 s early: cart at its stop at t = 2.339 s: at "
-            "-0.116 m with -2.90 m/s it must brake now to stay on the track; weigh its position more",
+            "-0.116 m with -2.90 m/s it must brake now to stay on the track; raise its weight (position in a table)",
             "cart at its stop at t = … s: at … m with … m/s it must brake now to stay on the track",
         ),
         ("symbol 2 of 3 ('a > b') was not done; the run ended 1 s early", "symbol … of … ('a > b') was not done"),
