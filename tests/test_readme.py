@@ -70,6 +70,7 @@ def in_the_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Work there, without a renderer, and with a viewer that only looks on."""
     monkeypatch.chdir(folder)
     monkeypatch.setenv("VK_DRIVER_FILES", "/nonexistent")
+    monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr("dpcontrol.review.picture.viewer_program", lambda: Path("/bin/true"))
 
 

@@ -1,12 +1,13 @@
 """The verbs that read logs: score, review, report, info, recover."""
 
+import shutil
 import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dpcontrol.cli.verbs import Answer, TextTable, argument, file_option, option, say, table, verb
+from dpcontrol.cli.verbs import Answer, TextTable, argument, file_option, force_option, option, say, table, verb
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import progress_bar
 
@@ -69,9 +70,9 @@ def review_command(
     reference (.npz) as its motion, command and limits. With --save or --picture the viewer is not opened; where no
     renderer is installed the picture is drawn by matplotlib, and the message says so.
     """
-    from dpcontrol.review.picture import open_viewer, write_picture, write_recording
+    from dpcontrol.review.picture import check_viewer, open_viewer, write_picture, write_recording
 
-    first = files[0]
+    first, temporary = files[0], None
     with progress_bar("review") as progress:
         progress("reading", 0.05)
         shown = _opened(files, align)
@@ -80,14 +81,22 @@ def review_command(
             document |= {"logs": files, "aligned": shown.status}
         if save is not None or picture is None:
             progress("recording", 0.2)
-            document["recording"] = save or Path(tempfile.mkdtemp(prefix="dpcontrol-")) / f"{first.stem}.rrd"
-            write_recording(shown, document["recording"])
+            if save is None:
+                check_viewer()
+                temporary = Path(tempfile.mkdtemp(prefix="dpcontrol-"))
+            document["recording"] = save or temporary / f"{first.stem[:40]}.rrd"
+            try:
+                write_recording(shown, document["recording"])
+                if temporary is not None:
+                    open_viewer(document["recording"], temporary=temporary)
+            except BaseException:
+                if temporary is not None:
+                    shutil.rmtree(temporary, ignore_errors=True)
+                raise
         if picture is not None:
             progress("picture", 0.5)
             drawn = write_picture(shown, picture)
             document |= {"picture": drawn.path, "renderer": drawn.renderer, "status": drawn.status}
-    if save is None and picture is None:
-        open_viewer(document["recording"])
     kinds = ("recording", "picture", "aligned")
     lines = [f"{kind:<10} {document[kind]}" for kind in kinds if document.get(kind)]
     return Answer(document, lines if picture is None else [*lines, document["status"]])
@@ -213,6 +222,7 @@ def recover_command(
         suffix=".mcap",
         help="Log to write [NAME.mcap for NAME.mcap.partial where that is free, else NAME-recovered.mcap].",
     ),
+    force: bool = force_option(),
 ) -> Answer:
     """Rebuild a log that a killed run left, that was cut or that is damaged, and report what is lost.
 
@@ -221,7 +231,7 @@ def recover_command(
     from dpcontrol.logs import recover
 
     with progress_bar("recover") as progress:
-        done = recover(log, out, progress=progress)
+        done = recover(log, out, force=force, progress=progress)
     return Answer(asdict(done), _recover_text(done))
 
 

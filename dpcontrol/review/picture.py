@@ -7,6 +7,7 @@ It exits with 0 and the picture written, or with 1 and the reason as the last li
 
 import contextlib
 import os
+import shlex
 import socket
 import subprocess
 import sys
@@ -42,19 +43,63 @@ def viewer_program() -> Path | None:
     return next((folder / name for name in ("rerun", "rerun.exe") if (folder / name).is_file()), None)
 
 
-def open_viewer(recording: Path) -> None:
-    """Open a recording in a viewer of its own, which outlives this process.
+_QUIET = {"CI": "1"}
+"""The viewer reports its use to its makers except in CI: what a bench does is nobody's business."""
+_LOOPBACK = ("--bind", "127.0.0.1")
+"""Without it the viewer listens to all who reach this computer."""
+_STARTED = 1.0
+"""Seconds after which a viewer that still runs has found its display."""
+_WATCH = """
+import shutil, subprocess, sys
+folder, *viewer = sys.argv[1:]
+try:
+    code = subprocess.call(viewer)
+finally:
+    if folder:
+        shutil.rmtree(folder, ignore_errors=True)
+sys.exit(code != 0)
+"""
+"""A program that waits for the viewer's end and removes the folder that was made for it."""
+
+
+def check_viewer() -> Path:
+    """Return the viewer's executable.
 
     Raises:
-        InputError: there is no such recording, or no viewer.
+        InputError: there is none, or no display to open it on.
     """
     program = viewer_program()
-    if not Path(recording).is_file():
-        raise InputError(f"there is no recording {recording}; write one with `dpcontrol review LOG --save {recording}`")
     if program is None:
         raise InputError("the installed rerun-sdk holds no viewer; install rerun-sdk from PyPI again")
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise InputError(
+            "there is no display to open the viewer on (neither DISPLAY nor WAYLAND_DISPLAY is set); write a file with "
+            "--picture FILE.png or --save FILE.rrd"
+        )
+    return program
+
+
+def open_viewer(recording: Path, *, temporary: Path | None = None) -> None:
+    """Open a recording in a viewer of its own, which outlives this process, listens here only and reports nothing.
+
+    temporary: a folder to remove when the viewer is closed.
+
+    Raises:
+        InputError: there is no such recording, no viewer, no display, or the viewer ended at once.
+    """
+    if not Path(recording).is_file():
+        raise InputError(f"there is no recording {recording}; write one with `dpcontrol review LOG --save {recording}`")
+    viewer = [str(check_viewer()), str(recording), *_LOOPBACK]
     silent = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
-    subprocess.Popen([str(program), str(recording)], start_new_session=True, **silent)
+    watch = subprocess.Popen(
+        [sys.executable, "-I", "-c", _WATCH, str(temporary or ""), *viewer], start_new_session=True,
+        env={**os.environ, **_QUIET}, **silent,
+    )  # fmt: skip
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        if watch.wait(_STARTED):
+            raise InputError("the viewer ended at once; write a file with --picture FILE.png or --save FILE.rrd")
+    # It is left to itself: nobody here waits for its end.
+    watch.returncode = 0
 
 
 def missing_renderer() -> str | None:
@@ -88,9 +133,8 @@ def picture_of(write: Callable[[Path], None], path: Path, *, moment: float, seco
     with tempfile.TemporaryDirectory(prefix="dpcontrol-") as folder:
         recording, picture = Path(folder) / "run.rrd", Path(folder) / "run.png"
         write(recording)
-        # The viewer's window library wants a private folder even when there is no window; and the viewer reports
-        # its use to its makers except in CI, which a picture made on the side should not do.
-        environment = {"XDG_RUNTIME_DIR": folder, "CI": "1", **os.environ}
+        # The viewer's window library wants a private folder even when there is no window.
+        environment = {"XDG_RUNTIME_DIR": folder, **os.environ, **_QUIET}
         program = [sys.executable, "-m", "dpcontrol.review.picture", str(viewer_program())]
         reason = _run([*program, str(recording), str(picture), repr(moment)], environment, seconds=seconds)
         if reason is not None:
@@ -199,6 +243,16 @@ _SETTLED = 1.0
 """Seconds without a report from any view before the picture is taken: software rendering needs some frames."""
 
 
+def _bound(program: Path, folder: Path) -> Path:
+    """Return a script in `folder` that starts the viewer on the loopback: its client has no setting for it."""
+    if os.name != "posix":
+        return program
+    script = folder / "viewer"
+    script.write_text(f'#!/bin/sh\nexec {shlex.quote(str(program))} {" ".join(_LOOPBACK)} "$@"\n')
+    script.chmod(0o700)
+    return script
+
+
 def take(program: Path, recording: Path, picture: Path, *, moment: float) -> str | None:
     """Write `picture`; return None, or why there is none. Waits as long as the viewer loads: time it from outside."""
     from rerun.experimental import ViewerClient
@@ -207,7 +261,7 @@ def take(program: Path, recording: Path, picture: Path, *, moment: float) -> str
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     look: dict[str, Any] = {"headless": True, "hide_welcome_screen": True}
-    with ViewerClient.spawn(executable_path=str(program), port=port, **look) as viewer:
+    with ViewerClient.spawn(executable_path=str(_bound(program, picture.parent)), port=port, **look) as viewer:
         viewer.open(str(recording))
         state = viewer.get_state()
         while state.loading or not any(item.timelines for item in state.recordings):

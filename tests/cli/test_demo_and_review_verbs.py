@@ -1,5 +1,7 @@
 """`dpcontrol demo` and `dpcontrol review`: the files they make, and where they say these are."""
 
+import subprocess
+import tempfile
 import time
 from pathlib import Path
 
@@ -68,15 +70,45 @@ def test_review_without_files_opens_the_viewer_on_a_recording(
 ) -> None:
     opened = tmp_path / "opened"
     viewer = tmp_path / "viewer"
-    viewer.write_text(f'#!/bin/sh\ncp "$1" "{opened}.part" && mv "{opened}.part" "{opened}"\n')
+    called = 'echo "$CI $2 $3" > "$0.called"'
+    viewer.write_text(f'#!/bin/sh\n{called}\ncp "$1" "{opened}.part" && mv "{opened}.part" "{opened}"\n')
     viewer.chmod(0o755)
     monkeypatch.setattr("dpcontrol.review.picture.viewer_program", lambda: viewer)
+    monkeypatch.setenv("DISPLAY", ":0")
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
     ended = dpcontrol("review", demo[0] / "logs/outer-turn-0.mcap")
     assert ended.code == 0
     waited = time.monotonic() + VIEWER_STARTS
-    while not opened.is_file() and time.monotonic() < waited:
+    while (not opened.is_file() or any((tmp_path / "tmp").iterdir())) and time.monotonic() < waited:
         time.sleep(0.05)
     assert opened.read_bytes().startswith(RECORDING)
+    # It reports nothing to its makers and listens to this computer only; what was made for it goes when it is closed.
+    assert (tmp_path / "viewer.called").read_text() == "1 --bind 127.0.0.1\n"
+    assert list((tmp_path / "tmp").iterdir()) == []
+
+
+@pytest.mark.parametrize("display", ["", ":0"])
+def test_review_without_a_display_is_refused_and_leaves_nothing(
+    display: str, demo: tuple[Path, Ended], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Of a display that is named but not there the viewer itself says so, at once.
+    monkeypatch.setattr("dpcontrol.review.picture.viewer_program", lambda: Path("/bin/false"))
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    monkeypatch.setenv("DISPLAY", display)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    ended = dpcontrol("review", demo[0] / "logs/outer-turn-0.mcap")
+    assert ended.code == 2
+    assert ("the viewer ended at once" if display else "there is no display to open the viewer on") in ended.message
+    assert "write a file with --picture FILE.png or --save FILE.rrd" in ended.message
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_viewer_that_takes_a_picture_listens_to_this_computer_only(tmp_path: Path) -> None:
+    from dpcontrol.review.picture import _bound
+
+    said = subprocess.run([_bound(Path("/bin/echo"), tmp_path), "--headless"], capture_output=True, text=True)
+    assert said.stdout == "--bind 127.0.0.1 --headless\n"
 
 
 def test_two_logs_are_reviewed_side_by_side_and_it_says_how_they_are_aligned(
