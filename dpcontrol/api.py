@@ -287,12 +287,14 @@ def run(
     seed: int = 0,
     options: RunOptions | None = None,
     log: Place | None = None,
+    force: bool = False,
     progress: Reporting = None,
 ) -> "Run":
     """Run the closed loop of a plan, or of an itinerary by name, on the simulated bench.
 
     mismatch: share by which the plant's parameters may be off; options: other settings that take the place of the
-    scene's. seed: of all that is random. log: where to write the run's log, if anywhere.
+    scene's. seed: of all that is random. log: where to write the run's log, if anywhere; force: also where there
+    is that of another run.
 
     >>> dp.run("outer-turn", mismatch=0.02, seed=3).converged
     True
@@ -307,7 +309,7 @@ def run(
         planned = plan(planned, progress=part_of(report, 0.0, 0.5)) if isinstance(planned, str) else planned
         scene = planned.itinerary.with_run(_options(options, mismatch), seed=seed)
         out = None if log is None else Path(log)
-        return run_plan(replace(planned, itinerary=scene), out, progress=part_of(report, 0.5, 1.0))
+        return run_plan(replace(planned, itinerary=scene), out, force=force, progress=part_of(report, 0.5, 1.0))
 
 
 def campaign(
@@ -320,12 +322,14 @@ def campaign(
     first_seed: int = 0,
     workers: int = 0,
     out: Place | None = None,
+    force: bool = False,
     progress: Reporting = None,
 ) -> "Campaign":
     """Run a plan, or an itinerary by name, with many seeds, and count how often it is completed.
 
     over: values of options that are varied by name, each combination a case of `runs` seeds from `first_seed` on.
-    workers: processes, 0 for one on each processor. out: the Parquet file to write the rows to, if any.
+    workers: processes, 0 for one on each processor. out: the Parquet file to write the rows to, if any; force: also
+    where there is that of another campaign.
 
     >>> dp.campaign("outer-turn", runs=4, mismatch=0.02).completed.rate
     1.0
@@ -341,7 +345,7 @@ def campaign(
         cases = cases_of(planned.itinerary, fixed=_options(options, mismatch), over=over or {})
         settings = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers)
         file = None if out is None else Path(out)
-        return run_campaign(planned, cases, file, settings=settings, progress=part_of(report, 0.1, 1.0))
+        return run_campaign(planned, cases, file, settings=settings, force=force, progress=part_of(report, 0.1, 1.0))
 
 
 def swings(model: Model, *, count: int = 9, seconds: float = 2.667, seed: int = 0) -> "Recording":

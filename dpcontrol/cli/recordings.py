@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.verbs import Answer, TextTable, argument, drawn_to, file_option, option, table, verb
+from dpcontrol.cli.verbs import Answer, TextTable, argument, drawn_to, file_option, force_option, option, table, verb
 from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -33,7 +33,8 @@ def import_command(
     swings: int = option(default=9, group=SIMULATED, help="Number of swings."),
     seconds: float = option(default=2.667, group=SIMULATED, help="Length of each swing, s."),
     seed: int = option(default=0, group=SIMULATED, help="Seed of the starts and the encoders' zeros."),
-    out: Path | None = file_option(help="Log to write [logs/NAME.mcap]."),
+    out: Path | None = file_option(suffix=".mcap", help="Log to write [logs/NAME.mcap]."),
+    force: bool = force_option(),
 ) -> Answer:
     """Import a recording of the bench, MATLAB, CSV or Parquet, as a log.
 
@@ -62,7 +63,7 @@ def import_command(
         else:
             recording = import_recording(file, mapping, repairs=repairs, progress=progress)
         progress("writing", 0.7)
-        log = write_recording(recording, out or Path("logs") / f"{recording.name}.mcap")
+        log = write_recording(recording, out or Path("logs") / f"{recording.name}.mcap", force=force)
     against = "" if own is None else contradiction(recording, own.arms, model=own.name)
     remarks = [*constant_angles(recording), *filter(None, [against])]
     for sentence in remarks:
@@ -94,6 +95,7 @@ def identify_command(
     ),
     design: bool = option(help="Instead, report which swings would tell most about the model."),
     out: Path | None = file_option(suffix=".toml", help="Model to write [models/NAME.toml]."),
+    force: bool = force_option(),
     picture: Path | None = file_option(suffix=".png", help="Draw the result to this PNG."),
 ) -> Answer:
     """Identify a model from LOGS that `dpcontrol import` wrote: inertia ratios, friction laws, encoder zeros.
@@ -109,16 +111,17 @@ def identify_command(
         raise click.UsageError("give at least one log that `dpcontrol import` wrote")
     from dpcontrol import api
     from dpcontrol.recordings.recording import load_recording
-    from dpcontrol.scenes.model import load_model, write_model
+    from dpcontrol.scenes.model import check_model_replaced, load_model, write_model
 
     start = load_model(model)
     recordings = [load_recording(path) for path in logs]
-    target = out or Path("models") / f"{logs[0].stem}.toml"
+    target, names = out or Path("models") / f"{logs[0].stem}.toml", [path.name for path in logs]
+    check_model_replaced(target, logs=names, starting_model=start.name, force=force)
     with progress_bar("identify") as progress:
         found = api.identify(recordings, model=start, zeros=zeros, progress=progress)
         title = f"{start.title}, identified from {', '.join(r.name for r in recordings)}"
         # A model's file names the logs as they were given.
-        write_model(found, target, title=title, logs=[path.name for path in logs], starting_model=start.name)
+        write_model(found, target, title=title, logs=names, starting_model=start.name)
         if picture is not None:
             from dpcontrol.identification.identify import profiles
             from dpcontrol.review.identification import draw_identification
@@ -192,7 +195,8 @@ def replay_command(
     counts: int = option(default=40_000, group=ESTIMATOR, help="Encoder counts per turn: assumed noise."),
     mean_over: float | None = option(group=ESTIMATOR, help="Length of its means, s [0.015; 0 if the cart moved]."),
     model_error: float = option(default=0.003, group=ESTIMATOR, help="Relative error of the accelerations."),
-    out: Path | None = file_option(help="Log to write [logs/NAME-replay.mcap]."),
+    out: Path | None = file_option(suffix=".mcap", help="Log to write [logs/NAME-replay.mcap]."),
+    force: bool = force_option(),
 ) -> Answer:
     """Predict a recording by a model, run an estimator over its angles, and write both beside what was measured.
 
@@ -216,7 +220,7 @@ def replay_command(
         result = replay_recording(
             recording, loaded.arms, filters, settings, zeros=loaded.encoder_zeros, progress=progress
         )
-        written = write_replay(result, target, model=loaded.name, model_text=loaded.text)
+        written = write_replay(result, target, model=loaded.name, model_text=loaded.text, force=force)
     if against := contradiction(recording, loaded.arms, model=loaded.name):
         remark(f"{log}: {against}")
     document = {"log": written, "model": loaded.name, "estimator": estimator, **result.document()}

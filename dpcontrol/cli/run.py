@@ -19,6 +19,7 @@ from dpcontrol.cli.verbs import (
     TextTable,
     argument,
     file_option,
+    force_option,
     option,
     say,
     show,
@@ -49,7 +50,7 @@ def run_settings() -> Any:
 
 BENCH = "Bench"
 KEY_HELP = "File with the key that bench and loop share [the environment's DPCONTROL_RIG_KEY]."
-_WITH_FROM = ("source", "out", "as_json", "debug")
+_WITH_FROM = ("source", "out", "force", "as_json", "debug")
 
 
 @verb("run", example="dpcontrol run outer-turn --seed 3 --mismatch 0.05")
@@ -71,7 +72,8 @@ def run_command(
     key_file: Path | None = option(type=FILE, group=BENCH, help=KEY_HELP),
     insecure: bool = option(group=BENCH, help="With --rig: take a bench on another computer without a key."),
     settings: RunOptions = run_settings(),
-    out: Path | None = file_option(help="Log to write [logs/NAME-SEED.mcap]."),
+    out: Path | None = file_option(suffix=".mcap", help="Log to write [logs/NAME-SEED.mcap]."),
+    force: bool = force_option(),
 ) -> Answer:
     """Run an itinerary in closed loop on the simulated bench, or on a rig, and write its log.
 
@@ -79,7 +81,7 @@ def run_command(
     not known, if it ended early or a symbol was not done by the estimate.
     """
     if source is not None:
-        return _repeat(source, out)
+        return _repeat(source, out, force)
     if itinerary is None:
         raise click.UsageError("give an ITINERARY, or a log to repeat with --from")
     if real_time and address is None:
@@ -105,7 +107,7 @@ def run_command(
     out = out or default_log(scene)
     with progress_bar("run") as progress:
         plan = make_plan(scene, progress=progress)
-        verdict = run_plan(plan, out, progress=progress).score() if address is None else None
+        verdict = run_plan(plan, out, force=force, progress=progress).score() if address is None else None
     if verdict is not None:
         for line in run_remarks(scene):
             say(line)
@@ -113,7 +115,7 @@ def run_command(
     # Without a progress bar, whose own thread would take time from the loop's.
     from dpcontrol.scenes.run import run_on_rig
 
-    run = run_on_rig(plan, out, address or "", key=key, insecure=insecure, real_time=real_time)
+    run = run_on_rig(plan, out, address or "", key=key, insecure=insecure, real_time=real_time, force=force)
     verdict, result = run.score, run.result
     document = {**verdict.document(), "ending": result.ending.value, "deadlines": asdict(run.deadlines)}
     done = verdict.symbols_completed == verdict.symbols_total
@@ -122,7 +124,7 @@ def run_command(
     return Answer(document, lines, reason and f"not completed: {reason}")
 
 
-def _repeat(source: Path, out: Path | None) -> Answer:
+def _repeat(source: Path, out: Path | None, force: bool) -> Answer:
     """Repeat a run, score it and compare its messages.
 
     Raises:
@@ -137,7 +139,7 @@ def _repeat(source: Path, out: Path | None) -> Answer:
     from dpcontrol.scenes.run import repeat_run, repeated_log
 
     with progress_bar("run") as progress:
-        done = repeat_run(source, out or repeated_log(source), progress=progress)
+        done = repeat_run(source, out or repeated_log(source), force=force, progress=progress)
     same, verdict = done.comparison, done.score
     repeated = {"of": source, "identical_messages": same.messages, "difference": same.difference}
     lines = [*score_text(verdict), f"  repeats {source}: {same.messages:,} messages are identical"]
@@ -250,6 +252,7 @@ def campaign_command(
     ),
     fixed: RunOptions = run_settings(),
     out: Path | None = file_option(suffix=".parquet", help="Table to write [logs/NAME.parquet]."),
+    force: bool = force_option(),
 ) -> Answer:
     """Run an itinerary with many seeds and report how often it is completed.
 
@@ -284,7 +287,7 @@ def campaign_command(
     file = out or Path("logs") / f"{scene.name}.parquet"
     with progress_bar("campaign") as progress:
         plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05))
-        found = run_campaign(plan, cases, file, settings=settings, progress=part_of(progress, 0.05, 1.0))
+        found = run_campaign(plan, cases, file, settings=settings, force=force, progress=part_of(progress, 0.05, 1.0))
     scores = standard_scores(found.results) if standard else ()
     document = {**found.document(), "standard": [score.document() for score in scores]}
     return Answer(document, _text(found, scores))

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dpcontrol.cli.review import score_text, shortfall
-from dpcontrol.cli.verbs import FOLDER, OUTPUT, Answer, TextTable, argument, option, table, verb
+from dpcontrol.cli.verbs import FOLDER, OUTPUT, Answer, TextTable, argument, force_option, option, table, verb
 from dpcontrol.foundation.progress import part_of, progress_bar
 
 if TYPE_CHECKING:
@@ -20,6 +20,7 @@ def demo_command(
     itinerary: str = option(default="outer-turn", help="Itinerary to show."),
     seed: int = option(default=0, help="Seed of the plant's parameters and the initial error."),
     folder: Path = option(type=FOLDER, default=Path("logs"), group=OUTPUT, help="Where log, recording and picture go."),
+    force: bool = force_option(),
 ) -> Answer:
     """Plan, run, score and picture one itinerary: a full turn of the outer arm at no cost of energy.
 
@@ -38,7 +39,7 @@ def demo_command(
         plan = api.plan(itinerary, progress=part_of(progress, 0.05, 0.5))
         scene = plan.itinerary
         log = folder / f"{scene.name}-{seed}.mcap"
-        run = api.run(plan, seed=seed, log=log, progress=part_of(progress, 0.5, 0.75))
+        run = api.run(plan, seed=seed, log=log, force=force, progress=part_of(progress, 0.5, 0.75))
         verdict, view = run.score(), run_view(run.log)
         progress("recording", 0.8)
         recording = log.with_suffix(".rrd")

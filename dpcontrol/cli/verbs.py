@@ -142,6 +142,12 @@ def file_option(*, suffix: str | tuple[str, ...] = (), help: str) -> Any:
     return option(type=FILE, group=OUTPUT, suffixes=(suffix,) if isinstance(suffix, str) else suffix, help=help)
 
 
+def force_option() -> Any:
+    """Declare a parameter as the option that lifts the one rule of all writers of logs, tables and models."""
+    text = "Replace what is there, whatever it is. [without: only what this very command would make again]"
+    return option("--force", group=OUTPUT, help=text)
+
+
 def _parameter(name: str, annotation: Any, declared: _Declared) -> click.Parameter:
     """Return click's parameter for one of a function."""
     kind, names, settings = declared.kind, declared.names, dict(declared.settings)

@@ -92,6 +92,13 @@ def checked_other_file(out: Path, source: Path | str, *, what: str) -> None:
         raise InputError(f"--out {out}: that is {what}; choose another name")
 
 
+def in_the_way(path: Path | str, what: str) -> InputError:
+    """Return the error of a file that is not replaced; what: how it came about, as in "holds another run"."""
+    return InputError(
+        f"{path} is there already and {what}, which this would lose: choose another name, or replace it with --force"
+    )
+
+
 def unwritable(path: Path, error: OSError) -> InputError:
     """Return the error of a file that cannot be written."""
     return InputError(f"cannot write {path}: {error.strerror or error}; choose another file or folder")

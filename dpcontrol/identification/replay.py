@@ -596,7 +596,7 @@ def _ahead(
     return np.sqrt(np.nanmean(np.square(error), axis=0))
 
 
-def write_replay(result: Replay, path: Path | str, *, model: str, model_text: str) -> Path:
+def write_replay(result: Replay, path: Path | str, *, model: str, model_text: str, force: bool = False) -> Path:
     """Write measured angles with the estimate and, as the reference, the prediction; return the log's path.
 
     Where the cart moved, estimate and prediction hold its motion as the input that it was.
@@ -627,5 +627,5 @@ def write_replay(result: Replay, path: Path | str, *, model: str, model_text: st
         recording, path, "replay", pieces,
         metadata=described(recording, kind=REPLAYED) | {"model": model, SUMMARY: result.summary(model)},
         states={"estimate": estimated, "reference": predicted}, control=control, sigmas=sigmas,
-        attachments={"model.toml": model_text.encode()},
+        attachments={"model.toml": model_text.encode()}, force=force,
     )  # fmt: skip

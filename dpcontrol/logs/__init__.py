@@ -3,7 +3,16 @@
 from dpcontrol.control.interface import Mode
 from dpcontrol.logs.container import partials_of
 from dpcontrol.logs.layout import LEVELS, control_fields, joint_names
-from dpcontrol.logs.reader import Comparison, Event, LogSummary, RunLog, compare_messages, read_log, summarise
+from dpcontrol.logs.reader import (
+    Comparison,
+    Event,
+    LogSummary,
+    RunLog,
+    check_replaced,
+    compare_messages,
+    read_log,
+    summarise,
+)
 from dpcontrol.logs.recovery import Recovery, recover
 from dpcontrol.logs.writer import LogWriter
 
@@ -16,6 +25,7 @@ __all__ = [
     "Mode",
     "Recovery",
     "RunLog",
+    "check_replaced",
     "compare_messages",
     "control_fields",
     "joint_names",

@@ -31,7 +31,7 @@ from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import checked_size, checked_source
+from dpcontrol.foundation.files import checked_size, checked_source, in_the_way
 from dpcontrol.logs import layout
 from dpcontrol.logs.container import CHUNK_HEAD, MAGIC, ZSTD, partials_of, unsealed
 from dpcontrol.logs.layout import TickLayout
@@ -576,6 +576,38 @@ def read_log(path: Path | str) -> RunLog:
     file = open_verified(Path(path))
     with file.decoding():
         return _decode(file)
+
+
+_INCIDENTAL = ("version", "commit", "plan")
+"""What a run's record says besides what determines the run."""
+
+
+def check_replaced(
+    path: Path | str, metadata: Mapping[str, str], *, recovers: Path | None = None, force: bool = False
+) -> None:
+    """Reject a file in a new log's place, unless the command that writes the new one made it, and would again.
+
+    That it would is told by the record of the run, metadata: settings, seed, hashes. What a bench on a rig did, nothing
+    does again. recovers: the new log is recovered from this file, and replaces only what was recovered from it.
+
+    Raises:
+        InputError: there is another log or file.
+    """
+    path = Path(path)
+    if force or not path.is_file():
+        return
+    try:
+        file = open_verified(path)
+    except InputError as error:
+        raise in_the_way(path, "is no whole log") from error
+    there = file.values(layout.RUN_RECORD)
+    if "rig" in file.values(layout.RESULT_RECORD) or "rig" in there:
+        raise in_the_way(path, "holds what a rig did")
+    if file.values(layout.RECOVERY_RECORD).get("source") != (recovers and recovers.name):
+        raise in_the_way(path, "holds another log")
+    differing = [k for k in {**metadata, **there} if k not in _INCIDENTAL and metadata.get(k) != there.get(k)]
+    if differing:
+        raise in_the_way(path, f"holds another log (not the same: {', '.join(differing)})")
 
 
 def _decode(file: VerifiedFile) -> RunLog:

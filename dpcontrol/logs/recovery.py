@@ -37,6 +37,7 @@ from dpcontrol.logs.reader import (
     MALFORMED,
     Batch,
     check_channels,
+    check_replaced,
     described_layout,
     gathered,
     parsed,
@@ -193,8 +194,12 @@ class Recovery:
     lost: str
 
 
-def recover(path: Path | str, out: Path | None = None, *, progress: Progress = no_progress) -> Recovery:
+def recover(
+    path: Path | str, out: Path | None = None, *, force: bool = False, progress: Progress = no_progress
+) -> Recovery:
     """Rebuild the log in `path`, and write it to `out`, by default beside it under a name that is free.
+
+    force: replace whatever log there is at `out`.
 
     Raises:
         InputError: there is no such file, nothing in it can be recovered, it holds pieces of several logs, or the new
@@ -219,6 +224,7 @@ def recover(path: Path | str, out: Path | None = None, *, progress: Progress = n
         read_log(path)
         return replace(done, lost="")
     done = replace(done, log=_free_name(path) if out is None else Path(out))
+    check_replaced(done.log, _only(path, found, layout.RUN_RECORD) or {}, recovers=path, force=force)
     _write(found, chunks, described=described, tick=tick, done=done, progress=part_of(progress, 0.6, 1.0))
     return done
 

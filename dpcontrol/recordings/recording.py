@@ -31,8 +31,8 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import checked_source, picked
-from dpcontrol.logs import LogWriter, Mode, RunLog, control_fields, read_log
+from dpcontrol.foundation.files import checked_source, content_hash, picked
+from dpcontrol.logs import LogWriter, Mode, RunLog, check_replaced, control_fields, read_log
 from dpcontrol.logs.container import MAGIC
 
 Array = NDArray[np.float64]
@@ -103,6 +103,7 @@ class Recording:
 
 def described(recording: Recording, *, kind: str = KIND) -> dict[str, str]:
     """Return the metadata of a log made of a recording."""
+    measured = (recording.time, recording.angles, recording.rates, recording.cart, recording.command)
     return {
         "kind": kind,
         "title": recording.name,
@@ -111,10 +112,11 @@ def described(recording: Recording, *, kind: str = KIND) -> dict[str, str]:
         "segments": " ".join(f"{first}:{end}" for first, end in recording.segments),
         "command": "" if recording.command is None else "cart acceleration, in /control",
         "notes": "\n".join(recording.notes),
+        "content": content_hash(*(np.ascontiguousarray(part).tobytes() for part in measured if part is not None)),
     }
 
 
-def write_recording(recording: Recording, path: Path | str) -> Path:
+def write_recording(recording: Recording, path: Path | str, *, force: bool = False) -> Path:
     """Write a recording as a log and return its path.
 
     Raises:
@@ -126,7 +128,7 @@ def write_recording(recording: Recording, path: Path | str) -> Path:
         for index, (first, end) in enumerate(recording.segments)
     ]
     control = {} if command is None else {"command": command, "applied": command}
-    return write_samples(recording, path, "import", pieces, metadata=described(recording), control=control)
+    return write_samples(recording, path, "import", pieces, metadata=described(recording), control=control, force=force)
 
 
 def write_samples(
@@ -140,15 +142,17 @@ def write_samples(
     control: Mapping[str, Array] | None = None,
     sigmas: Array | None = None,
     attachments: Mapping[str, bytes] | None = None,
+    force: bool = False,
 ) -> Path:
     """Write what was measured, with states (K, N) and fields of control (K,) by name, as a log; return its path.
 
     pieces: first and end row of each, and the level and text of the event that `verb` tells of it; sigmas (K, N): the
-    standard deviations of the estimate.
+    standard deviations of the estimate. force: replace another log at `path`.
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: the file cannot be written, or there is another log.
     """
+    check_replaced(path, metadata, force=force)
     measured, rates = recording.angles, recording.rates
     has_cart = recording.cart is not None
     if recording.cart is not None:

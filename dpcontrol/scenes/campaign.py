@@ -52,7 +52,7 @@ import dpcontrol
 from dpcontrol.control.interface import Controller
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import content_hash, whole_file
+from dpcontrol.foundation.files import content_hash, in_the_way, whole_file
 from dpcontrol.foundation.processes import ATTEMPTS, in_processes, processors
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
@@ -535,11 +535,13 @@ def run_campaign(
     file: Path | None = None,
     *,
     settings: CampaignSettings,
+    force: bool = False,
     progress: Progress = no_progress,
 ) -> Campaign:
     """Run every case on every seed; write the rows to `file`, if one is wanted, whole or not at all.
 
-    Interrupted, it leaves what is finished beside the file, and goes on from there when it is run again.
+    force: replace what is there, whatever it is. Interrupted, it leaves what is finished beside the file, and goes on
+    from there when it is run again.
 
     Raises:
         InputError: the file cannot be written; no cluster answers; the settings do not fit the plan.
@@ -550,6 +552,8 @@ def run_campaign(
     began = time.perf_counter()
     itinerary = plan.itinerary
     jobs = _jobs(plan.followed(), cases, settings)
+    if file is not None and not force:
+        _check_replaced(file, _metadata(itinerary, cases, settings))
     extra = tuple(dict.fromkeys(name for case in cases for name in _numbers(case)))
     parts = None if file is None else file.with_name(file.name + ".parts")
     kept: dict[str, pa.Table] = {}
@@ -569,6 +573,26 @@ def run_campaign(
         _write(file, table)
         shutil.rmtree(parts, ignore_errors=True)
     return _summary(itinerary.name, cases, table, seconds=time.perf_counter() - began, file=file)
+
+
+def _check_replaced(file: Path, metadata: Mapping[str, Any]) -> None:
+    """Reject a file in the table's place, unless it is of the same campaign, and no more of it.
+
+    Raises:
+        InputError: there is another file.
+    """
+    if not file.is_file():
+        return
+    try:
+        table = _read(file)
+    except InputError as error:
+        raise in_the_way(file, "is no table of a campaign") from error
+    there, seeds = json.loads((table.schema.metadata or {}).get(METADATA, b"{}")), table["seed"].to_numpy()
+    same = all(there.get(key) == metadata[key] for key in ("itinerary", "model", "scene_hash", "model_hash", "cases"))
+    first, runs, path = (metadata["settings"][key] for key in ("first_seed", "runs", "path"))
+    covered = bool(((seeds >= first) & (seeds < first + runs)).all())
+    if not same or not covered or there["settings"]["path"] != path:
+        raise in_the_way(file, "holds another campaign, or more runs of this one")
 
 
 def _jobs(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> list[Job]:
@@ -598,6 +622,8 @@ def _metadata(itinerary: Itinerary, cases: Sequence[Case], settings: CampaignSet
         "version": dpcontrol.__version__,
         "itinerary": itinerary.name,
         "model": itinerary.model.name,
+        "scene_hash": content_hash(itinerary.text),
+        "model_hash": content_hash(itinerary.model.text),
         "settings": asdict(settings),
         "cases": {case.label: json.loads(json.dumps(asdict(case.loop), default=str)) for case in cases},
     }

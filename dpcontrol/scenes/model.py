@@ -23,7 +23,7 @@ from dpcontrol.dynamics.bodies import oddities
 from dpcontrol.dynamics.chain import ArmChainParameters, Friction, Uncertainty, pendulum_system, ratio_names, unit_name
 from dpcontrol.dynamics.system import System, ThreeBodyParameters, three_body_system
 from dpcontrol.foundation.errors import InputError, remark
-from dpcontrol.foundation.files import checked_source, write_whole
+from dpcontrol.foundation.files import checked_source, in_the_way, write_whole
 from dpcontrol.foundation.settings import Table, parse_toml, read_toml
 
 if TYPE_CHECKING:
@@ -246,7 +246,7 @@ def model_text(found: "Identification", *, title: str, logs: Sequence[str], star
     # A file of numbers has no infinity: what the data do not see is not varied.
     covariance = np.where(np.outer(known, known), found.covariance[:count, :count], 0.0)
     lines = [
-        f"# {of}, starting at the model {starting_model}.",
+        _first_line(logs, starting_model),
         f"# {len(left)} segments were left out; their rms is {1e3 * np.median(left):.2f} mrad in the median, "
         f"{1e3 * left.max():.2f} at worst.",
         "# What the recordings do not determine:",
@@ -288,6 +288,22 @@ def model_text(found: "Identification", *, title: str, logs: Sequence[str], star
         "",
     ]
     return "\n".join(lines)
+
+
+def _first_line(logs: Sequence[str], starting_model: str) -> str:
+    return _plain(f"# Identified from {', '.join(logs)}, starting at the model {starting_model}.")
+
+
+def check_model_replaced(path: Path, *, logs: Sequence[str], starting_model: str, force: bool = False) -> None:
+    """Reject a file in the place of a model to identify, unless it was identified from the same logs.
+
+    Raises:
+        InputError: there is another file.
+    """
+    if not force and path.is_file():
+        first = path.read_text(encoding="utf-8", errors="replace").partition("\n")[0]
+        if first != _first_line(logs, starting_model):
+            raise in_the_way(path, "was not identified from these logs")
 
 
 def write_model(found: "Identification", path: Path, *, title: str, logs: Sequence[str], starting_model: str) -> Path:

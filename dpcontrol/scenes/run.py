@@ -30,6 +30,7 @@ from dpcontrol.logs import (
     Event,
     LogWriter,
     RunLog,
+    check_replaced,
     compare_messages,
     control_fields,
     joint_names,
@@ -117,12 +118,14 @@ class Run:
         return draw(run_view(self.log))
 
 
-def run_plan(plan: Plan, out: Path | None = None, *, progress: Progress = no_progress) -> Run:
+def run_plan(plan: Plan, out: Path | None = None, *, force: bool = False, progress: Progress = no_progress) -> Run:
     """Run the closed loop of a planned itinerary; write its log to `out`, if one is wanted.
 
+    force: replace a log of another run at `out`.
+
     Raises:
-        InputError: the log cannot be written; the plant is to be drawn from an uncertainty that the model's file does
-            not give.
+        InputError: the log cannot be written, or there is that of another run; the plant is to be drawn from an
+            uncertainty that the model's file does not give.
         GoalMissed: the plan did not converge, or no controller can be made for it, or no plant drawn.
     """
     scene, sink = plan.followed().itinerary, _Events()
@@ -132,6 +135,7 @@ def run_plan(plan: Plan, out: Path | None = None, *, progress: Progress = no_pro
     )  # fmt: skip
     if out is None:
         return Run(_log_in_memory(plan, run(sink=sink), sink))
+    check_replaced(out, _metadata(plan.itinerary), force=force)
     with log_writer(plan, out) as writer:
         writer.result(**_outcome(run(sink=LogSink(writer))))
     return Run(read_log(out))
@@ -234,7 +238,7 @@ def repeated_log(source: Path) -> Path:
     return Path("logs") / f"{source.name.removesuffix('.mcap')}-again.mcap"
 
 
-def repeat_run(source: Path, out: Path, *, progress: Progress = no_progress) -> Repeat:
+def repeat_run(source: Path, out: Path, *, force: bool = False, progress: Progress = no_progress) -> Repeat:
     """Repeat the run in the log `source`, write its log to `out`, and compare the two message for message.
 
     Raises:
@@ -244,7 +248,7 @@ def repeat_run(source: Path, out: Path, *, progress: Progress = no_progress) -> 
     log = read_log(source)
     checked_other_file(out, source, what="the log to repeat")
     with TemporaryDirectory() as folder:
-        verdict = run_plan(_plan(log, Path(folder)), out, progress=progress).score()
+        verdict = run_plan(_plan(log, Path(folder)), out, force=force, progress=progress).score()
     then, now = log.metadata.get("version", "?"), dpcontrol.__version__
     versions = None if then == now else f"the log was written by version {then}, this is {now}"
     return Repeat(verdict, compare_messages(source, out), versions)
@@ -350,6 +354,7 @@ def run_on_rig(
     key: bytes = b"",
     insecure: bool = False,
     real_time: bool = False,
+    force: bool = False,
     progress: Progress = no_progress,
 ) -> RigRun:
     """Run the closed loop of a planned itinerary on the bench at `address`, write its log to `out`, and score it.
@@ -368,6 +373,8 @@ def run_on_rig(
     itinerary, reference = plan.itinerary, plan.followed().reference
     arms, settings = itinerary.model.arms, itinerary.loop
     where = None if address == OWN_BENCH else parse_address(address)
+    # What a rig does is not what any log there says, whatever its settings.
+    check_replaced(out, {**_metadata(itinerary), "rig": address}, force=force)
     controller = loop_controller(reference, arms, settings)
     fallback = loop_fallback(reference, arms, settings)
     process: BenchProcess | None = None

@@ -176,11 +176,13 @@ def test_no_verb_writes_over_what_it_reads(verb: str, logged: Path, tmp_path: Pa
 
 
 def test_what_is_no_file_is_not_replaced(logged: Path, tmp_path: Path) -> None:
-    pipe = tmp_path / "pipe.png"
-    os.mkfifo(pipe)
-    for call in (("run", "--from", logged, "--out", pipe), ("report", logged, "--picture", pipe)):
+    log, picture = tmp_path / "pipe.mcap", tmp_path / "pipe.png"
+    os.mkfifo(log)
+    os.mkfifo(picture)
+    for call in (("run", "--from", logged, "--out", log), ("report", logged, "--picture", picture)):
         refused = dpcontrol(*call)
         assert refused.code == 2
         assert "choose another file name" in refused.message
-    assert [file.name for file in tmp_path.iterdir()] == ["pipe.png"]
-    assert pipe.is_fifo()
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["pipe.mcap", "pipe.png"]
+    assert log.is_fifo()
+    assert picture.is_fifo()

@@ -1,0 +1,128 @@
+"""A log, table or model is replaced by the very command that would make it again, and by no other without --force."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs import LogWriter, check_replaced, recover
+
+STILL = "still.toml"
+SCENE = """
+title = "Hold both arms hanging"
+start = "hold"
+hold = "down-down"
+seconds = 0.5
+[controller]
+kind = "lqr"
+[supervisor]
+lost_tracking = 1.5
+"""
+LOG = Path("logs/still-0.mcap")
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    Path("logs").mkdir()
+    Path(STILL).write_text(SCENE)
+    return tmp_path
+
+
+def kept(file: Path, line: str, naming: str) -> None:
+    """Check that a command leaves a file as it is, says so in one sentence, and replaces it with --force."""
+    content = file.read_bytes()
+    ended = dpcontrol(*line.split())
+    assert ended.code == 2, ended.stderr
+    assert ended.stdout == ""
+    assert f"{file} is there already and {naming}" in ended.message
+    assert "choose another name, or replace it with --force" in ended.message
+    assert file.read_bytes() == content
+    assert [one.name for one in file.parent.iterdir()] == [file.name]
+    assert dpcontrol(*line.split(), "--force").code == 0
+    assert file.read_bytes() != content
+
+
+def test_a_run_with_other_settings_leaves_the_log_of_a_run() -> None:
+    assert dpcontrol("run", STILL).code == 0
+    assert dpcontrol("run", STILL).code == 0
+    kept(LOG, f"run {STILL} --mismatch 0.07", "holds another log (not the same: run_settings)")
+    kept(LOG, f"run {STILL} --seed 5 --out {LOG}", "holds another log (not the same: ")
+
+
+def test_what_is_no_log_is_no_log_to_replace() -> None:
+    LOG.write_text("my notes")
+    kept(LOG, f"run {STILL}", "is no whole log")
+
+
+def written(path: Path, *, rig: str | None = None, ticks: int = 50) -> None:
+    """Write a log of a bench at rest."""
+    with LogWriter(path, arm_lengths=(0.2, 0.2), rate_hz=1000.0, metadata={"seed": "0"}) as log:
+        log.ticks(np.arange(ticks) / 1000, measured=np.zeros((ticks, 3)))
+        log.result(**({} if rig is None else {"rig": rig}))
+
+
+def test_what_a_rig_did_is_kept_whatever_runs() -> None:
+    written(LOG, rig="udp://127.0.0.1:47000")
+    with pytest.raises(InputError, match="holds what a rig did"):
+        check_replaced(LOG, {"seed": "0"})
+    # Before any bench is looked for: nothing answers there.
+    ended = dpcontrol("run", STILL, "--rig", "udp://127.0.0.1:9")
+    assert ended.code == 2
+    assert "holds what a rig did" in ended.message
+    written(LOG)
+    check_replaced(LOG, {"seed": "0", "commit": "another"})
+    with pytest.raises(InputError, match="not the same: rig"):
+        check_replaced(LOG, {"seed": "0", "rig": "udp"})
+
+
+def test_a_campaign_goes_on_in_its_own_table_and_leaves_every_other() -> None:
+    table = Path("logs/still.parquet")
+    line = f"campaign {STILL} --workers 1 --runs"
+    assert dpcontrol(*line.split(), "1").code == 0
+    assert dpcontrol(*line.split(), "2").code == 0
+    kept(table, f"{line} 1", "holds another campaign, or more runs of this one")
+    kept(table, f"{line} 1 --mismatch 0.07", "holds another campaign, or more runs of this one")
+    table.write_text("my notes")
+    kept(table, f"{line} 1", "is no table of a campaign")
+
+
+def test_an_import_leaves_the_log_of_another_recording() -> None:
+    log = Path("logs/lab-swings-0.mcap")
+    line = "import --simulated lab --seconds 0.5 --swings"
+    assert dpcontrol(*line.split(), "2").code == 0
+    assert dpcontrol(*line.split(), "2").code == 0
+    kept(log, f"{line} 1", "holds another log (not the same: ")
+
+
+def test_a_replay_by_other_settings_leaves_a_replay() -> None:
+    record = "import --simulated lab --seconds 0.5 --swings 1 --out swings.mcap"
+    assert dpcontrol(*record.split()).code == 0
+    line = "replay swings.mcap --out logs/replay.mcap"
+    assert dpcontrol(*line.split()).code == 0
+    assert dpcontrol(*line.split()).code == 0
+    kept(Path("logs/replay.mcap"), f"{line} --counts 400", "holds another log (not the same: summary)")
+
+
+def test_an_identified_model_leaves_a_file_that_was_not_identified_from_the_same_logs() -> None:
+    Path("mine.toml").write_text('title = "mine"\n')
+    written(Path("logs/swing.mcap"))
+    ended = dpcontrol("identify", "logs/swing.mcap", "--out", "mine.toml")
+    assert ended.code == 2
+    assert "mine.toml is there already and was not identified from these logs" in ended.message
+    assert Path("mine.toml").read_text() == 'title = "mine"\n'
+
+
+def test_a_recovered_log_takes_no_other_logs_place(folder: Path) -> None:
+    written(folder / "whole.mcap", ticks=200)
+    (folder / "cut.mcap").write_bytes((folder / "whole.mcap").read_bytes()[:-600])
+    content = (folder / "whole.mcap").read_bytes()
+    with pytest.raises(InputError, match=r"whole\.mcap is there already and holds another log"):
+        recover(folder / "cut.mcap", folder / "whole.mcap")
+    assert (folder / "whole.mcap").read_bytes() == content
+    recover(folder / "cut.mcap", folder / "new.mcap")
+    recover(folder / "cut.mcap", folder / "new.mcap")
+    recover(folder / "cut.mcap", folder / "whole.mcap", force=True)
+    assert (folder / "whole.mcap").read_bytes() != content
