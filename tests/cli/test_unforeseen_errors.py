@@ -133,7 +133,7 @@ def test_half_a_formula_in_a_title_is_drawn_as_text(folder: Path) -> None:
         ("walk lab --energy -0.07 --random 2 --lengths 1 99999999999999999999", "lengths 1 to 99999999999999999999"),
         ("walk lab --energy -0.07 --random 2 --extra-wraps 0 99999999999999999999", "extra wraps 0 to 99999999999999"),
         ("replay loop.mcap", "cannot read loop.mcap: it is a link that leads to itself"),
-        ("import loop.csv --out loop.csv", "cannot read loop.csv: it is a link that leads to itself"),
+        ("import loop.csv --out loop.mcap", "cannot read loop.csv: it is a link that leads to itself"),
         ("import loop.csv", "loop.csv"),
         ("run outer-turn --rig udp://" + 240 * "n" + ":47000", "must be udp://HOST:PORT"),
         ("run outer-turn --rig udp://" + 90 * "n." + ":47000", "udp://n.n.n."),
