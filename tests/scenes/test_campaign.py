@@ -10,8 +10,8 @@ import subprocess
 import time
 import tracemalloc
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from concurrent.futures import CancelledError, ThreadPoolExecutor
+from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import Any
 
@@ -270,6 +270,33 @@ def simulated_row(job: campaign_jobs.Job, seed: int) -> dict[str, Any]:
         "path": "compiled",
         "replays": None,
     }
+
+
+@pytest.mark.parametrize("lost", [1, processes.ATTEMPTS])
+def test_jobs_left_by_a_lost_scheduler_go_to_the_one_that_answers_next(
+    turn: Itinerary, lost: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    archive = make_plan(turn).file.read_bytes()
+    (case,) = cases_of(turn, fixed=HARD, over={})
+    jobs = [campaign_jobs.Job(turn.name, archive, turn.model.arms, case, (seed,), "compiled") for seed in range(6)]
+    asked: list[list[int]] = []
+
+    def submitted(given: Sequence[campaign_jobs.Job], client: Any) -> Iterator[tuple[campaign_jobs.Job, list[Any]]]:
+        asked.append([job.seeds[0] for job in given])
+        yield given[0], []
+        if len(asked) <= lost:
+            raise CancelledError
+        yield from ((job, []) for job in given[1:])
+
+    monkeypatch.setattr(workers, "_client", lambda address, again: nullcontext())
+    monkeypatch.setattr(workers, "_submitted", submitted)
+    done = campaign_jobs.run_on_cluster(jobs, "tcp://lab:8786")
+    if lost < processes.ATTEMPTS:
+        assert [job.seeds[0] for job, _ in done] == [0, 1, 2, 3, 4, 5]
+        assert asked == [[0, 1, 2, 3, 4, 5], [1, 2, 3, 4, 5]]
+    else:
+        with pytest.raises(GoalMissed, match="lost 4 times, with 2 jobs undone; finished jobs are kept"):
+            list(done)
 
 
 class Cluster:
