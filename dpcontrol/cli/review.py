@@ -70,29 +70,22 @@ def review_command(
     reference (.npz) as its motion, command and limits. With --save or --picture the viewer is not opened; where no
     renderer is installed the picture is drawn by matplotlib, and the message says so.
     """
-    from dpcontrol.review.picture import check_viewer, open_viewer, write_picture, write_recording
+    from dpcontrol.review.picture import write_picture, write_recording
 
-    first, temporary = files[0], None
+    first = files[0]
     with progress_bar("review") as progress:
         progress("reading", 0.05)
         shown = _opened(files, align)
         document: dict[str, Any] = {"log": first, "recording": None, "picture": None, "status": "done"}
         if len(files) > 1:
             document |= {"logs": files, "aligned": shown.status}
-        if save is not None or picture is None:
+        if save is not None:
             progress("recording", 0.2)
-            if save is None:
-                check_viewer()
-                temporary = Path(tempfile.mkdtemp(prefix="dpcontrol-"))
-            document["recording"] = save or temporary / f"{first.stem[:40]}.rrd"
-            try:
-                write_recording(shown, document["recording"])
-                if temporary is not None:
-                    open_viewer(document["recording"], temporary=temporary)
-            except BaseException:
-                if temporary is not None:
-                    shutil.rmtree(temporary, ignore_errors=True)
-                raise
+            write_recording(shown, save)
+            document["recording"] = save
+        elif picture is None:
+            progress("recording", 0.2)
+            document["recording"] = _viewed(shown, first.stem)
         if picture is not None:
             progress("picture", 0.5)
             drawn = write_picture(shown, picture)
@@ -100,6 +93,22 @@ def review_command(
     kinds = ("recording", "picture", "aligned")
     lines = [f"{kind:<10} {document[kind]}" for kind in kinds if document.get(kind)]
     return Answer(document, lines if picture is None else [*lines, document["status"]])
+
+
+def _viewed(shown: Any, name: str) -> Path:
+    """Open the viewer on a recording that is removed when the viewer is closed, or not opened; return its path."""
+    from dpcontrol.review.picture import check_viewer, open_viewer, write_recording
+
+    check_viewer()
+    folder = Path(tempfile.mkdtemp(prefix="dpcontrol-"))
+    recording = folder / f"{name[:40]}.rrd"
+    try:
+        write_recording(shown, recording)
+        open_viewer(recording, temporary=folder)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return recording
 
 
 def _opened(files: tuple[Path, ...], symbol: int) -> Any:
