@@ -74,7 +74,7 @@ def test_the_wheel_declares_the_console_script_and_the_dependencies(wheel: Path)
         (metadata,) = [n for n in archive.namelist() if n.endswith(".dist-info/METADATA")]
         fields = archive.read(metadata).decode().split("\n\n")[0].splitlines()
         assert any(n.endswith("licenses/LICENSE") for n in archive.namelist())
-    assert dict(parser["console_scripts"]) == {"dpcontrol": "dpcontrol.cli.main:main"}
+    assert dict(parser["console_scripts"]) == {"dpcontrol": "dpcontrol.__main__:main"}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     required = [f for f in fields if f.startswith("Requires-Dist:") and "extra ==" not in f]
     assert len(required) == len(project["dependencies"])

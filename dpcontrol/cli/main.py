@@ -5,20 +5,18 @@ import errno
 import importlib
 import os
 import shlex
-import signal
 import sys
 import tempfile
-import threading
 import traceback
 import warnings
 from collections.abc import Sequence
 from io import StringIO, TextIOWrapper
-from types import FrameType
 from typing import Any
 
 import click
 
 import dpcontrol
+from dpcontrol.cli.interrupts import interrupts
 from dpcontrol.cli.verbs import DEBUG, Call, print_json, say
 from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
 
@@ -125,16 +123,17 @@ def cli() -> None:
 def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit; mistakes of the user are one sentence on stderr, never a traceback."""
     given: Any = sys.argv[1:] if arguments is None else arguments
-    interrupted = _note_interrupts()
     for stream in (sys.stdout, sys.stderr):
         # A terminal that cannot show an arrow shows a question mark; it is no reason to fail.
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
     call = Call()
+    interrupted: list[int] = []
     try:
         if any("\0" in text for text in given):
             raise InputError("an argument holds a NUL character, which no name or number has; leave it out")
-        cli.main(given, prog_name="dpcontrol", standalone_mode=False, obj=call)
+        with interrupts(interrupted):
+            cli.main(given, prog_name="dpcontrol", standalone_mode=False, obj=call)
         code = 0
     except click.ClickException as error:
         shown = StringIO()
@@ -209,17 +208,3 @@ def _echo_notes(error: BaseException) -> None:
         for note in getattr(found, "__notes__", ()):
             say(f"dpcontrol: {note}")
         found = found.__cause__ or found.__context__
-
-
-def _note_interrupts() -> list[int]:
-    """Return a list that grows with each Ctrl-C, which still raises KeyboardInterrupt."""
-    noted: list[int] = []
-
-    def handler(number: int, frame: FrameType | None) -> None:
-        noted.append(number)
-        raise KeyboardInterrupt
-
-    # Only the main thread may set handlers; called from another, Python's own stays.
-    if threading.current_thread() is threading.main_thread():
-        signal.signal(signal.SIGINT, handler)
-    return noted

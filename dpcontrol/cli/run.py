@@ -2,7 +2,6 @@
 
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import suppress
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 from click.core import ParameterSource
 
+from dpcontrol.cli.interrupts import forget_interrupts
 from dpcontrol.cli.review import score_text, shortfall
 from dpcontrol.cli.verbs import (
     FILE,
@@ -188,19 +188,19 @@ def rig_command(
     def report(text: str) -> None:
         say(f"dpcontrol: {text}")
 
-    with (
-        UdpBench(
-            recipe.rig, arms=arms, ticks=recipe.ticks, period=recipe.period, host=host, port=port, key=key,
-            insecure=insecure, settings=server, say=report,
-        ) as bench,
-        suppress(KeyboardInterrupt),
-    ):  # fmt: skip
-        address = f"udp://{bench.address[0]}:{bench.address[1]}"
-        document = {"address": address, "rate": recipe.settings.rate, "arms": arms, "ticks": recipe.ticks}
-        show(Answer(document, [f"bench for {scene.name} at {address}"]))
-        # Whoever reads this through a pipe waits for it.
-        sys.stdout.flush()
-        bench.serve(runs=runs)
+    with UdpBench(
+        recipe.rig, arms=arms, ticks=recipe.ticks, period=recipe.period, host=host, port=port, key=key,
+        insecure=insecure, settings=server, say=report,
+    ) as bench:  # fmt: skip
+        try:
+            address = f"udp://{bench.address[0]}:{bench.address[1]}"
+            document = {"address": address, "rate": recipe.settings.rate, "arms": arms, "ticks": recipe.ticks}
+            show(Answer(document, [f"bench for {scene.name} at {address}"]))
+            # Whoever reads this through a pipe waits for it.
+            sys.stdout.flush()
+            bench.serve(runs=runs)
+        except KeyboardInterrupt:
+            forget_interrupts()
 
 
 WORK = "Work"
