@@ -16,7 +16,8 @@ def main() -> None:
     finally:
         # The work is done and its exit code known, however long the interpreter takes to end.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        # Python takes an interrupt in a text it ran, as of a dataclass, for one that nobody caught until it runs another.
+        # Python takes an interrupt in a text that it ran, as of a dataclass, for one that nobody caught, until it runs
+        # another.
         exec("")
 
 
