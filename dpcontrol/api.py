@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Literal
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.propagator import Section as Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.cost import Cost, announce
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.progress import Progress, no_progress, part_of, progress_bar
 from dpcontrol.references.problem import Limits, ReferenceSettings
@@ -46,6 +47,8 @@ if TYPE_CHECKING:
 Reporting = Progress | Literal[True] | None
 """Where progress goes: a function, True for a bar on stderr, None for nowhere."""
 Place = Path | str
+_SWEPT, _SWEPT_BYTES = 2.0, 1e6
+"""What each energy of a sweep for bifurcations takes, in s and bytes, for each crossing of the section."""
 
 
 def orbit(model: Model | System, saddle: str, *, energy: float, family: int = 0) -> "LyapunovOrbit":
@@ -131,11 +134,12 @@ def find_bifurcations(
     energies: tuple[float, float],
     hits: int = 1,
     samples: int = 24,
+    yes: bool = False,
     progress: Reporting = None,
 ) -> "BifurcationSearch":
     """Find the energies in J at which connections between two saddles appear, vanish or split.
 
-    samples: energies that are searched at first.
+    samples: energies that are searched at first. yes: however long that takes.
 
     >>> dp.find_bifurcations(lab, "down-up", "down-up", energies=(-0.08, -0.06), samples=2).events
     ()
@@ -146,6 +150,8 @@ def find_bifurcations(
     from dpcontrol.bifurcations.bifurcations import find_bifurcations as find
     from dpcontrol.bifurcations.sweep import SweepSettings
 
+    cost = Cost(f"{samples:,} energies", _SWEPT * samples * hits, _SWEPT_BYTES * samples, f"samples = {samples}")
+    announce(cost, yes=yes)
     settings = SweepSettings(energies=samples)
     with _reporting(progress, "bifurcations") as report:
         return find(
@@ -189,12 +195,13 @@ def shadow(
     lead_in: int = 2,
     lead_out: int = 2,
     periodic: bool = False,
+    yes: bool = False,
 ) -> "ShadowingOrbit":
     """Return the orbit that follows a walk: symbols such as "down-up +", "down-up > up-down" or a connection's name.
 
     found: the graph, or searches for connections, that the symbols choose from. wraps: wobbles at each interior stop,
     the fewest that suffice by default; lead_in, lead_out: those on the first and the last orbit. periodic: the walk
-    closes, with one more stop.
+    closes, with one more stop. yes: however long it takes.
 
     >>> dp.shadow(found, ["down-up +"]).converged
     True
@@ -205,11 +212,14 @@ def shadow(
     """
     from dpcontrol.tubes.connections import ConnectionSearch
     from dpcontrol.walks.edges import Edges
+    from dpcontrol.walks.requests import walks_cost
     from dpcontrol.walks.shadowing import WalkSolver
     from dpcontrol.walks.walks import resolve
 
     edges = found if isinstance(found, Edges) else _edges([found] if isinstance(found, ConnectionSearch) else found)
     solver = WalkSolver(edges.known)
+    key = "wraps" if wraps else "walk"
+    announce(walks_cost(1, symbols=len(walk), wraps=sum(wraps or ()), solve=True, key=key), yes=yes)
     chain = resolve(walk, edges)
     counts = solver.least(chain, periodic=periodic) if wraps is None else tuple(wraps)
     return solver.solve(chain, counts, periodic=periodic, lead_in=lead_in, lead_out=lead_out)
@@ -223,11 +233,13 @@ def reference(
     start: Literal["orbit", "rest"] = "orbit",
     finish: Literal["orbit", "rest"] = "orbit",
     name: str = "walk",
+    yes: bool = False,
     progress: Reporting = None,
 ) -> "Plan":
     """Return the plan of following walks, one after the other, with the model's friction and cart within its limits.
 
     start, finish: on the periodic orbit, or hanging at rest. What was planned before comes from the cache.
+    yes: however long it takes.
 
     >>> dp.reference(walk, limits=dp.Limits(position=0.4)).converged
     True
@@ -260,11 +272,13 @@ def reference(
         reference=settings or ReferenceSettings(),
     )
     with _reporting(progress, "reference") as report:
-        return make_plan(scene, orbits=orbits, progress=report)
+        return make_plan(scene, orbits=orbits, progress=report, yes=yes)
 
 
-def plan(itinerary: str, *, fresh: bool = False, progress: Reporting = None) -> "Plan":
+def plan(itinerary: str, *, fresh: bool = False, yes: bool = False, progress: Reporting = None) -> "Plan":
     """Return the plan of an itinerary's file, by name or path, from the cache unless `fresh`.
+
+    yes: however long it takes.
 
     >>> dp.plan("outer-turn").itinerary.walk
     ('down-up +',)
@@ -277,7 +291,7 @@ def plan(itinerary: str, *, fresh: bool = False, progress: Reporting = None) -> 
     from dpcontrol.scenes.plan import make_plan
 
     with _reporting(progress, "plan") as report:
-        return make_plan(load_itinerary(itinerary), progress=report, fresh=fresh)
+        return make_plan(load_itinerary(itinerary), progress=report, fresh=fresh, yes=yes)
 
 
 def run(
@@ -323,13 +337,14 @@ def campaign(
     workers: int = 0,
     out: Place | None = None,
     force: bool = False,
+    yes: bool = False,
     progress: Reporting = None,
 ) -> "Campaign":
     """Run a plan, or an itinerary by name, with many seeds, and count how often it is completed.
 
     over: values of options that are varied by name, each combination a case of `runs` seeds from `first_seed` on.
     workers: processes, 0 for one on each processor. out: the Parquet file to write the rows to, if any; force: also
-    where there is that of another campaign.
+    where there is that of another campaign. yes: however long it takes.
 
     >>> dp.campaign("outer-turn", runs=4, mismatch=0.02).completed.rate
     1.0
@@ -341,11 +356,13 @@ def campaign(
     from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign
 
     with _reporting(progress, "campaign") as report:
-        planned = plan(planned, progress=part_of(report, 0.0, 0.1)) if isinstance(planned, str) else planned
+        planned = plan(planned, yes=yes, progress=part_of(report, 0.0, 0.1)) if isinstance(planned, str) else planned
         cases = cases_of(planned.itinerary, fixed=_options(options, mismatch), over=over or {})
         settings = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers)
         file = None if out is None else Path(out)
-        return run_campaign(planned, cases, file, settings=settings, force=force, progress=part_of(report, 0.1, 1.0))
+        return run_campaign(
+            planned, cases, file, settings=settings, force=force, yes=yes, progress=part_of(report, 0.1, 1.0)
+        )
 
 
 def swings(model: Model, *, count: int = 9, seconds: float = 2.667, seed: int = 0) -> "Recording":

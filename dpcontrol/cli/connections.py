@@ -11,6 +11,7 @@ from dpcontrol.cli.verbs import (
     ENERGY,
     JOINING,
     LEAVING,
+    YES,
     Answer,
     Precision,
     TextTable,
@@ -175,6 +176,7 @@ def bifurcations_command(
     energies: tuple[float, float] = option(metavar="LO HI", help="Range of energies in J."),
     hits: int = option(type=click.IntRange(1), default=1, help="How often the connections cross the section."),
     samples: int = option(type=click.IntRange(2), default=24, help="Energies searched at first."),
+    yes: bool = YES,
 ) -> Answer:
     """Find the energies at which connections appear, vanish or split, and those at which they only seem to.
 
@@ -187,7 +189,7 @@ def bifurcations_command(
     from dpcontrol.scenes.model import load_model
 
     found = api.find_bifurcations(
-        load_model(model), source, target, energies=energies, hits=hits, samples=samples, progress=True
+        load_model(model), source, target, energies=energies, hits=hits, samples=samples, yes=yes, progress=True
     )
     missed = f"not every change of the count was located: {found.status}" if found.unexplained else ""
     return Answer({**found.document(), "energies": energies}, _bifurcations_text(found), missed)

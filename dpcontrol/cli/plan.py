@@ -4,7 +4,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dpcontrol.cli.verbs import Answer, TextTable, argument, drawn_to, file_option, option, say, table, verb
+from dpcontrol.cli.verbs import YES, Answer, TextTable, argument, drawn_to, file_option, option, say, table, verb
 from dpcontrol.foundation.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,6 +17,7 @@ def plan_command(
     itinerary: str = argument(),
     fresh: bool = option(help="Plan anew even if the plan is cached."),
     out: Path | None = file_option(suffix=".npz", help="Also write the reference to this .npz."),
+    yes: bool = YES,
 ) -> Answer:
     """Plan an itinerary: connections, shadowing orbit, and the reference with friction and cart.
 
@@ -26,7 +27,7 @@ def plan_command(
     from dpcontrol.foundation.files import write_whole
     from dpcontrol.scenes.levels import plan_remarks
 
-    plan = api.plan(itinerary, fresh=fresh, progress=True)
+    plan = api.plan(itinerary, fresh=fresh, yes=yes, progress=True)
     document = plan.document()
     if out is not None and plan.converged:
         write_whole(out, plan.archive)

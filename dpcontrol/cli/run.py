@@ -13,6 +13,7 @@ from dpcontrol.cli.interrupts import forget_interrupts
 from dpcontrol.cli.review import score_text, shortfall
 from dpcontrol.cli.verbs import (
     FILE,
+    YES,
     Answer,
     Option,
     Several,
@@ -74,6 +75,7 @@ def run_command(
     settings: RunOptions = run_settings(),
     out: Path | None = file_option(suffix=".mcap", help="Log to write [logs/NAME-SEED.mcap]."),
     force: bool = force_option(),
+    yes: bool = YES,
 ) -> Answer:
     """Run an itinerary in closed loop on the simulated bench, or on a rig, and write its log.
 
@@ -106,7 +108,7 @@ def run_command(
     scene = load_itinerary(itinerary).with_run(settings, seed=seed)
     out = out or default_log(scene)
     with progress_bar("run") as progress:
-        plan = make_plan(scene, progress=progress)
+        plan = make_plan(scene, progress=progress, yes=yes)
         verdict = run_plan(plan, out, force=force, progress=progress).score() if address is None else None
     if verdict is not None:
         for line in run_remarks(scene):
@@ -253,6 +255,7 @@ def campaign_command(
     fixed: RunOptions = run_settings(),
     out: Path | None = file_option(suffix=".parquet", help="Table to write [logs/NAME.parquet]."),
     force: bool = force_option(),
+    yes: bool = YES,
 ) -> Answer:
     """Run an itinerary with many seeds and report how often it is completed.
 
@@ -286,8 +289,9 @@ def campaign_command(
         cases = cases_of(scene, fixed=fixed, over=varied)
     file = out or Path("logs") / f"{scene.name}.parquet"
     with progress_bar("campaign") as progress:
-        plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05))
-        found = run_campaign(plan, cases, file, settings=settings, force=force, progress=part_of(progress, 0.05, 1.0))
+        plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
+        rest = part_of(progress, 0.05, 1.0)
+        found = run_campaign(plan, cases, file, settings=settings, force=force, yes=yes, progress=rest)
     scores = standard_scores(found.results) if standard else ()
     document = {**found.document(), "standard": [score.document() for score in scores]}
     return Answer(document, _text(found, scores))

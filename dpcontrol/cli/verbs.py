@@ -315,6 +315,8 @@ class DecimalNumber(click.ParamType):
         raise InputError(f"{param.opts[0] if param else 'number'} {value}: must be a finite number")
 
 
+YES = option(group=OUTPUT, help="Begin work that will take more than an hour, or than 4 GB of memory.")
+"""Option of verbs whose work can be of any length."""
 ENERGY = option(help="Energy in J, zero at the pivot's height.")
 LEAVING = option("--from", help="Saddle whose orbit connections leave.")
 JOINING = option("--to", help="Saddle whose orbit they join.")

@@ -12,6 +12,7 @@ from dpcontrol.cli.verbs import (
     ENERGY,
     FOLDER,
     OUTPUT,
+    YES,
     Answer,
     Hits,
     Precision,
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 REFINED = 4
 """Walks that --precision extended may refine."""
+LONGEST = 10_000
+"""Symbols of the walks that --length counts: their number has thousands of digits."""
 LISTED = 100_000
 """Walks that --length may list; beyond that they are counted."""
 WALKS, WRAPS, ORBITS = "Walks", "Wraps", "Orbits"
@@ -65,7 +68,9 @@ def walk_command(
         help="A symbol of one walk, in order: as in an itinerary; also to and from rotating orbits.",
     ),
     through: tuple[str, ...] = option(metavar="SADDLE", group=WALKS, help="A stop of the shortest walk through stops."),
-    length: int | None = option(type=click.IntRange(1), group=WALKS, help="List all walks of this many symbols."),
+    length: int | None = option(
+        type=click.IntRange(1, LONGEST), group=WALKS, help="List all walks of this many symbols."
+    ),
     source: str | None = option("--from", group=WALKS, help="With --length: only walks from this saddle."),
     target: str | None = option("--to", group=WALKS, help="With --length: only walks to this saddle."),
     count: int | None = option("--random", type=click.IntRange(1), group=WALKS, help="Draw this many walks."),
@@ -91,6 +96,7 @@ def walk_command(
     ),
     out: Path | None = option(type=FOLDER, group=OUTPUT, help="Write each orbit to this folder (.npz)."),
     picture: Path | None = file_option(suffix=".png", help="Draw the walk's orbit to this PNG."),
+    yes: bool = YES,
 ) -> Answer:
     """List, count and make walks on the connection graph of an energy, and the orbits that follow them.
 
@@ -103,9 +109,10 @@ def walk_command(
     orbit: "down-up > outer-rotating" (also inner-rotating, outer-rotating-back, outer-rotating-2: faster ones first),
     where a wrap is a turn.
     """
+    from dpcontrol.foundation.cost import announce
     from dpcontrol.scenes.model import load_model
     from dpcontrol.walks.edges import find_edges
-    from dpcontrol.walks.requests import drawn_requests, request
+    from dpcontrol.walks.requests import drawn_requests, request, walks_cost
     from dpcontrol.walks.symbols import parse_walk
     from dpcontrol.walks.walks import all_walks, count_walks, is_closed, resolve, vertex_names, ways
     from dpcontrol.walks.walks import through as shortest
@@ -126,6 +133,15 @@ def walk_command(
     for what, given in needs.items():
         if given and not solve:
             raise InputError(f"{what}: give --solve as well")
+
+    def announced(number: int, longest: int, key: str) -> None:
+        more = max(sum(wraps or ()), extra_wraps[1] * longest)
+        announce(walks_cost(number, symbols=longest, wraps=more, solve=solve, key=key), yes=yes)
+
+    if count is not None:
+        announced(count, max(lengths), "--random" if count > max(lengths) else "--lengths")
+    elif symbols or through:
+        announced(1, len(symbols or through), "--wraps" if wraps else chosen[0])
     loaded = load_model(model)
     numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
     asked = parse_walk(symbols, vertex_names(loaded.system)) if symbols else ways(through)
@@ -148,6 +164,7 @@ def walk_command(
                     f"--length {length}: there are {total:,} such walks, more than the {LISTED:,} that are listed; "
                     "draw some with --random"
                 )
+            announced(total, length, "--length")
             walks = all_walks(edges, length, source=source, target=target)
             walks = [walk for walk in walks if not periodic or is_closed(walk)]
         requests = [request(walk, wraps=wraps, extra=extra_wraps[0], periodic=periodic, leads=leads) for walk in walks]

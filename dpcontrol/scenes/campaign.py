@@ -51,6 +51,7 @@ from numpy.typing import NDArray
 import dpcontrol
 from dpcontrol.control.interface import Controller
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
+from dpcontrol.foundation.cost import Cost, announce
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash, in_the_way, whole_file
 from dpcontrol.foundation.processes import ATTEMPTS, in_processes, processors
@@ -394,6 +395,7 @@ def _submitted(jobs: Sequence[Job], client: "Client") -> Iterator[tuple[Job, lis
 
 
 MOST_RUNS = 1_000_000
+MOST_CASES = 10_000
 MOST_PAIRED = 6
 """Cases up to which each two are compared."""
 MOST_TICKS = 5_000_000
@@ -520,6 +522,9 @@ def cases_of(itinerary: Itinerary, *, fixed: RunOptions, over: Mapping[str, Sequ
         InputError: an unknown name or an impossible value.
     """
     names = list(over)
+    count = math.prod(len(values) for values in over.values())
+    if count > MOST_CASES:
+        raise InputError(f"over: {count:,} cases, every combination of the values; at most {MOST_CASES:,} are compared")
     cases = []
     for values in itertools.product(*over.values()):
         chosen = dict(zip(names, values, strict=True))
@@ -537,6 +542,7 @@ def run_campaign(
     settings: CampaignSettings,
     force: bool = False,
     progress: Progress = no_progress,
+    yes: bool = False,
 ) -> Campaign:
     """Run every case on every seed; write the rows to `file`, if one is wanted, whole or not at all.
 
@@ -551,7 +557,8 @@ def run_campaign(
 
     began = time.perf_counter()
     itinerary = plan.itinerary
-    jobs = _jobs(plan.followed(), cases, settings)
+    announce(_cost(plan.followed(), cases, settings), yes=yes)
+    jobs = _jobs(plan, cases, settings)
     if file is not None and not force:
         _check_replaced(file, _metadata(itinerary, cases, settings))
     extra = tuple(dict.fromkeys(name for case in cases for name in _numbers(case)))
@@ -593,6 +600,20 @@ def _check_replaced(file: Path, metadata: Mapping[str, Any]) -> None:
     covered = bool(((seeds >= first) & (seeds < first + runs)).all())
     if not same or not covered or there["settings"]["path"] != path:
         raise in_the_way(file, "holds another campaign, or more runs of this one")
+
+
+_PACES = {"compiled": 100.0, "ticks": 5.0}
+"""How much faster than real time one process runs, by path, at 1 kHz."""
+_ROW_BYTES = 1000.0
+
+
+def _cost(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> Cost:
+    """Return what a campaign will take, of this machine's processes or, on a cluster, of as many; all of it anew."""
+    runs = settings.runs * len(cases)
+    ticks = settings.runs * sum(case.loop.rate for case in cases) * plan.reference.duration
+    lasting = ticks / 1000 / _PACES[settings.path] / (settings.workers or processors())
+    key = f"{runs:,} runs of {len(cases):,} case{'s' if len(cases) > 1 else ''}"
+    return Cost(f"{ticks:,.2g} ticks of the loop", lasting, _ROW_BYTES * runs, key)
 
 
 def _jobs(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> list[Job]:

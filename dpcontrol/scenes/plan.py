@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.cost import Cost, announce
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -106,25 +107,48 @@ def plan_key(itinerary: Itinerary) -> str:
     return content_hash(json.dumps(content, sort_keys=True))
 
 
+_SECONDS, _MEMORY = 0.25, 3.5e6
+"""What each period of a walk takes to plan, in s and bytes, measured over 200 of them."""
+_FLIGHT = 4
+"""Periods that a symbol takes."""
+
+
+def plan_cost(itinerary: Itinerary) -> Cost:
+    """Return what planning an itinerary will take; stays at an equilibrium or on an orbit hardly count."""
+    amounts = {
+        "wraps": sum(itinerary.wraps),
+        "walk": len(itinerary.walk),
+        "lead_in": sum(part.lead_in for part in itinerary.walks),
+        "lead_out": sum(part.lead_out for part in itinerary.walks),
+    }
+    periods = sum(amounts.values()) + (_FLIGHT - 1) * amounts["walk"]
+    longest = max(amounts, key=lambda name: amounts[name])
+    of = "symbols" if longest == "walk" else "in all"
+    key = f"{itinerary.path}: {longest}, {amounts[longest]:,} {of}"
+    return Cost(f"a reference of {periods:,} periods", _SECONDS * periods, _MEMORY * periods, key)
+
+
 def make_plan(
     itinerary: Itinerary,
     *,
     orbits: "Sequence[ShadowingOrbit]" = (),
     progress: Progress = no_progress,
     fresh: bool = False,
+    yes: bool = False,
 ) -> Plan:
-    """Return the plan of an itinerary, from the cache unless `fresh`.
+    """Return the plan of an itinerary, from the cache unless `fresh`; yes: however long it takes to make.
 
     orbits: that shadow the itinerary's walks, one for each, where they are known already. A reference that did not
     converge is returned with its status and not kept.
 
     Raises:
-        InputError: the walk asks for connections that do not exist at this energy.
+        InputError: the walk asks for connections that do not exist at this energy, or the plan would take too long.
         GoalMissed: an orbit or the shadowing orbit did not converge.
     """
     file = cache_file("plans", itinerary.name, plan_key(itinerary))
     if not fresh and (content := kept(file)) is not None:
         return Plan(itinerary, load_reference(BytesIO(content)), file, cached=True)
+    announce(plan_cost(itinerary), yes=yes)
     # A plan that is kept needs nothing of what makes plans.
     from dpcontrol.scenes.planning import planned
 

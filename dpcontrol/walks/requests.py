@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from dpcontrol.dynamics.propagator import Exact, digits
+from dpcontrol.foundation.cost import Cost
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import picked, plain, write_archive
 from dpcontrol.shooting.extended import ExtendedOrbit, refine
@@ -131,6 +132,24 @@ def request(
     """
     stops = check_stops(chain, wraps, periodic=periodic)
     return WalkRequest(chain, periodic, None if wraps is None else tuple(wraps), (extra,) * stops, *leads)
+
+
+_DRAWN, _SOLVED_SYMBOL, _SOLVED_WRAP, _TRIED = 5e-4, 0.05, 0.01, 0.002
+"""s: what a symbol takes to draw, a symbol and a wrap to solve, and each pair of symbols where the fewest wraps that
+suffice are sought: stop after stop is raised, and all solved again."""
+_NODES, _NODE_BYTES = 8, 7_000.0
+"""Nodes of an orbit in each period, and bytes that each of them takes to solve for."""
+
+
+def walks_cost(count: int, *, symbols: int, wraps: int, solve: bool, key: str) -> Cost:
+    """Return what walks will take, each of so many symbols and wraps in all; key: what asked for them."""
+    seconds, memory = _DRAWN * count * symbols, 200.0 * count * symbols
+    work = f"{count:,} walk{'s' if count > 1 else ''} of up to {symbols:,} symbols"
+    if not solve:
+        return Cost(work, seconds, memory, key)
+    nodes = _NODES * (wraps + symbols)
+    seconds += count * (_SOLVED_SYMBOL * symbols + _TRIED * symbols**2 + _SOLVED_WRAP * wraps)
+    return Cost(f"{work}, {nodes:,} states each,", seconds, memory + _NODE_BYTES * nodes, key)
 
 
 def solved(requests: Sequence[WalkRequest], solver: WalkSolver) -> Iterator[WalkAnswer]:

@@ -1,0 +1,96 @@
+"""Work that would take hours or gigabytes is refused with what it would take, and begun where it is asked for."""
+
+from pathlib import Path
+
+import pytest
+from command_line import dpcontrol
+
+import dpcontrol as dp
+from dpcontrol.foundation import cost
+from dpcontrol.foundation.cost import Cost, announce
+from dpcontrol.foundation.errors import InputError, Remark
+from dpcontrol.scenes.itinerary import itinerary_from, load_itinerary
+from dpcontrol.scenes.model import load_model
+from dpcontrol.scenes.plan import plan_cost
+
+WALK = ("walk", "lab", "--energy", "0.2")
+TURN = ("-s", "down-up +")
+
+
+@pytest.mark.parametrize(
+    ("call", "key"),
+    [
+        ((*WALK, *TURN, *TURN, "--wraps", "100000", "--solve"), "--wraps"),
+        ((*WALK, *TURN, *TURN, "--wraps", "99999999999999999999", "--solve"), "--wraps"),
+        ((*WALK, *(TURN * 5000), "--solve"), "-s"),
+        ((*WALK, "--random", "1000000000"), "--random"),
+        ((*WALK, "--random", "1", "--lengths", "1", "1000000000"), "--lengths"),
+        (("bifurcations", "lab", "--from", "down-up", "--to", "down-up", "--energies", "-0.11", "-0.09", "--samples",
+          "1000000000"), "samples"),
+    ],
+    ids=["wraps", "absurd wraps", "symbols", "random", "lengths", "samples"],
+)  # fmt: skip
+def test_endless_work_is_refused_before_it_is_begun(call: tuple[str, ...], key: str) -> None:
+    ended = dpcontrol(*call)
+    assert ended.code == 2
+    assert ended.message.startswith(f"dpcontrol: {key}")
+    assert "will take about" in ended.message
+    assert "60 minutes and 4 GB are begun unasked; ask for less, or give --yes" in ended.message
+
+
+@pytest.mark.parametrize("verb", ["plan", "run", "campaign"])
+@pytest.mark.parametrize(("key", "value"), [("wraps", "[100000]"), ("lead_in", "1000000"), ("repeat", "10000")])
+def test_an_itinerary_without_end_is_refused_by_file_and_key(
+    verb: str, key: str, value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    values = {"wraps": "[3]", key: value} | ({"wraps": "[3, 3]"} if key == "repeat" else {})
+    lines = ['walk = ["down-up +", "down-up +"]', "energy = 0.2", *(f"{k} = {v}" for k, v in values.items())]
+    Path("long.toml").write_text("\n".join(lines))
+    ended = dpcontrol(verb, "long.toml")
+    assert ended.code == 2
+    assert ended.message.startswith("dpcontrol: long.toml: ")
+    assert "periods will take about" in ended.message
+    assert {path.name for path in tmp_path.iterdir()} == {"long.toml"}
+
+
+def test_a_campaign_of_too_many_cases_or_runs_is_refused() -> None:
+    many = [k / 1e5 for k in range(200)]
+    with pytest.raises(InputError, match="over: 40,000 cases"):
+        dp.campaign("outer-turn", over={"mismatch": many, "lag": many})
+    with pytest.raises(InputError, match=r"200,000,000 runs of 200 cases.* will take about .*days.*yes=True"):
+        dp.campaign("outer-turn", runs=1_000_000, over={"mismatch": many})
+
+
+def test_python_refuses_likewise_and_names_its_keyword() -> None:
+    model = load_model("lab")
+    with pytest.raises(InputError, match=r"samples.*will take about.*yes=True in Python"):
+        dp.find_bifurcations(model, "down-up", "down-up", energies=(-0.11, -0.09), samples=10**9)
+    found = dp.graph(model, energy=-0.07)
+    with pytest.raises(InputError, match=r"wraps.*will take about.*yes=True in Python"):
+        dp.shadow(found, ["down-up +", "down-up +"], wraps=[500_000])
+
+
+def test_what_is_asked_for_by_name_is_begun_and_announced() -> None:
+    long = Cost("a year's work", 3e7, 1e9, "years = 1")
+    with pytest.raises(InputError, match=r"^years = 1: a year's work will take about 350 days and 1 GB"):
+        announce(long, yes=False)
+    with pytest.warns(Remark, match="will take about 350 days"):
+        announce(long, yes=True)
+
+
+def test_shipped_itineraries_are_planned_unasked() -> None:
+    for file in Path(dp.__file__).parent.parent.joinpath("itineraries").glob("*.toml"):
+        foretold = plan_cost(load_itinerary(str(file)))
+        assert foretold.seconds < cost.MOST_SECONDS / 10
+        assert foretold.memory < cost.MOST_BYTES / 4
+
+
+def test_the_cost_of_a_plan_grows_with_each_thing_that_lengthens_it() -> None:
+    model = load_model("lab")
+    base = 'walk = ["down-up +", "down-up +"]\nenergy = 0.2\nwraps = [{}]\nlead_in = {}\nlead_out = {}\n'
+    plain, *longer = (
+        plan_cost(itinerary_from(base.format(*numbers), "x", model)).seconds
+        for numbers in ((3, 2, 2), (4, 2, 2), (3, 3, 2), (3, 2, 3))
+    )
+    assert all(one > plain for one in longer)
