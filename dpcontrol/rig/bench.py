@@ -46,8 +46,8 @@ from dpcontrol.rig.packets import (
     Condition,
     Heard,
     Kind,
-    Message,
     OtherVersion,
+    Packet,
     ReadingPacket,
     Role,
     Start,
@@ -201,10 +201,10 @@ class UdpBench:
                 busy = packets.bye("the bench is busy with another loop; wait for it to end")
                 self._refuse(self._packed(heard, busy), sender)
 
-    def _packed(self, heard: Heard, message: Message) -> bytes:
+    def _packed(self, heard: Heard, message: Packet) -> bytes:
         return packets.packed(message, Role.BENCH, session=heard.session, sequence=1, key=self._key)
 
-    def _answer(self, heard: Heard, message: Message, sender: Any) -> None:
+    def _answer(self, heard: Heard, message: Packet, sender: Any) -> None:
         with suppress(OSError):
             self._socket.sendto(self._packed(heard, message), sender)
 
@@ -368,7 +368,7 @@ class _BenchRun:
         self._condition, self._text, self._stopped = condition, text, True
         self._rig.stop()
 
-    def _send(self, message: Message) -> None:
+    def _send(self, message: Packet) -> None:
         # A packet that cannot be sent is like one lost on the way: the loop notices.
         with suppress(OSError):
             self._sockets[0][0].sendto(self._talk.say(message), self._client)

@@ -29,7 +29,7 @@ from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.loop.result import Reading
 from dpcontrol.rig import packets as packets
 from dpcontrol.rig.access import check_access, resolved
-from dpcontrol.rig.packets import LARGEST, Condition, Heard, Kind, Message, ReadingPacket, Role, Talk, Welcome
+from dpcontrol.rig.packets import LARGEST, Condition, Heard, Kind, Packet, ReadingPacket, Role, Talk, Welcome
 
 
 @contextmanager
@@ -391,7 +391,7 @@ class UdpRig:
                 return None
         return heard if heard.new else None
 
-    def _say(self, message: Message) -> None:
+    def _say(self, message: Packet) -> None:
         try:
             self._socket.send(self._talk.say(message))
         except OSError as error:

@@ -92,7 +92,7 @@ class Unsealed(ValueError):
     """The packet is not sealed with the shared key, or with one where none is shared."""
 
 
-class Message(NamedTuple):
+class Packet(NamedTuple):
     """A packet without its head: kind, the head's count, and what follows the head."""
 
     kind: Kind
@@ -141,7 +141,7 @@ class CommandPacket(NamedTuple):
     acceleration: float
 
 
-Packet = Start | Welcome | ReadingPacket | CommandPacket | str | None
+Content = Start | Welcome | ReadingPacket | CommandPacket | str | None
 """Of BYE the sentence, of HELLO and STOP None."""
 
 
@@ -151,26 +151,26 @@ class Heard(NamedTuple):
     kind: Kind
     session: int
     sequence: int
-    content: Packet
+    content: Content
     new: bool = True
 
 
-def hello() -> Message:
+def hello() -> Packet:
     """Return what asks a bench for a run."""
-    return Message(Kind.HELLO)
+    return Packet(Kind.HELLO)
 
 
-def welcome(content: Welcome) -> Message:
+def welcome(content: Welcome) -> Packet:
     """Return the bench's answer to HELLO."""
-    return Message(Kind.WELCOME, content.arms, _WELCOME.pack(content.period, content.ticks, content.session))
+    return Packet(Kind.WELCOME, content.arms, _WELCOME.pack(content.period, content.ticks, content.session))
 
 
-def start(queued: Sequence[float] = ()) -> Message:
+def start(queued: Sequence[float] = ()) -> Packet:
     """Return what begins a run and lets the first tick come, with the commands on their way (m/s²), oldest first."""
-    return Message(Kind.START, len(queued), struct.pack(f"<{len(queued)}d", *queued))
+    return Packet(Kind.START, len(queued), struct.pack(f"<{len(queued)}d", *queued))
 
 
-def reading(content: ReadingPacket) -> Message:
+def reading(content: ReadingPacket) -> Packet:
     """Return the message of one tick."""
     text = content.text.encode()[:_LONGEST_TEXT]
     count, heard = len(content.positions), NO_TICK if content.heard < 0 else content.heard
@@ -178,26 +178,26 @@ def reading(content: ReadingPacket) -> Message:
         content.tick, heard, content.held, min(content.ignored, NO_TICK), content.trip, content.switch,
         content.condition, len(text),
     )  # fmt: skip
-    return Message(Kind.READING, count - 1, body + struct.pack(f"<{count}d", *content.positions) + text)
+    return Packet(Kind.READING, count - 1, body + struct.pack(f"<{count}d", *content.positions) + text)
 
 
-def command(tick: int, acceleration: float) -> Message:
+def command(tick: int, acceleration: float) -> Packet:
     """Return the answer to the reading of `tick`, acceleration in m/s²."""
-    return Message(Kind.COMMAND, 0, _COMMAND.pack(tick, acceleration))
+    return Packet(Kind.COMMAND, 0, _COMMAND.pack(tick, acceleration))
 
 
-def stop() -> Message:
+def stop() -> Packet:
     """Return what stops the cart."""
-    return Message(Kind.STOP)
+    return Packet(Kind.STOP)
 
 
-def bye(text: str) -> Message:
+def bye(text: str) -> Packet:
     """Return what ends a run, and why."""
     said = text.encode()[:_LONGEST_TEXT]
-    return Message(Kind.BYE, len(said), said)
+    return Packet(Kind.BYE, len(said), said)
 
 
-def packed(message: Message, role: Role, *, session: int, sequence: int, key: bytes = b"") -> bytes:
+def packed(message: Packet, role: Role, *, session: int, sequence: int, key: bytes = b"") -> bytes:
     """Return the packet of a message from `role`; sealed if there is a key."""
     kind, count, body = message
     data = _HEAD.pack(MAGIC, VERSION, kind, count, session, sequence) + body
@@ -240,7 +240,7 @@ def unpacked(data: bytes, role: Role, *, key: bytes = b"") -> Heard:
     return Heard(kind, session, sequence, content)
 
 
-def _content(kind: Kind, data: bytes, count: int) -> tuple[Packet, int]:
+def _content(kind: Kind, data: bytes, count: int) -> tuple[Content, int]:
     """Return the content of a packet, and where it ends."""
     at = _HEAD.size
     if kind is Kind.READING:
@@ -290,7 +290,7 @@ class Talk:
         self._role, self._session, self._key = role, session, key
         self._said = self._newest = 0
 
-    def say(self, message: Message) -> bytes:
+    def say(self, message: Packet) -> bytes:
         """Return the packet to be sent."""
         self._said += 1
         return packed(message, self._role, session=self._session, sequence=self._said, key=self._key)

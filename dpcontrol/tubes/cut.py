@@ -77,7 +77,7 @@ def section_points(system: System, section: Section, states: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class Samples:
+class CutSamples:
     """Trajectories of seeds at phases (K,) when they meet the section: not a number, and at infinity, if they never do.
 
     states (K, N); points (K, 2): (q, p/p₀); times (K,) s; rates (K,): along the section's normal.
@@ -92,13 +92,14 @@ class Samples:
     def __len__(self) -> int:
         return len(self.phases)
 
-    def __getitem__(self, which: Any) -> "Samples":
-        return Samples(*(getattr(self, field.name)[which] for field in fields(self)))
+    def __getitem__(self, which: Any) -> "CutSamples":
+        return CutSamples(*(getattr(self, field.name)[which] for field in fields(self)))
 
     @staticmethod
-    def joined(parts: "Sequence[Samples]") -> "Samples":
+    def joined(parts: "Sequence[CutSamples]") -> "CutSamples":
         """Return several parts as one, in their order."""
-        return Samples(*(np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(Samples)))
+        names = [field.name for field in fields(CutSamples)]
+        return CutSamples(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
     @property
     def arrived(self) -> Flags:
@@ -131,7 +132,7 @@ class Sampler:
         """Periods of its orbit that a trajectory may take."""
         return longest_flight(self.manifold, self.settings)
 
-    def fly(self, phases: Array) -> Samples:
+    def fly(self, phases: Array) -> CutSamples:
         """Return the samples at phases (K,), flown together."""
         system = self.manifold.orbit.system
         seeds, _ = self.manifold.seeds(phases, self.branch)
@@ -139,7 +140,7 @@ class Sampler:
         crossings = system.propagator.crossings(seeds, self.section, longest=longest, hit=self.hit)
         never = np.full(system.dimension, np.nan)
         states = np.array([never if c is None else c.state for c in crossings])
-        return Samples(
+        return CutSamples(
             phases=np.asarray(phases, dtype=float),
             states=states,
             points=section_points(system, self.section, states),
@@ -148,7 +149,7 @@ class Sampler:
         )
 
 
-def refined(sampler: Sampler, start: float) -> tuple[Samples, str]:
+def refined(sampler: Sampler, start: float) -> tuple[CutSamples, str]:
     """Sample one period from phase `start`, halving until chords are short or phases indistinguishable.
 
     Returns the samples and why refinement stopped early, empty if it did not.
@@ -166,7 +167,7 @@ def refined(sampler: Sampler, start: float) -> tuple[Samples, str]:
                 f"branch {sampler.branch:+d} scatters before crossing {sampler.hit}: more than {settings.most_jumps} "
                 f"jumps between phases {settings.fine_phase_step:g} apart; allow less time"
             )
-        samples = Samples.joined([samples, sampler.fly(((phases[:-1] + phases[1:]) / 2)[wide])])
+        samples = CutSamples.joined([samples, sampler.fly(((phases[:-1] + phases[1:]) / 2)[wide])])
         samples = samples[np.argsort(samples.phases, kind="stable")]
     return samples, f"branch {sampler.branch:+d}: {len(samples)} points leave wide chords; allow less time"
 
@@ -218,7 +219,7 @@ class Cut:
     status: str
 
 
-def _gap(samples: Samples, sampler: Sampler, grazing: float) -> OpenEnd:
+def _gap(samples: CutSamples, sampler: Sampler, grazing: float) -> OpenEnd:
     """Return the end between two indistinguishable phases that arrive far apart, or over phases that never arrive."""
     hit, interval = sampler.hit, (float(samples.phases[0] % 1), float(samples.phases[-1] % 1))
     if not samples.arrived[0]:
@@ -239,7 +240,7 @@ def _gap(samples: Samples, sampler: Sampler, grazing: float) -> OpenEnd:
     return OpenEnd(sampler.branch, interval, reason, hides=False)
 
 
-def _pieces(samples: Samples, sampler: Sampler) -> tuple[list[Piece], list[OpenEnd]]:
+def _pieces(samples: CutSamples, sampler: Sampler) -> tuple[list[Piece], list[OpenEnd]]:
     """Split refined samples into connected pieces and the gaps between them."""
     arrived, joins = samples.arrived, samples.continuous(sampler.chord)
     grazing = sampler.settings.grazing * float(np.abs(samples.rates[arrived]).max(initial=0.0))
@@ -260,11 +261,11 @@ def _pieces(samples: Samples, sampler: Sampler) -> tuple[list[Piece], list[OpenE
         # Phases are a circle: the last run continues into the first.
         head, tail = runs[0], runs[-1]
         if head.phases[0] == samples.phases[0] and tail.phases[-1] == samples.phases[-1]:
-            runs = [*runs[1:-1], Samples.joined([tail, replace(head, phases=head.phases + 1)[1:]])]
+            runs = [*runs[1:-1], CutSamples.joined([tail, replace(head, phases=head.phases + 1)[1:]])]
     return [_piece(run, sampler.branch, closed) for run in runs], gaps
 
 
-def _piece(run: Samples, branch: int, closed: bool) -> Piece:
+def _piece(run: CutSamples, branch: int, closed: bool) -> Piece:
     return Piece(branch, run.phases, run.points, run.states, run.times, int(np.sign(run.rates[0])), closed)
 
 
