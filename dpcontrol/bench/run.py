@@ -353,9 +353,11 @@ def _share_axis(axis: Any, most: float) -> None:
 
 _RING, _LABEL, _CLEAR = 15.0, 8.0, 10.0
 """In points: a ring's diameter, the height of a label's letters, and the width that a mark is given."""
-_AWAY = np.array([0.0, 6.0, 12.0, 20.0, 30.0, 42.0])
+_AWAY = np.array([0.0, 6.0, 12.0, 20.0, 30.0, 42.0, 60.0])
 """Distances between mark and label that are tried, in points; a line leads over those from `_LED` on."""
 _LED = 10.0
+_ALONG = np.linspace(0.3, 0.8, 8)
+"""Shares of the way from a mark to its label at which a line is watched."""
 _SIDES = np.array([(1, 1), (1, -1), (-1, 1), (-1, -1), (1, 0), (-1, 0), (0, 1), (0, -1)])
 
 
@@ -370,6 +372,7 @@ def _label_settings(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) 
     spots, front = pixels(panel.points), pixels(panel.front)
     clear = [unit * (_RING + 2 if p.default else _CLEAR) for p in panel.points]
     taken = [_box(spot, size) for spot, size in zip(spots, clear, strict=True)]
+    labels: list[Array] = []
     for one, other in pairwise(front):
         corner = np.array([other[0], one[1]])
         taken += [_box((a + b) / 2, np.abs(b - a) + 4 * unit) for a, b in ((one, corner), (corner, other))]
@@ -384,13 +387,19 @@ def _label_settings(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) 
         offsets = np.tile(_SIDES, (len(_AWAY), 1)) * (size / 2 + unit * away[:, None] + extent / 2)
         boxes = np.array([_box(spot + offset, extent) for offset in offsets])
         outside = extent.prod() - _common(boxes, axis.bbox.extents)
-        cost = sum(_common(boxes, other) for other in taken) + 10 * outside + away
+        # A line to a label is to miss other labels, and they it.
+        dots = np.array([[_box(spot + share * offset, 3 * unit) for share in _ALONG] for offset in offsets])
+        crossed = sum(_common(dots.reshape(-1, 4), label).reshape(len(offsets), -1).sum(axis=1) for label in labels)
+        covered = sum(_common(boxes, other) for other in taken)
+        cost = 10 * (covered + outside) + away + crossed * (away >= _LED)
         best = int(np.argmin(cost))
         text.set_position(offsets[best] / unit)
+        labels.append(boxes[best])
         taken.append(boxes[best])
         if away[best] >= _LED:
-            line = {"arrowstyle": "-", "color": colour, "linewidth": 0.5, "shrinkA": 2, "shrinkB": 3}
-            axis.annotate("", xytext=offsets[best] / unit, arrowprops=line, **look)
+            line = {"arrowstyle": "-", "color": colour, "linewidth": 0.5, "shrinkA": 1, "shrinkB": 3}
+            nearest = np.clip(0.0, offsets[best] - extent / 2, offsets[best] + extent / 2)
+            axis.annotate("", xytext=nearest / unit, arrowprops=line, **look)
 
 
 def _box(middle: Array, size: Array | float) -> Array:
