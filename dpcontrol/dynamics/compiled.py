@@ -170,18 +170,25 @@ def _processor() -> str:
 
 def fixed_step(equations: Equations) -> ca.Function:
     """Return (state (N,), inputs (m,), duration, parameters (p,)) -> following (N,), the inputs held."""
-    # Takes a third of a second, which only those who compile a step need to spend.
+    f, (x, u, p) = equations.function(), (equations.state, equations.inputs, equations.parameters)
+    # Kept beside its machine code: the tableau comes with all of scipy.integrate, which takes long to import.
+    key = content_hash(f.serialize(), code_hash(__name__), ca.CasadiMeta.version())
+    file = cache_file("machine-code", "expression", key)
+    if (content := kept(file)) is not None:
+        with suppress(Exception):
+            return ca.Function.deserialize(content.decode())
     from scipy.integrate import DOP853
 
-    f, zero = equations.function(), ca.SX.zeros(equations.dimension)
-    x, u, p, h = equations.state, equations.inputs, equations.parameters, ca.SX.sym("h")
+    h, zero = ca.SX.sym("h"), ca.SX.zeros(equations.dimension)
     stages: list[ca.SX] = []
     for row in DOP853.A[: DOP853.n_stages].tolist():
         shift = sum((a * k for a, k in zip(row, stages, strict=False) if a), zero)
         stages.append(f(x + h * shift, u, p))
     sloped = sum((b * k for b, k in zip(DOP853.B.tolist(), stages, strict=True) if b), zero)
     names = ["state", "inputs", "duration", "parameters"]
-    return ca.Function("fixed_step", [x, u, h, p], [ca.cse(ca.densify(x + h * sloped))], names, ["following"])
+    step = ca.Function("fixed_step", [x, u, h, p], [ca.cse(ca.densify(x + h * sloped))], names, ["following"])
+    keep(file, step.serialize().encode())
+    return step
 
 
 def compiled_step(equations: Equations) -> Compiled:

@@ -212,11 +212,13 @@ def _leaves(orbit: Array, angles: Array, *, ticks: float) -> float:
     closed = max(len(orbit) - bool(np.abs(orbit[0] - orbit[-1]).max() < 1e-6), 1)
     first = int(np.argmin(np.abs(orbit - angles[0]).max(axis=1)))
     ahead = np.rint(np.arange(len(angles)) * (closed / ticks)).astype(np.intp)
-    if np.abs(orbit[(first + ahead) % closed] - angles).max() <= NEAR_LAST_ORBIT:
+    late = angles[np.abs(orbit[(first + ahead) % closed] - angles).max(axis=1) > NEAR_LAST_ORBIT]
+    far = [place for place in late if np.abs(orbit - place).max(axis=1).min() > NEAR_LAST_ORBIT]
+    if not far:
         return 0.0
     share = np.arange(_DENSER)[:, None, None] / _DENSER
     points = (orbit * (1 - share) + np.roll(orbit, -1, axis=0) * share).reshape(-1, orbit.shape[1])
-    gap = max(float(np.abs(points - place).max(axis=1).min()) for place in angles)
+    gap = max(float(np.abs(points - place).max(axis=1).min()) for place in far)
     return gap if gap > NEAR_LAST_ORBIT else 0.0
 
 
