@@ -85,6 +85,8 @@ class Option(click.Option):
         Raises:
             InputError: names the option, the file and the suffix it needs.
         """
+        if isinstance(value, Path) and not value.name and self.type is not FOLDER:
+            raise InputError(f"{self.opts[0]} {value}: this names no file; give a name")
         if value is not None and self.suffixes and value.suffix.lower() not in self.suffixes:
             allowed = " or ".join(self.suffixes)
             raise InputError(

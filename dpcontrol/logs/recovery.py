@@ -306,6 +306,8 @@ def _account(
         missing += at_end
         gaps.append((end_s, end_s + at_end * period))
     names = json.loads(described["attachments"])
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        raise InputError(f"{path}: its layout names no list of attachments but {names!r:.80}; nothing can be recovered")
     attachments_lost = tuple(name for name in names if name not in found.attachments)
     before = _only(path, found, layout.RECOVERY_RECORD) or {}
     lost = [before[layout.LOST]] if before.get(layout.LOST) else []

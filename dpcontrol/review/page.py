@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file
+from dpcontrol.foundation.text import printable
 from dpcontrol.review import series, style
 from dpcontrol.review.motion import RunView
 from dpcontrol.review.series import (
@@ -71,6 +72,8 @@ def save_figure(figure: Figure, path: Path | str) -> None:
         # The ticks of a logarithmic axis are formulas of matplotlib's own.
         if isinstance(text, Text) and "$" in text.get_text() and "\\mathdefault" not in text.get_text():
             text.set_parse_math(False)
+        if isinstance(text, Text):
+            text.set_text(printable(text.get_text()))
     with whole_file(path, suffix=f".{kind}") as temporary:
         try:
             figure.savefig(temporary, format=kind)

@@ -34,12 +34,12 @@ Connections against energy, kept by content: a sweep takes ten seconds or more, 
 
 import json
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields, is_dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import IO, Any, TypeVar, get_args, get_type_hints
+from typing import IO, Any, TypeVar, get_args, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -415,7 +415,11 @@ def load_atlas(path: Path | IO[bytes]) -> Atlas:
     making = {"make": "make one with `dpcontrol atlas MODEL --energy H`", "again": "make it again"}
     with archive(path, what="an atlas", **making, format=FORMAT, versions=(VERSION,)) as (header, arrays):
         # Any error in here means that the file is no atlas.
-        sections = [Section(**{key: _tuples(value) for key, value in entry.items()}) for entry in header["sections"]]
+        hints = get_type_hints(Section)
+        sections = [
+            Section(**{key: _typed(value, hints[key], key) for key, value in entry.items()})
+            for entry in header["sections"]
+        ]
         return _unpacked(Atlas, header, "", arrays, sections)
 
 
@@ -438,19 +442,43 @@ def _unpacked(
             )
         elif name in ("state", "point"):
             values[name] = np.array(entry[name], dtype=float)
+            wanted = (len(arrays["periods"]),) if name == "state" else (2,)
+            if values[name].shape != wanted:
+                raise ValueError(f"its {prefix}{name} has shape {values[name].shape}, not {wanted}")
         elif name == "floquet_multipliers":
             values[name] = np.array([complex(*pair) for pair in entry[name]])
         else:
-            values[name] = float("nan") if entry[name] is None else _tuples(entry[name])
+            values[name] = _typed(entry[name], hint, name)
+    stored = {name: array for name, array in values.items() if name not in entry and name not in ("periods", "reverser")}
+    for group in (True, False):
+        counts = {name: len(array) for name, array in stored.items() if name.startswith("node") == group}
+        if len(set(counts.values())) > 1:
+            raise ValueError(f"its arrays {prefix}{', '.join(counts)} differ in length: {list(counts.values())}")
     return kind(**values)
 
 
-def _tuples(value: Any) -> Any:
-    return tuple(_tuples(item) for item in value) if isinstance(value, list) else value
+def _typed(value: Any, hint: Any, name: str) -> Any:
+    """Return a value of the header as its field's type wants it, lists as tuples, or raise ValueError."""
+    parts = get_args(hint)
+    if type(None) in parts:
+        if value is None:
+            return None
+        hint = next(part for part in parts if part is not type(None))
+        parts = get_args(hint)
+    if get_origin(hint) is tuple and isinstance(value, list):
+        if parts[-1:] == (...,):
+            return tuple(_typed(item, parts[0], name) for item in value)
+        return tuple(_typed(item, part, name) for item, part in zip(value, parts, strict=True))
+    if hint is float and value is None:
+        return float("nan")
+    kinds = {float: (int, float), int: int, str: str, bool: bool}.get(hint, dict if get_origin(hint) is Mapping else ())
+    if not isinstance(value, kinds) or (isinstance(value, bool) and hint is not bool):
+        raise ValueError(f"its {name} is {value!r:.80}")
+    return value
 
 
 def _checked(array: NDArray[Any], name: str, size: int) -> NDArray[Any]:
-    """Return a finite array whose last axis has the length that its name asks for, or raise ValueError."""
+    """Return a finite array whose axes are those that its name asks for, or raise ValueError."""
     # Coordinates that are no angles have an infinite period.
     if name != "periods" and not np.isfinite(array).all():
         raise ValueError(f"its array {name} is not finite")
@@ -458,6 +486,9 @@ def _checked(array: NDArray[Any], name: str, size: int) -> NDArray[Any]:
     wanted = size if states else 2 if name.endswith("points") else None
     if wanted is not None and (array.ndim < 2 or array.shape[-1] != wanted):
         raise ValueError(f"its array {name} has shape {array.shape}, the last length must be {wanted}")
+    axes = 3 if name.endswith("strands") else 2 if wanted is not None else 1
+    if array.ndim != axes or not (array.size or "strand" in name):
+        raise ValueError(f"its array {name} has shape {array.shape}, where {axes} lengths are wanted, none of them 0")
     return array
 
 

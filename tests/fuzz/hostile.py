@@ -9,7 +9,6 @@ import struct
 import tempfile
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
@@ -313,18 +312,15 @@ def npz_changed(draw: st.DrawFn, content: bytes) -> bytes:
     if draw(st.integers(0, 3)) == 0:
         return damaged(draw, content)
     with zipfile.ZipFile(io.BytesIO(content)) as file:
-        entries = {name: file.read(name) for name in file.namelist()}
+        whole = {name: file.read(name) for name in file.namelist()}
+    entries = dict(whole)
     for _ in range(draw(st.integers(1, 2))):
         name = draw(st.sampled_from(sorted(entries)))
         if draw(st.booleans()):
             name = "header.npy"
         if name not in entries:
             continue
-        try:
-            array = np.load(io.BytesIO(entries[name]))
-        except ValueError:
-            # It was changed before, to what is no array.
-            continue
+        array = np.load(io.BytesIO(whole[name]))
         match draw(st.integers(0, 9)):
             case 0:
                 del entries[name]
@@ -337,8 +333,7 @@ def npz_changed(draw: st.DrawFn, content: bytes) -> bytes:
                 deep = "[" * 5000, '{"a":' * 2000
                 array = np.array(draw(st.sampled_from(("", "{", "{}", "null", '"x"', "NaN", *deep))))
             case _ if name == "header.npy":
-                with suppress(ValueError, RecursionError):
-                    array = np.array(json.dumps(json_changed(draw, json.loads(str(array)))))
+                array = np.array(json.dumps(json_changed(draw, json.loads(str(array)))))
             case _:
                 array = array_changed(draw, array)
         buffer = io.BytesIO()

@@ -48,7 +48,7 @@ class Laboratory:
         self.files, self.names = files, tuple(files)
 
     def __repr__(self) -> str:
-        return f"Laboratory({', '.join(self.names)})"
+        return "laboratory"
 
     def fill(self, folder: Path, words: Iterable[str], changed: Mapping[str, bytes]) -> None:
         """Write the files that the words name, some changed, and what is no ordinary file."""

@@ -1,12 +1,15 @@
 """What the fuzz tests found, each as the call that showed it."""
 
+import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from command_line import dpcontrol
 
 from dpcontrol.logs import LogWriter
+from dpcontrol.review.page import new_figure, save_figure
 
 REST = 'model = "lab"\nstart = "hold"\nhold = "down-down"\nseconds = 0.5\n[controller]\nkind = "lqr"\n'
 
@@ -61,3 +64,59 @@ def _recorded(path: Path, *, period: float, stamps: float) -> None:
     """Write a log of 40 samples `stamps` s apart, of which it says that they are `period` s apart."""
     with LogWriter(path, arm_lengths=(0.17, 0.23), rate_hz=1 / period, has_cart=False) as log:
         log.ticks(stamps * np.arange(40), measured=np.sin(np.arange(80.0)).reshape(40, 2))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("connection_0_times", np.zeros(3)),
+        ("connection_0_states", np.zeros(4)),
+        ("cut_0_strand_phases", np.zeros((2, 2))),
+        ("orbit_0_samples", np.zeros((0, 4))),
+    ],
+)
+def test_an_atlas_whose_arrays_do_not_belong_together_is_refused(name: str, value: np.ndarray) -> None:
+    assert dpcontrol("atlas", "lab", "--energy=-0.07", "--out", "atlas.npz").code == 0
+    with np.load("atlas.npz") as file:
+        arrays = dict(file)
+    np.savez("other.npz", **{**arrays, name: value})
+    ended = dpcontrol("review", "other.npz", "--save", "out.rrd")
+    assert ended.code == 2
+    assert name in ended.message
+    assert not Path("out.rrd").exists()
+
+
+@pytest.mark.parametrize(("key", "value"), [("energy", "high"), ("connections", [1]), ("complete", 7), ("status", None)])
+def test_an_atlas_whose_header_holds_values_of_other_types_is_refused(key: str, value: object) -> None:
+    assert dpcontrol("atlas", "lab", "--energy=-0.07", "--out", "atlas.npz").code == 0
+    with np.load("atlas.npz") as file:
+        arrays = dict(file)
+    header = json.loads(str(arrays["header"]))
+    place = header["kinds"][0] if key == "complete" else header
+    place[key] = value
+    np.savez("other.npz", **{**arrays, "header": np.array(json.dumps(header))})
+    assert dpcontrol("review", "other.npz", "--save", "out.rrd").code == 2
+
+
+def test_a_log_whose_layout_names_no_list_of_attachments_is_not_recovered(monkeypatch: pytest.MonkeyPatch) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr("dpcontrol.logs.writer.json", SimpleNamespace(dumps=lambda names: "7"))
+        _recorded(Path("odd.mcap"), period=1e-3, stamps=1e-3)
+    whole = Path("odd.mcap").read_bytes()
+    Path("odd.mcap").write_bytes(whole[:-40])
+    ended = dpcontrol("recover", "odd.mcap", "--out", "new.mcap")
+    assert ended.code == 2
+    assert "attachments" in ended.message
+
+
+@pytest.mark.parametrize("name", ["", "."])
+def test_an_output_of_no_name_is_refused(name: str) -> None:
+    ended = dpcontrol("import", "--simulated", "lab", f"--out={name}")
+    assert ended.code == 2
+    assert "--out" in ended.message
+
+
+def test_a_title_that_steers_terminals_is_drawn_as_text(recwarn: pytest.WarningsRecorder) -> None:
+    figure = new_figure(3, 2, title="\x1b[31mred")
+    save_figure(figure, Path("out.png"))
+    assert not [str(one.message) for one in recwarn if "\x1b" in str(one.message) or "Glyph" in str(one.message)]

@@ -61,7 +61,7 @@ def complaints(trial: Trial, ended: Ended) -> list[str]:
             found.append(f"not one sentence: {ended.stderr!r}")
     elif ended.code == 1 and not (said and any(line.startswith("dpcontrol: ") for line in said)):
         found.append(f"no reason for exit code 1: {ended.stderr!r}")
-    if ended.code != 130 and (half := [name for name in ended.left if _half_written(name)]):
+    if ended.code != 130 and (half := [name for name in ended.left if _half_written(name, trial)]):
         found.append(f"half written: {', '.join(half)}")
     if "\x1b" in ended.stdout + ended.stderr:
         found.append(f"escape sequences of the input are printed: {ended.stdout + ended.stderr!r}"[:400])
@@ -70,8 +70,10 @@ def complaints(trial: Trial, ended: Ended) -> list[str]:
     return found
 
 
-def _half_written(name: str) -> bool:
+def _half_written(name: str, trial: Trial) -> bool:
     last = name.rsplit("/", 1)[-1]
+    if any(argument.endswith(name) for argument in trial.arguments):
+        return False
     return last.startswith(".") or last.endswith((".partial", ".tmp")) or name.startswith("tmp/")
 
 
