@@ -420,6 +420,10 @@ def load_atlas(path: Path | IO[bytes]) -> Atlas:
             Section(**{key: _typed(value, hints[key], key) for key, value in entry.items()})
             for entry in header["sections"]
         ]
+        for one in sections:
+            rows = (one.normal, one.position, one.side)
+            if any(row is not None and len(row) != len(arrays["periods"]) for row in rows):
+                raise ValueError(f"its section {one.name} is not of {len(arrays['periods'])} coordinates")
         return _unpacked(Atlas, header, "", arrays, sections)
 
 
@@ -449,7 +453,8 @@ def _unpacked(
             values[name] = np.array([complex(*pair) for pair in entry[name]])
         else:
             values[name] = _typed(entry[name], hint, name)
-    stored = {name: array for name, array in values.items() if name not in entry and name not in ("periods", "reverser")}
+    apart = (*entry, "periods", "reverser")
+    stored = {name: array for name, array in values.items() if name not in apart}
     for group in (True, False):
         counts = {name: len(array) for name, array in stored.items() if name.startswith("node") == group}
         if len(set(counts.values())) > 1:
@@ -486,6 +491,8 @@ def _checked(array: NDArray[Any], name: str, size: int) -> NDArray[Any]:
     wanted = size if states else 2 if name.endswith("points") else None
     if wanted is not None and (array.ndim < 2 or array.shape[-1] != wanted):
         raise ValueError(f"its array {name} has shape {array.shape}, the last length must be {wanted}")
+    if name == "reverser" and len(array) != size:
+        raise ValueError(f"its array reverser has shape {array.shape}, not {(size, size)}")
     axes = 3 if name.endswith("strands") else 2 if wanted is not None else 1
     if array.ndim != axes or not (array.size or "strand" in name):
         raise ValueError(f"its array {name} has shape {array.shape}, where {axes} lengths are wanted, none of them 0")

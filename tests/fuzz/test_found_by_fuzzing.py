@@ -86,7 +86,9 @@ def test_an_atlas_whose_arrays_do_not_belong_together_is_refused(name: str, valu
     assert not Path("out.rrd").exists()
 
 
-@pytest.mark.parametrize(("key", "value"), [("energy", "high"), ("connections", [1]), ("complete", 7), ("status", None)])
+@pytest.mark.parametrize(
+    ("key", "value"), [("energy", "high"), ("connections", [1]), ("complete", 7), ("status", None)]
+)
 def test_an_atlas_whose_header_holds_values_of_other_types_is_refused(key: str, value: object) -> None:
     assert dpcontrol("atlas", "lab", "--energy=-0.07", "--out", "atlas.npz").code == 0
     with np.load("atlas.npz") as file:
