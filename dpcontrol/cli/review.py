@@ -149,6 +149,9 @@ def report_command(
     Of a log: the itinerary as asked and as done, a film, angles, rates, cart, command, errors, energy, phase planes.
     Of a campaign: shares of success by group with Wilson's intervals, failures by symbol and reason.
     """
+    from dpcontrol.foundation.files import checked_source
+
+    checked_source(file)
     picture = picture or file.with_name(f"{file.stem}-report.png")
     answer = (_campaign if file.suffix.lower() == ".parquet" else _log)(file, picture)
     return Answer({**answer.document, "picture": picture}, [*answer.text, f"page       {picture}"])

@@ -72,6 +72,10 @@ class Answer:
     missed: str = ""
 
 
+_LARGEST = 2**63 - 1
+"""Of whole numbers: what estimates of work can be made of without overflow."""
+
+
 class Option(click.Option):
     """An option that help lists under a group; suffixes: of which a file to write must have one, where given."""
 
@@ -79,12 +83,15 @@ class Option(click.Option):
         super().__init__(*arguments, **others)
         self.group, self.suffixes = group, suffixes
 
-    def check(self, value: Path | None) -> None:
-        """Reject a file name that promises another format than will be written.
+    def check(self, value: Any) -> None:
+        """Reject a file name that promises another format than will be written, and whole numbers beyond any use.
 
         Raises:
-            InputError: names the option, the file and the suffix it needs.
+            InputError: names the option, the file and the suffix it needs, or the number.
         """
+        for one in value if isinstance(value, tuple) else (value,):
+            if isinstance(one, int) and abs(one) > _LARGEST:
+                raise InputError(f"{self.opts[0]}: a number of too many digits; at most {_LARGEST:,} is a number here")
         if isinstance(value, Path) and not value.name and self.type is not FOLDER:
             raise InputError(f"{self.opts[0]} {value}: this names no file; give a name")
         if value is not None and self.suffixes and value.suffix.lower() not in self.suffixes:

@@ -74,6 +74,8 @@ class Segment:
 
 _FEWEST = 10
 """Samples of a piece that a swing is fitted to."""
+_MOST_TURNED = 1e6
+"""rad: more is no angle of an arm."""
 
 
 def cut_into_swings(
@@ -102,6 +104,11 @@ def cut_into_swings(
             pieces = max(int(np.ceil((len(part.time) - 1) * part.dt / most)), 1)
             edges = np.linspace(0, len(part.time), pieces + 1).round().astype(int)
             filled = _filled(part)
+            if (largest := float(np.abs(filled).max(initial=0.0))) > _MOST_TURNED:
+                raise InputError(
+                    f"{part.name}: an angle of {largest:.3g} rad at {part.time[0]:.6g} s or later is beyond any swing; "
+                    "import the recording again with the unit of its angles"
+                )
             for a, b in pairwise(edges):
                 # Turns counted before a segment say nothing about it.
                 angles = filled[a:b] - 2 * np.pi * np.rint(filled[a] / (2 * np.pi))

@@ -640,6 +640,9 @@ def _run_log(file: VerifiedFile, *, rows: dict[str, Array], events: list[Event])
     columns = _frozen(np.ascontiguousarray(rows.pop("control").T)) if "control" in rows else ()
     metadata = {**file.values(layout.RESULT_RECORD), **file.values(layout.RUN_RECORD)}
     metadata.pop(layout.TICKS, None)
+    lengths = tuple(float(text) for text in described["arm_lengths"].split())
+    if not all(0 < length < np.inf for length in lengths):
+        damaged(file.path, f"its arms are {described['arm_lengths']} m long")
     return RunLog(
         path=file.path,
         time=rows["time"],
@@ -651,7 +654,7 @@ def _run_log(file: VerifiedFile, *, rows: dict[str, Array], events: list[Event])
         metadata={**metadata, "program": described["program"]},
         attachments=file.attachments,
         joint_names=tick.names,
-        arm_lengths=tuple(float(text) for text in described["arm_lengths"].split()),
+        arm_lengths=lengths,
         has_cart=tick.has_cart,
         rate_hz=float(described["rate_hz"]),
         limits=(limits[0], limits[1], limits[2]) if limits else None,

@@ -122,3 +122,30 @@ def test_a_title_that_steers_terminals_is_drawn_as_text(recwarn: pytest.Warnings
     figure = new_figure(3, 2, title="\x1b[31mred")
     save_figure(figure, Path("out.png"))
     assert not [str(one.message) for one in recwarn if "\x1b" in str(one.message) or "Glyph" in str(one.message)]
+
+
+def test_a_whole_number_beyond_any_use_is_refused_before_it_is_computed_with() -> None:
+    line = "bifurcations lab --from down-up --to down-up --energies -0.3 -0.2"
+    ended = dpcontrol(*line.split(), f"--samples={400 * '9'}")
+    assert ended.code == 2
+    assert "--samples" in ended.message
+
+
+def test_a_report_on_a_file_of_no_name_is_refused() -> None:
+    assert dpcontrol("report", "").code == 2
+
+
+def test_a_log_of_arms_without_length_is_refused() -> None:
+    with LogWriter("flat.mcap", arm_lengths=(0.0, 0.0), rate_hz=1e3, has_cart=False) as log:
+        log.ticks(1e-3 * np.arange(40), measured=np.zeros((40, 2)))
+    ended = dpcontrol("report", "flat.mcap")
+    assert ended.code == 2
+    assert "long" in ended.message
+
+
+def test_angles_beyond_any_swing_are_not_identified() -> None:
+    with LogWriter("far.mcap", arm_lengths=(0.17, 0.23), rate_hz=1e3, has_cart=False) as log:
+        log.ticks(1e-3 * np.arange(400), measured=1e300 * np.sin(np.arange(800.0)).reshape(400, 2))
+    ended = dpcontrol("identify", "far.mcap")
+    assert ended.code == 2
+    assert "beyond any swing" in ended.message
