@@ -137,6 +137,7 @@ def main(arguments: list[str] | None = None) -> None:
         code = 0
     except click.ClickException as error:
         shown = StringIO()
+        error.message = error.message.replace("\n", "\\n")
         error.show(shown)
         say(shown.getvalue().rstrip("\n"))
         code = error.exit_code

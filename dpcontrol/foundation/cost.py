@@ -9,6 +9,8 @@ from dpcontrol.foundation.errors import InputError, remark
 
 MOST_SECONDS, MOST_BYTES = 3600.0, 4e9
 """What is begun without being asked for by name."""
+NEVER_SECONDS, NEVER_BYTES = 1e8, 1e13
+"""What no one means to begin: to be asked for by name is not advised there."""
 SAID_FROM = 60.0
 """s; work that takes longer is announced."""
 
@@ -39,7 +41,9 @@ def announce(cost: Cost, *, yes: bool) -> None:
     """
     if not yes and (cost.seconds > MOST_SECONDS or cost.memory > MOST_BYTES):
         allowed = f"{_time(MOST_SECONDS)} and {_size(MOST_BYTES)} are begun unasked"
-        raise InputError(f"{cost.sentence}, and {allowed}; ask for less, or give --yes (yes=True in Python)")
+        beyond_all = cost.seconds > NEVER_SECONDS or cost.memory > NEVER_BYTES
+        remedy = "ask for less" if beyond_all else "ask for less, or give --yes (yes=True in Python)"
+        raise InputError(f"{cost.sentence}, and {allowed}; {remedy}")
     if cost.seconds > SAID_FROM:
         remark(cost.sentence)
 

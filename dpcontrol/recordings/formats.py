@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import UNREADABLE, checked_size, checked_source
+from dpcontrol.foundation.files import UNREADABLE, checked_size
 from dpcontrol.foundation.settings import suggest
 
 Array = NDArray[np.float64]
@@ -34,7 +34,6 @@ def read_table(path: Path, columns: Sequence[str]) -> dict[str, Array]:
     """
     import pyarrow as pa
 
-    checked_source(path)
     try:
         table = _parquet(path, columns) if path.suffix.lower() == ".parquet" else _csv(path, columns)
     except OSError as error:
@@ -155,7 +154,6 @@ def read_matlab(path: Path) -> dict[str, Any]:
     Raises:
         InputError: the file cannot be read, or is not a MATLAB file.
     """
-    checked_source(path)
     try:
         with path.open("rb") as stream:
             head = stream.read(600)

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import checked_source
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Table, read_toml, suggest
 from dpcontrol.recordings.checks import (
@@ -258,8 +259,7 @@ def import_recording(
     if kind not in MATLAB + TABLES:
         known = ", ".join(MATLAB + TABLES)
         raise InputError(f"{path}: a recording is a file of kind {known}; this ends in {kind or 'nothing'}")
-    if path.is_dir():
-        raise InputError(f"cannot read {path}: it is a folder; give a file")
+    checked_source(path)
     given = load_mapping(mapping) if mapping else None
     progress("reading", 0.0)
     if kind in MATLAB:
