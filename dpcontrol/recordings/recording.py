@@ -332,11 +332,13 @@ def random_swings(arms: ArmChainParameters, *, swings: int, seconds: float, seed
     """Return a recording of swings let go at random angles, with encoders whose zeros are off by up to 2 mrad.
 
     Raises:
-        InputError: there are to be no swings, or of no time.
+        InputError: there are to be no swings, or of no time, or the seed is negative.
     """
     for key, value, most in (("swings", swings, 1000), ("seconds", seconds, 1000.0)):
         if not 0 < value <= most:
             raise InputError(f"{key} = {value!r}: must be above 0, at most {most:g}")
+    if seed < 0:
+        raise InputError(f"seed = {seed}: must be zero or positive")
     random = np.random.default_rng(seed)
     zeros = random.uniform(-_ZEROS, _ZEROS, arms.count)
     starts = list(random.uniform(-_REACH, _REACH, (swings, arms.count)))

@@ -10,10 +10,10 @@ arm passes near other lattice points on its way, but quickly. While a plan has i
 """
 
 import io
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,7 @@ from dpcontrol.logs import RunLog
 from dpcontrol.references.reference import PlanNotes, Reference, StopNote, load_reference, plan_notes
 
 Array = NDArray[np.float64]
+Number = TypeVar("Number", int, float)
 
 REST = "down-down"
 _SAME = 1e-4
@@ -379,7 +380,7 @@ def score(log: RunLog) -> Score:
     low, high = chi_square_band(log.measured.shape[1])
     nis = log.control["nis"][np.isfinite(log.control["nis"])]
     away = flown.angles - flown.reference_angles
-    factor, seed = (log.metadata.get(name) for name in ("real_time_factor", "seed"))
+    factor, seed = _noted(log, "real_time_factor", float), _noted(log, "seed", int)
     reason = verdict.problem or _done(verdict.wraps, plan_notes(plan))
     if not known:
         reason = f"the true state is not known, so completion cannot be judged; by the estimate: {reason}"
@@ -387,7 +388,7 @@ def score(log: RunLog) -> Score:
         reason += f"; {recovered_note(log)}"
     return Score(
         log=str(log.path),
-        seed=None if seed is None else int(seed),
+        seed=seed,
         completed=(not verdict.problem) if known else None,
         symbols_completed=verdict.symbols,
         symbols_total=len(plan_notes(plan)["stops"]) - 1,
@@ -396,10 +397,23 @@ def score(log: RunLog) -> Score:
         max_cart_position=float(np.abs(flown.states[:, 2 * flown.angles.shape[1]]).max()) if log.has_cart else 0.0,
         rms_cart_acceleration=float(np.sqrt(np.mean(flown.applied**2))),
         nis_inside_95=float(np.mean((nis >= low) & (nis <= high))) if nis.size else float("nan"),
-        real_time_factor=None if factor is None else float(factor),
+        real_time_factor=factor,
         reason=reason,
         nis_means=nis_means(log.control["nis"], log.measured.shape[1]),
     )
+
+
+def _noted(log: RunLog, name: str, kind: Callable[[str], Number]) -> Number | None:
+    """Return a number that the log notes of its run, None where it notes none.
+
+    Raises:
+        InputError: it is no number.
+    """
+    text = log.metadata.get(name)
+    try:
+        return None if text is None else kind(text)
+    except ValueError as error:
+        raise InputError(f"{log.path}: its {name} = {text!r:.80} is no number; make the log again") from error
 
 
 def recovered_note(log: RunLog) -> str:

@@ -5,6 +5,7 @@ A trial is one call of the command line: its arguments, and files that take the 
 
 import io
 import json
+import re
 import struct
 import tempfile
 import zipfile
@@ -208,6 +209,9 @@ def damaged(draw: st.DrawFn, content: bytes) -> bytes:
     return bytes(changed)
 
 
+_NUMBER = re.compile(r"(?<![\w\"-])-?\d+\.?\d*(?:e-?\d+)?(?![\w\"-])")
+
+
 def toml_changed(draw: st.DrawFn, content: bytes) -> bytes:
     """Return TOML with values, keys and lines changed."""
     lines = content.decode().splitlines()
@@ -220,6 +224,10 @@ def toml_changed(draw: st.DrawFn, content: bytes) -> bytes:
                 lines[k] = ""
             case 1:
                 lines[k] = f"{lines[k]}\n{lines[k]}"
+            case 3 | 4 if numbers := list(_NUMBER.finditer(lines[k].partition("#")[0])):
+                found = draw(st.sampled_from(numbers))
+                scaled = float(found[0]) * draw(st.sampled_from((-1, 0, 0.3, 0.999, 1.2, 2, 30, 1e6, 1e-6, 1e-300)))
+                lines[k] = f"{lines[k][: found.start()]}{scaled!r}{lines[k][found.end() :]}"
             case 2:
                 lines[k] = f"[{draw(st.sampled_from(('run', 'limits', '/nope', 'parts', '[parts]', 'x' * 240, '')))}]"
             case _:

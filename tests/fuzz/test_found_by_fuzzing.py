@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from command_line import dpcontrol
 
-from dpcontrol.logs import LogWriter
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs import LogWriter, read_log
 from dpcontrol.review.page import new_figure, save_figure
+from dpcontrol.review.score import score
 
 REST = 'model = "lab"\nstart = "hold"\nhold = "down-down"\nseconds = 0.5\n[controller]\nkind = "lqr"\n'
 
@@ -149,3 +151,19 @@ def test_angles_beyond_any_swing_are_not_identified() -> None:
     ended = dpcontrol("identify", "far.mcap")
     assert ended.code == 2
     assert "beyond any swing" in ended.message
+
+
+def test_swings_of_a_negative_seed_are_refused() -> None:
+    ended = dpcontrol("import", "--simulated", "lab", "--seed=-1")
+    assert ended.code == 2
+    assert "seed = -1" in ended.message
+
+
+@pytest.mark.parametrize(("key", "value"), [("seed", "\x1b[31m"), ("real_time_factor", "fast")])
+def test_a_log_whose_notes_are_no_numbers_is_not_scored(key: str, value: str) -> None:
+    assert dpcontrol("run", "rest.toml", "--out", "run.mcap").code == 0
+    log = read_log("run.mcap")
+    score(log)
+    log.metadata[key] = value
+    with pytest.raises(InputError, match=f"its {key} = "):
+        score(log)
