@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.bench.chart import Panel, PrecisionChart
 from dpcontrol.bench.measure import Alternative, Judged, compare
-from dpcontrol.control.ekf import make_estimator
+from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import (
     EkfSettings,
     EstimatorSettings,

@@ -27,14 +27,10 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import (
     Augment,
-    EkfSettings,
-    EstimatorSettings,
-    FilterpyEkfSettings,
     FilterSettings,
-    UkfSettings,
     extra_names,
 )
-from dpcontrol.control.interface import Estimate, Estimator, Present, SampledModel
+from dpcontrol.control.interface import Estimate, Present, SampledModel
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.errors import InputError
@@ -516,25 +512,3 @@ class CompiledEkf(KalmanFilter):
     def covariance(self, estimate: Estimate) -> Array:
         """Return the covariance (N+E, N+E) of state and extra."""
         return unpacked(estimate.memory.kept[self._z :])
-
-
-ESTIMATORS: dict[str, type[EstimatorSettings]] = {
-    settings.kind: settings for settings in (EkfSettings, UkfSettings, FilterpyEkfSettings)
-}
-"""The settings of each kind of estimator, by its name in an itinerary."""
-
-
-def make_estimator(settings: EstimatorSettings, model: SampledModel, *, noise: Array) -> Estimator:
-    """Return the estimator of `settings` for `model`; noise (n+1, n+1): of the measured positions.
-
-    Raises:
-        InputError: the noise has the wrong shape or is no covariance.
-    """
-    if isinstance(settings, EkfSettings):
-        return CompiledEkf(model, settings, noise=noise)
-    # filterpy takes a second to import.
-    from dpcontrol.control.ukf import FilterpyEkf, Ukf
-
-    if isinstance(settings, UkfSettings):
-        return Ukf(model, settings, noise=noise)
-    return FilterpyEkf(model, settings, noise=noise)

@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.ekf import ESTIMATORS, make_estimator
+from dpcontrol.control.estimation import ESTIMATORS, make_estimator
 from dpcontrol.control.estimator_settings import EstimatorSettings, NisMeans, chi_square_band, nis_means
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of

@@ -27,7 +27,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.ekf import make_estimator
+from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings
 from dpcontrol.control.interface import (
     MANY,

@@ -16,7 +16,7 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from dpcontrol.control.ekf import ESTIMATORS
+from dpcontrol.control.estimation import ESTIMATORS
 from dpcontrol.control.estimator_settings import (
     AdaptiveEkfSettings,
     Augment,

@@ -19,7 +19,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 
 import dpcontrol
-from dpcontrol.control.ekf import ESTIMATORS
+from dpcontrol.control.estimation import ESTIMATORS
 from dpcontrol.control.interface import Controller
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.errors import GoalMissed, InputError

@@ -15,7 +15,8 @@ sys.path.append(str(Path(__file__).parents[1]))
 from estimator_runs import COUNT, MODEL, NOISE, SWING, estimated, run
 from simulated_consistency import simulated_consistency
 
-from dpcontrol.control.ekf import CompiledEkf, EkfProgram, make_estimator
+from dpcontrol.control.ekf import CompiledEkf, EkfProgram
+from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, FilterpyEkfSettings, UkfSettings
 from dpcontrol.loop.bench import SensorSettings
 

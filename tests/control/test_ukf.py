@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from estimator_runs import MODEL, NOISE, SWING, estimated, run
 
-from dpcontrol.control.ekf import ESTIMATORS, make_estimator
+from dpcontrol.control.estimation import ESTIMATORS, make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, FilterpyEkfSettings, UkfSettings
 from dpcontrol.control.interface import Estimate, Estimator
 from dpcontrol.foundation.errors import InputError
