@@ -302,25 +302,26 @@ def run(
     options: RunOptions | None = None,
     log: Place | None = None,
     force: bool = False,
+    yes: bool = False,
     progress: Reporting = None,
 ) -> "Run":
     """Run the closed loop of a plan, or of an itinerary by name, on the simulated bench.
 
     mismatch: share by which the plant's parameters may be off; options: other settings that take the place of the
     scene's. seed: of all that is random. log: where to write the run's log, if anywhere; force: also where there
-    is that of another run.
+    is that of another run. yes: however long its plan takes.
 
     >>> dp.run("outer-turn", mismatch=0.02, seed=3).converged
     True
 
     Raises:
-        InputError: an impossible setting, or the log cannot be written.
+        InputError: an impossible setting, the plan would take too long, or the log cannot be written.
         GoalMissed: there is no reference to follow, or no controller can be made for it.
     """
     from dpcontrol.scenes.run import run_plan
 
     with _reporting(progress, "run") as report:
-        planned = plan(planned, progress=part_of(report, 0.0, 0.5)) if isinstance(planned, str) else planned
+        planned = plan(planned, yes=yes, progress=part_of(report, 0.0, 0.5)) if isinstance(planned, str) else planned
         scene = planned.itinerary.with_run(_options(options, mismatch), seed=seed)
         out = None if log is None else Path(log)
         return run_plan(replace(planned, itinerary=scene), out, force=force, progress=part_of(report, 0.5, 1.0))
@@ -365,17 +366,20 @@ def campaign(
         )
 
 
-def swings(model: Model, *, count: int = 9, seconds: float = 2.667, seed: int = 0) -> "Recording":
+def swings(model: Model, *, count: int = 9, seconds: float = 2.667, seed: int = 0, yes: bool = False) -> "Recording":
     """Return free swings of a model as a bench's encoders would record them, to try `identify` on.
+
+    yes: however long it takes.
 
     >>> dp.swings(lab, count=2).arms
     2
 
     Raises:
-        InputError: the model has no arms.
+        InputError: the model has no arms, there are to be no swings or of no time, or it would take too long.
     """
-    from dpcontrol.recordings.recording import random_swings
+    from dpcontrol.recordings.recording import random_swings, swings_cost
 
+    announce(swings_cost(count, seconds, written=False), yes=yes)
     return random_swings(model.arms, swings=count, seconds=seconds, seed=seed, name=f"{model.name}-swings-{seed}")
 
 

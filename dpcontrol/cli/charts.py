@@ -28,18 +28,19 @@ def figures_command(
     double-homoclinics, triple-homoclinics, colour-wheels, three-body. All are drawn where none is named. Atlases are
     kept by content.
     """
-    from dpcontrol.foundation.files import picked
-    from dpcontrol.review.figures import CAPTIONS, Gallery, draw_figures
-    from dpcontrol.scenes.atlas import AtlasSettings, make_atlas, make_branches
-    from dpcontrol.scenes.model import load_model
-
-    model = cache(load_model)
-    gallery = Gallery(
-        system=lambda name: model(name).system,
-        atlas=lambda name, energy, hits: make_atlas(model(name), energy, settings=AtlasSettings(hits=hits)).atlas,
-        branches=lambda name, source, target, report: make_branches(model(name), source, target, progress=report),
-    )
     with progress_bar("figures") as progress:
+        progress("loading", 0.0)
+        from dpcontrol.foundation.files import picked
+        from dpcontrol.review.figures import CAPTIONS, Gallery, draw_figures
+        from dpcontrol.scenes.atlas import AtlasSettings, make_atlas, make_branches
+        from dpcontrol.scenes.model import load_model
+
+        model = cache(load_model)
+        gallery = Gallery(
+            system=lambda name: model(name).system,
+            atlas=lambda name, energy, hits: make_atlas(model(name), energy, settings=AtlasSettings(hits=hits)).atlas,
+            branches=lambda name, source, target, report: make_branches(model(name), source, target, progress=report),
+        )
         drawn = draw_figures(names, gallery, out, progress=progress)
     document = {
         "figures": [{**picked(d, "file", "name", "caption", "differs", "seconds")} for d in drawn],
@@ -93,13 +94,14 @@ def bench_command(
     ),
 ) -> Answer:
     """Draw the charts, print their fronts and borders."""
-    from dpcontrol.bench.chart import PrecisionChart, check_names
-    from dpcontrol.bench.run import changes, draw_charts, earlier_panels, losses
-
-    # Read before the work: the folder may be the one that is drawn to.
-    charts = [name for name in check_names(names) if name not in GROUPS["edges"]]
-    earlier = {} if against is None else {name: earlier_panels(against, name) for name in charts}
     with progress_bar("bench") as progress:
+        progress("loading", 0.0)
+        from dpcontrol.bench.chart import PrecisionChart, check_names
+        from dpcontrol.bench.run import changes, draw_charts, earlier_panels, losses
+
+        # Read before the work: the folder may be the one that is drawn to.
+        charts = [name for name in check_names(names) if name not in GROUPS["edges"]]
+        earlier = {} if against is None else {name: earlier_panels(against, name) for name in charts}
         drawn = draw_charts(names, out, quick=quick, progress=progress)
     complaints = [text for d in drawn for text in d.chart.complaints]
     status = f"{len(drawn)} charts drawn; " + ("; ".join(complaints) or "every default stands where it may")

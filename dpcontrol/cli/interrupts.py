@@ -1,8 +1,8 @@
 """Ctrl-C as the command line takes it: a KeyboardInterrupt, and another one where the first was swallowed.
 
-Compiled code that calls back into Python (IPOPT through casadi) takes an interrupt for its own, stops, and the program
-goes on. So a timer looks again, until what runs the command line has caught the interrupt: where nothing on the stack
-is being cleaned up for it, it was lost, and is raised anew.
+Other code may take an interrupt for its own, or make another error of it, and the program goes on. So a timer looks
+again, until what runs the command line has caught the interrupt: where nothing on the stack is being cleaned up for it,
+it was lost, and is raised anew. However a verb ends that was interrupted, it counts as interrupted.
 """
 
 import signal
@@ -13,18 +13,20 @@ from contextlib import contextmanager
 from types import FrameType
 
 _AGAIN = 0.2  # s; clean-up that is under way is not disturbed, however long it takes
+_unanswered: list[int] = []
+"""Interrupts of what runs now; there is one SIGINT to a process."""
 
 
 @contextmanager
-def interrupts(noted: list[int]) -> Iterator[None]:
-    """Make Ctrl-C raise KeyboardInterrupt, in the block until it is left by it, and add to a list each time.
+def interrupts() -> Iterator[None]:
+    """Make Ctrl-C raise KeyboardInterrupt, in the block until it is left by it, and whatever else the block ends with.
 
     Only the main thread may set handlers; called from another, Python's own stay.
     """
     insists = hasattr(signal, "setitimer")
 
     def interrupted(number: int, frame: FrameType | None) -> None:
-        noted.append(number)
+        _unanswered.append(number)
         if insists:
             signal.setitimer(signal.ITIMER_REAL, _AGAIN)
         raise KeyboardInterrupt
@@ -37,18 +39,27 @@ def interrupts(noted: list[int]) -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
+    _unanswered.clear()
     signal.signal(signal.SIGINT, interrupted)
     before = signal.signal(signal.SIGALRM, looked_again) if insists else None
     try:
         yield
+    except BaseException as error:
+        # Imports report an interrupt as an error of their own, and a search as one that did not converge.
+        if _unanswered and not isinstance(error, KeyboardInterrupt):
+            raise KeyboardInterrupt from error
+        raise
     finally:
         if insists:
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, before)
+    if _unanswered:
+        raise KeyboardInterrupt
 
 
 def forget_interrupts() -> None:
     """Take the interrupts so far as answered, where Ctrl-C is how a verb is ended in good order."""
+    _unanswered.clear()
     if hasattr(signal, "setitimer"):
         signal.setitimer(signal.ITIMER_REAL, 0)
 

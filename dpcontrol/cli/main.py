@@ -76,7 +76,13 @@ class _Verbs(click.Group):
                     say(f"dpcontrol: {message}")
 
             warnings.showwarning = show
-            return super().invoke(ctx)
+            try:
+                return super().invoke(ctx)
+            except KeyboardInterrupt as error:
+                # click begins a new line, after the ^C that a terminal shows.
+                if sys.stderr.isatty():
+                    raise
+                raise click.Abort from error
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(VERBS)
@@ -128,11 +134,10 @@ def main(arguments: list[str] | None = None) -> None:
         if isinstance(stream, TextIOWrapper):
             stream.reconfigure(errors="replace")
     call = Call()
-    interrupted: list[int] = []
     try:
         if any("\0" in text for text in given):
             raise InputError("an argument holds a NUL character, which no name or number has; leave it out")
-        with interrupts(interrupted):
+        with interrupts():
             cli.main(given, prog_name="dpcontrol", standalone_mode=False, obj=call)
         code = 0
     except click.ClickException as error:
@@ -146,11 +151,7 @@ def main(arguments: list[str] | None = None) -> None:
     except (KeyboardInterrupt, click.Abort) as error:
         code = _interrupted(error)
     except Exception as error:  # noqa: BLE001 - the last one: a traceback on a user's terminal is a defect
-        # Compiled code that is interrupted reports it as an error of its own.
-        if interrupted and isinstance(error, ImportError | SystemError):
-            code = _interrupted(error)
-        else:
-            code = _failed(error, given, call)
+        code = _failed(error, given, call)
     sys.exit(code)
 
 

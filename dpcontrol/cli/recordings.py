@@ -6,7 +6,18 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from dpcontrol.cli.verbs import Answer, TextTable, argument, drawn_to, file_option, force_option, option, table, verb
+from dpcontrol.cli.verbs import (
+    YES,
+    Answer,
+    TextTable,
+    argument,
+    drawn_to,
+    file_option,
+    force_option,
+    option,
+    table,
+    verb,
+)
 from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -35,6 +46,7 @@ def import_command(
     seed: int = option(default=0, group=SIMULATED, help="Seed of the starts and the encoders' zeros."),
     out: Path | None = file_option(suffix=".mcap", help="Log to write [logs/NAME.mcap]."),
     force: bool = force_option(),
+    yes: bool = YES,
 ) -> Answer:
     """Import a recording of the bench, MATLAB, CSV or Parquet, as a log.
 
@@ -44,11 +56,12 @@ def import_command(
     cannot have made. With --simulated the truth is known: to try `identify` and `replay` on.
     """
     from dpcontrol import api
+    from dpcontrol.foundation.cost import announce
     from dpcontrol.foundation.errors import remark
     from dpcontrol.foundation.files import checked_other_file
     from dpcontrol.recordings.contradictions import constant_angles, contradiction
     from dpcontrol.recordings.importing import import_recording
-    from dpcontrol.recordings.recording import write_recording
+    from dpcontrol.recordings.recording import swings_cost, write_recording
     from dpcontrol.scenes.model import load_model
 
     if (file is None) == (simulated is None):
@@ -57,9 +70,11 @@ def import_command(
         checked_other_file(out, file, what="the recording to import")
     repairs = [name.strip() for name in repair.split(",") if name.strip()]
     own = None if model is None else load_model(model)
+    if file is None:
+        announce(swings_cost(swings, seconds, written=True), yes=yes)
     with progress_bar("import") as progress:
         if file is None:
-            recording = api.swings(load_model(str(simulated)), count=swings, seconds=seconds, seed=seed)
+            recording = api.swings(load_model(str(simulated)), count=swings, seconds=seconds, seed=seed, yes=yes)
         else:
             recording = import_recording(file, mapping, repairs=repairs, progress=progress)
         progress("writing", 0.7)

@@ -165,6 +165,7 @@ def rig_command(
     key_file: Path | None = option(type=FILE, group=SERVER, help=KEY_HELP),
     insecure: bool = option(group=SERVER, help="Let anyone who can reach --host drive the cart, without a key."),
     settings: RunOptions = run_settings(),
+    yes: bool = YES,
 ) -> None:
     """Start an example bench: the itinerary's arms and cart, simulated in real time, reached over UDP.
 
@@ -182,7 +183,7 @@ def rig_command(
     checked_host(host, port, key=key, insecure=insecure)
     scene = load_itinerary(itinerary).with_run(settings, seed=seed)
     with progress_bar("rig") as progress:
-        plan = make_plan(scene, progress=progress)
+        plan = make_plan(scene, progress=progress, yes=yes)
     recipe = bench_recipe(plan)
     recipe.rehearse()
     arms, server = recipe.parameters.count, BenchServerSettings(real_time=real_time)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dpcontrol.cli.review import score_text, shortfall
-from dpcontrol.cli.verbs import FOLDER, OUTPUT, Answer, TextTable, argument, force_option, option, table, verb
+from dpcontrol.cli.verbs import FOLDER, OUTPUT, YES, Answer, TextTable, argument, force_option, option, table, verb
 from dpcontrol.foundation.progress import part_of, progress_bar
 
 if TYPE_CHECKING:
@@ -21,6 +21,7 @@ def demo_command(
     seed: int = option(default=0, help="Seed of the plant's parameters and the initial error."),
     folder: Path = option(type=FOLDER, default=Path("logs"), group=OUTPUT, help="Where log, recording and picture go."),
     force: bool = force_option(),
+    yes: bool = YES,
 ) -> Answer:
     """Plan, run, score and picture one itinerary: a full turn of the outer arm at no cost of energy.
 
@@ -36,7 +37,7 @@ def demo_command(
         from dpcontrol.review.picture import write_picture
         from dpcontrol.review.rerun_recording import write_recording
 
-        plan = api.plan(itinerary, progress=part_of(progress, 0.05, 0.5))
+        plan = api.plan(itinerary, yes=yes, progress=part_of(progress, 0.05, 0.5))
         scene = plan.itinerary
         log = folder / f"{scene.name}-{seed}.mcap"
         run = api.run(plan, seed=seed, log=log, force=force, progress=part_of(progress, 0.5, 0.75))

@@ -109,14 +109,6 @@ def walk_command(
     orbit: "down-up > outer-rotating" (also inner-rotating, outer-rotating-back, outer-rotating-2: faster ones first),
     where a wrap is a turn.
     """
-    from dpcontrol.foundation.cost import announce
-    from dpcontrol.scenes.model import load_model
-    from dpcontrol.walks.edges import find_edges
-    from dpcontrol.walks.requests import drawn_requests, request, walks_cost
-    from dpcontrol.walks.symbols import parse_walk
-    from dpcontrol.walks.walks import all_walks, count_walks, is_closed, resolve, vertex_names, ways
-    from dpcontrol.walks.walks import through as shortest
-
     choices = {"-s": symbols, "--through": through, "--length": length, "--random": count}
     chosen = [name for name, given in choices.items() if given]
     if len(chosen) > 1:
@@ -134,18 +126,27 @@ def walk_command(
         if given and not solve:
             raise InputError(f"{what}: give --solve as well")
 
-    def announced(number: int, longest: int, key: str) -> None:
-        more = max(sum(wraps or ()), extra_wraps[1] * longest)
-        announce(walks_cost(number, symbols=longest, wraps=more, solve=solve, key=key), yes=yes)
-
-    if count is not None:
-        announced(count, max(lengths), "--random" if count > max(lengths) else "--lengths")
-    elif symbols or through:
-        announced(1, len(symbols or through), "--wraps" if wraps else chosen[0])
-    loaded = load_model(model)
-    numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
-    asked = parse_walk(symbols, vertex_names(loaded.system)) if symbols else ways(through)
     with progress_bar("connections") as progress:
+        progress("loading", 0.0)
+        from dpcontrol.foundation.cost import announce
+        from dpcontrol.scenes.model import load_model
+        from dpcontrol.walks.edges import find_edges
+        from dpcontrol.walks.requests import drawn_requests, request, walks_cost
+        from dpcontrol.walks.symbols import parse_walk
+        from dpcontrol.walks.walks import all_walks, count_walks, is_closed, resolve, vertex_names, ways
+        from dpcontrol.walks.walks import through as shortest
+
+        def announced(number: int, longest: int, key: str) -> None:
+            more = max(sum(wraps or ()), extra_wraps[1] * longest)
+            announce(walks_cost(number, symbols=longest, wraps=more, solve=solve, key=key), yes=yes)
+
+        if count is not None:
+            announced(count, max(lengths), "--random" if count > max(lengths) else "--lengths")
+        elif symbols or through:
+            announced(1, len(symbols or through), "--wraps" if wraps else chosen[0])
+        loaded = load_model(model)
+        numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
+        asked = parse_walk(symbols, vertex_names(loaded.system)) if symbols else ways(through)
         edges = find_edges(loaded.system, float(energy), hits=numbers, symbols=asked, progress=progress)
     leads = (lead_in, lead_out)
     if not chosen:

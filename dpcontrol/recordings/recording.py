@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
+from dpcontrol.foundation.cost import Cost
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_source, content_hash, picked
 from dpcontrol.logs import LogWriter, Mode, RunLog, check_replaced, control_fields, read_log
@@ -326,17 +327,35 @@ def _integral(velocity: Array, acceleration: Array, period: float) -> Array:
 _REACH = 1.2
 """rad: swings let go within this of hanging are lively and not chaotic, and tell most."""
 _ZEROS = 2e-3
+_PERIOD = 1e-3
+"""s between samples of a simulated recording."""
+
+
+_SIMULATED, _WRITTEN, _SAMPLE_BYTES = 1.5e-6, 15e-6, 150.0
+"""s that a sample of a swing takes to simulate and to write, and bytes, measured over 3 million of them."""
+
+
+def swings_cost(swings: int, seconds: float, *, written: bool) -> Cost:
+    """Return what so many swings of `seconds` s will take; written: to a log as well.
+
+    Raises:
+        InputError: there are to be no swings, or of no time.
+    """
+    for key, value, most in (("swings", swings, 1e12), ("seconds", seconds, 1000.0)):
+        if not 0 < value <= most:
+            raise InputError(f"{key} = {value!r}: must be above 0, at most {most:g}")
+    samples = swings * seconds / _PERIOD
+    each = _SIMULATED + (_WRITTEN if written else 0.0)
+    key = f"swings = {swings}, seconds = {seconds:g}"
+    return Cost(f"{samples:,.3g} samples", each * samples, _SAMPLE_BYTES * samples, key)
 
 
 def random_swings(arms: ArmChainParameters, *, swings: int, seconds: float, seed: int, name: str) -> Recording:
     """Return a recording of swings let go at random angles, with encoders whose zeros are off by up to 2 mrad.
 
     Raises:
-        InputError: there are to be no swings, or of no time, or the seed is negative.
+        InputError: the seed is negative.
     """
-    for key, value, most in (("swings", swings, 1000), ("seconds", seconds, 1000.0)):
-        if not 0 < value <= most:
-            raise InputError(f"{key} = {value!r}: must be above 0, at most {most:g}")
     if seed < 0:
         raise InputError(f"seed = {seed}: must be zero or positive")
     random = np.random.default_rng(seed)
@@ -350,7 +369,7 @@ def simulated_recording(
     starts: Sequence[Array],
     *,
     seconds: float,
-    period: float = 1e-3,
+    period: float = _PERIOD,
     counts: int = 40_000,
     zeros: Array | None = None,
     name: str = "simulated",

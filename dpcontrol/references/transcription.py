@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.interrupts import heeding_interrupts
 from dpcontrol.references.method import Method, differentiation_matrix, interpolation_matrix
 from dpcontrol.references.problem import (
     ANGLE_SCALE,
@@ -359,7 +360,8 @@ def solve(
     low, high = program.bounds()
     x0 = np.clip(program.start(), low, high)
     low_g, high_g = np.concatenate(program.low_g), np.concatenate(program.high_g)
-    out = solver(x0=x0, lbx=low, ubx=high, lbg=low_g, ubg=high_g)
+    with heeding_interrupts():
+        out = solver(x0=x0, lbx=low, ubx=high, lbg=low_g, ubg=high_g)
     found = np.array(out["x"]).ravel()
     residuals = np.array(out["g"]).ravel()
     stats = solver.stats()

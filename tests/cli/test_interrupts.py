@@ -6,11 +6,15 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
 
+import casadi as ca
 import pytest
 from command_line import dpcontrol
 
 from dpcontrol.cli import main as program
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.interrupts import heeding_interrupts
 
 EARLY = """
 import os, signal, sys
@@ -68,6 +72,82 @@ def test_an_interrupt_that_other_code_swallows_is_raised_again(monkeypatch: pyte
         time.sleep(60)
 
     assert interrupted_in(swallowing, monkeypatch) == 130
+
+
+@pytest.mark.parametrize("error", [GoalMissed("no reference"), InputError("no"), RuntimeError("__set_name__"), None])
+def test_a_verb_that_makes_another_error_of_an_interrupt_counts_as_interrupted(
+    error: Exception | None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def ending() -> None:
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        if error is not None:
+            raise error
+
+    assert interrupted_in(ending, monkeypatch) == 130
+
+
+def test_an_interrupt_is_one_line_where_stderr_is_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        signal.raise_signal(signal.SIGINT)
+
+    before = signal.getsignal(signal.SIGINT)
+    monkeypatch.setattr(program.cli, "get_command", interrupted)
+    try:
+        ended = dpcontrol("model", "lab")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert (ended.code, ended.stderr) == (130, "dpcontrol: interrupted; what was finished is kept\n")
+
+
+def test_an_interrupted_optimisation_says_nothing_and_does_not_count_as_failed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """IPOPT takes an error in its callbacks for a point where functions cannot be evaluated, and goes on."""
+
+    class Interrupting(ca.Callback):
+        def __init__(self) -> None:
+            super().__init__()
+            self.construct("interrupting", {"enable_fd": True})
+
+        def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
+            signal.raise_signal(signal.SIGINT)
+            return [arguments[0] ** 2]
+
+    square, x = Interrupting(), ca.MX.sym("x")
+    options = {"print_time": False, "error_on_fail": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
+    solver = ca.nlpsol("solver", "ipopt", {"x": x, "f": square(x)}, options)
+    with pytest.raises(KeyboardInterrupt), heeding_interrupts():
+        solver(x0=1.0)
+    assert capsys.readouterr().err == ""
+
+
+def test_a_verb_shows_its_progress_before_it_is_loaded() -> None:
+    """Of the verbs whose imports alone take a second: a line is there when the first module of theirs is asked for."""
+    code = """
+import sys
+from dpcontrol.foundation import progress
+from dpcontrol.cli import charts, walk
+for module in ("numpy", "scipy", "casadi", "heyoka", "matplotlib"):
+    assert module not in sys.modules, module
+class Shown(Exception):
+    pass
+def shown(label):
+    assert not {"numpy", "scipy", "casadi", "heyoka", "matplotlib"} & set(sys.modules)
+    print(label)
+    raise Shown
+for module, verb, line in (
+    (charts, "bench", "connections --quick"), (charts, "figures", "graph"),
+    (walk, "walk", "lab --energy 0.2 --length 2 --solve"),
+):
+    module.progress_bar = shown
+    try:
+        getattr(module, f"{verb}_command").main(line.split(), standalone_mode=False)
+    except Shown:
+        pass
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.stdout.split(), done.stderr) == (["bench", "figures", "connections"], "")
 
 
 def test_cleaning_up_after_an_interrupt_is_not_interrupted_by_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,5 +1,6 @@
 """Work that would take hours or gigabytes is refused with what it would take, and begun where it is asked for."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -8,7 +9,7 @@ from command_line import dpcontrol
 import dpcontrol as dp
 from dpcontrol.foundation import cost
 from dpcontrol.foundation.cost import Cost, announce
-from dpcontrol.foundation.errors import InputError, Remark
+from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
 from dpcontrol.scenes.itinerary import itinerary_from, load_itinerary
 from dpcontrol.scenes.model import load_model
 from dpcontrol.scenes.plan import plan_cost
@@ -27,8 +28,10 @@ TURN = ("-s", "down-up +")
         ((*WALK, "--random", "1", "--lengths", "1", "1000000000"), "--lengths"),
         (("bifurcations", "lab", "--from", "down-up", "--to", "down-up", "--energies", "-0.11", "-0.09", "--samples",
           "1000000000"), "samples"),
+        (("import", "--simulated", "lab", "--swings", "1000000000"), "swings"),
+        (("import", "--simulated", "lab", "--swings", "1000", "--seconds", "1000"), "swings"),
     ],
-    ids=["wraps", "absurd wraps", "symbols", "random", "lengths", "samples"],
+    ids=["wraps", "absurd wraps", "symbols", "random", "lengths", "samples", "swings", "long swings"],
 )  # fmt: skip
 def test_endless_work_is_refused_before_it_is_begun(call: tuple[str, ...], key: str) -> None:
     ended = dpcontrol(*call)
@@ -38,7 +41,7 @@ def test_endless_work_is_refused_before_it_is_begun(call: tuple[str, ...], key: 
     assert "60 minutes and 4 GB are begun unasked; ask for less" in ended.message
 
 
-@pytest.mark.parametrize("verb", ["plan", "run", "campaign"])
+@pytest.mark.parametrize("verb", ["plan", "run", "campaign", "rig"])
 @pytest.mark.parametrize(("key", "value"), [("wraps", "[100000]"), ("lead_in", "1000000"), ("repeat", "10000")])
 def test_an_itinerary_without_end_is_refused_by_file_and_key(
     verb: str, key: str, value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -69,6 +72,25 @@ def test_python_refuses_likewise_and_names_its_keyword() -> None:
     found = dp.graph(model, energy=-0.07)
     with pytest.raises(InputError, match=r"wraps.*will take about.*ask for less"):
         dp.shadow(found, ["down-up +", "down-up +"], wraps=[500_000])
+    with pytest.raises(InputError, match=r"swings = 1000000000.*will take about.*yes=True in Python"):
+        dp.swings(model, count=10**9)
+
+
+@pytest.mark.parametrize("begin", [dp.run, dp.campaign, dp.plan])
+def test_python_refuses_an_itinerary_without_end_unless_it_is_asked_for(
+    begin: Callable[..., object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = tmp_path / "long.toml"
+    file.write_text('walk = ["down-up +", "down-up +"]\nenergy = 0.2\nwraps = [100_000]\n')
+    with pytest.raises(InputError, match=r"long.toml: wraps, 100,000 in all: .* will take about .*yes=True in Python"):
+        begin(str(file))
+
+    def planned(*_: object, **__: object) -> None:
+        raise GoalMissed("begun")
+
+    monkeypatch.setattr("dpcontrol.scenes.planning.planned", planned)
+    with pytest.raises(GoalMissed, match="begun"), pytest.warns(Remark, match="will take about"):
+        begin(str(file), yes=True)
 
 
 def test_what_is_asked_for_by_name_is_begun_and_announced() -> None:
