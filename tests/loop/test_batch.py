@@ -125,6 +125,7 @@ def test_lockstep_ends_where_and_as_the_loop_does(
     assert ending in {run.ending for run in together}
 
 
+@pytest.mark.slow
 def test_a_seed_runs_the_same_in_any_company(turn: tuple[StandIn, Reference]) -> None:
     reference = turn[1]
     settings = replace(

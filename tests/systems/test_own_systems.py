@@ -121,11 +121,11 @@ def between_two(energy, count):
 CASES = [
     turning("henon-heiles", 0.2, 4),
     between_two(0.2, 4),
-    turning("de-leon-berne", 1.3, 4),
     of_hill(-2.1, 2),
-    between_hill(-2.0, 2),
 ]
 MORE = [
+    turning("de-leon-berne", 1.3, 4),
+    between_hill(-2.0, 2),
     turning("henon-heiles", 0.17, 4),
     between_two(0.17, 0),
     between_two(0.21, 4),
