@@ -72,7 +72,7 @@ def test_python_refuses_likewise_and_names_its_keyword() -> None:
     found = dp.graph(model, energy=-0.07)
     with pytest.raises(InputError, match=r"wraps.*will take about.*ask for less"):
         dp.shadow(found, ["down-up +", "down-up +"], wraps=[500_000])
-    with pytest.raises(InputError, match=r"swings = 1000000000.*will take about.*yes=True in Python"):
+    with pytest.raises(InputError, match=r"swings = 1000000000.*will take about.*ask for less"):
         dp.swings(model, count=10**9)
 
 
