@@ -142,9 +142,9 @@ def main(arguments: list[str] | None = None) -> None:
         code = 0
     except click.ClickException as error:
         shown = StringIO()
-        error.message = error.message.replace("\n", "\\n")
         error.show(shown)
-        say(shown.getvalue().rstrip("\n"))
+        message = error.format_message()
+        say(shown.getvalue().replace(message, message.replace("\n", "\\n")).rstrip("\n"))
         code = error.exit_code
     except click.exceptions.Exit as done:
         code = done.exit_code

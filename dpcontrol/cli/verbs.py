@@ -94,7 +94,7 @@ class Option(click.Option):
                 raise InputError(f"{self.opts[0]}: a number of too many digits; at most {_LARGEST:,} is a number here")
         if isinstance(value, Path) and not value.name and self.type is not FOLDER:
             raise InputError(f"{self.opts[0]} {value}: this names no file; give a name")
-        if value is not None and self.suffixes and value.suffix.lower() not in self.suffixes:
+        if isinstance(value, Path) and self.suffixes and value.suffix.lower() not in self.suffixes:
             allowed = " or ".join(self.suffixes)
             raise InputError(
                 f"{self.opts[0]} {value}: this writes a {allowed} file; choose a name that ends in {allowed}"

@@ -48,5 +48,8 @@ class _QuietOnceInterrupted:
     def write(self, text: str) -> int:
         return len(text) if self._noted else self._stream.write(text)
 
+    def flush(self) -> None:
+        self._stream.flush()
+
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
