@@ -24,8 +24,8 @@ PROGRESS = re.compile(r"^[\w ./()-]+: done$")
 """What the progress bar leaves where stderr is no terminal."""
 ENOUGH, MOST = 6.0, 10.0
 """Seconds of a processor after which work is interrupted as by Ctrl-C, and within which it must have ended."""
-WALL = 90.0
-"""Seconds of the clock that a trial may take: one that waits without working hangs as well."""
+IDLE = 30.0
+"""Seconds of the clock that a trial may wait without work: on a busy machine work itself waits for a processor."""
 MEMORY = 3 << 30
 """Bytes that a child may hold: what asks for all memory there is shall not take the machine with it."""
 RENEWED = 400
@@ -184,6 +184,12 @@ class Watched:
                 total += times.user + times.system
         return total
 
+    def _sleeps(self) -> bool:
+        """Tell whether neither the child nor a child of its own is at work or waits for a processor."""
+        with suppress(psutil.NoSuchProcess):
+            return all(one.status() == psutil.STATUS_SLEEPING for one in (self._seen, *self._seen.children(True)))
+        return False
+
     def _held(self) -> int:
         """Return the bytes of memory that the child holds."""
         with suppress(psutil.NoSuchProcess):
@@ -196,17 +202,18 @@ class Watched:
             self.close()
             self._start()
         self._done += 1
-        before, began = self._worked(), time.monotonic()
+        before, began, idle = self._worked(), time.monotonic(), 0.0
         self._pipe.send(trial)
         interrupted = False
         # The first trial pays for imports and what is compiled once.
         extra = 20.0 if self._done < 4 else 0.0
-        while not self._pipe.poll(0.2 if time.monotonic() - began > 0.5 else 0.02):
-            worked, waited = self._worked() - before - extra, time.monotonic() - began - extra
+        while not self._pipe.poll(step := 0.2 if time.monotonic() - began > 0.5 else 0.02):
+            worked = self._worked() - before - extra
+            idle = idle + step if self._sleeps() else 0.0
             if not self._child.is_alive():
                 self._start()
                 return Ended(None, "", "", (), f"the process died with {self._child.exitcode}", interrupted)
-            if worked > MOST or waited > WALL:
+            if worked > MOST or idle > IDLE:
                 self._kill()
                 self._start()
                 return None
@@ -214,7 +221,7 @@ class Watched:
                 self._kill()
                 self._start()
                 return Ended(None, "", "", (), "it took all memory", interrupted)
-            if not interrupted and (worked > ENOUGH or waited > WALL - 20):
+            if not interrupted and (worked > ENOUGH or idle > IDLE / 2):
                 os.kill(self._child.pid or 0, signal.SIGINT)
                 interrupted = True
         try:
