@@ -241,7 +241,7 @@ def csv_changed(draw: st.DrawFn, content: bytes) -> bytes:
     rows = [line.split(",") for line in content.decode().splitlines()]
     for _ in range(draw(st.integers(1, 4))):
         k = draw(st.integers(0, len(rows) - 1))
-        column = draw(st.integers(0, len(rows[0]) - 1))
+        column = draw(st.integers(0, max(0, len(rows[0]) - 1)))
         match draw(st.integers(0, 7)):
             case 0:
                 rows.insert(k, rows[draw(st.integers(0, len(rows) - 1))])
