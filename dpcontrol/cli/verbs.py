@@ -17,8 +17,7 @@ from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 import click
 
-from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.text import printable
+from dpcontrol.foundation.errors import GoalMissed, InputError, printable
 
 OUTPUT = "Output"
 """Group of the options that say where results go."""

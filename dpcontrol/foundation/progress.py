@@ -4,7 +4,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from dpcontrol.foundation.text import printable
+from dpcontrol.foundation.errors import printable
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and how much of it is done (0 to 1)."""

@@ -22,9 +22,8 @@ from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import InputError, printable
 from dpcontrol.foundation.files import whole_file
-from dpcontrol.foundation.text import printable
 from dpcontrol.review import series, style
 from dpcontrol.review.motion import RunView
 from dpcontrol.review.series import (
