@@ -290,9 +290,11 @@ class LogWriter:
         self._file: McapFile | None = None
         self._stream: FileIO | None = None
         self._torn = False
+        self._made = False
 
     def __enter__(self) -> "LogWriter":
         try:
+            self._made = not self.path.parent.exists()
             self.path.parent.mkdir(parents=True, exist_ok=True)
             checked_target(self.path)
             self.partial, self._stream = open_partial(self.path)
@@ -337,6 +339,9 @@ class LogWriter:
         if self._encoder is None and not self._buffer.filled:
             # A run that failed before its first tick leaves nothing worth keeping.
             self.partial.unlink(missing_ok=True)
+            if self._made:
+                with suppress(OSError):
+                    self.path.parent.rmdir()
             return
         if not self._torn:
             # Where this fails too, the exception under way says what went wrong first.

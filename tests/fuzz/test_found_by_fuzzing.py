@@ -167,3 +167,16 @@ def test_a_log_whose_notes_are_no_numbers_is_not_scored(key: str, value: str) ->
     log.metadata[key] = value
     with pytest.raises(InputError, match=f"its {key} = "):
         score(log)
+
+
+def test_a_run_that_fails_before_its_first_tick_leaves_no_folder_that_it_made() -> None:
+    def failing(folder: str) -> None:
+        with LogWriter(f"{folder}/run.mcap", arm_lengths=(0.2, 0.2), rate_hz=1e3, has_cart=False):
+            raise InputError("no reading came")
+
+    Path("there").mkdir()
+    for folder in ("made", "there"):
+        with pytest.raises(InputError):
+            failing(folder)
+    assert not Path("made").exists()
+    assert not list(Path("there").iterdir())
