@@ -211,7 +211,7 @@ def means_of(values: Array) -> Array:
 
 @dataclass(frozen=True)
 class NisMeans:
-    """A NIS in the mean, what is expected of it, and the share of its means of `MEANS_OF` inside their 95 % band."""
+    """A NIS's average, what is expected of it, and the share of its means of `MEANS_OF` inside their 95 % band."""
 
     mean: float
     expected: int
@@ -220,7 +220,8 @@ class NisMeans:
     @property
     def sentence(self) -> str:
         """The figures, and what they say of the estimator's noise."""
-        text = f"{self.mean:.2f} of {self.expected} in the mean; of its means of {MEANS_OF} {self.inside_95:.1%} inside"
+        share = f"{self.inside_95:.1%} of its means of {MEANS_OF} inside"
+        text = f"{self.mean:.2f} on average ({self.expected} expected); {share}"
         ratio = self.mean / self.expected
         if ratio < _CAUTIOUS:
             return f"{text}: the estimator expects more noise than there is"
@@ -231,7 +232,7 @@ _CAUTIOUS = 0.8
 
 
 def nis_means(values: Array, freedom: int) -> NisMeans | None:
-    """Return what the finite values (K,) of a NIS say in the mean; None where there are too few for one mean."""
+    """Return what the finite values (K,) of a NIS average to; None where there are too few for one mean."""
     known = values[np.isfinite(values)]
     if len(known) < MEANS_OF:
         return None

@@ -58,10 +58,10 @@ class Table:
         return default
 
     def misspelt(self, key: str) -> str:
-        """Return "; did you mean it by …?" where `key` is missing and one much like it was not taken, else ""."""
+        """Return "; is … a misspelling of it?" where `key` is missing and one much like it was not taken, else ""."""
         others = [] if key in self._values else [k for k in self._values if k not in self._taken]
         close = difflib.get_close_matches(key, others, n=1)
-        return f"; did you mean it by {close[0]!r}?" if close else ""
+        return f"; is {close[0]!r} a misspelling of it?" if close else ""
 
     def text(self, key: str, default: Any = MISSING, *, allowed: Iterable[str] | None = None) -> str:
         """Return a string, one of `allowed` if given."""
