@@ -16,7 +16,7 @@ from typing import Any
 import click
 
 import dpcontrol
-from dpcontrol.cli.interrupts import interrupts
+from dpcontrol.foundation.interrupts import interrupts
 from dpcontrol.cli.verbs import DEBUG, Call, print_json, say
 from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 from click.core import ParameterSource
 
-from dpcontrol.cli.interrupts import forget_interrupts
+from dpcontrol.foundation.interrupts import forget_interrupts
 from dpcontrol.cli.review import score_text, shortfall
 from dpcontrol.cli.verbs import (
     FILE,

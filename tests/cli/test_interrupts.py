@@ -122,6 +122,21 @@ def test_an_interrupted_optimisation_says_nothing_and_does_not_count_as_failed(
     assert capsys.readouterr().err == ""
 
 
+def test_an_interrupt_raised_again_is_heeded_by_the_optimisation_that_it_meets(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where casadi's own Python swallowed the first, IPOPT took the next for a failure, and another search began."""
+    went_on = []
+
+    def solving() -> None:
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        with heeding_interrupts(), suppress(KeyboardInterrupt):
+            time.sleep(60)
+        went_on.append(True)
+
+    assert interrupted_in(solving, monkeypatch) == 130
+    assert not went_on
+
+
 def test_a_verb_shows_its_progress_before_it_is_loaded() -> None:
     """Of the verbs whose imports alone take a second: a line is there when the first module of theirs is asked for."""
     code = """
