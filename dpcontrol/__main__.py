@@ -9,6 +9,9 @@ def main() -> None:
     """Run the command line and exit."""
     # The command line's own imports take a while; nothing is begun before they are done.
     signal.signal(signal.SIGINT, _ended_at_once)
+    from dpcontrol.foundation.interrupts import end_by_force_where_deaf, interrupt_taken
+
+    end_by_force_where_deaf()
     from dpcontrol.cli.main import main as run
 
     try:
@@ -16,6 +19,7 @@ def main() -> None:
     finally:
         # The work is done and its exit code known, however long the interpreter takes to end.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
+        interrupt_taken()
         # Python takes an interrupt in a text that it ran, as of a dataclass, for one that nobody caught, until it runs
         # another.
         exec("")

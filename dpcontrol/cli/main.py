@@ -122,7 +122,7 @@ def cli() -> None:
     unless --force is given. What is only drawn or computed from files, as pictures and plans, is replaced.
 
     Exit status: 0 done, 1 goal missed (with the reason), 2 bad input, 70 an error of dpcontrol itself (with the file
-    that its report needs), 130 interrupted.
+    that its report needs), 130 interrupted, 137 interrupted where only force could end a computation.
     """
 
 

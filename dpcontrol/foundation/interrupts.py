@@ -4,19 +4,82 @@ Other code may take an interrupt for its own, make another error of it, or retur
 program goes on. So a timer looks again, until what runs the command line has caught the interrupt: where nothing on the
 stack is being cleaned up for it, it was lost, and is raised anew. However a verb ends that was interrupted, it counts
 as interrupted; so does a call of compiled code in `heeding_interrupts`.
+
+None of this runs while compiled code holds the interpreter, as casadi does for tens of seconds where it derives a large
+program. So the program is watched by a process of its own, which is told of a signal by Python's handler in C, and of
+the answer by the one in Python; where that does not come, it ends the program.
 """
 
+import os
+import select
 import signal
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stderr
+from contextlib import contextmanager, redirect_stderr, suppress
 from types import FrameType
 from typing import Any
 
 _AGAIN = 0.2  # s; clean-up that is under way is not disturbed, however long it takes
 _raised: list[int] = []
 """Signals for which KeyboardInterrupt was raised and not yet answered; there is one SIGINT to a process."""
+_PATIENCE = 0.7  # s; in which the interpreter takes an interrupt, else the program is ended by force
+_TAKEN = b"\0"
+_BY_FORCE = b"dpcontrol: interrupted, by force, in a computation that could not stop; what was finished is kept\n"
+_watcher: list[int] = []
+"""Where the process that watches this one is told that an interrupt is taken; empty where none watches."""
+
+
+def end_by_force_where_deaf() -> None:
+    """Have this process killed where it does not take an interrupt at once; to be called before threads exist.
+
+    It ends by SIGKILL then: whoever writes files writes them beside their place first, and workers end with their
+    parent.
+    """
+    if not hasattr(os, "fork"):
+        return
+    heard, told = os.pipe()
+    program = os.getpid()
+    try:
+        child = os.fork()
+    except OSError:
+        os.close(heard)
+        os.close(told)
+        return
+    if child == 0:
+        try:
+            os.close(told)
+            _watch(heard, program)
+        finally:
+            os._exit(0)
+    os.close(heard)
+    os.set_blocking(told, False)
+    signal.set_wakeup_fd(told, warn_on_full_buffer=False)
+    _watcher.append(told)
+
+
+def _watch(heard: int, program: int) -> None:
+    """Kill a program that was sent an interrupt and did not take it in time, until it has ended."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # Whoever reads the program's output waits for nothing else.
+    nothing = os.open(os.devnull, os.O_RDWR)
+    os.dup2(nothing, 0)
+    os.dup2(nothing, 1)
+    while last := os.read(heard, 4096):
+        while last[-1] in (signal.SIGINT, signal.SIGALRM):
+            if not select.select([heard], [], [], _PATIENCE)[0]:
+                os.write(2, _BY_FORCE)
+                os.kill(program, signal.SIGKILL)
+                return
+            if not (last := os.read(heard, 4096)):
+                return
+
+
+def interrupt_taken() -> None:
+    """Tell the process that watches this one, if any, that an interrupt is taken."""
+    for told in _watcher:
+        with suppress(OSError):
+            os.write(told, _TAKEN)
 
 
 @contextmanager
@@ -28,12 +91,14 @@ def interrupts() -> Iterator[None]:
     insists = hasattr(signal, "setitimer")
 
     def interrupted(number: int, frame: FrameType | None) -> None:
+        interrupt_taken()
         _raised.append(number)
         if insists:
             signal.setitimer(signal.ITIMER_REAL, _AGAIN)
         raise KeyboardInterrupt
 
     def looked_again(number: int, frame: FrameType | None) -> None:
+        interrupt_taken()
         signal.setitimer(signal.ITIMER_REAL, _AGAIN)
         if not _under_way():
             _raised.append(number)

@@ -51,6 +51,49 @@ def test_an_interrupt_after_the_work_is_done_leaves_its_exit_code() -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
+DEAF = """
+import itertools
+from dpcontrol.__main__ import main
+from dpcontrol.cli import main as program
+from dpcontrol.foundation import interrupts
+interrupts._PATIENCE = 0.1
+def deaf(*_, **__):
+    print("begun", flush=True)
+    sum(itertools.repeat(0))
+program.cli.main = deaf
+main()
+"""
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="a program is watched by a fork of itself")
+def test_an_interrupt_ends_compiled_code_that_holds_the_interpreter() -> None:
+    """A sum of a C iterator without end looks for no signals, as casadi does not where it derives a program."""
+    with subprocess.Popen([sys.executable, "-c", DEAF], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as program:
+        assert program.stdout is not None
+        program.stdout.readline()
+        time.sleep(0.05)
+        program.send_signal(signal.SIGINT)
+        _, said = program.communicate()
+    assert program.returncode == -signal.SIGKILL
+    assert said.decode() == (
+        "dpcontrol: interrupted, by force, in a computation that could not stop; what was finished is kept\n"
+    )
+
+
+def test_the_process_that_watches_a_program_ends_with_it() -> None:
+    code = """
+import os, signal
+from dpcontrol.__main__ import main
+from dpcontrol.cli import main as program
+program.cli.main = lambda *_, **__: os.kill(os.getpid(), signal.SIGKILL)
+main()
+"""
+    with subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE) as program:
+        # It would keep the stream open.
+        assert program.communicate() == (None, b"")
+    assert program.returncode == -signal.SIGKILL
+
+
 def interrupted_in(verb: Callable[[], None], monkeypatch: pytest.MonkeyPatch) -> int:
     """Return the exit code of a verb that is interrupted by itself; Python's own handler is put back."""
     before = signal.getsignal(signal.SIGINT)
