@@ -16,9 +16,9 @@ from typing import Any
 import click
 
 import dpcontrol
-from dpcontrol.foundation.interrupts import interrupts
 from dpcontrol.cli.verbs import DEBUG, Call, print_json, say
 from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
+from dpcontrol.foundation.interrupts import interrupts
 
 GROUPS = {
     "Start": {

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal
 import click
 from click.core import ParameterSource
 
-from dpcontrol.foundation.interrupts import forget_interrupts
 from dpcontrol.cli.review import score_text, shortfall
 from dpcontrol.cli.verbs import (
     FILE,
@@ -28,6 +27,7 @@ from dpcontrol.cli.verbs import (
     verb,
 )
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.interrupts import forget_interrupts
 from dpcontrol.foundation.progress import part_of, progress_bar
 from dpcontrol.foundation.settings import suggest
 from dpcontrol.scenes.run_options import RunOptions

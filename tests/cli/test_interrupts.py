@@ -5,7 +5,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 import casadi as ca
@@ -153,7 +153,7 @@ def test_an_interrupted_optimisation_says_nothing_and_does_not_count_as_failed(
             super().__init__()
             self.construct("interrupting", {"enable_fd": True})
 
-        def eval(self, arguments: list[ca.DM]) -> list[ca.DM]:
+        def eval(self, arguments: Sequence[ca.DM]) -> list[ca.DM]:
             signal.raise_signal(signal.SIGINT)
             return [arguments[0] ** 2]
 
