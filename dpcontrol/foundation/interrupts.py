@@ -99,6 +99,8 @@ def interrupts() -> Iterator[None]:
 
     def looked_again(number: int, frame: FrameType | None) -> None:
         interrupt_taken()
+        if not insists:
+            return
         signal.setitimer(signal.ITIMER_REAL, _AGAIN)
         if not _under_way():
             _raised.append(number)
@@ -116,6 +118,8 @@ def interrupts() -> Iterator[None]:
             yield
     finally:
         if insists:
+            # Whatever still comes sets no alarm: nobody would hear it, and it would end the program.
+            insists = False
             signal.setitimer(signal.ITIMER_REAL, 0)
             signal.signal(signal.SIGALRM, before)
 

@@ -94,6 +94,24 @@ main()
     assert program.returncode == -signal.SIGKILL
 
 
+OVER = """
+import signal, time
+from dpcontrol.foundation.interrupts import interrupts
+with interrupts():
+    pass
+try:
+    signal.raise_signal(signal.SIGINT)
+except KeyboardInterrupt:
+    time.sleep(0.4)
+    print("caught")
+"""
+
+
+def test_an_interrupt_after_the_block_is_one_for_the_caller_and_no_alarm_follows() -> None:
+    done = subprocess.run([sys.executable, "-c", OVER], capture_output=True, text=True, check=False, env=os.environ)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "caught\n", "")
+
+
 def interrupted_in(verb: Callable[[], None], monkeypatch: pytest.MonkeyPatch) -> int:
     """Return the exit code of a verb that is interrupted by itself; Python's own handler is put back."""
     before = signal.getsignal(signal.SIGINT)
