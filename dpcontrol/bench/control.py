@@ -33,9 +33,8 @@ from dpcontrol.control.tracking import (
 )
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.progress import Progress
-from dpcontrol.loop.batch import BatchRun, can_batch, run_batch
-from dpcontrol.loop.loop import LoopSettings, run_loop, sampled_model
-from dpcontrol.loop.result import Ending
+from dpcontrol.loop.loop import LoopSettings, can_batch, run_batch, run_loop, sampled_model
+from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits

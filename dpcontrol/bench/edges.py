@@ -51,9 +51,8 @@ from dpcontrol.dynamics.compiled import fixed_step
 from dpcontrol.dynamics.plant import PlantParameters, longest_step
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress
-from dpcontrol.loop.batch import run_batch
 from dpcontrol.loop.bench import DriveSettings, SensorSettings
-from dpcontrol.loop.loop import LoopSettings, run_loop, sampled_model
+from dpcontrol.loop.loop import LoopSettings, run_batch, run_loop, sampled_model
 from dpcontrol.loop.result import Ending
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.references.find import find_reference

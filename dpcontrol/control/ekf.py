@@ -54,11 +54,11 @@ def unpacked(triangle: Array) -> Array:
     return out
 
 
-def _pack(matrix: ca.SX) -> ca.SX:
+def pack(matrix: ca.SX) -> ca.SX:
     return ca.vertcat(*(matrix[i, j] for i in range(matrix.shape[0]) for j in range(i + 1)))
 
 
-def _unpack(triangle: ca.SX, n: int) -> ca.SX:
+def unpack(triangle: ca.SX, n: int) -> ca.SX:
     out = ca.SX(n, n)
     for i in range(n):
         for j in range(i + 1):
@@ -116,14 +116,10 @@ class FilterEquations:
         return out
 
     @cached_property
-    def _symbols(self) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        extras = len(self.extra_names)
-        return (
-            ca.SX.sym("z", self.dimension),
-            ca.SX.sym("command"),
-            ca.SX.sym("parameters", self.equations.parameters.shape[0]),
-            ca.SX.sym("process", 3 + 2 * extras),
-        )
+    def inputs(self) -> dict[str, int]:
+        """Lengths of what a prediction takes: z, command, parameters, and `FilterSettings.process`."""
+        parameters = int(self.equations.parameters.shape[0])
+        return {"z": self.dimension, "command": 1, "parameters": parameters, "process": 3 + 2 * len(self.extra_names)}
 
     def _parameters(self, parameters: ca.SX, extra: dict[str, ca.SX]) -> ca.SX:
         """Return the parameters with the relative errors that `extra` holds."""
@@ -143,27 +139,32 @@ class FilterEquations:
         return parameters * factors
 
     @cached_property
-    def _prediction(self) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """The next z, its Jacobian and Q."""
-        z, command, parameters, process = self._symbols
-        size, n, step = self.equations.dimension, self.arms, self.period
-        extras = len(self.extra_names)
-        x, e = z[:size], z[size:]
+    def _slopes(self) -> ca.Function:
+        """(x, e, command, parameters) -> the state's rate, its Jacobians by x and by e."""
+        size, n = self.equations.dimension, self.arms
+        x, e = ca.SX.sym("x", size), ca.SX.sym("e", len(self.extra_names))
+        command, parameters = ca.SX.sym("command"), ca.SX.sym("parameters", self.inputs["parameters"])
         extra = {name: e[i] for i, name in enumerate(self.extra_names)}
-        # The state and the extras stand apart here, for the Jacobians of the stages by both.
-        rate = self.equations.function()
         pushed = ca.SX.zeros(size)
         for i in range(n):
             pushed[n + i] = extra.get(f"disturbance_{i + 1}", 0)
+        rate = self.equations.function()
         slope = rate(x, command + extra.get("drive", 0), self._parameters(parameters, extra)) + pushed
         inputs = [x, e, command, parameters]
-        f = ca.Function("f", inputs, [slope, ca.jacobian(slope, x), ca.jacobian(slope, e)], {"cse": True})
+        return ca.Function("f", inputs, [slope, ca.jacobian(slope, x), ca.jacobian(slope, e)], {"cse": True})
+
+    def predicted(self, z: ca.SX, command: ca.SX, parameters: ca.SX, process: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Return the next z, its Jacobian and Q."""
+        size, n, step = self.equations.dimension, self.arms, self.period
+        extras = len(self.extra_names)
+        # The state and the extras stand apart here, for the Jacobians of the stages by both.
+        x, e = z[:size], z[size:]
         start = ca.horzcat(ca.SX.eye(size), ca.SX(size, extras))
         # The chain rule through the stages of Runge-Kutta takes two thirds of the instructions of one differentiation.
         moved, spread = x, start
         total, slopes = ca.SX.zeros(size), ca.SX(size, size + extras)
         for weight, further in ((1, step / 2), (2, step / 2), (2, step), (1, None)):
-            k, by_x, by_e = f(moved, e, command, parameters)
+            k, by_x, by_e = self._slopes(moved, e, command, parameters)
             k_slope = by_x @ spread + ca.horzcat(ca.SX(size, size), by_e)
             total, slopes = total + weight * k, slopes + weight * k_slope
             if further is not None:
@@ -182,7 +183,7 @@ class FilterEquations:
             noise[size + i, size + i] = process[3 + extras + i]
         return following, jacobian, noise
 
-    def _updated(
+    def updated(
         self, z: ca.SX, covariance: ca.SX, measured: ca.SX, present: ca.SX, noise: ca.SX
     ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
         """Return z, P, innovation and NIS after a measurement."""
@@ -191,7 +192,7 @@ class FilterEquations:
         y = measured - h @ z
         # Wrapped: a whole turn in a measured angle makes no difference.
         y = ca.vertcat(*(ca.atan2(ca.sin(y[i]), ca.cos(y[i])) for i in range(n)), y[n]) * present
-        r = _unpack(noise, m)
+        r = unpack(noise, m)
         crossed = covariance @ h.T @ w
         # 1 - W first: one plus S minus one would leave nothing of a cart's variance of 1e-13 m².
         inverse, back, d = _inverse(w @ h @ crossed + w @ r @ w + (ca.SX.eye(m) - w))
@@ -210,26 +211,26 @@ class FilterEquations:
         innovation (n+1), z a period later under `coming`, NIS, number present, and a number that is finite if the
         estimate is.
         """
-        z, command, parameters, process = self._symbols
+        z, command, parameters, process = (ca.SX.sym(name, size) for name, size in self.inputs.items())
         m, size = self.arms + 1, self.dimension
         triangle = ca.SX.sym("P", size * (size + 1) // 2)
         measured, present = ca.SX.sym("measured", m), ca.SX.sym("present", m)
         noise = ca.SX.sym("noise", m * (m + 1) // 2)
-        covariance = _unpack(triangle, size)
+        covariance = unpack(triangle, size)
         before = z
         if predicts:
-            before, jacobian, q = self._prediction
+            before, jacobian, q = self.predicted(z, command, parameters, process)
             covariance = jacobian @ covariance @ jacobian.T + q
             # Both triangles from one: casadi need not work out the other.
-            covariance = _unpack(_pack(covariance), size)
-        after, covariance, y, nis = self._updated(before, covariance, measured, present, noise)
+            covariance = unpack(pack(covariance), size)
+        after, covariance, y, nis = self.updated(before, covariance, measured, present, noise)
         sigmas = ca.vertcat(*(ca.sqrt(covariance[i, i]) for i in range(size)))
         # The last is not finite as soon as anything in the estimate is not: one comparison finds it.
         sound = ca.sum1(after) + ca.sum1(sigmas)
         # Within the same call this costs a sixth of a call of its own.
         coming = ca.SX.sym("coming")
         later = self.prediction(with_jacobian=False)(after, coming, parameters, process)
-        out = ca.vertcat(after, _pack(covariance), sigmas, y, later, nis, ca.sum1(present), sound)
+        out = ca.vertcat(after, pack(covariance), sigmas, y, later, nis, ca.sum1(present), sound)
         memory = ca.SX.sym("memory", size + triangle.shape[0])
         out = ca.substitute(ca.densify(out), ca.vertcat(z, triangle), memory)
         inputs = {
@@ -240,10 +241,9 @@ class FilterEquations:
 
     def prediction(self, *, with_jacobian: bool) -> ca.Function:
         """Return (z, command, parameters, process) -> next z, or next z, its Jacobian and Q, column by column."""
-        z, command, parameters, process = self._symbols
-        following, jacobian, q = self._prediction
+        inputs = {name: ca.SX.sym(name, size) for name, size in self.inputs.items()}
+        following, jacobian, q = self.predicted(*inputs.values())
         parts = [following, ca.vec(ca.densify(jacobian)), ca.vec(ca.densify(q))] if with_jacobian else [following]
-        inputs = {"z": z, "command": command, "parameters": parameters, "process": process}
         out = ca.densify(ca.vertcat(*parts))
         return ca.Function("prediction", [*inputs.values()], [ca.cse(out)], [*inputs], ["out"], {"cse": True})
 

@@ -9,6 +9,7 @@ The casadi function is called through its buffers, without a copy: 2 µs a step 
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
@@ -219,8 +220,31 @@ class ClockedSession(ABC):
         return forward, feedback, wanted.T
 
 
+@dataclass(frozen=True, eq=False)
+class GainSchedule:
+    """Inputs, gains and references by the loop's own clock, for K ticks, N states, E extras and n arms.
+
+    rows (K, 1+2N+E+n): see `TickEquations.row`; references (K, N); queued (lead,) m/s²: what acts before the first
+    tick's command can; shares, names (E,): of the extras that it has gains
+    on, which are relative errors that are trusted up to `trust`, and all names; None and () without such gains.
+    """
+
+    rows: Array
+    references: Array
+    queued: Array
+    mode: Mode
+    shares: tuple[bool, ...] | None = None
+    names: tuple[str, ...] = ()
+    trust: float = 0.0
+
+
 class Controller(Protocol):
-    """A control law, ready made for one reference and model."""
+    """A control law, ready made for one reference and model.
+
+    One whose gains go by the loop's clock has `schedule(lead)`, which returns a `GainSchedule` for commands computed so
+    many ticks ahead; one with a clock of its own `begin()`, which returns a `Session`, and `begin_many(count)` where it
+    can do that.
+    """
 
     @property
     def kind(self) -> str:
@@ -235,10 +259,6 @@ class Controller(Protocol):
     @property
     def ticks(self) -> int:
         """Return for how many periods it has something to do."""
-        ...
-
-    def begin(self) -> Session:
-        """Return a fresh session for one run."""
         ...
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpcontrol.control.interface import Action, Mode, SampledModel, pendulum_scale, whole_turns
+from dpcontrol.control.interface import Action, GainSchedule, Mode, SampledModel, pendulum_scale, whole_turns
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.references.problem import ANGLE_SCALE, CART_VELOCITY_SCALE, RATE_SCALE
@@ -88,14 +88,11 @@ class HoldController:
         """Return a session for one run."""
         return HoldSession(self, self.state)
 
-    def begin_many(self, count: int) -> "HoldController":
-        """Return what answers `commands` for `count` runs in lockstep."""
-        return self
-
-    def commands(self, tick: int, states: Array, extras: Array | None = None) -> tuple[float, Array, Array]:
-        """Return feedforward 0, feedbacks (S,) m/s² and the reference (N,) for `states` (N, S) of many runs."""
-        products = self.gain[:, None] * (self.state[:, None] - states)
-        return 0.0, np.add.reduce(products, axis=0), self.state
+    def schedule(self, lead: int) -> GainSchedule:
+        """Return what the loop needs: the same row at every tick."""
+        n, count = (len(self.state) - 2) // 2, self.ticks + 1
+        row = np.concatenate([[0.0], self.gain, self.state, self.state[:n]])
+        return GainSchedule(np.tile(row, (count, 1)), np.tile(self.state, (count, 1)), np.zeros(lead), Mode.HOLDING)
 
     def join(self, tick: int, state: Array) -> "HoldSession":
         """Return a session that holds the equilibrium on the turns nearest to `state` (N,)."""

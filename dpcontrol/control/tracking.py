@@ -27,11 +27,8 @@ stands still the clock goes on with time alone.
 Source: Hauser & Hindman, Manoeuvre regulation from trajectory tracking, NOLCOS (1995), section 3.
 """
 
-import math
-from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,10 +40,10 @@ from dpcontrol.control.interface import (
     ONE,
     Action,
     ClockedSession,
+    GainSchedule,
     Lanes,
     Mode,
     SampledModel,
-    Session,
     interpolated,
     pendulum_scale,
 )
@@ -86,31 +83,22 @@ class ReferenceController:
 
 
 @dataclass(frozen=True, eq=False)
-class TimedController(ReferenceController, ABC):
-    """One whose clock is the loop's, so that many runs in lockstep share the reference."""
+class TimedController(ReferenceController):
+    """One whose clock is the loop's: gains (K, N) by time; of zero: no feedback.
 
-    def begin(self) -> Session:
-        """Return a session for one run."""
-        return self.join(0, self.first_state)
+    After the last tick the last gain holds the reference's end.
+    """
 
-    def begin_many(self, count: int) -> Self:
-        """Return what answers `commands` for `count` runs in lockstep."""
-        return self
+    def schedule(self, lead: int) -> GainSchedule:
+        """Return what the loop needs, its commands computed `lead` ticks ahead."""
+        return GainSchedule(self._rows(lead), self.reference_states, self.feedforward[:lead], Mode.TRACKING)
 
-    @abstractmethod
-    def join(self, tick: int, state: Array) -> Session:
-        """Return a session whose start is at `tick`."""
-
-
-class TimedSession:
-    """A run whose clock is the loop's, from tick `start` on."""
-
-    def __init__(self, start: int) -> None:
-        self._start = start
-
-    def resynchronise(self, tick: int, state: Array) -> str:
-        """Leave the clock as it is: gains by time have no other."""
-        return ""
+    def _rows(self, lead: int, *more: Array) -> Array:
+        last, n = self.ticks, (len(self.first_state) - 2) // 2
+        acts = np.minimum(np.arange(last + 1) + lead, last)
+        law = np.minimum(acts, last - 1)
+        parts = [self.feedforward[law, None], self.gains[law], self.reference_states[acts], *(m[law] for m in more)]
+        return np.concatenate([*parts, self.reference_states[:, :n]], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,51 +190,33 @@ ControllerSettings = FeedforwardSettings | TvlqrSettings
 
 @dataclass(frozen=True, eq=False)
 class TrackingController(TimedController):
-    """Gains by time; of zero: no feedback. After the last tick the last gain holds the reference's end."""
+    """Gains by time, as a flight of a program as well."""
 
-    @cached_property
-    def rows(self) -> list[tuple[float, tuple[float, ...], tuple[float, ...]]]:
-        """Feedforward, gains and reference state tick by tick as plain floats: quicker than arrays so short."""
-        gains, states = self.gains.tolist(), self.reference_states.tolist()
-        return [
-            (forward, tuple(gain), tuple(state))
-            for forward, gain, state in zip(self.feedforward.tolist(), gains, states[:-1], strict=True)
-        ]
-
-    def commands(self, tick: int, states: Array, extras: Array) -> tuple[float, Array, Array]:
-        """Return feedforward m/s², feedbacks (S,) m/s² and the reference (N,) for `states` (N, S) of many runs.
-
-        The products are added up in the order of the state, as for one run, so that both agree to the last bit.
-        """
-        k = min(tick, self.ticks - 1)
-        products = self.gains[k][:, None] * (self.reference_states[k][:, None] - states)
-        return float(self.feedforward[k]), np.add.reduce(products, axis=0), self.reference_states[min(tick, self.ticks)]
+    def begin(self) -> "TrackingSession":
+        """Return a session for one run."""
+        return self.join(0, self.first_state)
 
     def join(self, tick: int, state: Array) -> "TrackingSession":
         """Return a session whose start is at `tick`."""
         return TrackingSession(self, tick)
 
 
-class TrackingSession(TimedSession):
-    """A tracking controller during one run."""
+class TrackingSession:
+    """A tracking controller during a flight whose clock is the loop's, from tick `start` on."""
 
     def __init__(self, controller: TrackingController, start: int = 0) -> None:
-        super().__init__(start)
-        self._rows, self._wanted = controller.rows, controller.reference_states
-        self._still = not controller.gains.any()
-        self._last = len(self._rows) - 1
+        self._law, self._start = controller, start
 
     def command(self, tick: int, state: Array, extra: Array) -> Action:
         """Return what to do in the period from `tick`; after the last, its gain holds the reference's end."""
-        tick = max(tick - self._start, 0)
-        k = tick if tick < self._last else self._last
-        wanted = self._wanted[tick if tick <= self._last else self._last + 1]
-        forward, gains, due = self._rows[k]
-        feedback = 0.0
-        if not self._still:
-            for gain, wish, seen in zip(gains, due, state.tolist(), strict=True):
-                feedback += gain * (wish - seen)
-        return Action(forward, feedback, wanted, Mode.TRACKING)
+        law, tick = self._law, max(tick - self._start, 0)
+        k = min(tick, law.ticks - 1)
+        wanted = law.reference_states[min(tick, law.ticks)]
+        return Action(float(law.feedforward[k]), float(law.gains[k].dot(wanted - state)), wanted, Mode.TRACKING)
+
+    def resynchronise(self, tick: int, state: Array) -> str:
+        """Leave the clock as it is: gains by time have no other."""
+        return ""
 
 
 @dataclass(frozen=True)
@@ -277,69 +247,12 @@ class AdaptiveController(TimedController):
     shares: NDArray[np.bool_]
     trust: float
 
-    def believed(self, extras: Array) -> Array:
-        """Return what the gains act on for extras (E,) or (E, S): shares made symmetric and bounded by the trust."""
-        out = np.array(extras, dtype=float)
-        found = np.maximum(out[self.shares], -1.0)
-        out[self.shares] = np.clip(found / (1 + found / 2), -self.trust, self.trust)
-        return out
-
-    def commands(self, tick: int, states: Array, extras: Array) -> tuple[float, Array, Array]:
-        """Return feedforward m/s², feedbacks (S,) m/s² and the reference (N,) for states (N, S), extras (E, S).
-
-        The products are added up in the order of state and extras, as for one run: both agree to the last bit.
-        """
-        k = min(tick, self.ticks - 1)
-        wanted = self.reference_states[min(tick, self.ticks)]
-        by_state = self.gains[k][:, None] * (self.reference_states[k][:, None] - states)
-        by_extra = -self.extra_gains[k][:, None] * self.believed(extras)
-        return float(self.feedforward[k]), np.add.reduce(np.concatenate([by_state, by_extra]), axis=0), wanted
-
-    def join(self, tick: int, state: Array) -> "AdaptiveSession":
-        """Return a session whose start is at `tick`."""
-        return AdaptiveSession(self, tick)
-
-
-class AdaptiveSession(TimedSession):
-    """An adaptive controller during one run."""
-
-    def __init__(self, controller: AdaptiveController, start: int = 0) -> None:
-        super().__init__(start)
-        self._controller = controller
-        self._feedforward = controller.feedforward.tolist()
-        self._last = len(self._feedforward) - 1
-        self._shares = controller.shares.tolist()
-        self._doubted = False
-
-    def command(self, tick: int, state: Array, extra: Array) -> Action:
-        """Return what to do in the period from `tick`; an event when the model is first found wrong beyond trust."""
-        law, tick = self._controller, max(tick - self._start, 0)
-        k = tick if tick < self._last else self._last
-        wanted = law.reference_states[tick if tick <= self._last else self._last + 1]
-        feedback, trust, beyond = 0.0, law.trust, -1
-        for product in (law.gains[k] * (law.reference_states[k] - state)).tolist():
-            feedback += product
-        # Python's own numbers: for so few, arrays take three times as long.
-        found = extra.tolist()
-        for i, gain in enumerate(law.extra_gains[k].tolist()):
-            value = found[i]
-            if self._shares[i]:
-                value = max(value, -1.0)
-                value = value / (1 + value / 2)
-                if abs(value) > trust:
-                    value, beyond = math.copysign(trust, value), i
-            feedback -= gain * value
-        event = "" if beyond < 0 or self._doubted else self._doubt(beyond, found[beyond])
-        return Action(self._feedforward[k], feedback, wanted, Mode.TRACKING, event)
-
-    def _doubt(self, which: int, share: float) -> str:
-        """Return a sentence on a parameter that is found wrong by more than the trust."""
-        self._doubted = True
-        law = self._controller
-        return (
-            f"model doubted: {law.names[which]} is found to be off by {share:+.0%}, more than first order carries "
-            f"(trust {law.trust:g}); identify the arms, or expect the reference to be lost"
-        )
+    def schedule(self, lead: int) -> GainSchedule:
+        """Return what the loop needs, its commands computed `lead` ticks ahead."""
+        return GainSchedule(
+            self._rows(lead, self.extra_gains), self.reference_states, self.feedforward[:lead], Mode.TRACKING,
+            tuple(self.shares.tolist()), self.names, self.trust,
+        )  # fmt: skip
 
 
 def terminal_cost(state_jacobian: Array, input_jacobian: Array, *, weights: Array, effort: float) -> Array:

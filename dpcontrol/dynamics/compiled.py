@@ -31,6 +31,7 @@ from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
 from dpcontrol.foundation.files import content_hash
 
+_ZERO = hy.expression(0.0)
 _UNARY = {
     ca.OP_ASSIGN: lambda a: a,
     ca.OP_NEG: lambda a: -a,
@@ -49,7 +50,8 @@ _UNARY = {
     ca.OP_SINH: hy.sinh,
     ca.OP_COSH: hy.cosh,
     ca.OP_TANH: hy.tanh,
-    ca.OP_FABS: lambda a: hy.select(hy.gte(a, hy.expression(0.0)), a, -a),
+    ca.OP_FABS: lambda a: hy.select(hy.gte(a, _ZERO), a, -a),
+    ca.OP_NOT: lambda a: hy.eq(a, _ZERO),
 }
 _BINARY = {
     ca.OP_ADD: lambda a, b: a + b,
@@ -59,6 +61,15 @@ _BINARY = {
     ca.OP_POW: lambda a, b: a**b,
     ca.OP_CONSTPOW: lambda a, b: a**b,
     ca.OP_ATAN2: hy.atan2,
+    ca.OP_LT: hy.lt,
+    ca.OP_LE: hy.lte,
+    ca.OP_EQ: hy.eq,
+    ca.OP_NE: hy.neq,
+    ca.OP_AND: lambda a, b: hy.logical_and([a, b]),
+    ca.OP_OR: lambda a, b: hy.logical_or([a, b]),
+    ca.OP_FMIN: lambda a, b: hy.select(hy.lt(a, b), a, b),
+    ca.OP_FMAX: lambda a, b: hy.select(hy.gt(a, b), a, b),
+    ca.OP_IF_ELSE_ZERO: lambda a, b: hy.select(a, b, _ZERO),
 }
 
 

@@ -1,47 +1,28 @@
-"""One run of the closed loop, on any rig or simulated: tick by tick read, estimate, decide, command.
+"""The closed loop, of one run on any rig or of many simulated side by side: tick by tick read, decide, command.
 
 All that is random in a simulated run comes from its seed; the controller and the estimator know the model's parameters
 and the drive's nominal limits and delay, and nothing of what was drawn.
 
-At tick k the positions are read and the estimate updated; the command computed then acts from tick k + delay on, and
-is computed for the estimate predicted to that tick through the commands on their way. The supervisor judges every
-tick; the cart is braked to rest before a run ends early. Rows of ticks go to the sink in step with its chunks, every
-twenty milliseconds: a run that is killed loses no more.
-
-A command acts d periods after its tick, d the delay. With d = i + f, 0 ≤ f < 1, the mean over the period from tick k is
-
-    f c_{k-i-1} + (1 - f) c_{k-i}
-
-and the command is computed for the state at tick k + round(d): up to half a period of wrong timing is left. At 1 kHz it
-moves the motion in time and harms nothing; at 50 Hz it takes part of the margin for delays. The limits of acceleration
-and velocity are the drive's own, applied before it is believed.
+What is decided at a tick is the `Ticker`'s, the same code for one run as for many; here it is carried out: sentences
+and events are made where an outcome asks for them, and a run ends where its cart stands. Rows of ticks go to the sink
+in step with its chunks, every twenty milliseconds: a run that is killed loses no more.
 """
 
-import math
 import time
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings
-from dpcontrol.control.interface import (
-    MANY,
-    ONE,
-    Action,
-    Controller,
-    Estimate,
-    Estimator,
-    Mode,
-    SampledModel,
-    Session,
-)
+from dpcontrol.control.interface import MANY, Controller, Mode, SampledModel
+from dpcontrol.control.tick import Outcome, TickProgram, whole_periods
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, Uncertainty, arm_chain_equations
+from dpcontrol.dynamics.compiled import VECTOR
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
@@ -54,101 +35,20 @@ from dpcontrol.loop.bench import (
     draw_bench,
 )
 from dpcontrol.loop.controllers import KEEPERS, ControllerSettings, make_controller, nearest_keeper
-from dpcontrol.loop.result import Ending, LoopResult, LoopSink, NoSink, Reading, Rig, Ticks
-from dpcontrol.loop.simulated import SimulatedRig
-from dpcontrol.loop.supervisor import Outcome, StuckWatch, Supervisor, SupervisorSettings
+from dpcontrol.loop.result import BatchRun, Ending, JudgedTicks, LoopResult, LoopSink, NoSink, Rig, Ticks
+from dpcontrol.loop.simulated import BatchBench, SimulatedRig
+from dpcontrol.loop.supervisor import EVENTS, SupervisorSettings, ending, explained
+from dpcontrol.loop.ticker import Fallback, Ticker, schedule_of
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
 
-AT_REST = 1e-12
-"""m/s: slower than any cart."""
-LONGEST_DELAY = 1000.0
-"""Periods."""
 Array = NDArray[np.float64]
 
-
-class CommandPath:
-    """The commands on their way, for a delay in periods and a loop's period in s.
-
-    Commands and velocities are numbers or, for `runs` runs in lockstep, arrays (S,).
-
-    Raises:
-        InputError: the delay is negative or absurd.
-    """
-
-    def __init__(self, limits: Limits, *, delay: float, period: float, runs: int = 0) -> None:
-        if not 0 <= delay <= LONGEST_DELAY:
-            raise InputError(f"run: delay = {delay!r}: must be 0 to {LONGEST_DELAY:g} periods")
-        self.limits, self.period = limits, period
-        self._most, self._fastest = float(limits.acceleration), float(limits.velocity)
-        self._runs, self._clip = runs, (MANY if runs else ONE).clip
-        self.lead = round(delay)
-        """By how many ticks a command is computed ahead."""
-        whole = math.floor(delay)
-        self._share = delay - whole
-        # Oldest first; the last is the newest sent. One more than the whole periods, for the blend.
-        self.velocity: Any = np.zeros(runs) if runs else 0.0
-        """The cart's velocity in m/s once all that was sent has acted."""
-        self._sent: deque[Any] = deque([self.velocity] * (whole + 2), maxlen=whole + 2)
-
-    def clipped(self, command: Any) -> Any:
-        """Return the command within the limit of acceleration, m/s²."""
-        return self._clip(command, -self._most, self._most)
-
-    def start(self, commands: Sequence[Any], *, velocity: float) -> None:
-        """Fill the path with the commands (m/s²) on their way when the run begins, the cart having `velocity` m/s."""
-        self.velocity = self.velocity * 0.0 + velocity
-        for command in commands:
-            self.send(command)
-
-    def braking(self, share: float) -> Any:
-        """Return the command in m/s² that brakes the cart to rest with a share of the greatest acceleration."""
-        most = share * self._most
-        return self._clip(-self.velocity / self.period, -most, most)
-
-    def send(self, command: Any) -> None:
-        """Take the command (m/s²) that has just been computed."""
-        clipped = self.clipped(command)
-        self._sent.append(clipped)
-        velocity = self._clip(self.velocity + clipped * self.period, -self._fastest, self._fastest)
-        # Braking to rest leaves what rounding leaves.
-        moves = abs(velocity) > AT_REST
-        self.velocity = np.where(moves, velocity, 0.0) if self._runs else velocity if moves else 0.0
-
-    def acted(self, velocity: Any) -> Any:
-        """Return what acted in the period that now ends, m/s², at the cart's believed `velocity` m/s at its start."""
-        sent, fastest, period = self._sent, self._fastest, self.period
-        mean = sent[1] if not self._share else self._share * sent[0] + (1 - self._share) * sent[1]
-        return self._clip(mean, (-fastest - velocity) / period, (fastest - velocity) / period)
-
-    def on_their_way(self) -> list[Any]:
-        """Return what will act in each of the `lead` periods from now on, m/s²."""
-        sent = list(self._sent)
-        # The next to act is one place newer than what acted last.
-        if not self._share:
-            return sent[2:]
-        newer = (sent[min(k + 1, len(sent) - 1)] for k in range(1, self.lead + 1))
-        return [self._share * sent[k] + (1 - self._share) * new for k, new in enumerate(newer, start=1)]
-
-
-_GO_ON = Outcome.CONTINUE
 _FLUSH_SECONDS = 0.02
 """Between two handings over of rows to the sink; a log's writer makes a chunk of as many."""
 _PROGRESS_EVERY = 500
 _TELL_EVERY = 1.0
 """Seconds between events that deadlines were missed."""
-BRAKING = 0.9
-"""Share of the greatest acceleration with which the cart is braked: more than the supervisor counts on."""
-SETTLING = 0.05
-"""Seconds for which the loop goes on after the cart was commanded to rest: delays and lags have passed by then."""
-
-
-class Fallback(Protocol):
-    """Finds something to hold where the reference was given up."""
-
-    def session(self, tick: int, state: Array) -> tuple[Session, str]:
-        """Return a session that holds what is nearest to `state` (N,) from `tick` on, and a sentence saying what."""
-        ...
 
 
 class ControlLoop:
@@ -162,51 +62,33 @@ class ControlLoop:
 
     def __init__(
         self,
-        estimator: Estimator,
-        controller: Controller,
+        ticker: Ticker,
         *,
-        path: CommandPath,
-        supervisor: Supervisor,
+        limits: Limits,
         sink: LoopSink,
         rate_noise: Array | None = None,
         fallback: Fallback | None = None,
         progress: Progress = no_progress,
     ) -> None:
-        self.estimator, self.path, self.supervisor, self.sink = estimator, path, supervisor, sink
-        self.controller, self.fallback, self.progress = controller, fallback, progress
+        self.ticker, self.limits, self.sink, self.fallback, self.progress = ticker, limits, sink, fallback, progress
         self._rate_noise = rate_noise
-        self.session: Session = controller.begin()
-        self.count = controller.ticks + 1
+        self.count = ticker.count
         self.ending, self.reason = Ending.FINISHED, "came to the reference's end"
-        self._n = len(controller.first_state)
-        self._arms = (self._n - 2) // 2
-        self._angles = range(self._arms)
-        self._rows = Ticks.empty(0, self._arms, has_truth=False, period=path.period)
-        self._flush_every = max(1, round(_FLUSH_SECONDS / path.period))
+        self._period, self._arms = ticker.program.period, ticker.program.model.arms
+        self._rows = Ticks.empty(0, self._arms, has_truth=False, period=self._period)
+        self._flush_every = max(1, round(_FLUSH_SECONDS / self._period))
         self._done = self._flushed = 0
-        self._braking_since: float | None = None
-        self._sensors = StuckWatch(self._arms, period=path.period, reaction=supervisor.reaction)
-        self._first = estimator.first(controller.first_state)
-        # The commands that act before the first tick's own can, computed for where those before them lead.
-        self._coming: deque[Action] = deque()
-        for k in range(path.lead):
-            ahead = estimator.ahead(self._first, self.queued)
-            self._coming.append(self.session.command(k, ahead, self._first.extra))
+        if fallback is not None:
+            ticker.prepare_to_hold()
 
     @property
     def queued(self) -> list[float]:
         """The commands (m/s²) to be on their way when the run begins, oldest first."""
-        return [action.feedforward + action.feedback for action in self._coming]
+        return self.ticker.queued[:, 0].tolist()
 
     def rehearse(self) -> None:
-        """Have all that the loop needs compiled and in memory before its first deadline, by ticks that nobody sees."""
-        state, estimator = self.controller.first_state, self.estimator
-        measured = state[[*self._angles, self._n - 2]]
-        estimate = estimator.update(self._first, measured)
-        session = self.controller.begin()
-        for tick in range(50):
-            estimate = estimator.step(estimate, 0.0, measured)
-            session.command(tick, estimator.ahead(estimate, [0.0]), estimate.extra)
+        """Have all that the loop needs in memory before its first deadline, by ticks that nobody sees."""
+        self.ticker.rehearse()
 
     def run(self, rig: Rig) -> LoopResult:
         """Run to the controller's last tick, or to where the supervisor ends it and the cart stands.
@@ -222,61 +104,41 @@ class ControlLoop:
             self._flush(self._done)
 
     def _run(self, rig: Rig) -> LoopResult:
-        path, period, n, estimate = self.path, self.path.period, self._n, self._first
-        has_truth = rig.truth is not None
-        self._rows = rows = Ticks.empty(self.count, self._arms, has_truth=has_truth, period=period)
-        path.start(self.queued, velocity=float(self.controller.first_state[-1]))
+        ticker, period = self.ticker, self._period
+        self._rows = rows = Ticks.empty(self.count, self._arms, has_truth=rig.truth is not None, period=period)
         ticks = f"{self.count - 1} ticks at {1 / period:g} Hz"
-        self._event(0.0, "info", "start", f"{self.controller.kind}, {self.estimator.kind}, {ticks}")
-        most, fastest = path.limits.acceleration, path.limits.velocity
-        acted, was_saturated, late, quiet_until, aborted = 0.0, False, 0, 0.0, Mode.ABORTED
-        step, take = self.estimator.step, rows.take
+        self._event(0.0, "info", "start", f"{ticker.kind}, {ticker.estimator_kind}, {ticks}")
+        late, quiet_until = 0, 0.0
+        at, take = ticker.at, rows.take
+        command, notable, news, done_at = at["command"], at["notable"], at["news"], at["done"]
+        noise = None if self._rate_noise is None else self._rate_noise[:, :, None]
         began = time.perf_counter()
         for k in range(self.count):
-            now = k * period
             try:
                 reading = rig.read()
             except ArithmeticError as failure:
                 self.ending, self.reason = Ending.PLANT_FAILED, str(failure)
                 break
-            way = path.on_their_way()
-            coming = way[0] if way else 0.0
-            try:
-                if k:
-                    estimate = step(estimate, acted, reading.positions, reading.present, coming=coming)
-                else:
-                    estimate = self.estimator.update(estimate, reading.positions, reading.present, coming=coming)
-                nis = estimate.nis
-            except ArithmeticError:
-                nis = math.inf
-            action, wanted, estimate = self._decided(k, now, estimate, reading, nis, way)
-            command = action.feedforward + action.feedback
-            path.send(command)
-            rig.command(command)
-            if self._braking_since is not None:
-                # The drive brakes by itself; what is sent meanwhile is what the loop believes it does.
-                rig.stop()
-            acted = path.acted(estimate.state.item(n - 1))
-            mode = action.mode
-            saturated = abs(command) > most or abs(path.velocity) >= fastest
-            if saturated and mode is not aborted:
-                mode = Mode.SATURATED
-            take(k, reading, estimate, action, wanted, (acted, saturated, mode), rig.truth)
+            report = ticker(k, reading, None if noise is None else noise[k])
+            rig.command(report.item(command, 0))
+            take(k, reading, report, rig.truth)
+            self._done = done = k + 1
+            if report.item(notable, 0):
+                self._heed(k, rig)
             if reading.late > 0:
-                late += 1
+                late, now = late + 1, k * period
                 if now >= quiet_until:
                     quiet_until = now + _TELL_EVERY
                     text = f"a tick's command comes {1e3 * reading.late:.3g} ms too late; {late} such ticks so far"
                     self._event(now, "warn", "deadline missed", text)
-            self._done = done = k + 1
+            if ticker.event:
+                self._event(k * period, "info", "controller", ticker.event)
             if rig.fault and self.ending is not Ending.CART_STOP:
                 self.ending, self.reason = Ending.CART_STOP, rig.fault
                 break
-            if saturated and not was_saturated:
-                over = f"command {command:.3g} m/s², cut to {path.clipped(command):.3g} m/s²"
-                self._event(now, "warn", "saturated", over if abs(command) > most else f"cart at {fastest:g} m/s")
-            was_saturated = saturated
-            if self._braking_since is not None and now > self._braking_since + SETTLING:
+            if report.item(news, 0):
+                self._tell(k)
+            if report.item(done_at, 0):
                 break
             if done % self._flush_every == 0:
                 self._flush(done)
@@ -290,72 +152,46 @@ class ControlLoop:
         self.progress("run", 1.0)
         return LoopResult(rows.between(0, done), self.ending, self.reason, late, elapsed)
 
-    def _decided(
-        self, k: int, now: float, estimate: Estimate, reading: Reading, nis: float, way: list[float]
-    ) -> tuple[Action, Array, Estimate]:
-        """Return the command of tick k, the reference of tick k, and the estimate, restarted if need be.
+    def _heed(self, k: int, rig: Rig) -> None:
+        """Do what the outcome of tick k asks for."""
+        ticker, now = self.ticker, k * self._period
+        report = ticker.program.report
+        outcome = Outcome(int(report.item(ticker.at["outcome"], 0)))
+        if outcome is not Outcome.GO_ON:
+            why = explained(outcome, now, ticker.figures(), arms=self._arms, period=self._period)
+            self._event(now, "warn", EVENTS.get(outcome, "stop"), why)
+            if outcome is Outcome.RESTART:
+                self._rows.without_nis(k)
+            elif outcome is Outcome.RESYNCHRONISE:
+                moved = ticker.resynchronise(k)
+                self._event(now, "info", "re-synchronise", moved or "the controller has no clock to move")
+            elif outcome is Outcome.HOLD:
+                assert self.fallback is not None
+                held = ticker.hold(k, self.fallback)
+                self._event(now, "warn", "fallback", held)
+                self.ending, self.reason = Ending.FELL_BACK, f"{why}; {held}"
+            else:
+                self.ending, self.reason = ending(outcome), why
+                # From here on the reference stands.
+                ticker.stand(k)
+        if report.item(ticker.at["stop"], 0):
+            # The drive brakes by itself; what is sent meanwhile is what the loop believes it does.
+            rig.stop()
 
-        way: the commands on their way.
-        """
-        if self._braking_since is not None:
-            wanted = self._rows.references[k - 1]
-            return self._brake(now, wanted), wanted, estimate
-        lead = len(way)
-        ahead = self.estimator.ahead(estimate, way)
-        if self._rate_noise is not None:
-            ahead = ahead.copy()
-            ahead[self._arms : 2 * self._arms] += self._rate_noise[k]
-        action = self.session.command(k + lead, ahead, estimate.extra)
-        self._coming.append(action)
-        wanted = self._coming.popleft().reference
-        if action.event:
-            self._event(now, "info", "controller", action.event)
-        seen, due, expected = estimate.state.tolist(), wanted.tolist(), ahead.tolist()
-        error = 0.0
-        for i in self._angles:
-            away = abs(seen[i] - due[i])
-            # NaN must not be passed over.
-            if not away <= error:
-                error = away
-        path, supervisor = self.path, self.supervisor
-        sent = path.velocity
-        verdict = supervisor.judge(
-            now, error=error, nis=nis, used=estimate.used, position=expected[-2], velocity=expected[-1], sent=sent
-        )
-        stuck = ""
-        if reading.present is None:
-            stuck = self._sensors.seen(reading.positions.tolist(), due, sent, supervisor.nis)
-        if stuck or reading.switch:
-            verdict = supervisor.overruled(verdict, now, stuck=stuck, switch=bool(reading.switch))
-        outcome, ending, why = verdict
-        if outcome is _GO_ON:
-            return action, wanted, estimate
-        self._event(now, "warn", outcome.value, why)
-        if outcome is Outcome.RESTART:
-            return action, wanted, self.estimator.restarted(estimate, reading.positions)
-        if outcome is Outcome.RESYNCHRONISE:
-            moved = self.session.resynchronise(k + lead, ahead)
-            self._event(now, "info", "re-synchronise", moved or "the controller has no clock to move")
-            return action, wanted, estimate
-        if outcome is Outcome.HOLD and self.fallback is not None:
-            self.session, held = self.fallback.session(k + lead, ahead)
-            self._coming.clear()
-            self._coming.extend([action] * lead)
-            self._event(now, "warn", "fallback", held)
-            self.ending, self.reason = Ending.FELL_BACK, f"{why}; {held}"
-            return action, wanted, estimate
-        self.ending, self.reason = ending, why
-        self._braking_since = now
-        return self._brake(now, wanted), wanted, estimate
-
-    def _brake(self, now: float, wanted: Array) -> Action:
-        if self.path.velocity:
-            self._braking_since = now
-        return Action(0.0, self.path.braking(BRAKING), wanted, Mode.ABORTED)
+    def _tell(self, k: int) -> None:
+        """Make events of what is new in tick k and changes nothing."""
+        now, figures = k * self._period, self.ticker.figures()
+        if figures["newly_cut"]:
+            wish, fastest = figures["wish"], self.limits.velocity
+            over = f"command {wish:.3g} m/s², cut to {figures['command']:.3g} m/s²"
+            text = over if abs(wish) > self.limits.acceleration else f"cart at {fastest:g} m/s"
+            self._event(now, "warn", "saturated", text)
+        if figures["doubted"]:
+            self._event(now, "info", "controller", self.ticker.doubt())
 
     def _event(self, time_s: float, level: str, name: str, text: str) -> None:
         # Events stand among the ticks they belong to.
-        self._flush(round(time_s / self.path.period))
+        self._flush(round(time_s / self._period))
         self.sink.event(time_s, level, name, text)
 
     def _flush(self, until: int) -> None:
@@ -363,6 +199,7 @@ class ControlLoop:
         if until > first:
             # Noted first, so that rows on which an interrupt falls are not written twice.
             self._flushed = until
+            self._rows.references[first:until] = self.ticker.references[first:until]
             self.sink.ticks(self._rows.between(first, until))
 
 
@@ -460,11 +297,43 @@ def loop_fallback(reference: Reference, parameters: ArmChainParameters, settings
     return nearest_keeper(reference, parameters, sampled_model(parameters, settings.rate), flies=flies)
 
 
-def loop_supervisor(settings: LoopSettings, limits: Limits, *, can_hold: bool = False) -> Supervisor:
-    """Return a supervisor for one run within `limits`."""
-    period = 1 / settings.rate
-    reaction = (settings.drive.delay + 1) * period
-    return Supervisor(settings.supervisor, period, limits.position, limits.acceleration, reaction, can_hold=can_hold)
+def make_ticker(
+    parameters: ArmChainParameters,
+    settings: LoopSettings,
+    controller: Controller,
+    *,
+    limits: Limits,
+    delay: float,
+    can_hold: bool = False,
+    runs: int = 1,
+) -> Ticker:
+    """Return controller, estimator and supervisor of one run, or of `runs` side by side; delay in periods, believed.
+
+    Raises:
+        InputError: the delay is impossible, or the controller is not for these arms.
+    """
+    # The estimator believes in the sensors' resolution and noise.
+    noise, model = settings.sensors.covariance(parameters.count), sampled_model(parameters, settings.rate)
+    schedule = schedule_of(controller, whole_periods(delay)[1])
+    program = TickProgram(
+        model, settings.estimator, noise=noise, delay=delay, runs=runs,
+        bounds=_bounds(settings, limits, can_hold=can_hold, trust=0.0 if schedule is None else schedule.trust),
+        shares=None if schedule is None else schedule.shares,
+    )  # fmt: skip
+    compiled = isinstance(settings.estimator, EkfSettings)
+    estimator = None if compiled else make_estimator(settings.estimator, model, noise=noise)
+    return Ticker(program, controller, schedule=schedule, estimator=estimator, estimator_kind=settings.estimator.kind)
+
+
+def _bounds(settings: LoopSettings, limits: Limits, *, can_hold: bool, trust: float) -> dict[str, float]:
+    s = settings.supervisor
+    return {
+        "acceleration": limits.acceleration, "velocity": limits.velocity, "travel": limits.position,
+        "reaction": (settings.drive.delay + 1) / settings.rate, "brake": 2 * s.braking * limits.acceleration,
+        "margin": s.margin, "lost_tracking": s.lost_tracking, "lost_estimate": s.lost_estimate,
+        "resynchronise": s.resynchronise, "restarts": s.restarts, "missing": s.missing, "can_hold": can_hold,
+        "trust": trust, "mode": Mode.TRACKING,
+    }  # fmt: skip
 
 
 def control_loop(
@@ -482,16 +351,15 @@ def control_loop(
     """Return a loop for any rig, simulated or real; believed_delay in periods, the drive's own by default.
 
     rate_noise (K, n) rad/s: see `ControlLoop`.
+
+    Raises:
+        InputError: the delay is impossible, or the controller is not for these arms.
     """
-    # The estimator believes in the sensors' resolution and noise.
-    noise, model = settings.sensors.covariance(parameters.count), sampled_model(parameters, settings.rate)
-    estimator = make_estimator(settings.estimator, model, noise=noise)
     delay = settings.drive.delay if believed_delay is None else believed_delay
+    ticker = make_ticker(parameters, settings, controller, limits=limits, delay=delay, can_hold=fallback is not None)
     return ControlLoop(
-        estimator, controller, path=CommandPath(limits, delay=delay, period=1 / settings.rate),
-        supervisor=loop_supervisor(settings, limits, can_hold=fallback is not None), sink=sink or NoSink(),
-        rate_noise=rate_noise, fallback=fallback, progress=progress,
-    )  # fmt: skip
+        ticker, limits=limits, sink=sink or NoSink(), rate_noise=rate_noise, fallback=fallback, progress=progress
+    )
 
 
 def run_loop(
@@ -522,8 +390,6 @@ def run_loop(
     if fallback is None:
         fallback = loop_fallback(reference, parameters, settings)
     limits, first = settings.limits(reference), controller.first_state
-    if len(first) != 2 * parameters.count + 2:
-        raise InputError(f"the controller is for states of {len(first)} entries, these arms have {parameters.count}")
     draw = settings.draw(parameters, ticks=controller.ticks + 1, uncertainty=uncertainty, plant=plant)
     loop = control_loop(
         parameters, settings, controller, limits=limits, rate_noise=draw.rate_noise, sink=sink, fallback=fallback,
@@ -531,3 +397,120 @@ def run_loop(
     )  # fmt: skip
     rig = SimulatedRig(draw, settings.bench, limits=limits, start=first, queued=loop.queued)
     return replace(loop.run(rig), plant=draw.plant.arms)
+
+
+def can_batch(settings: LoopSettings, controller: Controller | None = None) -> bool:
+    """Tell whether runs can go in lockstep, by the settings alone where no controller is given."""
+    sensors = settings.sensors
+    faults = sensors.missed_counts or sensors.dropout or sensors.jitter or np.isfinite(sensors.stuck_at)
+    hands_over = settings.keep != "none" or settings.supervisor.hold != "none" or settings.supervisor.resynchronise
+    compiled = isinstance(settings.estimator, EkfSettings)
+    return compiled and not faults and not hands_over and (controller is None or _answers_many(controller))
+
+
+def _answers_many(controller: Controller) -> bool:
+    return hasattr(controller, "schedule") or hasattr(controller, "begin_many")
+
+
+def run_batch(
+    parameters: ArmChainParameters,
+    *,
+    settings: LoopSettings,
+    seeds: Sequence[int],
+    controller: Controller,
+    limits: Limits,
+    uncertainty: Uncertainty | None = None,
+    mismatches: Sequence[float] | None = None,
+) -> list[BatchRun]:
+    """Run the seeds and return them in their order; `parameters` are the model's, `limits` the cart's in these runs.
+
+    uncertainty: of the model, for settings that draw the plants from it. mismatches: of each run's plant, in place of
+    the settings' own.
+
+    Raises:
+        InputError: the settings ask for what `can_batch` rejects.
+    """
+    if not can_batch(settings, controller):
+        raise InputError("these runs cannot go in lockstep; run them tick by tick, --path ticks")
+    if not seeds:
+        return []
+    # Full vectors of the processor only: those left over would be rounded differently, and a run with its company.
+    own = [settings.mismatch] * len(seeds) if mismatches is None else mismatches
+    lanes = [*zip(seeds, own, strict=True)]
+    lanes += [lanes[-1]] * (-len(lanes) % VECTOR)
+    draws = [
+        settings.draw(parameters, ticks=controller.ticks + 1, uncertainty=uncertainty, seed=seed, mismatch=mismatch)
+        for seed, mismatch in lanes
+    ]
+    delay = settings.drive.delay
+    ticker = make_ticker(parameters, settings, controller, limits=limits, delay=delay, runs=len(lanes))
+    bench = BatchBench(
+        draws, settings.bench, limits=limits, start=controller.first_state, queued=list(ticker.queued), lanes=MANY
+    )
+    return _Lockstep(ticker, bench, draws).run()[: len(seeds)]
+
+
+class _Lockstep:
+    """The loop of many runs."""
+
+    def __init__(self, ticker: Ticker, bench: BatchBench, draws: Sequence[BenchDraw]) -> None:
+        self._ticker, self._bench, self._runs = ticker, bench, len(draws)
+        self._period, self._arms = ticker.program.period, ticker.program.model.arms
+        noise = [draw.rate_noise for draw in draws if draw.rate_noise is not None]
+        self._rate_noise = np.stack(noise, axis=2) if noise else None
+        self._alive = np.ones(self._runs, dtype=bool)
+        self._counts, self._stopped_at = [ticker.count] * self._runs, [ticker.count] * self._runs
+        self._endings = [Ending.FINISHED] * self._runs
+        self._reasons = ["came to the reference's end"] * self._runs
+
+    def run(self) -> list[BatchRun]:
+        """Run to the last tick, or until every run has ended."""
+        ticker, bench, noise = self._ticker, self._bench, self._rate_noise
+        rows = JudgedTicks(ticker.count, self._runs, self._arms)
+        command, notable, done = (ticker.at[name] for name in ("command", "notable", "done"))
+        with np.errstate(all="ignore"):
+            for k in range(ticker.count):
+                reading = bench.read()
+                report = ticker(k, reading, None if noise is None else noise[k])
+                bench.command(report[command])
+                rows.take(k, report, ticker.at, bench.truth)
+                if (failed := bench.failed) is not None:
+                    why = f"plant failed at t = {k * self._period:.3f} s: its state is no longer finite"
+                    self._end(failed, k, Ending.PLANT_FAILED, why)
+                if report[notable].any():
+                    self._heed(k, report, rows)
+                for lane, fault in bench.faults.items():
+                    if self._endings[lane] is not Ending.CART_STOP:
+                        self._end([lane], k + 1, Ending.CART_STOP, fault)
+                if report[done].any():
+                    for lane in np.flatnonzero(report[done] * self._alive).tolist():
+                        self._end([lane], k + 1, self._endings[lane], self._reasons[lane])
+                if not self._alive.any():
+                    break
+        references = ticker.references
+        angles = references[:, : self._arms, None] if references.ndim == 2 else references
+        return [
+            rows.run(
+                lane, self._counts[lane], angles[:, :, lane % angles.shape[2]], stands_from=self._stopped_at[lane],
+                period=self._period, ending=self._endings[lane], reason=self._reasons[lane],
+            )
+            for lane in range(self._runs)
+        ]  # fmt: skip
+
+    def _heed(self, k: int, report: Array, rows: JudgedTicks) -> None:
+        """Do what the outcomes of tick k ask for."""
+        outcomes = report[self._ticker.at["outcome"]] * self._alive
+        for lane in np.flatnonzero(outcomes).tolist():
+            outcome = Outcome(int(outcomes[lane]))
+            if outcome is Outcome.RESTART:
+                rows.without_nis(k, lane)
+                continue
+            why = explained(outcome, k * self._period, self._ticker.figures(lane), arms=self._arms, period=self._period)
+            self._endings[lane], self._reasons[lane], self._stopped_at[lane] = ending(outcome), why, k
+            self._bench.stop([lane])
+
+    def _end(self, lanes: Any, count: int, ending: Ending, reason: str) -> None:
+        for lane in np.arange(self._runs)[lanes].tolist():
+            if self._alive[lane]:
+                self._endings[lane], self._reasons[lane], self._counts[lane] = ending, reason, count
+                self._alive[lane] = False

@@ -1,17 +1,17 @@
 """What stands at the loop's ends: the rig that it runs on, the sink that takes its ticks, and the result of a run."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import share_inside
-from dpcontrol.control.interface import Action, Estimate
 from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import LogWriter
 
 Array = NDArray[np.float64]
@@ -23,13 +23,13 @@ class Reading(NamedTuple):
     time s since the first reading; positions (n+1,): absolute angles, summed from relative encoders, then the cart;
     present (n+1,): which of them are new, or None when all are (those that are not hold their last value); switch:
     -1 or +1 while the limit switch at the left or right end of the track is touched, else 0; late s: by how much the
-    deadline was missed.
+    deadline was missed. Of S runs side by side: positions (n+1, S), and switch (S,): whether one is touched.
     """
 
     time: float
     positions: Array
     present: NDArray[np.bool_] | None = None
-    switch: int = 0
+    switch: Any = 0
     late: float = 0.0
 
 
@@ -96,7 +96,7 @@ class Ticks:
 
     times (K,) s; measured (K, n+1), not-a-number where an encoder gave nothing; estimates, references (K, 2n+2) in
     state order; truth the same, or None where it is not known; control (K, 9+2n) with the columns of
-    `dpcontrol.logs.layout.control_fields`.
+    `dpcontrol.logs.layout.control_fields`. told: estimates and control in one, while they are written.
     """
 
     times: Array
@@ -105,45 +105,34 @@ class Ticks:
     references: Array
     truth: Array | None
     control: Array
+    told: Array | None = None
 
     @classmethod
     def empty(cls, count: int, arms: int, *, has_truth: bool, period: float) -> "Ticks":
         """Return room for `count` ticks, `period` s apart."""
         n = 2 * arms + 2
-        measured, estimates, references, control = (
-            np.empty((count, size)) for size in (arms + 1, n, n, CONTROL_HEAD + n)
-        )
+        # What a report begins with stands together.
+        told = np.empty((count, n + CONTROL_HEAD + n))
         times = np.asarray(np.arange(count) * period, dtype=np.float64)
-        return cls(times, measured, estimates, references, np.empty((count, n)) if has_truth else None, control)
+        measured, references = np.empty((count, arms + 1)), np.empty((count, n))
+        return cls(
+            times, measured, told[:, :n], references, np.empty((count, n)) if has_truth else None, told[:, n:], told
+        )
 
-    def take(
-        self,
-        k: int,
-        reading: Reading,
-        estimate: Estimate,
-        action: Action,
-        wanted: Array,
-        acted: tuple[float, bool, int],
-        truth: Array | None,
-    ) -> None:
-        """Write tick k; wanted (N,): its reference; acted: acceleration in m/s², whether it was cut, mode."""
+    def take(self, k: int, reading: Reading, report: Array, truth: Array | None) -> None:
+        """Write tick k, but for its reference; report: see `TickEquations.report`."""
         self.measured[k] = reading.positions
         if reading.present is not None:
             self.measured[k, ~reading.present] = math.nan
-        self.estimates[k] = estimate.state
-        self.references[k] = wanted
         if self.truth is not None:
             self.truth[k] = truth
-        applied, saturated, mode = acted
-        feedforward, feedback = action.feedforward, action.feedback
-        heads, sigmas = self._control_parts
-        heads[k] = feedforward + feedback, feedforward, feedback, applied, saturated, estimate.nis, mode
-        sigmas[k] = estimate.sigmas[: sigmas.shape[1]]
+        told = self.told
+        assert told is not None
+        told[k] = report[: told.shape[1], 0]
 
-    @cached_property
-    def _control_parts(self) -> tuple[Array, Array]:
-        """The columns of `control` before the standard deviations, and those."""
-        return self.control[:, :CONTROL_HEAD], self.control[:, CONTROL_HEAD:]
+    def without_nis(self, k: int) -> None:
+        """Note that tick k has no NIS: the filter begins anew."""
+        self.control[k, 5] = math.nan
 
     def between(self, first: int, end: int) -> "Ticks":
         """Return the ticks from `first` up to `end`, sharing memory."""
@@ -244,6 +233,87 @@ def inside_95(nis: Array, freedom: int) -> float:
 def rms(values: Array) -> float:
     """Return the root mean square of values of any shape."""
     return float(np.sqrt((values**2).mean()))
+
+
+@dataclass(frozen=True, eq=False)
+class BatchRun:
+    """One run of K ticks: what it is judged by, and a few of its figures.
+
+    times (K,) s; truth (K, 2n+2); references (K, n): angles; applied (K,) m/s²; ending and why. SI units.
+    """
+
+    times: Array
+    truth: Array
+    references: Array
+    applied: Array
+    ending: Ending
+    reason: str
+    nis_inside_95: float
+    rms_feedback: float
+
+    @classmethod
+    def of(cls, result: LoopResult) -> "BatchRun":
+        """Return what the loop gave, in the same form.
+
+        Raises:
+            InputError: the true states of the run are not known.
+        """
+        ticks = result.ticks
+        if ticks.truth is None:
+            raise InputError("the true states are not known, so the run cannot be judged; run it in simulation")
+        angles = ticks.references[:, : ticks.measured.shape[1] - 1]
+        return cls(
+            ticks.times, ticks.truth, angles, ticks.control[:, 3], result.ending, result.reason,
+            result.nis_inside_95, result.rms_feedback,
+        )  # fmt: skip
+
+
+_TURN = 32
+"""Ticks turned at once from lanes side by side into one after the other: singly, each row would be fetched again."""
+
+
+class JudgedTicks:
+    """What S runs of up to K ticks are judged by, while they go on."""
+
+    def __init__(self, count: int, runs: int, arms: int) -> None:
+        n = 2 * arms + 2
+        # A run's states stand together, for they are looked at run by run.
+        self._truth, self._latest = np.empty((runs, count, n)), np.empty((_TURN, n, runs))
+        self._applied, self._feedback, self._nis = (np.empty((count, runs)) for _ in range(3))
+        self._done = 0
+        self._freedom = arms + 1
+
+    def take(self, k: int, report: Array, at: Mapping[str, int], truth: Array) -> None:
+        """Take tick k: its report (size, S), see `TickEquations.report`, and the true states (N, S)."""
+        turn = k % _TURN
+        self._latest[turn] = truth
+        self._done = k + 1
+        if turn == _TURN - 1:
+            self._truth[:, k - turn : k + 1] = self._latest.transpose(2, 0, 1)
+        self._applied[k], self._feedback[k], self._nis[k] = (
+            report[at["acting"]],
+            report[at["feedback"]],
+            report[at["nis"]],
+        )
+
+    def without_nis(self, k: int, lane: int) -> None:
+        """Note that tick k of a run has no NIS: the filter begins anew."""
+        self._nis[k, lane] = math.nan
+
+    def run(
+        self, lane: int, count: int, references: Array, *, stands_from: int, period: float, ending: Ending, reason: str
+    ) -> BatchRun:
+        """Return one run of `count` ticks; references (K, n), which stand from a tick on where it was stopped."""
+        rest, count = self._done % _TURN, min(count, self._done)
+        self._truth[lane, self._done - rest : self._done] = self._latest[:rest, :, lane]
+        wanted = references[:count].copy()
+        if stands_from < count:
+            wanted[stands_from:] = wanted[stands_from]
+        times = np.asarray(np.arange(count) * period, dtype=np.float64)
+        return BatchRun(
+            times, self._truth[lane, :count], wanted, self._applied[:count, lane].copy(), ending, reason,
+            inside_95(self._nis[:count, lane], self._freedom), rms(self._feedback[:count, lane]),
+        )  # fmt: skip
 
 
 class LogSink:

@@ -8,13 +8,14 @@ What is a number for one run is an array (S,) for S runs in lockstep, computed b
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.interface import MANY, ONE, Lanes
+from dpcontrol.dynamics.compiled import VECTOR
 from dpcontrol.dynamics.plant import PlantParameters, after_blow, longest_step, plant_step
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.bench import BenchDraw, BenchSettings, Blow, SensorSettings
@@ -106,23 +107,26 @@ class SimulatedPlant:
         self.plants, self.track = plants, track
         self.faults: dict[int, str] = {}
         """What has happened at the end of the track, by the number of the run."""
-        self._many = state.ndim > 1
+        self._many = many = state.ndim > 1
         self._step = step = plant_step(first.arms.count, first.level, friction=first.arms.friction)
         self._machine = step.machine
-        shape = state.shape[1:]
-        self._inputs, self._following = np.zeros((step.size_in, *shape)), np.zeros((step.size_out, *shape))
-        self._inputs[step.slices["parameters"]] = np.array([p.numbers() for p in plants]).T.reshape(-1, *shape)
+        # One run fills a whole vector: it is computed as it would be among others, to the last bit.
+        lanes = state.shape[1] if many else VECTOR
+        self._inputs, following = np.zeros((step.size_in, lanes)), np.zeros((step.size_out, lanes))
+        self._flown, self._following = following, following if many else following[:, 0]
+        self._inputs[step.slices["parameters"]] = np.array([p.numbers() for p in plants]).T
         self._input, self._duration = step.slices["inputs"].start, step.slices["duration"].start
         self._cart, self._lag = 2 * first.arms.count, first.lag
         self._longest = min(longest_step(p) for p in plants)
-        self.state: Array = self._inputs[step.slices["state"]]
+        self._states: Array = self._inputs[step.slices["state"]]
+        self.state: Array = self._states if many else self._states[:, 0]
         """The state now; overwritten as the plant moves."""
         self.values: list[Any] = list(self.state)
         """Its entries: of one run plain floats, which cost less one by one, of many arrays that change with it."""
         self._be(state)
 
     def _be(self, state: Array) -> None:
-        self.state[:] = state
+        self._states[:] = state if self._many else state[:, None]
         if not self._many:
             self.values = state.tolist()
 
@@ -140,7 +144,7 @@ class SimulatedPlant:
         duration /= splits
         for k in range(splits):
             inputs[self._input], inputs[self._duration] = acceleration, duration
-            step(inputs, following)
+            step(inputs, self._flown)
             if many:
                 beyond = np.abs(following[cart]) > track
                 if np.logical_or.reduce(beyond):
@@ -156,18 +160,22 @@ class SimulatedPlant:
             if values[cart] > track or values[cart] < -track:
                 self._meet_stop(acceleration, duration, time + k * duration)
             else:
-                self.state[:] = following
+                self._states[:] = self._flown
                 self.values = values
 
     def strike(self, blow: Blow, run: int = 0) -> None:
         """Apply a blow to one run."""
         state = self.state[:, run] if self._many else self.state
-        state[:] = after_blow(self.plants[run], state, impulses=blow.impulses, jumps=blow.jumps, knock=blow.knock)
-        self._be(self.state)
+        after = after_blow(self.plants[run], state, impulses=blow.impulses, jumps=blow.jumps, knock=blow.knock)
+        if self._many:
+            state[:] = after
+        else:
+            self._be(after)
 
     def _flow(self, acceleration: float, duration: float) -> Array:
         self._inputs[self._input], self._inputs[self._duration] = acceleration, duration
-        return self._step(self._inputs, self._following)
+        self._step(self._inputs, self._flown)
+        return self._following
 
     def _meet_stop(self, acceleration: float, duration: float, time: float) -> None:
         """Move one run for `duration` s in which its cart reaches a stop: to the contact, dead stop, the rest held."""
@@ -250,7 +258,7 @@ class SimulatedBench:
         self.truth: Array = self._plant.state[: 2 * n + 2]
         """The true state (2n+2,) or states (2n+2, S) at the last reading's tick; overwritten at the next."""
         self._seen: list[Any] | None = None
-        self._cart, self._ticks = 2 * n, draw.ticks
+        self._cart, self._ticks, self._tick = 2 * n, draw.ticks, -1
         self._began = self._plant.values[self._cart + 1]
         self._braking: Any = None
         self._blows: dict[int, list[tuple[int, Blow]]] = {}
@@ -329,7 +337,6 @@ class SimulatedRig(SimulatedBench):
         self._dropped = None if draw.dropped is None else draw.dropped.tolist()
         self._positions = np.zeros(draw.plant.arms.count + 1)
         self._nothing = np.zeros(len(self._positions), dtype=bool)
-        self._tick = -1
 
     @property
     def state(self) -> Array:
@@ -383,3 +390,40 @@ class SimulatedRig(SimulatedBench):
     def stop(self) -> None:
         """Brake the cart to a standstill from now on, without the commands' delay."""
         self._braking = True
+
+
+class BatchBench(SimulatedBench):
+    """The benches of S runs."""
+
+    @property
+    def failed(self) -> NDArray[np.bool_] | None:
+        """Which states (S,) are no longer finite; None while all are."""
+        # One sum tells that all are; only where one is not is it asked which.
+        if math.isfinite(np.add.reduce(self._plant.state, axis=None)):
+            return None
+        failed = ~np.isfinite(self._plant.state.sum(axis=0))
+        return failed if failed.any() else None
+
+    @property
+    def faults(self) -> Mapping[int, str]:
+        """Why runs have failed, by their number."""
+        return self._plant.faults
+
+    def read(self) -> Reading:
+        """Let a period pass, unless it is the first call; return positions (n+1, S), and where switches are touched."""
+        self._tick += 1
+        if self._tick:
+            self._pass(self._tick - 1)
+        switch = np.abs(self._plant.values[self._cart]) >= self._switch_at
+        return Reading(self._tick * self.period, self._measured(self._tick), None, switch)
+
+    def command(self, accelerations: Array) -> None:
+        """Send the carts' wanted accelerations (S,), m/s²."""
+        # The report in which they stand is overwritten.
+        self._demand(self._tick, accelerations.copy())
+
+    def stop(self, runs: list[int]) -> None:
+        """Brake the carts of these runs to a standstill from now on, without the commands' delay."""
+        if self._braking is None:
+            self._braking = np.zeros(self.truth.shape[1], dtype=bool)
+        self._braking[runs] = True

@@ -58,9 +58,9 @@ from dpcontrol.foundation.processes import ATTEMPTS, in_processes, processors
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
-from dpcontrol.loop.batch import BatchRun, can_batch, run_batch
-from dpcontrol.loop.loop import Fallback, LoopSettings, loop_controller, loop_fallback, run_loop
-from dpcontrol.loop.result import Ending
+from dpcontrol.loop.loop import LoopSettings, can_batch, loop_controller, loop_fallback, run_batch, run_loop
+from dpcontrol.loop.result import BatchRun, Ending
+from dpcontrol.loop.ticker import Fallback
 from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.review.score import Flown, verdict_on
 from dpcontrol.scenes.itinerary import Itinerary

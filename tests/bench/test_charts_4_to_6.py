@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dpcontrol.loop.batch import BatchRun
 from log_recording import RATE, hand_over, recording
 
 from dpcontrol.bench.control import ControlTask, held, measured
@@ -19,7 +20,6 @@ from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.ogy import OgySettings, ogy_controller
 from dpcontrol.logs.container import messages_of, ticks_left
-from dpcontrol.loop.batch import BatchRun
 from dpcontrol.loop.loop import sampled_model
 from dpcontrol.loop.result import Ending
 from dpcontrol.orbits.lyapunov import lyapunov_orbit

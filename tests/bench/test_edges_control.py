@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from dpcontrol.loop.batch import run_batch
 
 from dpcontrol.bench.edges import (
     STRONG,
@@ -18,7 +19,6 @@ from dpcontrol.bench.edges import (
     mismatch_border,
     moving,
 )
-from dpcontrol.loop.batch import run_batch
 from dpcontrol.loop.bench import DriveSettings
 from dpcontrol.loop.loop import run_loop
 from dpcontrol.scenes.itinerary import load_itinerary

@@ -2,6 +2,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from dpcontrol.loop.batch import run_batch
 from scipy.integrate import solve_ivp
 from shadowing_stand_in import LAB, StandIn
 
@@ -18,7 +19,6 @@ from dpcontrol.control.tracking import (
 )
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.loop.batch import run_batch
 from dpcontrol.loop.bench import DriveSettings
 from dpcontrol.loop.loop import LoopSettings, run_loop
 from dpcontrol.loop.result import Ending, NoSink

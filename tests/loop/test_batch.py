@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from dpcontrol.loop.batch import BatchRun, can_batch, run_batch
 from shadowing_stand_in import LAB, StandIn
 
 from dpcontrol.control.estimator_settings import EkfSettings, UkfSettings
 from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.loop.batch import BatchRun, can_batch, run_batch
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings
 from dpcontrol.loop.loop import LoopSettings, loop_controller, run_loop
 from dpcontrol.loop.result import Ending

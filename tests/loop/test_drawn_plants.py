@@ -5,11 +5,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from dpcontrol.loop.batch import run_batch
 from shadowing_stand_in import StandIn
 
 from dpcontrol.dynamics.chain import Uncertainty, base_ratios, ratio_names
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.loop.batch import run_batch
 from dpcontrol.loop.bench import (
     BenchDraw,
     BenchSettings,

@@ -1,0 +1,737 @@
+"""The tick: what the controller does with one reading, as one function of memory, reading and a row of a table.
+
+    estimate   the extended Kalman filter's update with the positions measured (`dpcontrol.control.ekf`)
+    ahead      the state when the command will act, predicted through the commands on their way
+    law        u = u* + K (x* - x̂) - F w: the row's input, gains, reference state, and gains on the extras w
+    judge      whether to go on, restart the filter, give the reference up, or bring the cart to rest, and why
+    path       the command within the drive's limits joins those on their way
+    predict    the filter's prediction over the period that begins, for the next tick
+
+One casadi expression, from which the loop's machine code and the C of a target's own controller are made. Where a law
+keeps a clock of its own the same expression is cut in two, before and after the law; where an estimator is not this
+filter, the second part goes without the prediction.
+
+A command acts d periods after its tick, d the delay. With d = i + f, 0 ≤ f < 1, the mean over the period from tick k is
+
+    f c_{k-i-1} + (1 - f) c_{k-i}
+
+and the command is computed for the state at tick k + round(d): up to half a period of wrong timing is left. At 1 kHz it
+moves the motion in time and harms nothing; at 50 Hz it takes part of the margin for delays. The limits of acceleration
+and velocity are the drive's own, applied before it is believed.
+
+What is judged, tick by tick:
+
+    consistency   mean of NIS / degrees of freedom over a fifth of a second
+    tracking      mean over about a second of the largest angle's distance from the reference, by the estimate
+    cart          |x| + v²/(2a) + |v| t_d: where it comes to rest if it brakes from now, after the delay t_d
+    sensors       which one is stuck: it repeats one reading while the arm must have moved, or the cart was sent on
+
+For joint i, whose reading has been the same since tick s, and the cart, whose has since s':
+
+    max |ref_i(k) - ref_i(s)| ≥ max(0.02 rad, 4 counts),        |Σ w Δt| ≥ max(2 mm, 4 counts)
+
+w: the velocity that the cart was sent to. A count is the smallest step that was seen. An arm that turns back, or is
+held at rest, stays within a count as well, but so does its reference. Without this a filter follows a stuck encoder for
+a tenth of a second, and a stuck scale of the cart for ever, the cart being unobservable from the arms.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from functools import cached_property, lru_cache, partial, reduce
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.control.ekf import (
+    RESTART_RATE,
+    RESTART_VELOCITY,
+    FilterEquations,
+    checked_noise,
+    pack,
+    packed,
+    unpack,
+)
+from dpcontrol.control.estimator_settings import Augment, FilterSettings
+from dpcontrol.control.interface import Mode, Present, SampledModel
+from dpcontrol.dynamics.compiled import VECTOR, Compiled
+from dpcontrol.dynamics.equations import Equations
+from dpcontrol.foundation.errors import InputError
+
+Array = NDArray[np.float64]
+
+
+class Outcome(IntEnum):
+    """What a tick decides; from `ESTIMATE_LOST` on, to bring the cart to rest."""
+
+    GO_ON = 0
+    RESTART = 1
+    """Restart the estimator."""
+    RESYNCHRONISE = 2
+    """Move the reference's clock."""
+    HOLD = 3
+    """Give the reference up and hold what is nearest."""
+    ESTIMATE_LOST = 4
+    SILENT = 5
+    """Nothing was measured for too long."""
+    CART = 6
+    """The cart must brake now to stay on its track."""
+    TRACKING_LOST = 7
+    STUCK = 8
+    """A sensor repeats itself."""
+    SWITCH = 9
+    """A limit switch answered."""
+
+
+BRAKING = 0.9
+"""Share of the greatest acceleration with which the cart is braked: more than the supervisor counts on."""
+SETTLING = 0.05
+"""Seconds for which the loop goes on after the cart was commanded to rest: delays and lags have passed by then."""
+TRACKING_MEMORY = 1.0
+ESTIMATE_MEMORY = 0.2
+"""Time constants of the means, s."""
+LOST_AFTER_FALLBACK = 1.5
+"""rad: from which what was fallen back to is lost as well, where less than that loses the reference."""
+AT_REST = 1e-12
+"""m/s: slower than any cart."""
+SAME = 1e-9
+"""rad and m: readings this near to each other are the same count."""
+_STILL = 0.015
+"""Seconds of one reading of a joint at least."""
+_TURNING = 10.0
+"""rad/s² and m/s²: what turns back as slowly stays within a count q for 2 √(2 q / this), 11 ms with 40,000 counts."""
+_CART_STILL = 0.05
+"""Seconds of one reading of the cart: it begins to move only once the first commands have come to act."""
+_JOINT_MOVED, _CART_MOVED = 0.02, 2e-3
+"""rad and m."""
+_COUNTS = 4.0
+_DOUBT = 300.0
+"""Mean NIS per position: with 256 counts, stuck encoders gave 450 and more when they were found, slow arms up to 270.
+The cart's scale is detected without it: only its own commands contradict it."""
+_UNSEEN = 0.2
+"""rad: taken for a count while a sensor has not moved at all."""
+_BIG = 1e30
+"""Beyond every number of a run that is still sound; a bound that single precision holds as well."""
+LONGEST_DELAY = 1000.0
+"""Periods."""
+UNROLLED = 8
+"""Periods that one function looks ahead; the loop calls the prediction for further ones."""
+
+BOUNDS = (
+    "share", "acceleration", "velocity", "travel", "reaction", "brake", "margin", "lost_tracking", "lost_estimate",
+    "resynchronise", "restarts", "missing", "can_hold", "trust", "mode",
+)  # fmt: skip
+"""Numbers a run is judged by.
+
+share: of the period for which the command before still acts. acceleration m/s², velocity m/s, travel m: the cart's.
+reaction s: until a command acts. brake m/s²: twice the acceleration counted on to stop the cart; margin m.
+lost_tracking rad, lost_estimate, resynchronise rad, restarts, missing s: see `SupervisorSettings`. can_hold: 1 where
+there is something to fall back to. trust: of an adaptive law. mode: of a tick that tracks or holds, see `Mode`.
+"""
+
+
+class Layout:
+    """Named parts of a vector, one after the other: name=length."""
+
+    def __init__(self, **sizes: int) -> None:
+        ends = np.cumsum([*sizes.values()])
+        self.slices = {name: slice(int(end - n), int(end)) for (name, n), end in zip(sizes.items(), ends, strict=True)}
+        """Where each part stands, by its name."""
+        self.size = int(ends[-1])
+
+    def symbols(self, name: str) -> tuple[ca.SX, dict[str, ca.SX]]:
+        """Return a vector of symbols and its parts."""
+        vector = ca.SX.sym(name, self.size)
+        return vector, {part: vector[where] for part, where in self.slices.items()}
+
+    def joined(self, parts: Mapping[str, ca.SX]) -> ca.SX:
+        """Return the vector of these parts."""
+        return ca.densify(ca.vertcat(*(parts[name] for name in self.slices)))
+
+    def filled(self, parts: Mapping[str, Array | float], runs: int | None = None) -> Array:
+        """Return the vector (size,), or (size, runs), of numbers or arrays (length,) or (length, runs)."""
+        out = np.zeros(self.size if runs is None else (self.size, runs))
+        for name, value in parts.items():
+            given = np.asarray(value, dtype=float)
+            out[self.slices[name]] = given[:, None] if runs is not None and given.ndim == 1 else given
+        return out
+
+
+def _all(*conditions: ca.SX) -> ca.SX:
+    return reduce(ca.logic_and, conditions)
+
+
+def _any(*conditions: ca.SX) -> ca.SX:
+    return reduce(ca.logic_or, conditions)
+
+
+def _clip(value: ca.SX, low: ca.SX, high: ca.SX) -> ca.SX:
+    # NaN stays NaN.
+    return ca.if_else(value > high, high, ca.if_else(value < low, low, value))
+
+
+def _within(value: ca.SX, most: ca.SX) -> ca.SX:
+    return _clip(value, -most, most)
+
+
+def _finite(value: ca.SX) -> ca.SX:
+    return ca.fabs(value) <= _BIG
+
+
+def _largest(values: Sequence[ca.SX]) -> ca.SX:
+    return reduce(ca.fmax, values)
+
+
+@dataclass(frozen=True, eq=False)
+class TickEquations:
+    """The tick of one filter, delay and law.
+
+    whole, lead: the delay's whole periods, and for how many the command is computed ahead. shares (E,): which extras
+    are relative errors that the law trusts only so far; None for a law without gains on them.
+    """
+
+    filter: FilterEquations
+    whole: int
+    lead: int
+    shares: tuple[bool, ...] | None = None
+
+    @cached_property
+    def memory(self) -> Layout:
+        """What is kept from tick to tick.
+
+        z, covariance: the filter's prediction for the coming reading, the covariance's lower triangle row by row.
+        sent: commands, oldest first, m/s²; velocity m/s of the cart once all of them have acted. error rad and nis: the
+        means; silent s; restarts so far; held: 1 after the reference was given up; moved s since the clock was;
+        restart: 1 where the filter begins anew; stopped: the outcome that ended the run, or 0; still s: for how long
+        the cart was sent nowhere since; cut: 1 where the last command was; doubts: 1 once an extra was trusted no
+        further. Then sensor by sensor: last reading, smallest step, ticks with this reading, what it should have been
+        when they began, by how much that has moved since; travelled m: how far the cart was sent.
+        """
+        size, m = self.filter.dimension, self.filter.arms + 1
+        return Layout(
+            z=size, covariance=size * (size + 1) // 2, sent=self.whole + 2, velocity=1, error=1, nis=1, silent=1,
+            restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, cut=1, doubts=1, last=m, step=m, same=m,
+            begin=m, away=m, travelled=1,
+        )  # fmt: skip
+
+    @cached_property
+    def reading(self) -> Layout:
+        """What came from the rig.
+
+        measured (n+1,): angles in rad, the cart in m; present (n+1,): 1 where measured; switch: 1 while a limit switch
+        is touched; rate_error (n,) rad/s: added to the rates that the law sees, in simulations of measured rates.
+        """
+        m = self.filter.arms + 1
+        return Layout(measured=m, present=m, switch=1, rate_error=m - 1)
+
+    @cached_property
+    def row(self) -> Layout:
+        """What the table gives.
+
+        Of the tick at which the command acts: feedforward m/s², gains (N,), state (N,) and, for a law that has them,
+        extra_gains (E,). Of this tick: wanted (n,), the reference's angles.
+        """
+        size = self.filter.equations.dimension
+        extras = {} if self.shares is None else {"extra_gains": len(self.shares)}
+        return Layout(feedforward=1, gains=size, state=size, **extras, wanted=self.filter.arms)
+
+    @cached_property
+    def numbers(self) -> Layout:
+        """What does not change in a run.
+
+        bounds; noise: R packed; parameters, process: see `FilterEquations`; fresh (N+E,): variances after a restart.
+        """
+        known, m = self.filter.inputs, self.filter.arms + 1
+        return Layout(
+            **dict.fromkeys(BOUNDS, 1), noise=m * (m + 1) // 2, parameters=known["parameters"],
+            process=known["process"], fresh=self.filter.dimension,
+        )  # fmt: skip
+
+    @cached_property
+    def sensed(self) -> Layout:
+        """What the first part gives: z, covariance, sigmas (N+E,), nis, used positions, sound: 1 if all is finite."""
+        size = self.filter.dimension
+        return Layout(z=size, covariance=size * (size + 1) // 2, sigmas=size, nis=1, used=1, sound=1)
+
+    @cached_property
+    def report(self) -> Layout:
+        """What a tick tells.
+
+        state (N,) estimated; wish m/s²: feedforward and feedback, before limits; feedforward, feedback; acting m/s² in
+        the coming period; saturated; nis; mode: what `dpcontrol.logs.layout.control_fields` has, in its order. sigmas,
+        extra: of state and extras, and these. command m/s²: to the drive. outcome: see `Outcome`; stop: 1 while the
+        cart is brought to rest; done: 1 once it has stood long enough. newly_cut: 1 where saturation begins; doubted:
+        number of the extra that is found beyond trust for the first time, from 1, else 0; sensor: number of the stuck
+        one, from 1; repeats: for how many ticks. error rad, mean_nis, silent s: what was judged. used positions; ahead
+        (N,): the state for which the command was computed; notable, news: not 0 where there is an outcome or the cart
+        is being stopped, or else something to tell.
+        """
+        n, size = self.filter.equations.dimension, self.filter.dimension
+        return Layout(
+            state=n, wish=1, feedforward=1, feedback=1, acting=1, saturated=1, nis=1, mode=1, sigmas=size,
+            extra=size - n, command=1,
+            outcome=1, stop=1, done=1, newly_cut=1, doubted=1, sensor=1, repeats=1, error=1, mean_nis=1,
+            silent=1, used=1, ahead=n, notable=1, news=1,
+        )  # fmt: skip
+
+    # The parts.
+
+    def _sense(self, m: Mapping[str, ca.SX], r: Mapping[str, ca.SX], c: Mapping[str, ca.SX]) -> dict[str, ca.SX]:
+        """The filter's update."""
+        n, size = self.filter.arms, self.filter.dimension
+        z, triangle, again = m["z"], m["covariance"], m["restart"]
+        # A filter that begins anew trusts the positions; rates stay where they are finite, extras are forgotten.
+        positions = {**{i: i for i in range(n)}, 2 * n: n}
+        most = [np.inf] * n + [3 * RESTART_RATE] * n + [np.inf, 3 * RESTART_VELOCITY]
+        anew: list[ca.SX] = []
+        for i in range(size):
+            if i >= 2 * n + 2:
+                anew.append(ca.SX(0))
+                continue
+            known = ca.if_else(_finite(z[i]), z[i], 0)
+            if i in positions:
+                k = positions[i]
+                anew.append(ca.if_else(r["present"][k], r["measured"][k], known))
+            else:
+                anew.append(_within(known, ca.SX(most[i])))
+        z = ca.vertcat(*(ca.if_else(again, anew[i], z[i]) for i in range(size)))
+        entries: list[ca.SX] = []
+        for i in range(size):
+            for j in range(i + 1):
+                kept = ca.if_else(ca.logic_not(again), triangle[len(entries)], 0)
+                entries.append(kept + ca.if_else(again, c["fresh"][i], 0) if i == j else kept)
+        covariance = unpack(ca.vertcat(*entries), size)
+        # NaN must not reach the products: zero times NaN is not zero.
+        measured = ca.vertcat(*(ca.if_else(r["present"][i], r["measured"][i], 0) for i in range(n + 1)))
+        after, covariance, _, nis = self.filter.updated(z, covariance, measured, r["present"], c["noise"])
+        sigmas = ca.vertcat(*(ca.sqrt(covariance[i, i]) for i in range(size)))
+        # The last is not finite as soon as anything in the estimate is not.
+        sound = _all(nis >= 0, nis <= _BIG, _finite(ca.sum1(after) + ca.sum1(sigmas)))
+        # Where it fails the prediction is kept, which the restart begins with.
+        after = ca.vertcat(*(ca.if_else(sound, after[i], z[i]) for i in range(size)))
+        used = ca.sum1(r["present"])
+        return {"z": after, "covariance": pack(covariance), "sigmas": sigmas, "nis": nis, "used": used, "sound": sound}
+
+    def _acting(self, command: ca.SX, velocity: ca.SX, c: Mapping[str, ca.SX]) -> ca.SX:
+        """What acts of a command on a cart of this velocity: the drive keeps below its fastest."""
+        period, fastest = self.filter.period, c["velocity"]
+        return _clip(command, (-fastest - velocity) / period, (fastest - velocity) / period)
+
+    def on_their_way(self, sent: Any, share: Any) -> list[Any]:
+        """Return what will act in each of the `lead` periods from now on, m/s²."""
+        # The next to act is one place newer than what acted last.
+        last = self.whole + 1
+        return [share * sent[k] + (1 - share) * sent[min(k + 1, last)] for k in range(1, self.lead + 1)]
+
+    def _law(self, row: Mapping[str, ca.SX], ahead: ca.SX, extra: ca.SX, trust: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """The feedback, and the number of the last extra that is trusted no further, from 1."""
+        feedback, doubted = ca.SX(0), ca.SX(0)
+        for i in range(ahead.shape[0]):
+            feedback += row["gains"][i] * (row["state"][i] - ahead[i])
+        for i, share in enumerate(self.shares or ()):
+            value = extra[i]
+            if share:
+                # The symmetric share: bounded below by a parameter of nothing.
+                found = ca.if_else(value < -1, -1, value)
+                value = found / (1 + found / 2)
+                doubted = ca.if_else(ca.fabs(value) > trust, i + 1, doubted)
+                value = _within(value, trust)
+            feedback -= row["extra_gains"][i] * value
+        return feedback, doubted
+
+    def _stuck(
+        self, m: Mapping[str, ca.SX], r: Mapping[str, ca.SX], wanted: ca.SX, nis: ca.SX
+    ) -> tuple[ca.SX, dict[str, ca.SX]]:
+        """The number of the first stuck sensor, from 1, and the watch's memory."""
+        n, period = self.filter.arms, self.filter.period
+        fresh = _all(*(r["present"][i] for i in range(n + 1)))
+        travelled = m["travelled"] + m["velocity"] * period
+        after: dict[str, list[ca.SX]] = {name: [] for name in ("last", "step", "same", "begin", "away")}
+        found: list[ca.SX] = []
+        for i in range(n + 1):
+            arm = i < n
+            inner = r["measured"][i - 1] if arm and i else 0
+            value = r["measured"][i] - inner
+            should = (wanted[i] - (wanted[i - 1] if i else 0)) if arm else travelled
+            step = ca.fabs(value - m["last"][i])
+            same = step < SAME
+            smallest = ca.if_else(same, m["step"][i], ca.fmin(m["step"][i], step))
+            begin = ca.if_else(same, m["begin"][i], should)
+            away = ca.if_else(same, ca.fmax(m["away"][i], ca.fabs(should - begin)), 0)
+            count = ca.if_else(same, m["same"][i] + 1, 0)
+            values = {"last": value, "step": smallest, "same": count, "begin": begin, "away": away}
+            for name, now in values.items():
+                held = value if name == "last" else now
+                # A reading within a count's rounding of the last one does not replace it.
+                held = ca.if_else(same, m["last"][i], value) if name == "last" else held
+                after[name].append(ca.if_else(fresh, held, m[name][i]))
+            q = ca.if_else(smallest <= _BIG, smallest, _UNSEEN / _COUNTS)
+            least = _JOINT_MOVED if arm else _CART_MOVED
+            longest = ca.fmax(2 * ca.sqrt(2 * q / _TURNING), ca.SX(_STILL)) / period
+            tests = [fresh, away >= least, away >= _COUNTS * q, count >= longest]
+            if arm:
+                tests.append(ca.logic_not(nis <= _DOUBT))
+            found.append(_all(*tests))
+        sensor = ca.SX(0)
+        for i in reversed(range(n + 1)):
+            sensor = ca.if_else(found[i], i + 1, sensor)
+        return sensor, {**{name: ca.vertcat(*values) for name, values in after.items()}, "travelled": travelled}
+
+    def _finish(
+        self,
+        m: Mapping[str, ca.SX],
+        r: Mapping[str, ca.SX],
+        row: Mapping[str, ca.SX],
+        c: Mapping[str, ca.SX],
+        e: Mapping[str, ca.SX],
+        ahead: ca.SX,
+        back: ca.SX,
+        *,
+        predicts: bool,
+    ) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
+        """All after the estimate: memory and report. back m/s²: feedback besides the row's."""
+        n, size, period = self.filter.arms, self.filter.equations.dimension, self.filter.period
+        forward = row["feedforward"]
+        by_row, doubted = self._law(row, ahead, e["z"][size:], c["trust"])
+        feedback = back + by_row
+        was = m["stopped"] > 0
+
+        # The means.
+        judged = ca.logic_and(e["used"] > 0, e["sound"])
+        by_position = e["nis"] / ca.fmax(e["used"], 1)
+        nis = m["nis"] + ca.if_else(judged, (by_position - m["nis"]) * min(period / ESTIMATE_MEMORY, 1), 0)
+        silent = ca.if_else(e["used"] > 0, 0, m["silent"] + period)
+        distances = [ca.fabs(e["z"][i] - row["wanted"][i]) for i in range(n)]
+        error = m["error"] + (_largest(distances) - m["error"]) * min(period / TRACKING_MEMORY, 1)
+        finite = _finite(forward + feedback)
+
+        # The verdict, written so that NaN stops the run.
+        lost = ca.logic_not(_all(e["sound"], nis <= c["lost_estimate"], _finite(sum(distances, ca.SX(0))), finite))
+        restarts = ca.logic_and(lost, m["restarts"] < c["restarts"])
+        x, v, sent = ahead[2 * n], ahead[2 * n + 1], m["velocity"]
+        farthest = self._stopping_point(x, v, c)
+        farthest = ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(x, sent, c), -_BIG))
+        astray = error > ca.if_else(m["held"], ca.fmax(c["lost_tracking"], LOST_AFTER_FALLBACK), c["lost_tracking"])
+        holds = _all(astray, c["can_hold"], ca.logic_not(m["held"]))
+        moves = _all(c["resynchronise"] > 0, error > c["resynchronise"], m["moved"] > TRACKING_MEMORY)
+        sensor, watch = self._stuck(m, r, row["wanted"], ca.if_else(restarts, 0, nis))
+        outcome = ca.SX(int(Outcome.GO_ON))
+        # From the weakest: each overrules those before it.
+        for condition, code in (
+            (r["switch"], Outcome.SWITCH),
+            (moves, Outcome.RESYNCHRONISE),
+            (astray, Outcome.TRACKING_LOST),
+            (holds, Outcome.HOLD),
+        ):
+            outcome = ca.if_else(condition, int(code), outcome)
+        # A restart does not help against a stuck sensor, nor does holding on.
+        outcome = ca.if_else(restarts, int(Outcome.RESTART), outcome)
+        outcome = ca.if_else(sensor, int(Outcome.STUCK), outcome)
+        for condition, code in (
+            (ca.logic_and(astray, ca.logic_not(holds)), Outcome.TRACKING_LOST),
+            (farthest >= c["travel"], Outcome.CART),
+            (silent > c["missing"], Outcome.SILENT),
+            (ca.logic_and(lost, ca.logic_not(restarts)), Outcome.ESTIMATE_LOST),
+        ):
+            outcome = ca.if_else(ca.logic_and(condition, ca.logic_not(restarts)), int(code), outcome)
+        outcome = ca.if_else(was, int(Outcome.GO_ON), outcome)
+        stopped = ca.if_else(outcome >= int(Outcome.ESTIMATE_LOST), outcome, m["stopped"])
+        stop, again = stopped > 0, ca.eq(outcome, int(Outcome.RESTART))
+        falls, moved = ca.eq(outcome, int(Outcome.HOLD)), ca.eq(outcome, int(Outcome.RESYNCHRONISE))
+
+        # The path.
+        most, fastest = c["acceleration"], c["velocity"]
+        forward = ca.if_else(ca.logic_or(stop, ca.logic_not(finite)), 0, forward)
+        feedback = ca.if_else(finite, feedback, 0)
+        feedback = ca.if_else(stop, _within(-sent / period, BRAKING * most), feedback)
+        wish = forward + feedback
+        command = _within(wish, most)
+        queue = ca.vertcat(m["sent"][1:], command)
+        velocity = _within(sent + command * period, fastest)
+        # Braking to rest leaves what rounding leaves.
+        velocity = ca.if_else(ca.fabs(velocity) > AT_REST, velocity, 0)
+        still = ca.if_else(_all(was, ca.logic_not(ca.fabs(sent) > 0)), m["still"] + period, 0)
+        mean = c["share"] * queue[0] + (1 - c["share"]) * queue[1]
+        acting = self._acting(mean, e["z"][size - 1], c)
+        saturated = ca.logic_or(ca.fabs(wish) > most, ca.fabs(velocity) >= fastest)
+        newly_cut = ca.logic_and(saturated, ca.logic_not(m["cut"]))
+        newly_doubted = ca.if_else(m["doubts"], 0, doubted)
+        repeats = ca.SX(0)
+        for i in range(n + 1):
+            repeats = ca.if_else(ca.eq(sensor, i + 1), watch["same"][i], repeats)
+        mode = ca.if_else(stop, int(Mode.ABORTED), ca.if_else(saturated, int(Mode.SATURATED), c["mode"]))
+
+        memory = {
+            "sent": queue, "velocity": velocity, "error": ca.if_else(falls, 0, error), "nis": ca.if_else(again, 0, nis),
+            "silent": silent, "restarts": m["restarts"] + again, "held": ca.if_else(falls, 1, m["held"]),
+            "moved": ca.if_else(moved, 0, m["moved"] + period), "restart": again, "stopped": stopped, "still": still,
+            "cut": saturated, "doubts": ca.logic_or(m["doubts"], doubted > 0), **watch,
+        }  # fmt: skip
+        if predicts:
+            following, jacobian, noise = self.filter.predicted(e["z"], acting, c["parameters"], c["process"])
+            covariance = unpack(e["covariance"], self.filter.dimension)
+            memory["z"] = following
+            memory["covariance"] = pack(jacobian @ covariance @ jacobian.T + noise)
+        else:
+            memory |= {"z": m["z"], "covariance": m["covariance"]}
+        report = {
+            "state": e["z"][:size], "wish": wish, "feedforward": forward, "feedback": feedback, "acting": acting,
+            "saturated": saturated, "nis": e["nis"], "mode": mode, "sigmas": e["sigmas"], "extra": e["z"][size:],
+            "command": command, "outcome": outcome, "stop": stop, "done": still > SETTLING, "newly_cut": newly_cut,
+            "doubted": newly_doubted, "sensor": sensor, "repeats": repeats, "error": error, "mean_nis": nis,
+            "silent": silent, "used": e["used"], "ahead": ahead, "notable": outcome + stop,
+            "news": newly_cut + newly_doubted,
+        }  # fmt: skip
+        return memory, report
+
+    def _stopping_point(self, position: ca.SX, velocity: ca.SX, c: Mapping[str, ca.SX]) -> ca.SX:
+        """Where the cart comes to rest if it brakes now: m from the centre, in the direction of its motion.
+
+        Negative on the side that it comes from; the margin is added.
+        """
+        reached = position + velocity * c["reaction"]
+        return ca.if_else(velocity < 0, -reached, reached) + velocity * velocity / c["brake"] + c["margin"]
+
+    # The functions.
+
+    def function(self) -> ca.Function:
+        """Return the whole tick: (memory, reading, row, numbers) -> memory and report."""
+        (memory, m), (reading, r), (row, t), (numbers, c) = self._symbols()
+        e = self._sense(m, r, c)
+        z = e["z"]
+        for command in self.on_their_way(m["sent"], c["share"]):
+            z = self._moved(z, command, c)
+        after, report = self._finish(m, r, t, c, e, self._seen(z, r), ca.SX(0), predicts=True)
+        out = ca.vertcat(self.memory.joined(after), self.report.joined(report))
+        return _function("tick", {"memory": memory, "reading": reading, "row": row, "numbers": numbers}, out)
+
+    def sense(self) -> ca.Function:
+        """Return the first part: (memory, reading, numbers) -> `sensed`."""
+        (memory, m), (reading, r), _, (numbers, c) = self._symbols()
+        out = self.sensed.joined(self._sense(m, r, c))
+        return _function("sense", {"memory": memory, "reading": reading, "numbers": numbers}, out)
+
+    def moved(self) -> ca.Function:
+        """Return a period of the look ahead: (z, command, numbers) -> the next z."""
+        z, command = ca.SX.sym("z", self.filter.dimension), ca.SX.sym("command")
+        numbers, c = self.numbers.symbols("numbers")
+        return _function("moved", {"z": z, "command": command, "numbers": numbers}, self._moved(z, command, c))
+
+    def finish(self, *, predicts: bool) -> ca.Function:
+        """Return the second part: (memory, reading, row, numbers, sensed, ahead, back) -> memory and report.
+
+        back m/s²: feedback besides the row's; without `predicts` the filter's memory stays as it is.
+        """
+        (memory, m), (reading, r), (row, t), (numbers, c) = self._symbols()
+        sensed, e = self.sensed.symbols("sensed")
+        ahead, back = ca.SX.sym("ahead", self.filter.equations.dimension), ca.SX.sym("back")
+        after, report = self._finish(m, r, t, c, e, ahead, back, predicts=predicts)
+        out = ca.vertcat(self.memory.joined(after), self.report.joined(report))
+        inputs = {"memory": memory, "reading": reading, "row": row, "numbers": numbers, "sensed": sensed}
+        return _function("finish", {**inputs, "ahead": ahead, "back": back}, out)
+
+    def _symbols(self) -> list[tuple[ca.SX, dict[str, ca.SX]]]:
+        layouts = {"memory": self.memory, "reading": self.reading, "row": self.row, "numbers": self.numbers}
+        return [layout.symbols(name) for name, layout in layouts.items()]
+
+    def _moved(self, z: ca.SX, command: ca.SX, c: Mapping[str, ca.SX]) -> ca.SX:
+        """State and extras a period on."""
+        acting = self._acting(command, z[self.filter.equations.dimension - 1], c)
+        return self.filter.predicted(z, acting, c["parameters"], c["process"])[0]
+
+    def _seen(self, z: ca.SX, r: Mapping[str, ca.SX]) -> ca.SX:
+        """The state that the law sees."""
+        n, size = self.filter.arms, self.filter.equations.dimension
+        return ca.vertcat(*(z[i] + (r["rate_error"][i - n] if n <= i < 2 * n else 0) for i in range(size)))
+
+
+def _function(name: str, inputs: Mapping[str, ca.SX], out: ca.SX) -> ca.Function:
+    return ca.Function(name, [*inputs.values()], [ca.cse(ca.densify(out))], [*inputs], ["out"], {"cse": True})
+
+
+@lru_cache(maxsize=32)
+def _tick_equations(
+    equations: Equations, period: float, augments: tuple[Augment, ...], path: tuple[int, int],
+    shares: tuple[bool, ...] | None,
+) -> tuple[TickEquations, dict[str, Compiled]]:  # fmt: skip
+    """Return a tick's equations and the machine code made of them so far: once for all runs of a process."""
+    return TickEquations(FilterEquations(equations, period, augments), *path, shares), {}
+
+
+def whole_periods(delay: float) -> tuple[int, int]:
+    """Return a delay's whole periods, and for how many the command is computed ahead.
+
+    Raises:
+        InputError: the delay is negative or absurd.
+    """
+    if not 0 <= delay <= LONGEST_DELAY:
+        raise InputError(f"run: delay = {delay!r}: must be 0 to {LONGEST_DELAY:g} periods")
+    return math.floor(delay), round(delay)
+
+
+class TickProgram:
+    """The tick of one model, filter, delay and law as machine code, for `runs` runs side by side.
+
+    Arrays have a column for each run, and full vectors of the processor: what is left over would be rounded
+    differently, so that one run alone is computed like one of many. bounds: see `BOUNDS`.
+
+    Raises:
+        InputError: the delay is impossible, or the noise (n+1, n+1) no covariance.
+    """
+
+    def __init__(
+        self,
+        model: SampledModel,
+        settings: FilterSettings,
+        *,
+        noise: Array,
+        delay: float,
+        bounds: Mapping[str, float],
+        shares: tuple[bool, ...] | None = None,
+        runs: int = 1,
+    ) -> None:
+        whole, lead = whole_periods(delay)
+        self.equations, self._made = _tick_equations(
+            model.equations, model.period, settings.augments, (whole, lead), shares
+        )
+        self.model, self.settings, self.runs = model, settings, runs
+        equations, arms = self.equations, model.arms
+        self.lead, self.period = equations.lead, model.period
+        self.lanes = runs + -runs % VECTOR
+        again = settings.first_sigmas(arms)
+        again[arms : 2 * arms], again[2 * arms + 1] = RESTART_RATE, RESTART_VELOCITY
+        known = {
+            **bounds, "share": delay - whole, "noise": packed(checked_noise(noise, arms)),
+            "parameters": model.parameters, "process": settings.process(arms, model.period), "fresh": again**2,
+        }  # fmt: skip
+        parts = {
+            "memory": equations.memory, "reading": equations.reading, "row": equations.row, "numbers": equations.numbers
+        }  # fmt: skip
+        self._inputs = np.zeros((sum(part.size for part in parts.values()), self.lanes))
+        views, begin = {}, 0
+        for name, part in parts.items():
+            views[name] = self._inputs[begin : begin + part.size]
+            begin += part.size
+        self.memory, self.reading, self.row = views["memory"], views["reading"], views["row"]
+        self._numbers = views["numbers"]
+        self._numbers[:] = equations.numbers.filled(known, self.lanes)
+        reading = equations.reading.slices
+        self._measured, self._present = self.reading[reading["measured"]], self.reading[reading["present"]]
+        self._switch, self._rate_error = self.reading[reading["switch"]][0], self.reading[reading["rate_error"]]
+        self._present[:] = 1.0
+        self._all, self._switched = True, 0
+        self._out = np.empty((equations.memory.size + equations.report.size, self.lanes))
+        self._kept, self.report = self._out[: equations.memory.size], self._out[equations.memory.size :]
+        """report: of the last tick, (size, lanes); overwritten at the next."""
+        self.at = {name: where.start for name, where in equations.report.slices.items()}
+        """The first row of each part of a report, by its name."""
+
+    def machine(self, name: str) -> Compiled:
+        """Return one of the functions as machine code: tick, sense, moved, finish, or judge (finish without filter)."""
+        if name not in self._made:
+            equations = self.equations
+            make = {
+                "tick": equations.function, "sense": equations.sense, "moved": equations.moved,
+                "finish": partial(equations.finish, predicts=True), "judge": partial(equations.finish, predicts=False),
+            }  # fmt: skip
+            self._made[name] = Compiled(make[name]())
+        return self._made[name]
+
+    def begin(self, first: Array, queued: Array, *, velocity: float) -> None:
+        """Fill the memory for a first state (N,), and commands (lead, runs) in m/s² that are on their way then.
+
+        velocity m/s: the cart's.
+        """
+        most, fastest = (self._numbers[self.equations.numbers.slices[name], 0] for name in ("acceleration", "velocity"))
+        sent = np.zeros((self.equations.whole + 2, self.lanes))
+        speed = np.full(self.lanes, velocity)
+        for command in np.clip(self.spread(np.asarray(queued).reshape(self.lead, -1)), -most, most):
+            sent = np.concatenate([sent[1:], command[None]])
+            speed = np.clip(speed + command * self.period, -fastest, fastest)
+        start = {
+            "z": np.concatenate([first, np.zeros(self.equations.filter.dimension - len(first))]),
+            "covariance": packed(np.diag(self.settings.first_sigmas(self.model.arms) ** 2)),
+            "sent": sent, "velocity": speed[None], "moved": np.inf, "last": np.inf, "step": np.inf,
+        }  # fmt: skip
+        self.memory[:] = self.equations.memory.filled(start, self.lanes)
+
+    def spread(self, values: Array) -> Array:
+        """Return values (…, runs) or (…, 1) for all lanes, (…, lanes): the last run's fill up."""
+        count = values.shape[-1]
+        return values if count == self.lanes else np.concatenate(
+            [values, np.repeat(values[..., -1:], self.lanes - count, axis=-1)], axis=-1
+        )  # fmt: skip
+
+    def take(self, positions: Array, present: Present, switch: Any, rate_error: Array | None) -> None:
+        """Take a reading: positions (n+1, 1) or (n+1, lanes), present (n+1,), the limit switch; what `reading` says."""
+        self._measured[:] = positions
+        if present is not None:
+            # A position that is missing may be anything.
+            self._present[:] = present[:, None]
+            self._all = False
+        elif not self._all:
+            self._present[:] = 1.0
+            self._all = True
+        if switch is not self._switched:
+            self._switch[:] = self._switched = switch
+        if rate_error is not None:
+            self._rate_error[:] = rate_error
+
+    def tick(self) -> None:
+        """Do a whole tick with the row that was put into `row`."""
+        self._tick(self._inputs, self._out)
+        self.memory[:] = self._kept
+
+    @cached_property
+    def _tick(self) -> Any:
+        return self.machine("tick").machine
+
+    def prepare(self, names: Sequence[str]) -> None:
+        """Compile these functions now."""
+        for name in names:
+            _ = self.machine(name).machine
+
+    def set_number(self, name: str, value: float) -> None:
+        """Change one of the `BOUNDS`."""
+        self._numbers[self.equations.numbers.slices[name]] = value
+
+    # Cut in two, for laws with a clock of their own and for delays that are too long to unroll.
+
+    def sense(self) -> Array:
+        """Update the filter; return `sensed` (size, lanes)."""
+        made = self.machine("sense")
+        inputs = np.concatenate([self.memory, self.reading, self._numbers])
+        return made.machine(inputs, np.empty((made.size_out, self.lanes)))
+
+    def on_their_way(self) -> list[Array]:
+        """Return the commands (lanes,) of each of the `lead` periods from now on, m/s²."""
+        sent = self.memory[self.equations.memory.slices["sent"]]
+        return self.equations.on_their_way(sent, self._numbers[self.equations.numbers.slices["share"]][0])
+
+    def look_ahead(self, z: Array) -> Array:
+        """Return the states (N, lanes) for which commands are computed, from estimates z (N+E, lanes)."""
+        for command in self.on_their_way():
+            z = self.moved(z, command)
+        return self.with_rate_error(z[: self.model.dimension])
+
+    def with_rate_error(self, states: Array) -> Array:
+        """Return states (N, lanes) as the law sees them."""
+        out = states.copy()
+        out[self.model.arms : 2 * self.model.arms] += self._rate_error
+        return out
+
+    def moved(self, z: Array, command: Array) -> Array:
+        """Return states and extras (N+E, lanes) a period on under commands (lanes,)."""
+        made = self.machine("moved")
+        inputs = np.concatenate([z, command[None], self._numbers])
+        return made.machine(inputs, np.empty((made.size_out, self.lanes)))
+
+    def finish(self, sensed: Array, ahead: Array, back: Array | float, *, predicts: bool = True) -> None:
+        """Do the rest of a tick with the row that was put into `row`; back (lanes,) m/s²: feedback besides it."""
+        back = np.broadcast_to(back, (1, self.lanes))
+        made = self.machine("finish" if predicts else "judge")
+        made.machine(np.concatenate([self._inputs, sensed, ahead, back]), self._out)
+        self.memory[:] = self._kept

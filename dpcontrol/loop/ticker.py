@@ -1,0 +1,248 @@
+"""Controller and estimator of a run, or of many side by side: from a reading to a report.
+
+Where the gains stand in a table and the estimator is the compiled filter, a tick is one call of `TickProgram`. A law
+with a clock of its own is asked between its two parts; another estimator takes the place of the first.
+"""
+
+from collections import deque
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.control.interface import Controller, Estimate, Estimator, GainSchedule, Session
+from dpcontrol.control.tick import UNROLLED, Outcome, TickProgram
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.loop.result import Reading
+
+Array = NDArray[np.float64]
+
+
+class Fallback(Protocol):
+    """Finds something to hold where the reference was given up."""
+
+    def session(self, tick: int, state: Array) -> tuple[Session, str]:
+        """Return a session that holds what is nearest to `state` (N,) from `tick` on, and a sentence saying what."""
+        ...
+
+
+def schedule_of(controller: Controller, lead: int) -> GainSchedule | None:
+    """Return the gains of a law by the loop's clock, for commands computed `lead` ticks ahead; None for any other."""
+    made = getattr(controller, "schedule", None)
+    return None if made is None else made(lead)
+
+
+class Ticker:
+    """The ticks of one run, or of as many in lockstep as the program has runs.
+
+    estimator: in place of the compiled filter, for one run.
+
+    Raises:
+        InputError: the first state does not fit the model, or the law cannot answer for many runs.
+    """
+
+    def __init__(
+        self,
+        program: TickProgram,
+        controller: Controller,
+        *,
+        schedule: GainSchedule | None,
+        estimator: Estimator | None = None,
+        estimator_kind: str,
+    ) -> None:
+        self.program, self.controller, self.estimator = program, controller, estimator
+        self.kind, self.estimator_kind = controller.kind, estimator_kind
+        self.lead, self.at = program.lead, program.at
+        self.extra_names = program.equations.filter.extra_names
+        self._arms, self._n = program.model.arms, program.model.dimension
+        if len(controller.first_state) != self._n:
+            raise InputError(
+                f"the controller is for states of {len(controller.first_state)} entries, these arms have {self._n}"
+            )
+        self.count, self._many = controller.ticks + 1, program.runs > 1
+        self._schedule = schedule
+        sizes = program.equations.report.slices
+        self._extra, self._ahead = sizes["extra"], sizes["ahead"]
+        self._wanted = program.equations.row.slices["wanted"]
+        self._forward = program.equations.row.slices["feedforward"].start
+        self._stopped = program.equations.memory.slices["stopped"].start
+        self._whole = schedule is not None and estimator is None and self.lead <= UNROLLED
+        self.event = ""
+        """What the law decided in the last tick, a sentence for the log, or empty."""
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin a run."""
+        program, first = self.program, self.controller.first_state
+        self._session: Any = None
+        self._coming: deque[Array] = deque()
+        if self.estimator is not None:
+            self._estimate: Estimate = self.estimator.first(first)
+        if self._schedule is not None:
+            self.references: Array = self._schedule.references
+            """(K, N): of each tick; (K, n, runs): of the angles alone, where each of many runs has a clock of its own.
+            """
+            self._rows = self._schedule.rows[:, :, None]
+            self.queued = self._schedule.queued[:, None]
+            program.set_number("mode", float(self._schedule.mode))
+        else:
+            self._session = self._begun()
+            self.references = np.empty((self.count, self._arms, program.runs) if self._many else (self.count, self._n))
+            # The commands that act before the first tick's own can, computed for where those before them lead.
+            rest = np.zeros(program.equations.filter.dimension - self._n)
+            z = program.spread(np.concatenate([first, rest])[:, None])
+            queued = []
+            for k in range(self.lead):
+                forward, back = self._ask(k, z[: self._n], z[self._n :])
+                queued.append(np.broadcast_to(forward + back, program.lanes))
+                z = program.moved(z, queued[-1])
+            self.queued = np.array(queued).reshape(self.lead, program.lanes)[:, : program.runs]
+        program.begin(first, self.queued, velocity=float(first[-1]))
+        # Compiled now: the first tick of a run has no time for it.
+        program.prepare(["tick"] if self._whole else self._parts)
+
+    @property
+    def _parts(self) -> list[str]:
+        """The functions that a tick by parts needs."""
+        return ["judge", "moved"] if self.estimator is not None else ["sense", "moved", "finish"]
+
+    def prepare_to_hold(self) -> None:
+        """Have all compiled that is needed once the reference is given up."""
+        self.program.prepare(self._parts)
+
+    def _begun(self) -> Any:
+        law: Any = self.controller
+        if not self._many:
+            return law.begin()
+        if not hasattr(law, "begin_many"):
+            raise InputError(f'controller: kind = "{self.kind}" answers one run at a time; run these one by one')
+        return law.begin_many(self.program.runs)
+
+    def _ask(self, tick: int, ahead: Array, extra: Array) -> tuple[Any, Any]:
+        """Return the session's feedforward and feedback for `tick`, of one run or all; remember its reference."""
+        if self._many:
+            forward, back, wanted = self._session.commands(tick, ahead, extra)
+            self._coming.append(wanted[: self._arms].reshape(self._arms, -1))
+            return forward, back
+        action = self._session.command(tick, ahead[:, 0].copy(), extra[:, 0].copy())
+        self._coming.append(action.reference)
+        self.event = action.event
+        self.program.set_number("mode", float(action.mode))
+        return action.feedforward, action.feedback
+
+    def __call__(self, k: int, reading: Reading, rate_error: Array | None = None) -> Array:
+        """Do tick k; return its report, (size, lanes), which the next overwrites.
+
+        rate_error (n, 1) or (n, lanes) rad/s: added to the rates that the law sees.
+        """
+        program = self.program
+        positions = reading.positions if self._many else reading.positions[:, None]
+        program.take(positions, reading.present, reading.switch, rate_error)
+        if self._whole:
+            program.row[:] = self._rows[k]
+            program.tick()
+            return program.report
+        return self._by_parts(k, reading)
+
+    def _by_parts(self, k: int, reading: Reading) -> Array:
+        program = self.program
+        if self.estimator is None:
+            sensed = program.sense()
+            z = sensed[: program.equations.filter.dimension]
+            ahead = program.look_ahead(z)
+        else:
+            sensed, ahead = self._estimated(k, reading)
+            z = sensed[: program.equations.filter.dimension]
+        back: Any = 0.0
+        if self._session is None:
+            program.row[:] = self._rows[k]
+        elif not self._many and program.memory[self._stopped, 0]:
+            # Being brought to rest: the law is asked no more.
+            self.references[k] = self.references[k - 1]
+        else:
+            self.event = ""
+            forward, back = self._ask(k + self.lead, ahead, z[self._n :])
+            wanted = self._coming.popleft()
+            program.row[self._forward] = forward
+            self.references[k] = wanted
+            program.row[self._wanted] = wanted if self._many else wanted[: self._arms, None]
+        program.finish(sensed, ahead, back, predicts=self.estimator is None)
+        if self.estimator is not None and program.report[self.at["outcome"], 0] == Outcome.RESTART:
+            self._estimate = self.estimator.restarted(self._estimate, reading.positions)
+        return program.report
+
+    def _estimated(self, k: int, reading: Reading) -> tuple[Array, Array]:
+        """Return what `TickProgram.sense` would, and the state ahead, by an estimator of another kind; one run."""
+        program, estimator, before = self.program, self.estimator, self._estimate
+        assert estimator is not None
+        way = [float(command[0]) for command in program.on_their_way()]
+        coming, sound = way[0] if way else 0.0, 1.0
+        try:
+            if k:
+                acted = program.report[self.at["acting"], 0].item()
+                now = estimator.step(before, acted, reading.positions, reading.present, coming=coming)
+            else:
+                now = estimator.update(before, reading.positions, reading.present, coming=coming)
+            self._estimate = now
+        except ArithmeticError:
+            now, sound = before, 0.0
+        ahead = estimator.ahead(now, way)
+        parts = {
+            "z": np.concatenate([now.state, now.extra]), "sigmas": now.sigmas, "nis": now.nis if sound else np.nan,
+            "used": now.used, "sound": sound,
+        }  # fmt: skip
+        sensed = program.equations.sensed.filled(parts, program.lanes)
+        return sensed, program.with_rate_error(program.spread(ahead[:, None]))
+
+    def hold(self, k: int, fallback: Fallback) -> str:
+        """Give the reference up at tick k and hold what `fallback` finds; return what that is. For one run."""
+        program, report = self.program, self.program.report
+        self._session, held = fallback.session(k + self.lead, report[self._ahead, 0].copy())
+        now = self.references[k].copy()
+        self.references = np.concatenate([self.references[: k + 1], np.empty((self.count - k - 1, self._n))])
+        self._coming.clear()
+        self._coming.extend([now] * self.lead)
+        # The row's own law is silent from now on.
+        program.row[:] = 0.0
+        self._whole = False
+        return held
+
+    def resynchronise(self, k: int) -> str:
+        """Move the law's clock to the phase nearest to the state ahead; say by how much, or "" if it has none."""
+        if self._session is None:
+            return ""
+        return self._session.resynchronise(k + self.lead, self.program.report[self._ahead, 0].copy())
+
+    def stand(self, k: int) -> None:
+        """Let the reference stand from tick k on: the cart is brought to rest."""
+        if self._session is None:
+            stands = self.references.copy()
+            stands[k:] = stands[k]
+            self.references = stands
+
+    def rehearse(self) -> None:
+        """Do ticks that nobody sees, so that all is in memory before the first deadline."""
+        state = self.controller.first_state
+        reading = Reading(0.0, state[self.program.model.position_indices])
+        for k in range(min(50, self.count)):
+            self(k, reading)
+        self.begin()
+
+    def doubt(self) -> str:
+        """Return a sentence on the parameter that the last tick found to be wrong beyond the law's trust."""
+        schedule, report = self._schedule, self.program.report
+        assert schedule is not None
+        which = int(report[self.at["doubted"], 0]) - 1
+        share = report[self._extra, 0][which]
+        return (
+            f"model doubted: {schedule.names[which]} is found to be off by {share:+.0%}, more than first order carries "
+            f"(trust {schedule.trust:g}); identify the arms, or expect the reference to be lost"
+        )
+
+    def figures(self, lane: int = 0) -> Mapping[str, float]:
+        """Return the numbers of the last report by which an outcome is explained."""
+        column = self.program.report[:, lane]
+        names = ("mean_nis", "error", "silent", "sensor", "repeats", "wish", "command", "doubted", "newly_cut")
+        ahead = column[self._ahead]
+        return {**{name: column.item(self.at[name]) for name in names}, "position": ahead[-2], "velocity": ahead[-1]}
