@@ -9,18 +9,15 @@ the itineraries' own small mismatch for the error, one at 10 % for the share tha
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
-from itertools import count
+from itertools import cycle
 
 import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.bench.chart import Missing, Panel, Point, PrecisionChart
-from dpcontrol.bench.estimation import noise_of
 from dpcontrol.bench.measure import Judged, timed_in_turns
-from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings
-from dpcontrol.control.interface import Action, Controller, SampledModel
+from dpcontrol.control.interface import Controller, SampledModel
 from dpcontrol.control.lqr import HoldSettings, hold_controller
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings, ogy_controller
 from dpcontrol.control.periodic import orbit_controller
@@ -33,8 +30,8 @@ from dpcontrol.control.tracking import (
 )
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.progress import Progress
-from dpcontrol.loop.loop import LoopSettings, can_batch, run_batch, run_loop, sampled_model
-from dpcontrol.loop.result import BatchRun, Ending
+from dpcontrol.loop.loop import LoopSettings, can_batch, make_ticker, run_batch, run_loop, sampled_model
+from dpcontrol.loop.result import BatchRun, Ending, Reading
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits
@@ -103,8 +100,7 @@ def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, s
     """Return error against the seconds of a tick of those that come through, and the rest with reasons."""
     start_up: dict[str, float] = {}
     judged: dict[tuple[str, str], Judged | str] = {}
-    filters: dict[object, Callable[[], object]] = {}
-    laws: dict[object, Callable[[], object]] = {}
+    ticks: dict[object, Callable[[], object]] = {}
     for (method, setting), (make, estimator) in made.items():
         settings = LoopSettings(seed=0, rate=RATE, estimator=estimator, initial_error=INITIAL_ERROR)
         model = sampled_model(task.arms, RATE)
@@ -112,21 +108,17 @@ def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, s
         controller = make(model)
         start_up[", ".join(filter(None, (method, setting)))] = time.process_time() - began
         judged[method, setting] = outcome(task, controller, settings, seeds=seeds)
-        ekf = CompiledEkf(model, estimator, noise=noise_of(task.arms, settings.sensors.counts))
-        positions = controller.first_state[model.position_indices]
-        # One filter's time for all that have the same, so that its noise puts none before another.
-        filters[estimator] = partial(ekf.step, ekf.first(controller.first_state), 0.1, positions)
-        laws[method, setting] = tick_of(controller, extras=len(ekf.extra_names))
-    spent = timed_in_turns({**filters, **laws})
+        ticks[method, setting] = tick_of(task, controller, settings)
+    spent = timed_in_turns(ticks)
     points, missing = [], []
     for key, found in judged.items():
         if isinstance(found, str):
             missing.append(Missing(*key, found))
         else:
-            law, ekf = spent[key], spent[made[key][1]]
+            one = spent[key]
             points.append(
-                Point(*key, law.seconds + ekf.seconds, found.error, default=key == default, note=found.note,
-                      others=found.others, yardstick=law.yardstick)
+                Point(*key, one.seconds, found.error, default=key == default, note=found.note, others=found.others,
+                      yardstick=one.yardstick)
             )  # fmt: skip
     return Panel("", "", "", tuple(points), start_up, tuple(missing))
 
@@ -192,17 +184,22 @@ def _completed(reference: Reference) -> Judge:
     return judge
 
 
-def tick_of(controller: Controller, *, extras: int = 0) -> Callable[[], Action]:
-    """Return what a tick of the controller costs, as a function to be timed, walking along what it asks for."""
-    session, state, extra = controller.begin(), controller.first_state, np.zeros(extras)
-    ticks = count(1)
+def tick_of(task: ControlTask, controller: Controller, settings: LoopSettings) -> Callable[[], None]:
+    """Return what a tick of the loop costs but for its bench, as a function to be timed, walking along the path."""
+    limits = settings.limits(task.reference)
+    ticker = make_ticker(task.arms, settings, controller, limits=limits, delay=settings.drive.delay)
+    where = ticker.program.model.position_indices
+    seen, ticks = controller.first_state[where], cycle(range(ticker.count))
 
-    def step() -> Action:
-        nonlocal state
-        action = session.command(next(ticks), state, extra)
+    def step() -> None:
+        nonlocal seen
+        k = next(ticks)
+        if not k:
+            ticker.begin()
+            seen = controller.first_state[where]
+        ticker(k, Reading(0.0, seen))
         # A state that stood still would be lost by the clocks of those that have one.
-        state = action.reference
-        return action
+        seen = ticker.references[k][where]
 
     return step
 

@@ -326,9 +326,9 @@ class TickEquations:
         last = self.whole + 1
         return [share * sent[k] + (1 - share) * sent[min(k + 1, last)] for k in range(1, self.lead + 1)]
 
-    def _law(self, row: Mapping[str, ca.SX], ahead: ca.SX, extra: ca.SX, trust: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """The feedback, and the number of the last extra that is trusted no further, from 1."""
-        feedback, doubted = ca.SX(0), ca.SX(0)
+    def law(self, row: Mapping[str, Any], ahead: Any, extra: Any, trust: Any) -> tuple[Any, Any]:
+        """Return the feedback in m/s², and the number of the last extra that is trusted no further, from 1, else 0."""
+        feedback, doubted = 0.0, 0.0
         for i in range(ahead.shape[0]):
             feedback += row["gains"][i] * (row["state"][i] - ahead[i])
         for i, share in enumerate(self.shares or ()):
@@ -395,7 +395,7 @@ class TickEquations:
         """All after the estimate: memory and report. back m/s²: feedback besides the row's."""
         n, size, period = self.filter.arms, self.filter.equations.dimension, self.filter.period
         forward = row["feedforward"]
-        by_row, doubted = self._law(row, ahead, e["z"][size:], c["trust"])
+        by_row, doubted = self.law(row, ahead, e["z"][size:], c["trust"])
         feedback = back + by_row
         was = m["stopped"] > 0
 
@@ -648,7 +648,7 @@ class TickProgram:
         most, fastest = (self._numbers[self.equations.numbers.slices[name], 0] for name in ("acceleration", "velocity"))
         sent = np.zeros((self.equations.whole + 2, self.lanes))
         speed = np.full(self.lanes, velocity)
-        for command in np.clip(self.spread(np.asarray(queued).reshape(self.lead, -1)), -most, most):
+        for command in np.clip(self.spread(queued), -most, most):
             sent = np.concatenate([sent[1:], command[None]])
             speed = np.clip(speed + command * self.period, -fastest, fastest)
         start = {

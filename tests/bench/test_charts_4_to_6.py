@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dpcontrol.loop.batch import BatchRun
 from log_recording import RATE, hand_over, recording
 
 from dpcontrol.bench.control import ControlTask, held, measured
@@ -21,7 +20,7 @@ from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.ogy import OgySettings, ogy_controller
 from dpcontrol.logs.container import messages_of, ticks_left
 from dpcontrol.loop.loop import sampled_model
-from dpcontrol.loop.result import Ending
+from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.references.sustained import sustained_orbit
 from dpcontrol.scenes.model import load_model

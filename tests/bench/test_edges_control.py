@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from dpcontrol.loop.batch import run_batch
 
 from dpcontrol.bench.edges import (
     STRONG,
@@ -20,7 +19,7 @@ from dpcontrol.bench.edges import (
     moving,
 )
 from dpcontrol.loop.bench import DriveSettings
-from dpcontrol.loop.loop import run_loop
+from dpcontrol.loop.loop import run_batch, run_loop
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 

@@ -5,7 +5,9 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
 from shadowing_stand_in import LAB
 
+from dpcontrol.control.ekf import FilterEquations
 from dpcontrol.control.lqr import HoldController, HoldSettings, hold_controller
+from dpcontrol.control.tick import TickEquations
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.problem import Limits
 
@@ -92,12 +94,18 @@ def test_a_turned_arm_is_held_where_it_is() -> None:
     assert session.resynchronise(100, turned) == ""
 
 
-def test_many_runs_get_what_one_gets() -> None:
-    controller = hold("up-down")
-    states = controller.state[:, None] + np.random.default_rng(0).normal(0, 0.1, (6, 5))
-    _, many, _ = controller.begin_many(5).commands(0, states)
+def test_the_loops_rows_say_what_a_session_does() -> None:
+    controller, where = hold("up-down"), TickEquations(FilterEquations(model_of().equations, 1e-3, ()), 1, 1).row.slices
+    schedule = controller.schedule(1)
+    assert schedule.queued.tolist() == [0.0]
+    assert (schedule.references == controller.state).all()
     session = controller.begin()
-    assert many.tolist() == [session.command(0, state, NONE).feedback for state in states.T]
+    for state in controller.state + np.random.default_rng(0).normal(0, 0.1, (5, 6)):
+        row = schedule.rows[7]
+        feedback = float(row[where["gains"]] @ (row[where["state"]] - state))
+        assert feedback == pytest.approx(session.command(7, state, NONE).feedback, rel=1e-12)
+        assert row[where["feedforward"]] == 0.0
+        assert row[where["wanted"]] == pytest.approx(controller.state[:2])
 
 
 def test_what_is_no_equilibrium_is_refused() -> None:

@@ -5,7 +5,9 @@ import pytest
 from scipy.linalg import solve_discrete_are
 from shadowing_stand_in import LAB, StandIn
 
+from dpcontrol.control.ekf import FilterEquations
 from dpcontrol.control.interface import SampledModel
+from dpcontrol.control.tick import TickEquations
 from dpcontrol.control.tracking import (
     FeedforwardSettings,
     PhaseController,
@@ -111,7 +113,7 @@ def test_after_the_last_tick_the_last_command_holds(turn: tuple[StandIn, Referen
     controller = tracking_controller(turn[1], model, TvlqrSettings())
     assert isinstance(controller, TrackingController)
     last = len(controller.feedforward) - 1
-    assert asked(controller, last + 50, np.zeros(6)) == asked(controller, last, np.zeros(6))
+    assert asked(controller, last + 50, np.zeros(6)) == asked(controller, last + 1, np.zeros(6))
 
 
 def test_what_cannot_be_tracked_is_refused(turn: tuple[StandIn, Reference], model: SampledModel) -> None:
@@ -192,4 +194,19 @@ def test_by_time_the_clock_stays_and_a_late_join_begins_at_the_start(
     session = controller.join(100, turn[1].state(0.0))
     assert session.resynchronise(100, turn[1].state(0.3)) == ""
     assert session.command(103, turn[1].state(0.0), np.zeros(0)).reference == pytest.approx(turn[1].state(6e-3))
-    assert controller.begin_many(3) is controller
+
+
+def test_the_loops_rows_say_what_a_session_does_so_many_ticks_ahead(
+    turn: tuple[StandIn, Reference], model: SampledModel
+) -> None:
+    controller = tracking_controller(turn[1], model, TvlqrSettings())
+    assert isinstance(controller, TrackingController)
+    where = TickEquations(FilterEquations(model.equations, model.period, ()), 2, 2).row.slices
+    schedule, session, last = controller.schedule(2), controller.begin(), controller.ticks
+    assert schedule.queued == pytest.approx(controller.feedforward[:2])
+    for k in (0, 1, 700, last - 2, last - 1, last):
+        row, state = schedule.rows[k], controller.reference_states[k] + 0.01
+        action = session.command(k + 2, state, np.zeros(0))
+        assert float(row[where["feedforward"]][0]) == action.feedforward
+        assert float(row[where["gains"]] @ (row[where["state"]] - state)) == pytest.approx(action.feedback, rel=1e-9)
+        assert row[where["wanted"]] == pytest.approx(controller.reference_states[k, :2])

@@ -1,28 +1,26 @@
-"""Many seeds in lockstep against the loop tick by tick: an independent arithmetic, one run at a time."""
+"""Many seeds side by side and each alone: the same code, so the same states to the last bit, and the same endings."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from dpcontrol.loop.batch import BatchRun, can_batch, run_batch
 from shadowing_stand_in import LAB, StandIn
 
 from dpcontrol.control.estimator_settings import EkfSettings, UkfSettings
 from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings
-from dpcontrol.loop.loop import LoopSettings, loop_controller, run_loop
-from dpcontrol.loop.result import Ending
+from dpcontrol.loop.loop import LoopSettings, can_batch, loop_controller, run_batch, run_loop
+from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.loop.supervisor import SupervisorSettings
 from dpcontrol.references.reference import Reference
 
-SAME = 1e-9
-"""Of the states, in rad, rad/s, m and m/s: round-off of another order of sums, grown by the arms' instability."""
-SAME_COMMAND = 1e-6
-"""Of commands, in m/s²: gains make some hundred m/s² of a radian, and a hundred times more of its rate's error."""
+BY_ITSELF = 1e-9
+"""Of the states, in rad, rad/s, m and m/s, and a thousand times more of commands: a law with a clock of its own adds up
+its products in another order for one run than for many, and the arms' instability makes more of the round-off."""
 SMOOTH = SensorSettings(counts=0, cart_resolution=0.0, noise=5e-5, cart_noise=1e-6)
 """Nothing is rounded: rounding would make a count of 1e-4 rad out of a difference of 1e-16."""
-BASE = LoopSettings(seed=0, mismatch=0.05, initial_error=0.03, sensors=SMOOTH)
+BASE = LoopSettings(seed=0, mismatch=0.05, initial_error=0.03)
 SEEDS = (3, 4)
 
 
@@ -31,7 +29,7 @@ def with_drive(**values: float) -> LoopSettings:
 
 
 def with_sensors(**values: float) -> LoopSettings:
-    return replace(BASE, sensors=replace(SMOOTH, **values))
+    return replace(BASE, sensors=SensorSettings(**values))
 
 
 KEPT_UP = {
@@ -53,7 +51,8 @@ KEPT_UP = {
     "zeros": with_sensors(zero_error=0.003),
     "zeros that are estimated": replace(with_sensors(zero_error=0.02), estimator=EkfSettings(augment=("zeros",))),
     "another rate": replace(BASE, rate=500.0),
-    "gains by phase": replace(BASE, controller=TvlqrSettings(schedule="phase")),
+    "gains by phase": replace(BASE, controller=TvlqrSettings(schedule="phase"), sensors=SMOOTH),
+    "a delay too long to unroll": with_drive(delay=10.0),
 }
 """Bench and loop of runs that come to their end."""
 
@@ -89,13 +88,13 @@ def both(reference: Reference, settings: LoopSettings) -> tuple[list[BatchRun], 
     return together, alone
 
 
-def assert_same(one: BatchRun, other: BatchRun) -> None:
+def assert_same(one: BatchRun, other: BatchRun, within: float = 0.0) -> None:
     assert (one.ending, one.reason) == (other.ending, other.reason)
     assert len(one.times) == len(other.times)
     for name in ("times", "truth", "references", "applied", "nis_inside_95", "rms_feedback"):
         first, second = np.asarray(getattr(one, name)), np.asarray(getattr(other, name))
         assert first.shape == second.shape
-        bound = SAME_COMMAND if name in ("applied", "rms_feedback") else SAME
+        bound = 1000 * within if name in ("applied", "rms_feedback") else within
         assert np.abs(first - second).max() <= bound * max(1.0, float(np.abs(second).max())), name
 
 
@@ -106,17 +105,18 @@ def assert_same(one: BatchRun, other: BatchRun) -> None:
         for k, (name, settings) in enumerate(KEPT_UP.items())
     ],
 )
-def test_lockstep_gives_the_loops_own_states(turn: tuple[StandIn, Reference], settings: LoopSettings) -> None:
+def test_a_seed_alone_is_the_seed_among_others(turn: tuple[StandIn, Reference], settings: LoopSettings) -> None:
     together, alone = both(turn[1], settings)
+    by_phase = isinstance(settings.controller, TvlqrSettings) and settings.controller.schedule == "phase"
     for one, other in zip(together, alone, strict=True):
-        assert_same(one, other)
+        assert_same(one, other, within=BY_ITSELF if by_phase else 0.0)
         assert one.ending is Ending.FINISHED
     # A test of equal runs would prove nothing.
     assert np.abs(together[0].truth - together[1].truth).max() > 1e-3
 
 
 @pytest.mark.parametrize(("settings", "ending"), WHERE_IT_BREAKS.values(), ids=WHERE_IT_BREAKS.keys())
-def test_lockstep_ends_where_and_as_the_loop_does(
+def test_a_seed_alone_ends_where_and_as_it_does_among_others(
     turn: tuple[StandIn, Reference], settings: LoopSettings, ending: Ending
 ) -> None:
     together, alone = both(turn[1], settings)

@@ -5,7 +5,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from dpcontrol.loop.batch import run_batch
 from shadowing_stand_in import StandIn
 
 from dpcontrol.dynamics.chain import Uncertainty, base_ratios, ratio_names
@@ -18,7 +17,7 @@ from dpcontrol.loop.bench import (
     SensorSettings,
     draw_bench,
 )
-from dpcontrol.loop.loop import LoopSettings, loop_controller, run_loop
+from dpcontrol.loop.loop import LoopSettings, loop_controller, run_batch, run_loop
 from dpcontrol.references.reference import Reference
 from dpcontrol.scenes.campaign import Case, Job
 from dpcontrol.scenes.itinerary import load_itinerary

@@ -10,7 +10,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog, read_log
 from dpcontrol.loop.loop import loop_fallback
 from dpcontrol.loop.result import Ending
-from dpcontrol.loop.supervisor import LOST_AFTER_FALLBACK, Outcome, Supervisor, SupervisorSettings
+from dpcontrol.loop.supervisor import SupervisorSettings
 from dpcontrol.review.score import plan_of
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
@@ -78,22 +78,6 @@ def test_without_it_the_same_push_ends_the_run_with_the_cart_at_rest(tmp_path: P
     assert log.truth is not None
     assert np.abs(log.truth[:, 4]).max() < TRAVEL
     assert abs(log.truth[-1, 5]) < 1e-3
-
-
-def test_what_was_fallen_back_to_is_given_up_only_where_no_feedback_returns() -> None:
-    settings = SupervisorSettings(lost_tracking=0.05, hold="nearest")
-    supervisor = Supervisor(settings, 1e-3, TRAVEL, 30.0, 2e-3, can_hold=True)
-
-    def outcome(error: float, ticks: int) -> tuple[Outcome, Ending]:
-        seen = [
-            supervisor.judge(k * 1e-3, error=error, nis=1.0, used=3, position=0.0, velocity=0.0)[:2]
-            for k in range(ticks)
-        ]
-        return next((one for one in seen if one[0] is not Outcome.CONTINUE), seen[-1])
-
-    assert outcome(0.5, 300) == (Outcome.HOLD, Ending.TRACKING_LOST)
-    assert outcome(0.9 * LOST_AFTER_FALLBACK, 20_000)[0] is Outcome.CONTINUE
-    assert outcome(1.1 * LOST_AFTER_FALLBACK, 20_000) == (Outcome.STOP, Ending.TRACKING_LOST)
 
 
 def test_what_cannot_be_held_is_refused() -> None:

@@ -17,7 +17,7 @@ from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, Senso
 from dpcontrol.loop.loop import LoopSettings, control_loop, sampled_model
 from dpcontrol.loop.result import Ending, LoopResult, Ticks
 from dpcontrol.loop.simulated import SimulatedRig
-from dpcontrol.loop.supervisor import StuckWatch, SupervisorSettings
+from dpcontrol.loop.supervisor import SupervisorSettings
 from dpcontrol.references.reference import Reference
 
 AFTER = 1000  # Ticks for which the bench goes on when the loop has ended.
@@ -268,9 +268,3 @@ def test_sensors_that_work_are_never_called_stuck(
             REAL, seed=seed, mismatch=0.1, sensors=SensorSettings(counts=counts, noise=0.0 if counts else 1e-4)
         )
         assert "stuck" not in ended(turn, controller, settings).record.reason
-
-
-def test_a_sensor_at_rest_with_its_reference_is_not_stuck() -> None:
-    watch = StuckWatch(2, period=1e-3)
-    for k in range(5000):
-        assert watch.seen([0.0, math.pi, 0.0], [0.0, math.pi], 1e-4 * (-1) ** (k // 5), 1e6) == ""

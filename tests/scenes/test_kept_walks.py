@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import dpcontrol
-from dpcontrol.loop.batch import can_batch
 
 from dpcontrol.control.handover import Program
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.dynamics.propagator import PolynomialInputPropagator
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog, read_log
-from dpcontrol.loop.loop import loop_controller
+from dpcontrol.loop.loop import can_batch, loop_controller
 from dpcontrol.references.problem import state_scale
 from dpcontrol.references.trajectory import power_coefficients
 from dpcontrol.review.score import decode_run, score

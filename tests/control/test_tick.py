@@ -1,0 +1,259 @@
+"""The tick's parts, each against what it must do: commands on their way, the filter, the law, and what is judged."""
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from shadowing_stand_in import LAB
+
+from dpcontrol.control.ekf import CompiledEkf
+from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.tick import LOST_AFTER_FALLBACK, UNROLLED, Outcome, TickProgram, whole_periods
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.loop.bench import SensorSettings
+from dpcontrol.loop.loop import sampled_model
+from dpcontrol.references.problem import Limits
+
+EXACT = 1e-12  # Sums of a few numbers of order ten.
+PERIOD = 1e-3
+WIDE = Limits(position=10.0, velocity=1e6, acceleration=1e6)
+NARROW = Limits(position=1.0, velocity=3.0, acceleration=20.0)
+DELAYS = [0.0, 0.2, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 2.6, 7.0, 7.99]
+HANGING = np.zeros(6)
+MODEL = sampled_model(LAB, 1 / PERIOD)
+NOISE = SensorSettings().covariance(2)
+
+
+class Ticked:
+    """A program of one run that is told what to send, and whose readings are made up."""
+
+    def __init__(self, delay: float = 1.0, limits: Limits = WIDE, *, state: np.ndarray = HANGING, **bounds: float):
+        known = {
+            "acceleration": limits.acceleration, "velocity": limits.velocity, "travel": 1e9, "reaction": 2e-3,
+            "brake": limits.acceleration, "margin": 0.0, "lost_tracking": 1e9, "lost_estimate": 1e12,
+            "resynchronise": 0.0, "restarts": 2.0, "missing": 1.0, "can_hold": 0.0, "trust": 0.0, "mode": 1.0,
+        }  # fmt: skip
+        self.program = TickProgram(
+            MODEL, EkfSettings(augment=()), noise=NOISE, delay=delay, bounds={**known, **bounds}, shares=None
+        )
+        self.state = state
+        # A delay that is not unrolled is looked ahead period by period: its tick has two parts.
+        self.begin(np.zeros(self.program.lead))
+
+    def begin(self, queued: np.ndarray, velocity: float = 0.0) -> None:
+        self.program.begin(self.state, queued[:, None], velocity=velocity)
+
+    def __call__(
+        self,
+        command: float,
+        *,
+        positions: np.ndarray | None = None,
+        present: np.ndarray | None = None,
+        wanted: np.ndarray | None = None,
+        gains: np.ndarray | None = None,
+        due: np.ndarray | None = None,
+    ) -> dict[str, float]:
+        program, row = self.program, self.program.equations.row.slices
+        measured = self.state[MODEL.position_indices] if positions is None else positions
+        program.take(measured[:, None], present, 0, None)
+        program.row[:] = 0.0
+        program.row[row["feedforward"]] = command
+        program.row[row["wanted"]] = (self.state[:2] if wanted is None else wanted)[:, None]
+        if gains is not None and due is not None:
+            program.row[row["gains"]], program.row[row["state"]] = gains[:, None], due[:, None]
+        program.tick()
+        return {name: float(program.report[at, 0]) for name, at in program.at.items()}
+
+    def kept(self, name: str) -> np.ndarray:
+        return self.program.memory[self.program.equations.memory.slices[name], 0]
+
+    def told(self, name: str) -> np.ndarray:
+        return self.program.report[self.program.equations.report.slices[name], 0]
+
+
+def superposed(commands: np.ndarray, delay: float, first: int, last: int) -> np.ndarray:
+    """Return the mean of what acts in each period from `first` up to `last`, command k acting in [k + d, k + d + 1)."""
+    means = []
+    for period in range(first, last):
+        mean = 0.0
+        for k, command in enumerate(commands):
+            begin, end = max(k + delay, period), min(k + delay + 1, period + 1)
+            mean += max(end - begin, 0.0) * command
+        means.append(mean)
+    return np.array(means)
+
+
+@pytest.mark.parametrize("delay", DELAYS)
+def test_what_acts_is_the_superposition_of_the_commands(delay: float) -> None:
+    commands, tick = np.random.default_rng(1).normal(0, 10, 40), Ticked(delay)
+    acting = [tick(float(command))["acting"] for command in commands]
+    # After command k has been sent, tick k's period begins.
+    assert acting == pytest.approx(superposed(commands, delay, 0, 40), abs=EXACT)
+
+
+@pytest.mark.parametrize("delay", DELAYS)
+def test_what_is_on_its_way_is_what_will_act_until_the_next_command_can(delay: float) -> None:
+    commands, tick = np.random.default_rng(2).normal(0, 10, 40), Ticked(delay)
+    for k, command in enumerate(commands):
+        coming = [float(one[0]) for one in tick.program.on_their_way()]
+        assert len(coming) == tick.program.lead == round(delay)
+        known = commands[:k]
+        # Command k, not yet sent, may still act in a part of the last of these periods where the delay was rounded up;
+        # until it is known the newest stands for it.
+        held = np.append(known, known[-1] if k else 0.0)
+        assert coming == pytest.approx(superposed(held, delay, k, k + tick.program.lead), abs=EXACT)
+        tick(float(command))
+
+
+def test_the_velocity_is_the_sum_of_all_that_was_sent_within_the_limits() -> None:
+    tick = Ticked(1.0, Limits(position=1.0, velocity=0.05, acceleration=20.0))
+    tick.begin(np.array([5.0]), velocity=-0.01)
+    velocity = -0.01 + 5.0 * PERIOD
+    for command in (50.0, 10.0, 20.0, 20.0, -100.0, 3.0):
+        report = tick(command)
+        velocity = float(np.clip(velocity + np.clip(command, -20, 20) * PERIOD, -0.05, 0.05))
+        assert tick.kept("velocity")[0] == pytest.approx(velocity, abs=EXACT)
+        assert report["command"] == float(np.clip(command, -20, 20))
+        assert report["saturated"] == (abs(command) > 20 or abs(velocity) >= 0.05)
+
+
+def test_a_stopped_cart_is_braked_to_rest_and_not_beyond_and_then_the_run_is_done() -> None:
+    tick = Ticked(3.0, NARROW, travel=0.0)
+    tick.begin(np.zeros(3), velocity=0.123)
+    reports = [tick(7.0) for _ in range(80)]
+    assert reports[0]["outcome"] == Outcome.CART
+    assert [report["outcome"] for report in reports[1:]] == [Outcome.GO_ON] * 79
+    assert all(report["stop"] for report in reports)
+    speed = 0.123 + np.cumsum([report["command"] * PERIOD for report in reports])
+    assert all(later <= earlier + EXACT for earlier, later in pairwise(speed))
+    assert speed[5] > 0
+    assert speed[7:] == pytest.approx(np.zeros(73), abs=EXACT)
+    assert next(k for k, report in enumerate(reports) if report["done"]) == pytest.approx(57, abs=1)
+
+
+def test_a_cart_at_its_fastest_takes_only_what_slows_it() -> None:
+    for speed, command, acts in ((3.0, 10.0, 0.0), (2.995, 10.0, 5.0), (3.0, -10.0, -10.0)):
+        tick = Ticked(0.0, NARROW, state=np.array([0, 0, 0, 0, 0, speed]))
+        assert tick(command)["acting"] == pytest.approx(acts, abs=1e-9)
+
+
+@pytest.mark.parametrize("delay", [-0.5, 1000.5, float("nan"), float("inf")])
+def test_an_absurd_delay_is_refused_by_name(delay: float) -> None:
+    with pytest.raises(InputError, match=r"delay = .*0 to 1000 periods"):
+        whole_periods(delay)
+
+
+@pytest.mark.parametrize("augment", [(), ("zeros",), ("friction", "parameters")])
+def test_the_ticks_filter_is_the_filter(augment: tuple[str, ...]) -> None:
+    settings, random = EkfSettings(augment=augment), np.random.default_rng(5)
+    ekf = CompiledEkf(MODEL, settings, noise=NOISE)
+    tick = Ticked()
+    bounds = {name: float(tick.program._numbers[where, 0]) for name, where in _bounds(tick)}
+    tick.program = TickProgram(MODEL, settings, noise=NOISE, delay=1.0, bounds=bounds)
+    tick.state = np.array([0.3, -0.2, 1.0, -2.0, 0.01, 0.2])
+    tick.begin(np.zeros(1))
+    estimate, acted = ekf.first(tick.state), 0.0
+    for k in range(50):
+        measured = np.array([0.3, -0.2, 0.01]) + 0.002 * k + random.normal(0, 1e-3, 3) * [1, 1, 1e-3]
+        present = np.array([True, k % 5 != 2, True])
+        command = float(random.normal(0, 5))
+        estimate = ekf.step(estimate, acted, measured, present) if k else ekf.update(estimate, measured, present)
+        acted = tick(command, positions=measured, present=present)["acting"]
+        assert tick.told("state") == pytest.approx(estimate.state, rel=1e-8, abs=1e-8)
+        assert tick.told("extra") == pytest.approx(estimate.extra, rel=1e-6, abs=1e-8)
+        assert tick.told("sigmas") == pytest.approx(estimate.sigmas, rel=1e-8)
+        assert tick.told("nis")[0] == pytest.approx(estimate.nis, rel=1e-7)
+        assert tick.told("used")[0] == estimate.used
+
+
+def _bounds(tick: Ticked) -> list[tuple[str, int]]:
+    from dpcontrol.control.tick import BOUNDS
+
+    return [(name, tick.program.equations.numbers.slices[name].start) for name in BOUNDS if name != "share"]
+
+
+@pytest.mark.parametrize("delay", [0.0, 1.0, 3.0])
+def test_the_law_answers_for_the_state_that_is_expected_when_the_command_acts(delay: float) -> None:
+    state = np.array([0.4, 0.1, 1.0, -1.0, 0.02, 0.3])
+    tick = Ticked(delay, state=state)
+    queued = np.array([3.0, -2.0, 1.0])[: tick.program.lead]
+    tick.begin(queued)
+    gains, due = np.array([10.0, -3.0, 2.0, 1.0, 5.0, 4.0]), np.array([0.5, 0.0, 0.0, 0.0, 0.1, 0.0])
+    report = tick(1.5, gains=gains, due=due)
+    ahead = tick.told("state")
+    for command in queued:
+        ahead = MODEL.step(ahead, float(command))
+    assert tick.told("ahead") == pytest.approx(ahead, abs=1e-12)
+    assert report["feedback"] == pytest.approx(float(gains @ (due - ahead)), abs=1e-10)
+    assert report["wish"] == pytest.approx(1.5 + report["feedback"], abs=EXACT)
+
+
+def test_a_delay_too_long_to_unroll_is_looked_ahead_alike() -> None:
+    tick = Ticked(UNROLLED, state=np.array([0.4, 0.1, 1.0, -1.0, 0.02, 0.3]))
+    tick.begin(np.linspace(-3, 3, UNROLLED))
+    before = tick.program.memory.copy()
+    tick(1.0)
+    whole, memory = tick.program.report.copy(), tick.program.memory.copy()
+    tick.program.memory[:] = before
+    sensed = tick.program.sense()
+    tick.program.finish(sensed, tick.program.look_ahead(sensed[: tick.program.equations.filter.dimension]), 0.0)
+    assert tick.program.report == pytest.approx(whole, rel=1e-12, abs=1e-13)
+    assert tick.program.memory == pytest.approx(memory, rel=1e-9, abs=1e-13)
+
+
+def test_what_was_fallen_back_to_is_given_up_only_where_no_feedback_returns() -> None:
+    tick = Ticked(lost_tracking=0.05, can_hold=1.0)
+
+    def outcome(error: float, ticks: int) -> float:
+        seen = (tick(0.0, wanted=HANGING[:2] + error)["outcome"] for _ in range(ticks))
+        return next((one for one in seen if one), Outcome.GO_ON)
+
+    assert outcome(0.5, 300) == Outcome.HOLD
+    assert outcome(0.9 * LOST_AFTER_FALLBACK, 20_000) == Outcome.GO_ON
+    assert outcome(1.1 * LOST_AFTER_FALLBACK, 20_000) == Outcome.TRACKING_LOST
+
+
+def test_a_sensor_at_rest_with_its_reference_is_not_stuck() -> None:
+    tick = Ticked(state=np.array([0.0, math.pi, 0, 0, 0, 0]))
+    for k in range(5000):
+        assert tick(0.2 * (-1) ** (k // 5))["outcome"] == Outcome.GO_ON
+
+
+def test_a_joint_that_repeats_itself_while_its_reference_moves_is_stuck() -> None:
+    tick = Ticked()
+    random = np.random.default_rng(3)
+    for k in range(60):
+        moving = np.array([0.01 * k, 0.01 * k])
+        # A count is known once a step was seen.
+        seen = np.array([1e-3 * min(k, 5), moving[1], 0.0]) + random.normal(0, 0.05, 3) * [0, 1, 1e-3]
+        report = tick(0.0, positions=seen, wanted=moving)
+        if report["outcome"]:
+            break
+    assert report["outcome"] == Outcome.STUCK
+    assert report["sensor"] == 1
+    assert 15 <= report["repeats"] == k - 5 < 40
+
+
+def test_a_filter_that_fails_keeps_its_prediction_and_begins_anew() -> None:
+    tick = Ticked(restarts=1.0)
+    tick(0.0)
+    triangle = tick.program.equations.memory.slices["covariance"]
+    for expected in (Outcome.RESTART, Outcome.ESTIMATE_LOST):
+        tick.program.memory[triangle] = np.nan
+        report = tick(3.0, positions=np.array([0.01, 0.02, 0.0]))
+        assert report["outcome"] == expected
+        assert np.isfinite(tick.told("state")).all()
+        assert tick.kept("restart")[0] == (expected is Outcome.RESTART)
+        if expected is Outcome.RESTART:
+            assert tick(0.0, positions=np.array([0.01, 0.02, 0.0]))["outcome"] == Outcome.GO_ON
+            assert tick.told("state")[:2] == pytest.approx([0.01, 0.02], abs=1e-4)
+            assert tick.told("sigmas")[2] == pytest.approx(10.0, rel=0.01)
+
+
+def test_silence_is_borne_for_so_long_and_no_longer() -> None:
+    tick = Ticked(missing=0.03)
+    nothing = np.zeros(3, dtype=bool)
+    outcomes = [tick(0.0, positions=np.full(3, np.nan), present=nothing)["outcome"] for _ in range(40)]
+    assert outcomes.index(Outcome.SILENT) in (29, 30)
+    assert not any(outcomes[:29])
