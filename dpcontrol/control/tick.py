@@ -343,7 +343,7 @@ class TickEquations:
         return feedback, doubted
 
     def _stuck(
-        self, m: Mapping[str, ca.SX], r: Mapping[str, ca.SX], wanted: ca.SX, nis: ca.SX
+        self, m: Mapping[str, ca.SX], r: Mapping[str, ca.SX], c: Mapping[str, ca.SX], wanted: ca.SX, nis: ca.SX
     ) -> tuple[ca.SX, dict[str, ca.SX]]:
         """The number of the first stuck sensor, from 1, and the watch's memory."""
         n, period = self.filter.arms, self.filter.period
@@ -362,15 +362,17 @@ class TickEquations:
             begin = ca.if_else(same, m["begin"][i], should)
             away = ca.if_else(same, ca.fmax(m["away"][i], ca.fabs(should - begin)), 0)
             count = ca.if_else(same, m["same"][i] + 1, 0)
-            values = {"last": value, "step": smallest, "same": count, "begin": begin, "away": away}
-            for name, now in values.items():
-                held = value if name == "last" else now
+            values = {
                 # A reading within a count's rounding of the last one does not replace it.
-                held = ca.if_else(same, m["last"][i], value) if name == "last" else held
-                after[name].append(ca.if_else(fresh, held, m[name][i]))
+                "last": ca.if_else(same, m["last"][i], value), "step": smallest, "same": count, "begin": begin,
+                "away": away,
+            }  # fmt: skip
+            for name, now in values.items():
+                after[name].append(ca.if_else(fresh, now, m[name][i]))
             q = ca.if_else(smallest <= _BIG, smallest, _UNSEEN / _COUNTS)
             least = _JOINT_MOVED if arm else _CART_MOVED
-            longest = ca.fmax(2 * ca.sqrt(2 * q / _TURNING), ca.SX(_STILL)) / period
+            still = _STILL if arm else _CART_STILL + c["reaction"]
+            longest = ca.fmax(2 * ca.sqrt(2 * q / _TURNING), still) / period
             tests = [fresh, away >= least, away >= _COUNTS * q, count >= longest]
             if arm:
                 tests.append(ca.logic_not(nis <= _DOUBT))
@@ -417,7 +419,7 @@ class TickEquations:
         astray = error > ca.if_else(m["held"], ca.fmax(c["lost_tracking"], LOST_AFTER_FALLBACK), c["lost_tracking"])
         holds = _all(astray, c["can_hold"], ca.logic_not(m["held"]))
         moves = _all(c["resynchronise"] > 0, error > c["resynchronise"], m["moved"] > TRACKING_MEMORY)
-        sensor, watch = self._stuck(m, r, row["wanted"], ca.if_else(restarts, 0, nis))
+        sensor, watch = self._stuck(m, r, c, row["wanted"], ca.if_else(restarts, 0, nis))
         outcome = ca.SX(int(Outcome.GO_ON))
         # From the weakest: each overrules those before it.
         for condition, code in (

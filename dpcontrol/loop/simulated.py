@@ -156,7 +156,7 @@ class SimulatedPlant:
                         following[:, run] = alone.state
                 self.state[:] = following
                 continue
-            values = following.tolist()
+            values: list[Any] = following.tolist()
             if values[cart] > track or values[cart] < -track:
                 self._meet_stop(acceleration, duration, time + k * duration)
             else:
