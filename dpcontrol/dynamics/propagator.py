@@ -1,8 +1,8 @@
 """Propagation to machine precision by Taylor's method (heyoka): flows, variational equations, Poincaré sections.
 
 An integrator is compiled when it is first needed; parameters and inputs are run-time values, so a changed mass
-costs nothing. heyoka keeps compiled code on disk between processes. Where many trajectories are flown, eight share each
-vector instruction.
+costs nothing. heyoka keeps compiled code on disk between processes, and a process makes each integrator of its
+equations once: propagators fly copies. Where many trajectories are flown, eight share each vector instruction.
 
 In 113-bit arithmetic (34 decimal digits) numbers are numpy arrays whose dtype is heyoka's 113-bit real; +, -, *, /, @
 and comparisons keep the precision. Doubles enter as the exact binary numbers that they are, fractions and decimals
@@ -12,12 +12,14 @@ correctly rounded; π is given to 36 digits, since 2 * np.pi is off by 2e-16. An
 Source: Biscani & Izzo, Revisiting high-order Taylor methods for astrodynamics and celestial mechanics (2021).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from decimal import Decimal, localcontext
 from fractions import Fraction
 from functools import cached_property
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 import heyoka as hy
@@ -133,6 +135,21 @@ def _plane_rows(normal: Row) -> tuple[tuple[float, float], tuple[float, float]]:
     return (first, second), (sign * second + 0.0, -sign * first + 0.0)
 
 
+_MADE: WeakKeyDictionary[Equations, dict[Hashable, Any]] = WeakKeyDictionary()
+
+
+def _copied(equations: Equations, kind: Hashable, make: Callable[[], Any]) -> Any:
+    """Return a copy of the integrator that `make` compiles from the equations, once for each `kind` of them.
+
+    Even where the machine code is at hand, making one takes 8 to 60 ms, and copying one 2 ms. What is copied never
+    flies itself.
+    """
+    made = _MADE.setdefault(equations, {})
+    if kind not in made:
+        made[kind] = make()
+    return copy(made[kind])
+
+
 # Measured on 1,000 tube trajectories of the pendulum, without compact_mode: 8 lanes 0.053 s, 0.5 s to compile the first
 # time; with it: 4 lanes 0.09 s, 8 lanes 0.067 s, 16 lanes 0.064 s, 0.2 s to compile. Sixteen waste more on the few
 # trajectories of a refinement.
@@ -147,26 +164,32 @@ class CrossingFinder:
     section. The section's normal and the two of its sheets between which a trajectory moves are run-time values: one
     compilation serves every section of the equations.
 
-    system: (variable, rate) pairs in heyoka's form; parameters (p,): what the system's hy.par[0..p) stand for.
+    parameters (p,): those of the equations.
     """
 
-    def __init__(self, system: list[tuple[Any, Any]], parameters: Array) -> None:
-        self.parameters, self._system = parameters, system
-        n, first = len(system), len(parameters)
-        height = sum((hy.par[first + i] * x for i, (x, _) in enumerate(system)), hy.expression(0.0))
+    def __init__(self, equations: Equations, parameters: Array) -> None:
+        self.equations, self.parameters = equations, parameters
+        n, first = equations.dimension, len(parameters)
         self._normal, self._gains = slice(first, first + n), slice(first + n, first + n + 2)
         self._sheets = slice(first + n + 2, first + n + 4)
+        self._integrator: Any = _copied(equations, "crossings", self._made)
+
+    def _made(self) -> Any:
+        system, gain, sheet = _at_rest(self.equations), self._gains.start, self._sheets.start
+        height = sum((hy.par[self._normal.start + i] * x for i, (x, _) in enumerate(system)), hy.expression(0.0))
         # heyoka isolates the roots of a step's own Taylor polynomial: a double crossing within one step is not missed.
         # A gain of zero switches a sheet off; a sheet put far away would do so too, but heyoka takes the events' size
         # for the state's when it chooses its step.
-        events = [hy.t_event_batch(hy.par[first + n + k] * height - hy.par[first + n + 2 + k]) for k in range(2)]
-        self._integrator: Any = hy.taylor_adaptive_batch(
-            system, np.zeros((n, LANES)), compact_mode=False, t_events=events
-        )
+        events = [hy.t_event_batch(hy.par[gain + k] * height - hy.par[sheet + k]) for k in range(2)]
+        return hy.taylor_adaptive_batch(system, np.zeros((len(system), LANES)), compact_mode=False, t_events=events)
 
     @cached_property
     def _rate(self) -> Any:
-        return hy.cfunc([rate for _, rate in self._system], vars=[x for x, _ in self._system], compact_mode=True)
+        def made() -> Any:
+            variables, rates = zip(*_at_rest(self.equations), strict=True)
+            return hy.cfunc(rates, vars=variables, compact_mode=True)
+
+        return _copied(self.equations, "rates", made)
 
     def _rates(self, states: Array) -> Array:
         """Return the rates (N, K) at states (K, N)."""
@@ -274,6 +297,19 @@ def taylor_system(equations: Equations, inputs: list[Any], first: int = 0) -> li
     return list(zip(states, to_heyoka(equations.function(), [states, inputs, parameters]), strict=True))
 
 
+def _at_rest(equations: Equations) -> list[tuple[Any, Any]]:
+    """Return (variable, rate) pairs with the inputs at zero."""
+    return taylor_system(equations, [hy.expression(0.0)] * equations.input_count)
+
+
+def _with_tangents(equations: Equations) -> list[tuple[Any, Any]]:
+    """Return the pairs with a tangent beside each state, v' = Df(x) v: half the work of a state-transition matrix."""
+    pairs = _at_rest(equations)
+    tangent = hy.make_vars(*[f"v{i}" for i in range(len(pairs))])
+    rates = [hy.sum([hy.diff(rate, x) * v for (x, _), v in zip(pairs, tangent, strict=True)]) for _, rate in pairs]
+    return [*pairs, *zip(tangent, rates, strict=True)]
+
+
 def check_arrival(integrator: Any, outcome: Any) -> None:
     """Raise ArithmeticError where a propagation ended before its time."""
     if outcome != hy.taylor_outcome.time_limit:
@@ -294,21 +330,8 @@ class Propagator:
         self._compiled: dict[tuple[bool, int, bool], Any] = {}
 
     @cached_property
-    def taylor_system(self) -> list[tuple[Any, Any]]:
-        """The equations in heyoka's form, (variable, rate) pairs: what every integrator is compiled from."""
-        return taylor_system(self.equations, [hy.expression(0.0)] * self.equations.input_count)
-
-    @cached_property
-    def _tangent_system(self) -> list[tuple[Any, Any]]:
-        """The equations with a tangent beside each state, v' = Df(x) v: half the work of a state-transition matrix."""
-        pairs = self.taylor_system
-        tangent = hy.make_vars(*[f"v{i}" for i in range(len(pairs))])
-        rates = [hy.sum([hy.diff(rate, x) * v for (x, _), v in zip(pairs, tangent, strict=True)]) for _, rate in pairs]
-        return [*pairs, *zip(tangent, rates, strict=True)]
-
-    @cached_property
     def _finder(self) -> CrossingFinder:
-        return CrossingFinder(self.taylor_system, self.parameters)
+        return CrossingFinder(self.equations, self.parameters)
 
     def _at_zero(self, states: Array, *, stm: bool) -> Any:
         """Return an integrator at time zero and at a state (N,), or with a lane for each of (N, LANES).
@@ -317,11 +340,15 @@ class Propagator:
         """
         many, kind = states.ndim == 2, (stm, len(states), states.ndim == 2)
         if kind not in self._compiled:
-            system = self.taylor_system if len(states) == self.equations.dimension else self._tangent_system
-            system = hy.var_ode_sys(system, args=hy.var_args.vars, order=1) if stm else system
-            # compact_mode compiles ten times faster and runs at most two times slower.
-            make = hy.taylor_adaptive_batch if many else hy.taylor_adaptive
-            integrator = make(system, np.zeros(states.shape), tol=self.tolerance, compact_mode=True)
+
+            def made() -> Any:
+                system = (_at_rest if len(states) == self.equations.dimension else _with_tangents)(self.equations)
+                system = hy.var_ode_sys(system, args=hy.var_args.vars, order=1) if stm else system
+                # compact_mode compiles ten times faster and runs at most two times slower.
+                make = hy.taylor_adaptive_batch if many else hy.taylor_adaptive
+                return make(system, np.zeros(states.shape), tol=self.tolerance, compact_mode=True)
+
+            integrator = _copied(self.equations, (*kind, self.tolerance), made)
             # Parameters that the equations never use are not part of the compiled code.
             used = self.parameters[: len(integrator.pars)]
             integrator.pars[:] = used[:, None] if many else used
@@ -461,21 +488,23 @@ class PolynomialInputPropagator:
     @cached_property
     def _views(self) -> tuple[Any, Array, Array]:
         """The integrator, its state (N,) and its inputs' coefficients."""
-        e = self.equations
+        held = (self.degree + 1) * self.equations.input_count
+        integrator = _copied(self.equations, ("polynomial", self.degree), lambda: self._made(held))
+        # Parameters that the equations never use are not part of the compiled code.
+        used = max(len(integrator.pars) - held, 0)
+        integrator.pars[held:] = self.parameters[:used]
+        return integrator, integrator.state, integrator.pars[:held]
+
+    def _made(self, held: int) -> Any:
         inputs = []
-        for i in range(e.input_count):
+        for i in range(self.equations.input_count):
             first = (self.degree + 1) * i
             value: Any = hy.par[first + self.degree]
             for k in reversed(range(self.degree)):
                 value = hy.par[first + k] + hy.time * value
             inputs.append(value)
-        held = (self.degree + 1) * e.input_count
-        system = taylor_system(e, inputs, held)
-        integrator = hy.taylor_adaptive(system, [0.0] * e.dimension, compact_mode=True, time=0.0)
-        # Parameters that the equations never use are not part of the compiled code.
-        used = max(len(integrator.pars) - held, 0)
-        integrator.pars[held:] = self.parameters[:used]
-        return integrator, integrator.state, integrator.pars[:held]
+        system = taylor_system(self.equations, inputs, held)
+        return hy.taylor_adaptive(system, [0.0] * self.equations.dimension, compact_mode=True, time=0.0)
 
     def flow(self, state: ArrayLike, coefficients: ArrayLike, duration: float) -> Array:
         """Return the state (N,) after `duration` seconds.
@@ -562,9 +591,12 @@ class ExtendedPropagator:
 
     @cached_property
     def _integrator(self) -> Any:
-        system = taylor_system(self.equations, [])
-        zero = extended(np.zeros(len(system)))
-        integrator = hy.taylor_adaptive(system, zero, time=zero[0], fp_type=_real(), compact_mode=True)
+        def made() -> Any:
+            system = taylor_system(self.equations, [])
+            zero = extended(np.zeros(len(system)))
+            return hy.taylor_adaptive(system, zero, time=zero[0], fp_type=_real(), compact_mode=True)
+
+        integrator = _copied(self.equations, "extended", made)
         # Parameters that the equations never use are not part of the compiled code.
         integrator.pars[:] = self.parameters[: len(integrator.pars)]
         return integrator
@@ -572,10 +604,14 @@ class ExtendedPropagator:
     @cached_property
     def _energy(self) -> Any:
         e = self.equations
-        states, parameters = [x for x, _ in taylor_system(e, [])], [hy.par[i] for i in range(e.parameters.shape[0])]
-        function = ca.Function("energy", [e.state, e.parameters], [e.hamiltonian])
-        value = to_heyoka(function, [states, parameters])
-        return hy.cfunc(value, vars=states, fp_type=_real(), compact_mode=True)
+
+        def made() -> Any:
+            states, parameters = [x for x, _ in taylor_system(e, [])], [hy.par[i] for i in range(e.parameters.shape[0])]
+            function = ca.Function("energy", [e.state, e.parameters], [e.hamiltonian])
+            value = to_heyoka(function, [states, parameters])
+            return hy.cfunc(value, vars=states, fp_type=_real(), compact_mode=True)
+
+        return _copied(e, "extended energy", made)
 
     def flow(self, state: Extended, duration: Any) -> Extended:
         """Return the state (N,) after `duration` seconds (negative: before), a 113-bit real.
