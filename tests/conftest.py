@@ -28,13 +28,31 @@ def plans_of_this_session_only(tmp_path_factory: pytest.TempPathFactory) -> Iter
         yield
 
 
+LONGEST = (
+    "test_readme", "test_fuzz", "test_run_verb", "test_bifurcations", "test_chart_accuracy", "test_figures",
+    "test_extended", "test_own_systems", "test_batch", "test_walk_verb", "test_campaign", "test_kept_walks",
+    "test_atlas", "test_parts", "test_demo_and_review_verbs", "test_help_and_streams", "test_identification",
+    "test_hostile_packets", "test_two_turns", "test_named_symbols", "test_honest_searches", "test_replay", "test_api",
+)  # fmt: skip
+"""Modules that take longest, slow tests or others: begun first, so that all workers end together."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the `LONGEST` modules."""
+    places = {name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path.stem, len(places)))
+
+
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
     """Keep a module's tests on one worker, which makes the module's fixtures once; the README's sections share none.
 
-    A scheduler of our own, because pytest 9.2 does away with what `--dist loadgroup` of xdist 3.8 renames tests by.
+    A scheduler of our own, because pytest 9.2 does away with what `--dist loadgroup` of xdist 3.8 renames tests by. It
+    would begin with the modules of most tests, which take least; those of `LONGEST` are in front already.
     """
     from xdist.scheduler import LoadScopeScheduling
+
+    config.option.loadscopereorder = False
 
     class ModulesTogether(LoadScopeScheduling):
         def _split_scope(self, nodeid: str) -> str:
