@@ -55,16 +55,23 @@ def events(system):
 
 
 @pytest.fixture(scope="module")
-def first_events(system, events):
+def of_up_down(system):
+    """The first events of Up-Down's homoclinics."""
+    found = located(system, UP_DOWN, source="up-down", target="up-down")
+    assert found.complete
+    return found.events
+
+
+@pytest.fixture(scope="module")
+def first_events(system, events, of_up_down):
     """First events of every kind of connection, in order of energy."""
-    others = {
-        name: located(system, name, source=SADDLES[name][0], target=SADDLES[name][1]) for name in (UP_DOWN, BETWEEN)
-    }
-    assert all(f.complete for f in others.values())
+    between = located(system, BETWEEN, source=SADDLES[BETWEEN][0], target=SADDLES[BETWEEN][1])
+    assert between.complete
     return {
         SADDLE_NODE: (events[SADDLE_NODE],),
         PITCHFORK: (events[PITCHFORK],),
-        **{name: f.events for name, f in others.items()},
+        UP_DOWN: of_up_down,
+        BETWEEN: between.events,
     }
 
 
@@ -227,8 +234,8 @@ def test_a_connection_that_grazes_its_section_goes_on_beyond(system, events):
         assert np.count_nonzero(np.diff(np.sign(heights[np.abs(heights) > 1e-12]))) == crossings
 
 
-def test_two_events_in_one_interval_are_told_apart(first_events):
-    assert [(e.kind, e.count_below, e.count_above) for e in first_events[UP_DOWN]] == [
+def test_two_events_in_one_interval_are_told_apart(of_up_down):
+    assert [(e.kind, e.count_below, e.count_above) for e in of_up_down] == [
         ("saddle-node", 0, 4),
         ("pitchfork", 4, 8),
     ]

@@ -44,10 +44,12 @@ CASES = [
 ]
 
 
-def series(log: Path, topic: str) -> tuple[NDArray[np.float64], list]:
-    """Return log times in s and the decoded messages of a topic."""
-    found = list(read_ros2_messages(str(log), topics=[topic]))
-    return np.array([m.log_time_ns * 1e-9 for m in found]), [m.ros_msg for m in found]
+def series(log: Path, *topics: str) -> list[tuple[NDArray[np.float64], list]]:
+    """Return log times in s and the decoded messages of each topic; the decoder reads the whole log each time."""
+    found: dict[str, list] = {topic: [] for topic in topics}
+    for message in read_ros2_messages(str(log), topics=list(topics)):
+        found[message.channel.topic].append(message)
+    return [(np.array([m.log_time_ns * 1e-9 for m in each]), [m.ros_msg for m in each]) for each in found.values()]
 
 
 @pytest.mark.parametrize(("itinerary", "seed"), CASES)
@@ -63,7 +65,7 @@ def test_every_seed_does_what_was_asked_by_the_true_state(itinerary: str, seed: 
     assert 0.8 < shown["nis_inside_95"] <= 1.0
     assert shown["real_time_factor"] > 0
 
-    time, truth = series(log, "/truth/joint_states")
+    (time, truth), (_, control) = series(log, "/truth/joint_states", "/control")
     assert list(truth[0].name) == ["arm_1", "arm_2", "cart"]
     positions = np.array([m.position for m in truth])
     velocities = np.array([m.velocity for m in truth])
@@ -77,7 +79,6 @@ def test_every_seed_does_what_was_asked_by_the_true_state(itinerary: str, seed: 
     at_home = end - (arrival - SADDLES[journey.target])
     assert angle_gaps(at_home, lyapunov_orbit(journey.target, journey.energy)).max() <= NEAR_ORBIT
 
-    _, control = series(log, "/control")
     assert np.abs(positions[:, 2]).max() <= LIMITS["position"] + LIMIT_SLACK
     assert np.abs(velocities[:, 2]).max() <= LIMITS["velocity"] + LIMIT_SLACK
     applied = np.array([m.applied for m in control])
@@ -130,8 +131,7 @@ def test_mismatch_and_initial_error_of_the_file_are_overridden_and_felt(
         shown = dpcontrol(
             "run", scene, "--mismatch", str(mismatch), "--initial-error", str(initial), "--out", log, "--json"
         )
-        _, truth = series(log, "/truth/joint_states")
-        _, reference = series(log, "/reference/joint_states")
+        (_, truth), (_, reference) = series(log, "/truth/joint_states", "/reference/joint_states")
         gap = np.abs(np.array(truth[0].position[:2]) - np.array(reference[0].position[:2])).max()
         assert 0 < gap <= initial if initial else gap < 1e-12
         errors[mismatch, initial] = shown.document["rms_tracking_error"]

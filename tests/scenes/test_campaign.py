@@ -67,9 +67,9 @@ def campaign(scene: Itinerary, file: Path, *, over: dict[str, Any] | None = None
 
 @pytest.fixture(scope="module")
 def undisturbed(turn: Itinerary, tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
-    """The rows of 24 runs in six jobs, by one process that nothing happened to."""
+    """The rows of 16 runs in four jobs, by one process that nothing happened to."""
     file = tmp_path_factory.mktemp("campaign") / "whole.parquet"
-    campaign(turn, file, runs=24)
+    campaign(turn, file, runs=16)
     return read_rows(file)[0]
 
 
@@ -133,7 +133,7 @@ def test_an_interrupted_campaign_goes_on_where_it_was(
 ) -> None:
     file = tmp_path / "stopped.parquet"
     cases = cases_of(turn, fixed=HARD, over={})
-    settings = CampaignSettings(runs=24, workers=1, batch=4, replayed=1)
+    settings = CampaignSettings(runs=16, workers=1, batch=4, replayed=1)
 
     def stop(what: str, done: float) -> None:
         if what.startswith("2 of"):
@@ -150,7 +150,7 @@ def test_an_interrupted_campaign_goes_on_where_it_was(
     run_job = workers.run_job
     monkeypatch.setattr(workers, "run_job", lambda job: begun.append(job.key) or run_job(job))
     run_campaign(make_plan(turn), cases, file, settings=settings)
-    assert len(begun) == 5
+    assert len(begun) == 3
     assert read_rows(file)[0] == undisturbed
     assert not parts.exists()
 
@@ -200,7 +200,7 @@ def test_a_killed_process_changes_nothing_in_the_table(
 
     cases = cases_of(turn, fixed=HARD, over={})
     run_campaign(
-        make_plan(turn), cases, file, settings=CampaignSettings(runs=24, workers=2, batch=4, replayed=1), progress=kill
+        make_plan(turn), cases, file, settings=CampaignSettings(runs=16, workers=2, batch=4, replayed=1), progress=kill
     )
     assert killed
     assert read_rows(file)[0] == undisturbed
@@ -375,7 +375,7 @@ def on_failing_cluster(scene: Itinerary, file: Path, *, runs: int, batch: int) -
 def test_a_killed_dask_worker_and_a_restarted_scheduler_change_nothing_in_the_table(
     turn: Itinerary, undisturbed: list[dict[str, Any]], tmp_path: Path
 ) -> None:
-    on_failing_cluster(turn, tmp_path / "cluster.parquet", runs=24, batch=4)
+    on_failing_cluster(turn, tmp_path / "cluster.parquet", runs=16, batch=4)
     assert read_rows(tmp_path / "cluster.parquet")[0] == undisturbed
 
 
