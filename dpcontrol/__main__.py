@@ -1,8 +1,13 @@
 """The program: `dpcontrol`, or `python -m dpcontrol`. Ctrl-C ends it from the first moment to the last."""
 
+import atexit
 import os
 import signal
+import sys
+from contextlib import suppress
 from types import FrameType
+
+INTERRUPTED = 130
 
 
 def main() -> None:
@@ -16,6 +21,10 @@ def main() -> None:
 
     try:
         run()
+    except SystemExit as ended:
+        if ended.code == INTERRUPTED:
+            _end_quickly()
+        raise
     finally:
         # The work is done and its exit code known, however long the interpreter takes to end.
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -27,7 +36,18 @@ def main() -> None:
 
 def _ended_at_once(number: int, frame: FrameType | None) -> None:
     os.write(2, b"dpcontrol: interrupted; nothing was begun\n")
-    os._exit(130)
+    os._exit(INTERRUPTED)
+
+
+def _end_quickly() -> None:
+    """End in order, but without taking modules apart: those of compiled code need a second for it on a busy machine."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        # Whoever read them may have gone, as `head` does.
+        with suppress(OSError):
+            stream.flush()
+    os._exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

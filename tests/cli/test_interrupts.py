@@ -112,6 +112,28 @@ def test_an_interrupt_after_the_block_is_one_for_the_caller_and_no_alarm_follows
     assert (done.returncode, done.stdout, done.stderr) == (0, "caught\n", "")
 
 
+def test_an_interrupted_program_ends_in_order_and_takes_no_modules_apart() -> None:
+    """heyoka's and casadi's took a second and more on a busy machine, after the program had said that it was ended."""
+    code = """
+import atexit, os
+from dpcontrol.__main__ import main
+from dpcontrol.cli import main as program
+class Slow:
+    def __del__(self):
+        os.write(2, b"taken apart")
+program.slow = Slow()
+atexit.register(os.write, 2, b"swept")
+def interrupted(*_, **__):
+    print("begun")
+    raise KeyboardInterrupt
+program.cli.main = interrupted
+main()
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (130, "begun\n")
+    assert done.stderr == "dpcontrol: interrupted; what was finished is kept\nswept"
+
+
 def interrupted_in(verb: Callable[[], None], monkeypatch: pytest.MonkeyPatch) -> int:
     """Return the exit code of a verb that is interrupted by itself; Python's own handler is put back."""
     before = signal.getsignal(signal.SIGINT)
