@@ -31,6 +31,7 @@ from dpcontrol import __version__
 from dpcontrol.bench.chart import ALLOWED, CHARTS, GROUPS, ChartPage, EdgeMap, Panel, Point, PrecisionChart, check_names
 from dpcontrol.bench.measure import one_core
 from dpcontrol.foundation.cache import commit
+from dpcontrol.foundation.cost import Cost, announce
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file, write_whole
 from dpcontrol.foundation.processes import in_processes, processors
@@ -52,19 +53,35 @@ class DrawnChart:
     seconds: float
 
 
+_SECONDS, _QUICKLY = 90.0, 10.0
+"""What a chart takes on one processor, and a quick one, in s."""
+_MEMORY = 4e8
+"""Bytes that a process takes which draws charts."""
+
+
+def charts_cost(names: Sequence[str], *, quick: bool) -> Cost:
+    """Return what making charts will take."""
+    mapped = sum(name in GROUPS["edges"] for name in names)
+    at_once = max(min(processors(), mapped), 1)
+    turns = len(names) - mapped + mapped / at_once
+    work = f"{len(names)} chart{'s' if len(names) > 1 else ''}"
+    return Cost(work, turns * (_QUICKLY if quick else _SECONDS), at_once * _MEMORY, "bench")
+
+
 def draw_charts(
-    names: Sequence[str], folder: Path, *, quick: bool = False, progress: Progress = no_progress
+    names: Sequence[str], folder: Path, *, quick: bool = False, yes: bool = False, progress: Progress = no_progress
 ) -> tuple[DrawnChart, ...]:
-    """Make charts (all where `names` is empty).
+    """Make charts (all where `names` is empty); yes: however long that takes.
 
     Those with times are made first, one after the other in this process, on one core, the others idle. Maps of failure
     hold none: as many are drawn at once as there are cores.
 
     Raises:
-        InputError: an unknown name, or a folder that cannot be written to.
+        InputError: an unknown name, a folder that cannot be written to, or charts that would take too long.
         GoalMissed: processes that draw maps died again and again.
     """
     chosen = check_names(tuple(names))
+    announce(charts_cost(chosen, quick=quick), yes=yes)
     # Asked before the work, so that a checkout that is edited meanwhile does not mislead.
     made_with = {"quick": quick, "machine": machine(), "versions": versions(), "commit": commit()}
     draw = partial(draw_chart, folder=folder, made_with=made_with)

@@ -7,7 +7,7 @@ from textwrap import fill
 from typing import TYPE_CHECKING
 
 from dpcontrol.bench.chart import CHARTS, GROUPS
-from dpcontrol.cli.verbs import FOLDER, OUTPUT, Answer, TextTable, argument, option, verb
+from dpcontrol.cli.verbs import FOLDER, OUTPUT, YES, Answer, TextTable, argument, option, verb
 from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
@@ -92,6 +92,7 @@ def bench_command(
     out: Path = option(
         type=FOLDER, default=Path("charts"), group=OUTPUT, help="Folder for each chart's NAME.png and NAME.json."
     ),
+    yes: bool = YES,
 ) -> Answer:
     """Draw the charts, print their fronts and borders."""
     with progress_bar("bench") as progress:
@@ -102,7 +103,7 @@ def bench_command(
         # Read before the work: the folder may be the one that is drawn to.
         charts = [name for name in check_names(names) if name not in GROUPS["edges"]]
         earlier = {} if against is None else {name: earlier_panels(against, name) for name in charts}
-        drawn = draw_charts(names, out, quick=quick, progress=progress)
+        drawn = draw_charts(names, out, quick=quick, yes=yes, progress=progress)
     complaints = [text for d in drawn for text in d.chart.complaints]
     status = f"{len(drawn)} charts drawn; " + ("; ".join(complaints) or "every default stands where it may")
     if against is not None:

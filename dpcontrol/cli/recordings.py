@@ -209,7 +209,9 @@ def replay_command(
     estimator: str = option(default="ekf", group=ESTIMATOR, help="Kind of estimator: ekf, ukf."),
     counts: int = option(default=40_000, group=ESTIMATOR, help="Encoder counts per turn: assumed noise."),
     mean_over: float | None = option(group=ESTIMATOR, help="Length of its means, s [0.015; 0 if the cart moved]."),
-    model_error: float = option(default=0.003, group=ESTIMATOR, help="Relative error of the accelerations."),
+    model_error: float = option(
+        type=click.FloatRange(0, 1e6), default=0.003, group=ESTIMATOR, help="Relative error of the accelerations."
+    ),
     out: Path | None = file_option(suffix=".mcap", help="Log to write [logs/NAME-replay.mcap]."),
     force: bool = force_option(),
 ) -> Answer:

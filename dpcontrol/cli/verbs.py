@@ -9,6 +9,7 @@ import inspect
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from decimal import Decimal, InvalidOperation
 from pathlib import Path
@@ -87,12 +88,16 @@ class Option(click.Option):
 
         Raises:
             InputError: names the option, the file and the suffix it needs, or the number.
+            OSError: a file that cannot be: its name is too long, or is to be in a file. Asked before the work.
         """
         for one in value if isinstance(value, tuple) else (value,):
             if isinstance(one, int) and abs(one) > _LARGEST:
                 raise InputError(f"{self.opts[0]}: a number of too many digits; at most {_LARGEST:,} is a number here")
         if isinstance(value, Path) and not value.name and self.type is not FOLDER:
             raise InputError(f"{self.opts[0]} {value}: this names no file; give a name")
+        if isinstance(value, Path):
+            with suppress(FileNotFoundError):
+                value.lstat()
         if isinstance(value, Path) and self.suffixes and value.suffix.lower() not in self.suffixes:
             allowed = " or ".join(self.suffixes)
             raise InputError(

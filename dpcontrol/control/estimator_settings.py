@@ -61,6 +61,10 @@ def extra_names(arms: int, augment: tuple[Augment, ...]) -> tuple[str, ...]:
     return tuple(name for kind in Augment if kind in augment for name in names[kind])
 
 
+_MOST = 1e6
+"""Of all that a filter may assume, in its unit: more means nothing, and squares of it would overflow."""
+
+
 @dataclass(frozen=True)
 class FilterSettings(Settings, table="estimator"):
     """Noise that a filter assumes, and what it estimates besides the state.
@@ -74,21 +78,21 @@ class FilterSettings(Settings, table="estimator"):
     """
 
     kind: str = "ekf"
-    parameter_error: float = setting(0.01, least=0)
-    correlation_time: float = setting(0.02, above=0)
-    rate_noise: float = setting(0.03, above=0)
-    cart_noise: float = setting(1e-3, above=0)
-    first_angle: float = setting(0.05, above=0)
-    first_rate: float = setting(0.1, above=0)
-    first_cart: float = setting(1e-3, above=0)
+    parameter_error: float = setting(0.01, least=0, most=_MOST)
+    correlation_time: float = setting(0.02, above=0, most=_MOST)
+    rate_noise: float = setting(0.03, above=0, most=_MOST)
+    cart_noise: float = setting(1e-3, above=0, most=_MOST)
+    first_angle: float = setting(0.05, above=0, most=_MOST)
+    first_rate: float = setting(0.1, above=0, most=_MOST)
+    first_cart: float = setting(1e-3, above=0, most=_MOST)
     augment: tuple[str, ...] = setting(("zeros",), choices=tuple(Augment))
-    zero_error: float = setting(0.02, above=0)
-    disturbance: float = setting(1.0, above=0)
-    disturbance_time: float = setting(0.1, above=0)
-    drive_error: float = setting(0.5, above=0)
-    drive_time: float = setting(0.01, above=0)
-    friction_error: float = setting(0.3, above=0)
-    model_error: float = setting(0.1, above=0)
+    zero_error: float = setting(0.02, above=0, most=_MOST)
+    disturbance: float = setting(1.0, above=0, most=_MOST)
+    disturbance_time: float = setting(0.1, above=0, most=_MOST)
+    drive_error: float = setting(0.5, above=0, most=_MOST)
+    drive_time: float = setting(0.01, above=0, most=_MOST)
+    friction_error: float = setting(0.3, above=0, most=_MOST)
+    model_error: float = setting(0.1, above=0, most=_MOST)
 
     def __post_init__(self) -> None:
         """Check the bounds, and that nothing is augmented twice.

@@ -7,6 +7,8 @@ import pytest
 from command_line import dpcontrol
 
 import dpcontrol as dp
+from dpcontrol.bench.chart import CHARTS
+from dpcontrol.bench.run import charts_cost
 from dpcontrol.foundation import cost
 from dpcontrol.foundation.cost import Cost, announce
 from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
@@ -63,6 +65,33 @@ def test_a_campaign_of_too_many_cases_or_runs_is_refused() -> None:
         dp.campaign("outer-turn", over={"mismatch": many, "lag": many})
     with pytest.raises(InputError, match=r"200,000,000 runs of 200 cases.* will take about .*days.*yes=True"):
         dp.campaign("outer-turn", runs=1_000_000, over={"mismatch": many})
+
+
+def test_a_campaign_of_a_thousand_cases_says_what_it_takes_and_is_refused_beyond_an_hour(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of 100 runs each: 41 minutes on two processors, which is begun; of 200 it is more than is begun unasked."""
+
+    def begun(*_: object, **__: object) -> None:
+        raise GoalMissed("begun")
+
+    monkeypatch.setattr("dpcontrol.scenes.campaign.run_locally", begun)
+    over = {"mismatch": [k / 1e4 for k in range(1000)]}
+    with pytest.raises(GoalMissed, match="begun"), pytest.warns(Remark, match=r"100,000 runs of 1,000 cases.*minutes"):
+        dp.campaign("outer-turn", over=over, runs=100, workers=2)
+    with pytest.raises(InputError, match=r"200,000 runs of 1,000 cases.* will take about .*60 minutes and 4 GB"):
+        dp.campaign("outer-turn", over=over, runs=200, workers=2)
+
+
+def test_charts_say_what_they_take_and_are_refused_likewise(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert 600 < charts_cost(tuple(CHARTS), quick=False).seconds < cost.MOST_SECONDS / 2
+    assert charts_cost(tuple(CHARTS), quick=True).seconds < 300
+    monkeypatch.setattr("dpcontrol.bench.run._SECONDS", 1e4)
+    ended = dpcontrol("bench", "--out", str(tmp_path / "charts"))
+    assert ended.code == 2
+    assert ended.message.startswith("dpcontrol: bench: 15 charts will take about ")
+    assert "60 minutes and 4 GB are begun unasked; ask for less, or give --yes" in ended.message
+    assert not list(tmp_path.iterdir())
 
 
 def test_python_refuses_likewise_and_names_its_keyword() -> None:

@@ -9,6 +9,7 @@ import pytest
 from command_line import dpcontrol
 
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.identification.replay import filter_settings
 from dpcontrol.logs import LogWriter, read_log
 from dpcontrol.review.page import new_figure, save_figure
 from dpcontrol.review.score import score
@@ -180,3 +181,19 @@ def test_a_run_that_fails_before_its_first_tick_leaves_no_folder_that_it_made() 
             failing(folder)
     assert not Path("made").exists()
     assert not list(Path("there").iterdir())
+
+
+def test_an_estimator_that_assumes_beyond_all_measure_is_refused() -> None:
+    assert dpcontrol("run", "rest.toml", "--out", "run.mcap").code == 0
+    ended = dpcontrol("replay", "run.mcap", "--model-error=1e300")
+    assert ended.code == 2
+    assert "--model-error" in ended.message
+    with pytest.raises(InputError, match=r"parameter_error = 1e.300: must be"):
+        filter_settings("ekf", model_error=1e300)
+
+
+@pytest.mark.parametrize("picture", [f"{255 * 'e'}.png", "rest.toml/a.png"])
+def test_a_picture_that_cannot_be_written_is_refused_before_the_model_is(picture: str) -> None:
+    ended = dpcontrol("identify", "run.mcap", "--picture", picture)
+    assert ended.code == 2
+    assert f"cannot use {picture}" in ended.message
