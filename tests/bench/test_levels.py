@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
 from dpcontrol.bench.levels import WINDOW, can_be_conservative, motions, plant_at
@@ -39,7 +40,7 @@ def released(angles: tuple[float, float]) -> Reference:
 
 
 def fallen(equations, parameters, state: np.ndarray) -> np.ndarray:
-    function, held = equations.function(), np.zeros(equations.input_count)
+    function, held = quick_rate(equations), np.zeros(equations.input_count)
 
     def rate(_, x):
         return np.array(function(x, held, parameters)).ravel()

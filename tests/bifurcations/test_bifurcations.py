@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
 from dpcontrol.bifurcations.bifurcations import find_bifurcations
@@ -192,7 +193,7 @@ def test_the_state_at_a_bifurcation_flows_to_its_orbit_both_ways_by_scipy(system
     event = events[name]
     orbit, _ = orbits_between(system, "down-up", "down-up", event.energy)
     curve = system.propagator.sample(orbit.state, np.linspace(0, orbit.period, 4000))
-    f = system.equations.function()
+    f = quick_rate(system.equations)
     for sign in (1, -1):
         flown = solve_ivp(
             lambda t, x, s=sign: s * np.array(f(x, [], system.parameters)).ravel(),

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 from bench_stand_in import PERIOD, fly, model_of, plant_of
+from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_discrete_are
 from shadowing_stand_in import LAB
@@ -50,7 +51,7 @@ def test_each_equilibrium_is_held_by_encoders_with_other_parameters(name: str, s
 def test_a_kick_is_caught_within_the_track_up_to_where_the_cart_meets_its_stop(kick: float, caught: bool) -> None:
     # rad/s of the outer arm at Up-Up: the border lies at 2.041, by bisection of the same loop in lockstep.
     controller, limits = hold("up-up"), Limits()
-    rate = model_of().equations.function()
+    rate = quick_rate(model_of().equations)
     state, farthest = controller.state + np.array([0, 0, 0, kick, 0, 0]), 0.0
     for _ in range(3000):
         u = float(np.clip(controller.gain @ (controller.state - state), -limits.acceleration, limits.acceleration))

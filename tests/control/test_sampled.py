@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 from shadowing_stand_in import LAB
 
@@ -14,7 +15,7 @@ STATE = np.array([0.4, 2.8, 6.0, -9.0, 0.1, -0.3])
 
 
 def exact_flow(state: np.ndarray, command: float, duration: float) -> np.ndarray:
-    rate = EQUATIONS.function()
+    rate = quick_rate(EQUATIONS)
     flow = solve_ivp(
         lambda _, x: np.array(rate(x, command, LAB.base())).ravel(),
         (0, duration),

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
 from dpcontrol.dynamics.chain import (
@@ -33,7 +34,7 @@ N = 4
 
 def flown(state: np.ndarray, times: np.ndarray, ratios: np.ndarray = RATIOS, u: float = 0.0) -> np.ndarray:
     """The states (K, 4) by scipy, the cart from rest under constant acceleration."""
-    rate = equations_of(ARMS, Level.CART).function()
+    rate = quick_rate(equations_of(ARMS, Level.CART))
     base = np.array(base_from_ratios(ratios, ARMS))
     solved = solve_ivp(
         lambda _, x: np.array(rate(x, u, base)).ravel(),

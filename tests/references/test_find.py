@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.polynomial import Polynomial
+from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 from shadowing_stand_in import LAB, StandIn, orbit_stretch
 
@@ -31,7 +32,7 @@ def test_error_between_nodes_is_what_an_independent_integrator_finds(
 ) -> None:
     _, reference = tracked
     assert reference.converged, reference.status
-    rate = EQUATIONS.function()
+    rate = quick_rate(EQUATIONS)
     scale = state_scale(6, reference.limits)
     worst = 0.0
     for i in range(0, len(reference.mesh) - 1, 23):

@@ -8,6 +8,7 @@ import casadi as ca
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 from shadowing_stand_in import LAB, orbit_stretch
 
@@ -38,7 +39,7 @@ def pushed(times: Array) -> Array:
 def flown() -> tuple[Array, Array]:
     """The first and the last state of the motion, from another integrator."""
     start = np.array([*orbit_stretch(SECONDS).guess(0.0), 0.0, 0.0])
-    rate = EQUATIONS.function()
+    rate = quick_rate(EQUATIONS)
     flow = solve_ivp(
         lambda t, x: np.array(rate(x, pushed(t), LAB.base())).ravel(),
         (0.0, SECONDS), start, method="DOP853", rtol=1e-13, atol=1e-14,

@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
 from dpcontrol.dynamics.chain import ArmChainParameters
@@ -38,7 +39,7 @@ def arms(friction: float) -> ArmChainParameters:
 
 def flow(orbit: SustainedOrbit, state: Array, begin: float, duration: float, pulse: Input = lambda _: 0.0) -> Array:
     """Integrate by the clock from `begin` with the orbit's input and a pulse of the time since; DOP853."""
-    rate = orbit.equations.function()
+    rate = quick_rate(orbit.equations)
 
     def right(t: float, x: Array) -> Array:
         u = float(orbit.input(begin + t)) + pulse(t)

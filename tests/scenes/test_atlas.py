@@ -6,6 +6,7 @@ from dataclasses import fields, is_dataclass, replace
 
 import numpy as np
 import pytest
+from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
 from dpcontrol.foundation.errors import InputError
@@ -97,7 +98,7 @@ def test_below_up_downs_energy_there_are_only_down_ups_homoclinics_and_the_reaso
 
 
 def flown_by_scipy(system, state, seconds):
-    f, p = system.equations.function(), system.parameters
+    f, p = quick_rate(system.equations), system.parameters
     return solve_ivp(
         lambda t, x: np.array(f(x, [], p)).ravel(), (0, seconds), state, method="DOP853", rtol=1e-12, atol=1e-12
     ).y[:, -1]

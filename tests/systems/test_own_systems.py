@@ -121,7 +121,6 @@ def between_two(energy, count):
 CASES = [
     turning("henon-heiles", 0.2, 4),
     between_two(0.2, 4),
-    of_hill(-2.1, 2),
 ]
 MORE = [
     turning("de-leon-berne", 1.3, 4),
@@ -131,7 +130,7 @@ MORE = [
     between_two(0.21, 4),
     turning("de-leon-berne", 1.1, 4),
     of_hill(-2.15, 0),
-    of_hill(-2.05, 2),
+    of_hill(-2.1, 2),
     between_hill(-2.04, 2),
 ]
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
 from dpcontrol.foundation.errors import InputError
@@ -68,7 +69,7 @@ def test_senses_pair_up_and_symmetric_ones_lie_on_the_mirror(found, key):
 
 
 def flown_by_scipy(system, state, seconds):
-    f = system.equations.function()
+    f = quick_rate(system.equations)
     p = system.parameters
     return solve_ivp(
         lambda t, x: np.array(f(x, [], p)).ravel(), (0, seconds), state, method="DOP853", rtol=1e-12, atol=1e-12

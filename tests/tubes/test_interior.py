@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
 from dpcontrol.dynamics.system import momentum_scale
@@ -100,7 +101,7 @@ def test_one_return_back_the_unstable_interior_fills_the_stable_one(carried):
 
 def test_returns_are_those_of_an_independent_flight(carried):
     system = carried.orbit.system
-    f, p, turning = system.equations.function(), system.parameters, TURNING[carried.orbit.saddle]
+    f, p, turning = quick_rate(system.equations), system.parameters, TURNING[carried.orbit.saddle]
 
     def rate(t, x):
         return np.array(f(x, [], p)).ravel()
