@@ -19,7 +19,7 @@ import select
 import signal
 import socket
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -34,7 +34,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.processes import end_with_parent
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.result import Rig
+from dpcontrol.loop.result import Reading, Rig
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.problem import Limits
 from dpcontrol.rig import packets as packets
@@ -379,9 +379,85 @@ _START = 120.0
 _END = 5.0
 
 
+FAULTS: Mapping[str, str] = {
+    "drive-reversed": "the cart goes the other way",
+    "cart-reversed": "the cart's scale counts backwards",
+    "encoder-1-reversed": "the inner arm's encoder counts backwards",
+    "encoder-2-reversed": "the next arm's encoder counts backwards",
+    "encoders-swapped": "the first two encoders are exchanged",
+    "angles-not-summed": "each arm's angle is that to the arm before it",
+    "encoder-1-factor-4": "the inner arm's encoder counts four times too much",
+    "zeros-off": "the encoders are off by 0.03 and -0.02 rad",
+    "switch-dead": "the limit switch at the right never answers",
+    "switches-swapped": "the limit switches are exchanged",
+}
+"""Mistakes that the example bench can be given, for practice with `dpcontrol commission`."""
+_PRACTICE_ZEROS = (0.03, -0.02)
+
+
+def checked_faults(faults: Sequence[str], arms: int) -> tuple[str, ...]:
+    """Return faults for practice.
+
+    Raises:
+        InputError: one of them is about an arm that these have not.
+    """
+    for name in faults:
+        if arms < 2 and ("-2-" in name or name in ("encoders-swapped", "angles-not-summed")):
+            raise InputError(f"--fault {name}: is for two arms and more, and the model has {arms}; choose another")
+    return tuple(faults)
+
+
+class FaultyRig:
+    """A rig that is wired wrongly, for practice; zeros (n,) rad: what its hanging arms read."""
+
+    truth: None = None
+    acted: None = None
+
+    def __init__(self, rig: Rig, *, faults: Sequence[str], zeros: Sequence[float] = ()) -> None:
+        self._rig, self._faults, self.period = rig, frozenset(faults), rig.period
+        self._zeros: Sequence[float] = _PRACTICE_ZEROS if "zeros-off" in faults else zeros
+
+    @property
+    def fault(self) -> str:
+        """Return why the bench has failed, or ""."""
+        return self._rig.fault
+
+    def read(self) -> Reading:
+        """Return the next tick's reading as this wiring gives it."""
+        reading, faults = self._rig.read(), self._faults
+        joints, cart = np.diff(reading.positions[:-1], prepend=0.0), reading.positions[-1]
+        if "encoders-swapped" in faults:
+            joints[[0, 1]] = joints[[1, 0]]
+        for name, arm, factor in _FACTORS:
+            if name in faults:
+                joints[arm] *= factor
+        angles = joints if "angles-not-summed" in faults else np.cumsum(joints)
+        angles[: len(self._zeros)] += self._zeros[: len(angles)]
+        switch = -reading.switch if "switches-swapped" in faults else reading.switch
+        if "switch-dead" in faults:
+            switch = min(switch, 0)
+        return reading._replace(
+            positions=np.append(angles, -cart if "cart-reversed" in faults else cart), switch=switch
+        )  # fmt: skip
+
+    def command(self, acceleration: float) -> None:
+        """Send the cart's wanted acceleration, m/s²."""
+        self._rig.command(-acceleration if "drive-reversed" in self._faults else acceleration)
+
+    def stop(self) -> None:
+        """Brake the cart."""
+        self._rig.stop()
+
+
+_FACTORS = (("encoder-1-reversed", 0, -1.0), ("encoder-2-reversed", 1, -1.0), ("encoder-1-factor-4", 0, 4.0))
+
+
 @dataclass(frozen=True, eq=False)
 class BenchRecipe:
-    """What makes a simulated bench anew for each run: the model's arms, what is drawn; start (2n+2,), ticks."""
+    """What makes a simulated bench anew for each run: the model's arms, what is drawn; start (2n+2,), ticks.
+
+    zeros (n,) rad: what its hanging arms read; faults: of `FAULTS`.
+    """
 
     parameters: ArmChainParameters
     settings: LoopSettings
@@ -389,16 +465,19 @@ class BenchRecipe:
     start: NDArray[np.float64]
     ticks: int
     uncertainty: Uncertainty | None = None
+    zeros: tuple[float, ...] = ()
+    faults: tuple[str, ...] = ()
 
     @property
     def period(self) -> float:
         """Time from tick to tick, s."""
         return 1 / self.settings.rate
 
-    def rig(self, queued: Sequence[float]) -> SimulatedRig:
+    def rig(self, queued: Sequence[float]) -> Rig:
         """Return a bench at its start, with the commands (m/s²) on their way, oldest first."""
         draw = self.settings.draw(self.parameters, ticks=self.ticks, uncertainty=self.uncertainty)
-        return SimulatedRig(draw, self.settings.bench, limits=self.limits, start=self.start, queued=queued)
+        rig = SimulatedRig(draw, self.settings.bench, limits=self.limits, start=self.start, queued=queued)
+        return FaultyRig(rig, faults=self.faults, zeros=self.zeros) if self.faults or any(self.zeros) else rig
 
     def rehearse(self) -> None:
         """Have everything compiled and in memory before the first run."""

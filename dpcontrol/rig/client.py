@@ -160,8 +160,8 @@ class UdpRig:
     """A bench at `address` (host, port) behind the `Rig` protocol; a context manager, which says goodbye.
 
     queued m/s²: the commands to be on their way when the run begins, oldest first. The first `read` lets the
-    bench begin. key: the one that is shared with it; insecure: a bench on another computer needs none. fault: why the
-    bench says that it has failed, or "".
+    bench begin. zeros (n,) rad: what its hanging arms read, which is taken off. key: the one that is shared with it;
+    insecure: a bench on another computer needs none. fault: why the bench says that it has failed, or "".
 
     Raises:
         InputError: no such address, or no bench answers there, or it needs a key or another one.
@@ -176,6 +176,7 @@ class UdpRig:
         address: tuple[str, int],
         *,
         queued: Sequence[float] = (),
+        zeros: Sequence[float] = (),
         settings: LinkSettings | None = None,
         key: bytes = b"",
         insecure: bool = False,
@@ -217,6 +218,8 @@ class UdpRig:
         self._last_packet = 0.0
         self._nothing = np.zeros(self.welcome.arms + 1, dtype=bool)
         self._positions = np.zeros(self.welcome.arms + 1)
+        self._zeros = np.zeros(self.welcome.arms + 1)
+        self._zeros[: min(len(zeros), self.welcome.arms)] = zeros[: self.welcome.arms]
 
     def __enter__(self) -> "UdpRig":
         return self
@@ -264,7 +267,7 @@ class UdpRig:
             raise ArithmeticError(f"the bench stopped the cart: {packet.text}")
         if packet.condition is Condition.FAULT:
             self.fault = packet.text
-        positions = np.array(packet.positions)
+        positions = np.array(packet.positions) - self._zeros
         finite = np.isfinite(positions)
         # What is not a number is not a reading.
         self._positions = np.where(finite, positions, self._positions)

@@ -7,7 +7,8 @@ Either the file's top level gives one part's keys, or [[parts]] lists several:
     orbit = "down-up", energy = -0.07, seconds = 60     a stay on a periodic orbit; the only part of its itinerary
 
 In [run] the keys of sensors, drive and disturbances stand side by side, as a user thinks of one bench; [[run.blows]]
-lists blows at given times. `RunOptions` has the same names: `mismatch = 0.05` in the file is `--mismatch 0.05`.
+lists blows at given times. `RunOptions` has the same names: `mismatch = 0.05` in the file is `--mismatch 0.05`. zeros
+are of the rig that a run takes place on: what its hanging arms read, rad, as `dpcontrol commission` measures it.
 [controller], [estimator] and [supervisor] have the rest of a run's settings.
 """
 
@@ -184,7 +185,7 @@ def read_run_settings(run: Table, *, controller: Table, estimator: Table, superv
     """
     blows = [table.settings(Push) for table in run.tables("blows")]
     values = run.remaining()
-    known = ("rate", "initial_error", "mismatch", "model_uncertainty", "travel", *_HOMES)
+    known = ("rate", "initial_error", "mismatch", "model_uncertainty", "travel", "zeros", *_HOMES)
     parts = {}
     for part, kind in _PARTS.items():
         own = {k: v for k, v in values.items() if _HOMES.get(k) == part}
@@ -252,7 +253,7 @@ class Itinerary:
 
     start, finish: "orbit" (on the first, last part's orbit), "rest" (hanging still) or "hold" (at the equilibrium that
     is its only part). keeps: whether the stops of its walk are planned as stays on sustained orbits, as the file asks
-    for; runs with other controllers follow the same reference.
+    for; runs with other controllers follow the same reference. zeros (n,) rad, or none: what a rig's hanging arms read.
     """
 
     name: str
@@ -267,6 +268,7 @@ class Itinerary:
     loop: LoopSettings
     text: str
     keeps: bool = False
+    zeros: tuple[float, ...] = ()
 
     @property
     def stay(self) -> HoldPart | OrbitPart | None:
@@ -389,8 +391,12 @@ def _itinerary(table: Table, text: str, path: Path, model: Model | None) -> Itin
         raise InputError(
             f'{path}: [reference] level = "conservative": rest, holds and changes of energy need the cart; use "cart"'
         )
+    run = table.table("run")
+    zeros = run.numbers("zeros", ())
+    if zeros and len(zeros) != model.arms.count:
+        raise InputError(f"{run.where('zeros')} has {len(zeros)} values; give one for each of {model.arms.count} arms")
     loop = read_run_settings(
-        table.table("run"), controller=table.table("controller"), estimator=table.table("estimator"),
+        run, controller=table.table("controller"), estimator=table.table("estimator"),
         supervisor=table.table("supervisor"),
     )  # fmt: skip
     keeps = loop.keep != "none"
@@ -405,7 +411,7 @@ def _itinerary(table: Table, text: str, path: Path, model: Model | None) -> Itin
             "keep under [controller]"
         )
     table.finish()
-    return Itinerary(path.stem, path, title, model, parts, start, finish, limits, reference, loop, text, keeps)
+    return Itinerary(path.stem, path, title, model, parts, start, finish, limits, reference, loop, text, keeps, zeros)
 
 
 def _model(table: Table, path: Path, given: Model | None) -> Model:

@@ -1,0 +1,1118 @@
+"""Commissioning: what must be right before the first run on a rig, measured on the rig itself.
+
+The arms hang and the cart moves by at most 10 mm, so that no mistake in signs, gains or delays can do harm. First a
+short shift to and fro, small at first, shows which way the drive goes; then the cart is held where it is and follows a
+chirp, whose low frequencies make the arms swing and whose high ones show how late the drive is. With commands u_j at
+ticks j, T apart, a drive of delay d, lag τ and gain γ moves the cart by
+
+    x(t) = x_0 + v_0 t + γ Σ_j (u_j - u_{j-1}) p(t - j T - d),     p(s) = s²/2 - τ s + τ² (1 - e^{-s/τ})  for s > 0
+
+Both sides are high-passed, so that what noise on the command adds up to does not count, and d, τ, γ fitted to the cart's
+readings. Standard errors are of residuals that stay alike over blocks. Hanging arms, on small swings, have normal modes
+
+    readings = zeros + W y + free swing,     ÿ_i + 2 ζ_i ω_i ẏ_i + ω_i² y_i = -ẍ
+
+with x the cart as it was read, so that the drive does not matter; ω, ζ and W are fitted. The model's own angles are
+θ = W_0 y, and encoders that are wired, counted or summed wrongly make readings B θ: with L the sums of joint angles,
+D a diagonal of signs and factors, P an exchange of encoders, B is L D P L⁻¹ (joint encoders, summed, as it should be),
+D P L⁻¹ (never summed), D P (absolute encoders) or L D P (absolute angles summed again). The nearest of these to
+W W_0⁻¹ is what is reported. An accelerated cart leaves hanging arms behind, which ties the arms' signs to the cart's.
+
+What cannot be told from within, because the mirror image of a rig is a rig, is whether the cart and its drive are
+reversed or all the encoders are; both are then named.
+
+Sources: Ljung, System identification (1999), sections 7.4 (output error) and 14.4 (prefilters); Golub & Pereyra,
+Separable nonlinear least squares (2003).
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
+from itertools import permutations
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, optimize, signal
+
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.loop.result import Reading, Rig
+from dpcontrol.references.problem import Limits
+from dpcontrol.rig.client import Deadlines
+
+Array = NDArray[np.float64]
+Tell = Callable[[str], None]
+
+REACH = 0.010
+"""m: how far the cart goes from where it stands, switches apart."""
+
+
+class Verdict(StrEnum):
+    """What a step found."""
+
+    OK = "ok"
+    WRONG = "wrong"
+    UNSURE = "unsure"
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What one step found: a sentence, what to change, the figures by name; mended: writing the scene's [run] does."""
+
+    step: str
+    verdict: Verdict
+    sentence: str
+    remedy: str = ""
+    figures: Mapping[str, Any] = field(default_factory=dict)
+    mended: bool = False
+
+
+@dataclass(frozen=True)
+class CommissioningSettings(Settings, table="commissioning"):
+    """wait s: for the arms to hang still; still rad: swings that count as still. look s: for which readings are taken
+    before anything moves; hold s: with the cart held. sweep s: the chirp, from half the slowest swing's frequency to
+    `highest` Hz; ring s: for which the arms then swing alone. amplitude m and push m/s²: of the cart in the chirp at
+    most. creep m/s: speed towards the limit switches.
+    """
+
+    wait: float = setting(60.0, least=0, most=3600, unit="s")
+    still: float = setting(0.05, above=0, most=0.2, unit="rad")
+    look: float = setting(0.5, least=0.1, most=60, unit="s")
+    hold: float = setting(1.5, least=0.5, most=60, unit="s")
+    sweep: float = setting(8.0, least=2, most=120, unit="s")
+    ring: float = setting(3.0, least=0.5, most=120, unit="s")
+    highest: float = setting(40.0, least=2, most=500, unit="Hz")
+    amplitude: float = setting(0.004, above=0, most=0.005, unit="m")
+    push: float = setting(4.0, above=0, most=10, unit="m/s²")
+    creep: float = setting(0.05, above=0, most=0.1, unit="m/s")
+
+    @property
+    def seconds(self) -> float:
+        """How long all of it takes where the arms hang still and no switches are asked for."""
+        return self.look + self.hold + self.sweep + self.ring + 3.0
+
+
+@dataclass(frozen=True)
+class Commissioning:
+    """What was found, step by step; changes: keys of the scene's [run] with what was measured for them."""
+
+    findings: tuple[Finding, ...]
+    changes: Mapping[str, float | int | list[float]]
+
+    @property
+    def wrong(self) -> tuple[Finding, ...]:
+        """What must be changed before a run."""
+        return tuple(f for f in self.findings if f.verdict is Verdict.WRONG)
+
+    @property
+    def blocking(self) -> tuple[Finding, ...]:
+        """What is wrong with the rig itself, so that nothing measured on it should be kept."""
+        return tuple(f for f in self.wrong if not f.mended)
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol commission --json` prints."""
+        return {
+            "right": not self.wrong,
+            "findings": [
+                {
+                    "step": f.step, "verdict": f.verdict.value, "sentence": f.sentence, "remedy": f.remedy,
+                    "figures": dict(f.figures),
+                }
+                for f in self.findings
+            ],
+            "measured": dict(self.changes),
+        }  # fmt: skip
+
+
+class _Halted(Exception):
+    """Nothing further can be measured; carries the finding that says why."""
+
+    def __init__(self, finding: Finding) -> None:
+        super().__init__(finding.sentence)
+        self.finding = finding
+
+
+_FREQUENCY = 2 * np.pi * 0.4
+"""rad/s of the loop that holds the cart: slow enough for any drive's delay."""
+_DAMPING = 0.8
+_SLOPE = 0.01
+"""s over which the cart's velocity is read off its positions."""
+_LONGEST_GAP = 0.1
+"""s without a reading of the cart after which it is not moved any more."""
+
+
+_COMPLAINS = "mend what the rig complains of and start again"
+
+
+class _Session:
+    """The rig during commissioning: every tick is kept, and the cart is never let out of its reach."""
+
+    def __init__(self, rig: Rig, arms: int, limits: Limits, zeros: Sequence[float]) -> None:
+        self.rig, self.arms, self.period = rig, arms, rig.period
+        self._zeros = np.array([*(zeros or [0.0] * arms), 0.0])
+        self._most = limits.acceleration
+        self.positions: list[Array] = []
+        self.present: list[bool] = []
+        self.commands: list[float] = []
+        self.switches: list[int] = []
+        self.late = 0
+        self.gain = 0.0
+        """Cart's reading per command, once known; its sign is the drive's direction."""
+        self.reach, self.step = REACH, "still"
+        self._span = max(1, round(_SLOPE / self.period))
+        self._gap = 0
+        self.read()
+        self.home = self.cart
+
+    @property
+    def cart(self) -> float:
+        """The cart's last reading, m."""
+        return float(self.positions[-1][-1])
+
+    @property
+    def tick(self) -> int:
+        """Number of the last reading."""
+        return len(self.positions) - 1
+
+    def read(self) -> Reading:
+        """Take the next reading."""
+        try:
+            reading = self.rig.read()
+        except ArithmeticError as failure:
+            raise self.halted(str(failure), _COMPLAINS) from failure
+        present = reading.present is None or bool(reading.present.all())
+        positions = reading.positions - self._zeros
+        if reading.present is not None and self.positions:
+            positions = np.where(reading.present, positions, self.positions[-1])
+        self.positions.append(positions)
+        self.present.append(present)
+        self.switches.append(reading.switch)
+        self.late += reading.late > 0
+        return reading
+
+    def halted(self, sentence: str, remedy: str) -> _Halted:
+        """Return what ends the commissioning in the present step."""
+        return _Halted(Finding(self.step, Verdict.WRONG, sentence, remedy))
+
+    def advance(self, acceleration: float) -> Reading:
+        """Send a command, m/s², and take the next reading.
+
+        Raises:
+            _Halted: the rig has failed, or the cart is out of its reach or not read any more.
+        """
+        command = min(max(acceleration, -self._most), self._most)
+        self.rig.command(command)
+        self.commands.append(command)
+        reading = self.read()
+        self._gap = 0 if self.present[-1] else self._gap + 1
+        if self.rig.fault:
+            creeping = self.step == "switches"
+            remedy = "give --switches less than the way to the hard stop" if creeping else _COMPLAINS
+            raise self.halted(self.rig.fault, remedy)
+        if self._gap * self.period > _LONGEST_GAP:
+            raise self.halted(
+                f"no reading came for {self._gap * self.period:.2g} s, so the cart was stopped",
+                "see whether the rig sends a reading each period, and whether the line loses packets",
+            )
+        away = self.cart - self.home
+        if abs(away) > self.reach:
+            raise self.halted(
+                f"the cart left its {1e3 * self.reach:.3g} mm (it is at {1e3 * away:+.3g} mm), so it was stopped",
+                "see whether the drive obeys an acceleration in m/s², holds the cart at zero, and has its cart's "
+                "scale in metres",
+            )
+        return reading
+
+    def follow(self, path: Array, feedforward: Array) -> None:
+        """Move along positions (K,) m from home, whose accelerations (K,) m/s² are given, held by slow feedback."""
+        for wanted, slope, ahead in zip(path, np.gradient(path, self.period), feedforward, strict=True):
+            self.advance(self.steered(wanted, slope, ahead))
+
+    def steered(self, wanted: float, slope: float, ahead: float) -> float:
+        """Return the command, m/s², that keeps the cart `wanted` m from home at `slope` m/s, `ahead` m/s² apart."""
+        then = self.positions[max(self.tick - self._span, 0)][-1]
+        velocity = (self.cart - float(then)) / (min(self._span, max(self.tick, 1)) * self.period)
+        error = self.home + wanted - self.cart
+        pull = _FREQUENCY**2 * error + 2 * _DAMPING * _FREQUENCY * (slope - velocity)
+        return (ahead + pull) / self.gain
+
+    def hold(self, seconds: float) -> None:
+        """Keep the cart where it is called home."""
+        still = np.zeros(max(2, round(seconds / self.period)))
+        self.follow(still, still)
+
+    def angles(self, first: int = 0) -> Array:
+        """Return the arms' readings (K, n) from tick `first` on."""
+        return self._filled(first)[:, : self.arms]
+
+    def carts(self, first: int = 0) -> Array:
+        """Return the cart's readings (K,) from tick `first` on."""
+        return self._filled(first)[:, self.arms]
+
+    def _filled(self, first: int) -> Array:
+        """Return readings from tick `first` on, straight lines where there were none."""
+        rows, present = np.array(self.positions[first:]), np.array(self.present[first:])
+        if not present.all() and present.any():
+            ticks = np.arange(len(rows))
+            rows = np.stack([np.interp(ticks, ticks[present], v[present]) for v in rows.T], axis=1)
+        return rows
+
+
+def commission(
+    rig: Rig,
+    arms: ArmChainParameters,
+    settings: LoopSettings,
+    *,
+    limits: Limits,
+    zeros: Sequence[float] = (),
+    switches: float = 0.0,
+    options: CommissioningSettings | None = None,
+    tell: Tell = lambda text: None,
+) -> Commissioning:
+    """Find out what must be right before the first run on a rig, whose arms hang and whose cart is at the centre.
+
+    settings, zeros: what the scene's [run] says of it so far. switches m: creep so far to either side until the limit
+    switches answer; zero: leave them. tell: called with what is to be seen next. The rig is stopped at the end, and
+    whatever happens.
+    """
+    options = options or CommissioningSettings()
+    findings: list[Finding] = []
+    changes: dict[str, Any] = {}
+    halt, session, motion = None, None, _Motion()
+    # What takes time is done before the first tick or after the last: a rig stops where its loop is silent.
+    chirp = _chirp(arms, rig.period, options)
+    try:
+        session = _Session(rig, arms.count, limits, zeros)
+        _move(session, motion, arms, chirp, switches, limits, options, tell)
+    except _Halted as halted:
+        halt = halted.finding
+    finally:
+        rig.stop()
+    if session is not None:
+        if motion.rang_to:
+            findings += _judged(session, motion, arms, settings, tuple(zeros), changes)
+            right = all(f.verdict is Verdict.OK for f in findings if f.step == "drive")
+            findings += motion.switches if right else [_untried("the drive is not right", "mend the drive first")]
+        if halt is not None:
+            findings.append(halt)
+        findings.append(_deadlines(session))
+    elif halt is not None:
+        findings.append(halt)
+    if any(f.verdict is Verdict.WRONG and not f.mended for f in findings):
+        changes = {}
+    return Commissioning(tuple(findings), changes)
+
+
+@dataclass
+class _Motion:
+    """Ticks at which parts of the motion begin and end, and what the switches said."""
+
+    held_from: int = 0
+    chirped_from: int = 0
+    rang_to: int = 0
+    switches: list[Finding] = field(default_factory=list)
+
+
+def _move(
+    session: _Session, motion: _Motion, arms: ArmChainParameters, chirp: tuple[Array, Array], switches: float,
+    limits: Limits, options: CommissioningSettings, tell: Tell,
+) -> None:  # fmt: skip
+    """Go through all that moves the cart."""
+    tell(f"the arms should hang and the cart stand at the centre; it will move by at most {1e3 * REACH:.0f} mm")
+    _look(session, options)
+    tell("the cart shifts a few millimetres and back: see that it goes to the right first")
+    session.step = "drive"
+    _shift(session, arms)
+    session.step = "still"
+    _wait_until_still(session, options, tell)
+    tell(f"the cart follows a chirp for {options.sweep:g} s, then stands for {options.ring:g} s; the arms swing a little")
+    session.step, motion.held_from = "delay", session.tick
+    session.hold(options.hold)
+    motion.chirped_from = session.tick
+    session.follow(*chirp)
+    session.hold(options.ring)
+    motion.rang_to = session.tick
+    session.step = "switches"
+    if not switches:
+        ask = "give --switches with the distance in metres that the cart may go, to have them tried"
+        motion.switches = [_untried("nobody asked for it", ask)]
+    elif session.gain < 0:
+        motion.switches = [_untried("the drive is not right", "mend the drive first")]
+    else:
+        tell(f"the cart creeps to the right, then to the left, by up to {switches:g} m: keep a hand at the power switch")
+        motion.switches = _tried_switches(session, switches, limits, options)
+
+
+def _untried(why: str, remedy: str) -> Finding:
+    return Finding("switches", Verdict.UNSURE, f"the limit switches were not tried, as {why}", remedy)
+
+
+def _judged(
+    session: _Session, motion: _Motion, arms: ArmChainParameters, settings: LoopSettings, zeros: tuple[float, ...],
+    changes: dict[str, Any],
+) -> list[Finding]:  # fmt: skip
+    """Return what the motion shows, and put what it measures into `changes`."""
+    angles, carts = (read()[: motion.rang_to + 1] for read in (session.angles, session.carts))
+    since = motion.held_from
+    drive = fit_drive(carts, session.commands, session.period, first=motion.chirped_from)
+    swing = fit_swing(angles[since:], carts[since:], session.period, arms)
+    wiring = read_wiring(swing, arms)
+    signs = _signs(drive.gain, wiring.factors)
+    return [
+        _zeros(session, swing, wiring, zeros, settings, changes),
+        _direction(drive, wiring, signs),
+        _lateness(drive, settings, session.period, changes),
+        *_encoders(wiring, swing, signs, drive.gain),
+        _counts(session, wiring, settings, changes),
+        _model(swing, wiring, modes(arms)),
+    ]
+
+
+def _look(session: _Session, options: CommissioningSettings) -> None:
+    """Take readings before anything has moved."""
+    for _ in range(max(4, round(options.look / session.period))):
+        session.advance(0.0)
+    if session.switches[-1]:
+        raise session.halted(
+            f"the limit switch at the {_side(session.switches[-1])} answers though the cart stands free",
+            "see whether it is stuck or its contact is inverted (normally closed), and whether the cart is at the "
+            "centre",
+        )
+
+
+def _side(switch: int) -> str:
+    return "right" if switch > 0 else "left"
+
+
+_SHIFTS = (0.0002, 0.001, 0.004)
+"""m: the cart's shifts, tried one after the other until one is seen."""
+_SHIFT_SECONDS = 0.16
+_SEEN = 0.0003
+"""m: a shift that is seen well enough."""
+
+
+def _shift(session: _Session, arms: ArmChainParameters) -> None:
+    """Find the drive's direction and gain, without feedback, which needs them."""
+    quarter = max(1, round(_SHIFT_SECONDS / 4 / session.period))
+    pattern = np.repeat([1.0, -1.0, -1.0, 1.0], quarter)
+    noise = float(np.std(np.diff(session.carts())))
+    seen = gain = 0.0
+    for size in _SHIFTS:
+        first = session.tick
+        for value in pattern * size / (quarter * session.period) ** 2:
+            session.advance(float(value))
+        for _ in range(max(2, round(0.1 / session.period))):
+            session.advance(0.0)
+        carts = session.carts(first)
+        wanted = _response(np.array([*session.commands[first:], 0.0]), session.period, 0.0)[:, 0]
+        # The drive's delay is not known: the shift at its best. A drift goes with the means.
+        lags = range(0, len(carts) - 2 * quarter, max(1, quarter // 8))
+        fits = [_slope(wanted[: len(wanted) - k], carts[k:]) for k in lags]
+        gain, explained = max(fits, key=lambda fit: fit[1])
+        seen = abs(gain) * size
+        if seen > max(_SEEN, 10 * noise) and explained > 0.5:
+            break
+    else:
+        _no_shift(session, arms, seen)
+    session.gain = gain
+
+
+def _slope(wanted: Array, seen: Array) -> tuple[float, float]:
+    """Return how much of `wanted` is in `seen`, apart from a drift, and the share of the variance that it explains."""
+    drift = np.vander(np.linspace(-1, 1, len(seen)), 2)
+    left = [v - drift @ np.linalg.lstsq(drift, v, rcond=None)[0] for v in (wanted, seen)]
+    size = float(left[0] @ left[0])
+    slope = float(left[0] @ left[1]) / size
+    return slope, slope**2 * size / max(float(left[1] @ left[1]), 1e-30)
+
+
+def _no_shift(session: _Session, arms: ArmChainParameters, seen: float) -> None:
+    """Say why no shift was seen: the arms tell whether the cart moved."""
+    for _ in range(round(1.0 / session.period)):
+        session.advance(0.0)
+    commanded = _response(np.array([*session.commands, 0.0]), session.period, 0.0)[:, 0]
+    wiring = read_wiring(fit_swing(session.angles(), commanded, session.period, arms), arms)
+    if float(np.abs(wiring.factors).max()) > 0.3:
+        raise session.halted(
+            f"the arms began to swing when the cart was to shift by {1e3 * _SHIFTS[-1]:g} mm and back, but its reading "
+            "did not change with it: the cart's scale does not count",
+            "see whether the cart's scale is plugged in, and whether its reading is sent in metres as the last position",
+        )
+    raise session.halted(
+        f"the cart does not move: commanded to shift by {1e3 * _SHIFTS[-1]:g} mm and back, its reading shows "
+        f"{1e3 * seen:.2g} mm of it and the arms nothing",
+        "see whether the motor is on, its brake released and the emergency stop pulled out, and whether commands reach "
+        "the drive as accelerations in m/s²",
+    )
+
+
+def _wait_until_still(session: _Session, options: CommissioningSettings, tell: Tell) -> None:
+    """Hold the cart until the arms hardly swing."""
+    waited, told = 0.0, False
+    while True:
+        first = session.tick
+        session.hold(1.2)
+        waited += 1.2
+        swings = np.ptp(session.angles(first), axis=0) / 2
+        if float(swings.max()) <= options.still:
+            return
+        if waited > options.wait:
+            raise session.halted(
+                f"the arms still swing by ±{swings.max():.2g} rad after {waited:.0f} s",
+                "hold them until they hang still, let go and start again",
+            )
+        if not told:
+            tell(f"the arms swing by ±{swings.max():.2g} rad: hold them still; waiting for up to {options.wait:g} s")
+            told = True
+
+
+def _chirp(arms: ArmChainParameters, period: float, options: CommissioningSettings) -> tuple[Array, Array]:
+    """Return positions (K,) m of a logarithmic chirp and the accelerations (K,) m/s² that make them."""
+    slowest = float(modes(arms).frequencies.min()) / (2 * np.pi)
+    low, high = 0.6 * slowest, min(options.highest, 0.1 / period)
+    finer = 8
+    t = np.arange(round(options.sweep / period) * finer + 1) * period / finer
+    growth = math.log(high / low) / options.sweep
+    frequency = 2 * np.pi * low * np.exp(growth * t)
+    phase = 2 * np.pi * low * np.expm1(growth * t) / growth
+    fade = np.clip(np.minimum(t, options.sweep - t) / min(0.5, options.sweep / 8), 0, 1)
+    size = np.minimum(options.amplitude, options.push / frequency**2)
+    x = size * np.sin(np.pi / 2 * fade) ** 2 * np.sin(phase)
+    v = np.gradient(x, t)
+    v[[0, -1]] = 0.0
+    return x[:-1:finer], np.diff(v[::finer]) / period
+
+
+class DriveFit(NamedTuple):
+    """The drive as fitted: delay and lag, s, gain, with standard errors; misfit: share of the motion unexplained."""
+
+    delay: float
+    lag: float
+    gain: float
+    errors: tuple[float, float, float]
+    misfit: float
+
+
+def _response(commands: Array, period: float, total: float, square: float = 0.0) -> Array:
+    """Return where commands (K,) m/s² lead a cart that was at rest, at each tick, and how that changes (K, 3).
+
+    Its position for a unit gain; its slopes by total s, the sum of delay and lag, and by square s², that of the lag:
+    these two are nearly independent, down to a lag of zero, where delay and lag are not.
+    """
+    lag = math.sqrt(square)
+    after = np.maximum(np.arange(len(commands)) * period - (total - lag), 0.0)
+    ratio = after / lag if lag else np.where(after > 0, np.inf, 0.0)
+    fading = np.exp(-ratio)
+    rising = lag * (1 - fading)
+    position = after**2 / 2 - lag * (after - rising)
+    by_square = (1 - fading - np.where(fading > 0, ratio, 0.0) * fading) / 2
+    kernels = np.stack([position, rising - after, by_square], axis=1)
+    changes = np.diff(commands, prepend=0.0)[:, None]
+    return signal.fftconvolve(changes, kernels, axes=0)[: len(commands)]
+
+
+_HIGH_PASS = 4.0
+"""Hz: below it the cart's motion may be the doing of noise, of feedback or of friction."""
+_BEFORE = 0.5
+"""s of commands before the chirp that the fit takes account of."""
+_BLOCKS = 60
+
+
+def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: int) -> DriveFit:
+    """Fit delay, lag and gain of the drive to the cart's readings (K,) m and the commands after each, m/s².
+
+    first: tick at which the cart begins to move.
+    """
+    begin = max(first - round(_BEFORE / period), 0)
+    x, u = carts[begin:], np.array([*commands, 0.0])[begin : len(carts)]
+    cutoff = min(_HIGH_PASS, 0.02 / period)
+    sections = signal.butter(3, cutoff, "highpass", fs=1 / period, output="sos")
+    t = np.linspace(-1, 1, len(x))
+    skip = min(round(0.3 / period), len(x) // 8)
+
+    def high(values: Array) -> Array:
+        return np.asarray(signal.sosfilt(sections, values, axis=0), dtype=float)[skip:]
+
+    base, _ = np.linalg.qr(high(np.vander(t, 3)))
+
+    def seen(values: Array) -> Array:
+        passed = high(values)
+        return passed - base @ (base.T @ passed)
+
+    y = seen(x[:, None])[:, 0]
+
+    def rough(total: float, lag: float) -> tuple[float, float]:
+        p = seen(_response(u, period, total, lag**2)[:, :1])[:, 0]
+        gain = float(p @ y) / max(float(p @ p), 1e-30)
+        return float(np.sum((y - gain * p) ** 2)), gain
+
+    lags = (0.0, 0.004, 0.016)
+    grid = [(0.5 * period + d + lag, lag) for d in (0.0, *(0.001 * 2.0**k for k in range(8))) for lag in lags]
+    total, lag = min(grid, key=lambda point: rough(*point)[0])
+    unit = np.array([1e-3, 1e-6, 1.0])
+    low, most = np.array([-period, 0.0, -np.inf]) / unit, np.array([0.8, 0.09, np.inf]) / unit
+
+    def residual(values: Array) -> Array:
+        total, square, gain = values * unit
+        return gain * seen(_response(u, period, total, square)[:, :1])[:, 0] - y
+
+    def slopes(values: Array) -> Array:
+        total, square, gain = values * unit
+        parts = seen(_response(u, period, total, square))
+        return np.stack([gain * parts[:, 1], gain * parts[:, 2], parts[:, 0]], axis=1) * unit
+
+    def fitted(values: Array, free: list[int]) -> tuple[Array, Array]:
+        """Return the values, of which some are free, that fit best, and their standard errors."""
+
+        def whole(some: Array) -> Array:
+            out = values.copy()
+            out[free] = some
+            return out
+
+        scale = 1.0
+        # A command that came too late throws the cart off for a moment; such moments count less.
+        for loss in ("linear", "soft_l1"):
+            found = optimize.least_squares(
+                lambda some: residual(whole(some)), values[free], lambda some: slopes(whole(some))[:, free],
+                bounds=(low[free], most[free]), method="dogbox", loss=loss, f_scale=scale, x_scale="jac",
+            )  # fmt: skip
+            values = whole(found.x)
+            left = residual(values)
+            scale = max(1.5 * 1.4826 * float(np.median(np.abs(left))), 1e-9)
+        errors = np.zeros(len(values))
+        errors[free] = _sandwich(slopes(values)[:, free], left / np.sqrt(1 + (left / scale) ** 2))
+        return values, errors
+
+    values, errors = fitted(np.array([total, lag**2, rough(total, lag)[1]]) / unit, [0, 1, 2])
+    lag_error = _error_of_root(values[1] * unit[1], errors[1] * unit[1])
+    if values[1] < 2 * errors[1] or values[1] * unit[1] < _NO_LAG**2:
+        # Then it is none, and need not make the delay unsure.
+        values[1] = 0.0
+        values, errors = fitted(values, [0, 2])
+    total, square, gain = (values * unit).tolist()
+    lag, total_error = math.sqrt(square), float(errors[0] * unit[0])
+    misfit = float(np.sqrt(np.mean(residual(values) ** 2) / max(np.mean(y**2), 1e-24)))
+    delay_error = math.hypot(total_error, lag_error) if lag else total_error
+    return DriveFit(total - lag, lag, gain, (delay_error, lag_error, float(errors[2])), misfit)
+
+
+_NO_LAG = 1e-4
+"""s: shorter lags are as good as none."""
+
+
+def _error_of_root(square: float, error: float) -> float:
+    """Return the standard error of √square, which is never below zero."""
+    return math.sqrt(square + error) - math.sqrt(square)
+
+
+def _sandwich(jacobian: Array, residual: Array) -> Array:
+    """Return standard errors (p,) of residuals (K,) that stay alike over blocks."""
+    edges = np.linspace(0, len(residual), _BLOCKS + 1).round().astype(int)[:-1]
+    scores = np.add.reduceat(jacobian * residual[:, None], edges)
+    inverse = np.linalg.pinv(jacobian.T @ jacobian)
+    return np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse))
+
+
+class Modes(NamedTuple):
+    """Normal modes of hanging arms: frequencies (n,) rad/s, dampings (n,), shapes (n, n): W_0, one column a mode."""
+
+    frequencies: Array
+    dampings: Array
+    shapes: Array
+
+
+def modes(arms: ArmChainParameters) -> Modes:
+    """Return the normal modes of hanging arms whose cart is accelerated: θ = shapes · y."""
+    n, base = arms.count, arms.base()
+    upper = np.zeros((n, n))
+    upper[np.triu_indices(n)] = base[: n * (n + 1) // 2]
+    mass = upper + np.triu(upper, 1).T
+    weights, coupling = base[n * (n + 1) // 2 :][:n], base[n * (n + 1) // 2 + n :][:n]
+    joints = np.linalg.inv(_sums(n))
+    drag = joints.T @ np.diag(arms.viscous) @ joints
+    squares, vectors = linalg.eigh(np.diag(weights), mass)
+    frequencies = np.sqrt(squares)
+    dampings = np.diag(vectors.T @ drag @ vectors) / (2 * frequencies)
+    return Modes(frequencies, dampings, vectors * (vectors.T @ coupling))
+
+
+def _sums(n: int) -> Array:
+    """Return what makes absolute angles of joint angles."""
+    return np.tril(np.ones((n, n)))
+
+
+class SwingFit(NamedTuple):
+    """Modes as they show in the readings: frequencies (n,), dampings (n,), shapes W (n, n); strengths (n,): of each mode.
+
+    zeros (n,) rad with their standard errors; ratios (n,): frequencies over the model's; misfit (n,): rms of what is
+    left of each reading, rad; swing (n,): rms of each reading.
+    """
+
+    frequencies: Array
+    dampings: Array
+    shapes: Array
+    strengths: Array
+    zeros: Array
+    zero_errors: Array
+    ratios: Array
+    misfit: Array
+    swing: Array
+
+
+_DETUNED = np.exp(np.linspace(-0.3, 0.3, 41))
+"""Shares of the model's frequencies that are tried."""
+_ROWS = 200.0
+"""Hz: as many rows of the readings as slow swings need."""
+
+
+def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParameters) -> SwingFit:
+    """Fit the arms' modes to their readings (K, n) rad and the cart's (K,) m."""
+    n, model = arms.count, modes(arms)
+    every = max(1, round(1 / (_ROWS * period)))
+    rows, x, period = angles[::every], carts[::every] - carts[0], period * every
+    t, ones = np.arange(len(x)) * period, np.ones((len(x), 1))
+
+    def columns(frequency: float, damping: float) -> Array:
+        """Return a mode's answer to the cart, and its free swing (K, 3)."""
+        w, z = frequency, damping
+        top, bottom, _ = signal.cont2discrete(([2 * z * w, w**2], [1, 2 * z * w, w**2]), period, method="foh")
+        forced = signal.lfilter(np.ravel(top), bottom, x) - x
+        free = np.exp(-z * w * t)
+        turned = w * math.sqrt(max(1 - z**2, 1e-6)) * t
+        return np.stack([forced, free * np.cos(turned), free * np.sin(turned)], axis=1)
+
+    def left(parts: Sequence[Array]) -> tuple[Array, Array, Array]:
+        design = np.hstack([*parts, ones])
+        weights = np.linalg.lstsq(design, rows, rcond=None)[0]
+        return design, weights, rows - design @ weights
+
+    frequencies, dampings = model.frequencies.copy(), np.clip(model.dampings, 1e-4, 0.2)
+    for _ in range(2):
+        for i in range(n):
+            others = [columns(frequencies[k], dampings[k]) for k in range(n) if k != i]
+            tried = model.frequencies[i] * _DETUNED
+            costs = [float(np.sum(left([columns(f, dampings[i]), *others])[2] ** 2)) for f in tried]
+            frequencies[i] = tried[int(np.argmin(costs))]
+
+    def split(values: Array) -> list[Array]:
+        return [columns(w, z) for w, z in zip(np.exp(values[:n]), values[n:], strict=True)]
+
+    found = optimize.least_squares(
+        lambda values: left(split(values))[2].ravel(), [*np.log(frequencies), *dampings],
+        bounds=([*np.log(model.frequencies) - 0.5] + [0.0] * n, [*np.log(model.frequencies) + 0.5] + [0.9] * n),
+        x_scale=[0.01] * (2 * n), max_nfev=60,
+    )  # fmt: skip
+    parts = split(found.x)
+    design, weights, rest = left(parts)
+    errors = [_sandwich(design, rest[:, k])[-1] for k in range(n)]
+    return SwingFit(
+        np.exp(found.x[:n]), found.x[n:], weights[: 3 * n : 3].T,
+        np.array([part[:, 0].std() for part in parts]), weights[-1], np.array(errors),
+        np.exp(found.x[:n]) / model.frequencies, rest.std(axis=0), rows.std(axis=0),
+    )  # fmt: skip
+
+
+class Form(StrEnum):
+    """How angles are made of encoders."""
+
+    SUMMED = "joint encoders, summed"
+    RELATIVE = "joint encoders, not summed"
+    ABSOLUTE = "absolute encoders"
+    TWICE = "absolute encoders, summed"
+
+
+class Wiring(NamedTuple):
+    """How readings come about: form, order of the encoders, signs and factors (n,), share unexplained (rms)."""
+
+    form: Form
+    order: tuple[int, ...]
+    factors: Array
+    misfit: float
+
+
+_CLEARLY = 0.6
+"""A mistake is believed where it leaves less than this share of what the right wiring leaves unexplained."""
+
+
+def read_wiring(swing: SwingFit, arms: ArmChainParameters) -> Wiring:
+    """Return the wiring whose readings are nearest to those that were fitted."""
+    n, model = arms.count, modes(arms)
+    sums, strengths = _sums(n), swing.strengths
+    joints = np.linalg.inv(sums)
+    wanted = (swing.shapes * strengths).ravel()
+    size = max(float(np.linalg.norm(wanted)), 1e-12)
+    found: list[Wiring] = []
+    forms = {Form.SUMMED: (sums, joints), Form.ABSOLUTE: (np.eye(n), np.eye(n)),
+             Form.RELATIVE: (np.eye(n), joints), Form.TWICE: (sums, np.eye(n))}  # fmt: skip
+    for order in permutations(range(n)):
+        for form, (after, before) in forms.items():
+            inner = (before @ model.shapes)[list(order)] * strengths
+            columns = np.stack([np.outer(after[:, k], inner[k]).ravel() for k in range(n)], axis=1)
+            factors, *_ = np.linalg.lstsq(columns, wanted, rcond=None)
+            left = float(np.linalg.norm(wanted - columns @ factors)) / size
+            found.append(Wiring(form, order, factors, left))
+    least = min(one.misfit for one in found)
+    return next(one for one in found if _CLEARLY * one.misfit <= least + 1e-3)
+
+
+_STUCK = 0.08
+"""Of a swing: what an encoder shows that does not move."""
+_FACTOR = 0.25
+"""By how much a swing may differ from the model's, whose parameters are not exact either."""
+_GAIN = 0.05
+_LEFT_OVER = 0.3
+"""Share of a motion, rms, that may be left unexplained."""
+
+
+def _signs(gain: float, factors: Array) -> list[tuple[str, ...]]:
+    """Return what is reversed, the fewest that explain the signs seen: the drive, the cart's scale, arms' encoders.
+
+    Two answers where the rig and its mirror image need as many.
+    """
+    seen = {"drive": gain, **{f"arm {k + 1}": float(d) for k, d in enumerate(factors) if abs(d) > _STUCK}}
+    answers = []
+    for cart in (1, -1):
+        turned = tuple(name for name, value in seen.items() if value * cart < 0)
+        answers.append(turned if cart > 0 else ("cart", *turned))
+    fewest = min(map(len, answers))
+    return [one for one in answers if len(one) == fewest]
+
+
+def _cart_scale(gain: float, factors: Array) -> bool:
+    """Tell whether the cart's scale is what makes the drive's gain and all arms' swings wrong at once."""
+    return abs(abs(gain) - 1) > _GAIN and bool(np.all(np.abs(np.abs(factors * gain) - 1) < _FACTOR / 2))
+
+
+def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) -> Finding:
+    """Judge which way the drive and the cart's scale go, and how far."""
+    gain, factors = drive.gain, wiring.factors
+    figures = {"gain": gain, "gain_error": drive.errors[2]}
+
+    def wrong(sentence: str, remedy: str) -> Finding:
+        return Finding("drive", Verdict.WRONG, sentence, remedy, figures)
+
+    if drive.misfit > _LEFT_OVER:
+        return Finding(
+            "drive", Verdict.UNSURE,
+            f"{100 * drive.misfit:.0f} % of the cart's motion is not what its commands make of a drive with a delay "
+            "and a lag",
+            "see whether the drive works within its limits, and whether deadlines were missed", figures,
+        )  # fmt: skip
+    if len(signs) > 1:
+        either, other = (" and ".join(_named(name) for name in one) for one in signs)
+        return wrong(
+            f"either {either} are reversed, or {other}: the readings are the same",
+            "look which way the cart goes first: to the right means that its drive is as it should be",
+        )
+    if "drive" in signs[0]:
+        return wrong(
+            "the drive is reversed: a command to the right moves the cart to the left, by its scale and by the arms",
+            "reverse the sign of commands in the rig's program, or exchange two of the motor's leads",
+        )
+    if "cart" in signs[0]:
+        return wrong(
+            "the cart's scale is reversed: its reading falls where the arms show that the cart goes to the right",
+            "reverse the sign of the cart's reading in the rig's program",
+        )
+    if np.all(np.abs(factors) > _STUCK) and _cart_scale(gain, factors):
+        return wrong(
+            f"the cart's scale shows {abs(gain):.3g} times the way that commands and arms say",
+            f"divide the cart's reading by {abs(gain):.3g} in the rig's program; it is in metres",
+        )
+    if abs(gain - 1) > _GAIN:
+        return wrong(
+            f"the drive gives {gain:.3g} times the acceleration that it is asked for",
+            f"multiply commands by {1 / gain:.3g} in the rig's program, or correct the drive's own scale",
+        )
+    return Finding(
+        "drive", Verdict.OK, f"the drive goes the way it is told, with {gain:.3f} of the acceleration", "", figures
+    )  # fmt: skip
+
+
+_DEGREES = 180 / math.pi
+_LIKELY = (1.0, 2.0, 4.0, 0.5, 0.25, _DEGREES)
+
+
+def _plain_factor(size: float) -> float:
+    """Return the factor that a mistake is likely to have where the swing shows `size`, known as well as the model."""
+    nearest = min(_LIKELY, key=lambda one: abs(math.log(one / size)))
+    return nearest if abs(nearest / size - 1) < _FACTOR else size
+
+
+def _named(name: str) -> str:
+    return {"drive": "the drive", "cart": "the cart's scale"}.get(name, f"the encoder of {name}")
+
+
+def _lateness(drive: DriveFit, settings: LoopSettings, period: float, changes: dict[str, Any]) -> Finding:
+    """Compare delay and lag with what [run] says."""
+    delay, lag = max(drive.delay / period, 0.0), drive.lag
+    errors = drive.errors[0] / period, drive.errors[1]
+    figures = {"delay": delay, "delay_error": errors[0], "lag": lag, "lag_error": errors[1], "misfit": drive.misfit}
+    if drive.misfit > _LEFT_OVER:
+        return Finding("delay", Verdict.UNSURE, "delay and lag cannot be told from this motion",
+                       "mend what the step before says and start again", figures)  # fmt: skip
+    said = settings.drive
+    sentence = (
+        f"the delay is {_with_error(delay, errors[0])} periods, the lag {_with_error(1e3 * lag, 1e3 * errors[1])} ms"
+    )
+    changes |= {"delay": round(delay, 3), "lag": round(lag, 5)}
+    close = abs(delay - said.delay) <= max(0.1, 3 * errors[0])
+    if close and abs(lag - said.lag) <= max(5e-4, 3 * errors[1], 0.1 * said.lag):
+        return Finding("delay", Verdict.OK, f"{sentence}, as [run] says", "", figures)
+    return Finding(
+        "delay", Verdict.WRONG, f"{sentence}, but [run] says {said.delay:g} periods and {1e3 * said.lag:g} ms",
+        f"set delay = {changes['delay']:g} and lag = {changes['lag']:g} in [run], as --write does", figures, mended=True,
+    )  # fmt: skip
+
+
+def _with_error(value: float, error: float) -> str:
+    """Return a number with its standard error, to two digits of that."""
+    digits = min(max(1 - math.floor(math.log10(max(error, 1e-9))), 0), 4)
+    return f"{value:.{digits}f} ± {error:.{digits}f}"
+
+
+_ZERO, _FAR = 0.003, 0.5
+"""rad: a zero that needs no change, and one that is no matter of adjustment."""
+
+
+def _zeros(
+    session: _Session, swing: SwingFit, wiring: "Wiring", zeros: tuple[float, ...], settings: LoopSettings,
+    changes: dict[str, Any],
+) -> Finding:  # fmt: skip
+    """Judge the readings of hanging arms."""
+    off, before = swing.zeros, np.array(zeros or [0.0] * len(swing.zeros))
+    noise = float(np.median(np.abs(np.diff(session.angles(), axis=0)))) / 0.954
+    shown = ", ".join(f"{v:+.4f} ± {e:.4f}" for v, e in zip(off, swing.zero_errors, strict=True))
+    sentence = f"hanging still, the arms read {shown} rad"
+    figures = {"zeros": off.tolist(), "zero_errors": swing.zero_errors.tolist(), "noise": noise}
+    allowed = max(_ZERO, 1.5 * settings.sensors.steps[0])
+    worst = float(np.abs(off).max())
+    if np.any(np.abs(wiring.factors) < _STUCK):
+        return Finding("still", Verdict.UNSURE, "the arms' zeros cannot be told while an encoder does not count",
+                       "mend the encoder and start again", figures)  # fmt: skip
+    if worst > _FAR:
+        return Finding("still", Verdict.WRONG, f"{sentence}: angles count from hanging, where each is zero",
+                       "set the encoders to zero while the arms hang", figures)  # fmt: skip
+    total = before + off
+    if worst > allowed or zeros:
+        changes["zeros"] = [round(float(v), 5) for v in total]
+    if worst <= allowed:
+        return Finding("still", Verdict.OK, sentence, "", figures)
+    tilt = f", or level the track: all arms hang to one side by {off.mean():+.4f} rad"
+    return Finding(
+        "still", Verdict.WRONG, sentence,
+        f"set the encoders to zero while the arms hang, or zeros = {changes['zeros']} in [run], as --write does"
+        f"{tilt if len(off) > 1 and np.ptp(off) < allowed else ''}",
+        figures, mended=True,
+    )  # fmt: skip
+
+
+def _encoders(wiring: Wiring, swing: SwingFit, signs: list[tuple[str, ...]], gain: float) -> list[Finding]:
+    """Judge which encoder is whose, how angles are made of them, signs and counts; one finding for each mistake."""
+    n, factors = len(wiring.factors), wiring.factors
+    figures = {
+        "form": wiring.form.value, "order": [k + 1 for k in wiring.order], "factors": factors.tolist(),
+        "misfit": wiring.misfit, "swing": swing.swing.tolist(),
+    }  # fmt: skip
+    joint = "joint" if wiring.form in (Form.SUMMED, Form.RELATIVE) else "absolute"
+
+    def wrong(sentence: str, remedy: str) -> Finding:
+        return Finding("encoders", Verdict.WRONG, sentence, remedy, figures)
+
+    stuck = [k for k in range(n) if abs(factors[k]) < _STUCK]
+    found = [
+        wrong(
+            f"the encoder of arm {k + 1} does not move: it shows {abs(factors[k]):.2f} of the swing that it should",
+            f"see whether the encoder of arm {k + 1} is plugged in, powered and fast on its shaft",
+        )
+        for k in stuck
+    ]
+    if not stuck and wiring.misfit > _LEFT_OVER:
+        return [
+            Finding(
+                "encoders", Verdict.UNSURE,
+                f"the arms swing in no way that a known mistake explains: {100 * wiring.misfit:.0f} % is left over",
+                "see whether the model is that of these arms (`dpcontrol identify`) and turn each arm by hand: its own "
+                "angle should grow counter-clockwise", figures,
+            )  # fmt: skip
+        ]
+    if not stuck and wiring.order != tuple(range(n)):
+        moved = [k + 1 for k in range(n) if wiring.order[k] != k]
+        found.append(wrong(f"the encoders of arms {' and '.join(map(str, moved))} are exchanged",
+                           "exchange their plugs, or their order in the rig's program"))  # fmt: skip
+    if not stuck and wiring.form is Form.RELATIVE:
+        found.append(wrong(
+            "the rig sends each arm's angle to the arm before it",
+            "send absolute angles: the sum of an arm's joint angle and those of the joints before it"))  # fmt: skip
+    if not stuck and wiring.form is Form.TWICE:
+        found.append(wrong("the rig sums angles that are absolute already", "send each encoder's angle as it is"))
+    turned = {name for one in signs[:1] for name in one} if len(signs) == 1 else set()
+    scaled = _cart_scale(gain, factors)
+    for k in range(n):
+        if k in stuck:
+            continue
+        if f"arm {k + 1}" in turned:
+            found.append(wrong(
+                f"the {joint} encoder of arm {k + 1} counts backwards",
+                f"reverse the sign of that encoder's counts in the rig's program, before angles are summed, or exchange "
+                "its channels A and B"))  # fmt: skip
+        size = abs(float(factors[k]))
+        if abs(size - 1) > _FACTOR and not scaled:
+            factor = _plain_factor(size)
+            why = "it may send degrees" if factor == _DEGREES else "its channels may count once, twice or four times"
+            found.append(wrong(
+                f"the encoder of arm {k + 1} shows {size:.3g} times the swing that the model has",
+                f"divide its angle by {factor:.3g} in the rig's program, or multiply its counts per turn there: {why}, "
+                "and angles are in radians"))  # fmt: skip
+    if found:
+        return found
+    shown = ", ".join(f"{d:.2f}" for d in factors)
+    sentence = f"{joint} encoders in order, each with its sign; they show {shown} of the model's swing"
+    return [Finding("encoders", Verdict.OK, sentence, "", figures)]
+
+
+def _counts(session: _Session, wiring: Wiring, settings: LoopSettings, changes: dict[str, Any]) -> Finding:
+    """Compare the rounding of joint angles with what [run] says of the encoders."""
+    joints = np.diff(np.array(session.positions)[:, :-1], axis=1, prepend=0.0)
+    steps = [_rounding(column) for column in joints.T]
+    # An angle that is four times too large has steps that are, too.
+    factors = [_plain_factor(max(abs(float(d)), _STUCK)) for d in wiring.factors]
+    seen = [round(2 * np.pi * factor / step) if step else 0 for step, factor in zip(steps, factors, strict=True)]
+    said = settings.sensors.counts
+    figures = {"counts": seen}
+    visible = {count for count in seen if count}
+    if not visible:
+        sentence = "no rounding to counts is seen in the arms' readings"
+        return Finding("counts", Verdict.OK if not said else Verdict.UNSURE, sentence,
+                       "" if not said else f"check that the encoders have {said:,} counts per turn, as [run] says",
+                       figures)  # fmt: skip
+    coarsest = min(visible)
+    sentence = f"the encoders show {' and '.join(f'{c:,}' if c else 'no' for c in seen)} counts per turn"
+    if said and abs(coarsest / said - 1) < 0.02:
+        return Finding("counts", Verdict.OK, f"{sentence}, as [run] says", "", figures)
+    changes["counts"] = coarsest
+    return Finding(
+        "counts", Verdict.WRONG, f"{sentence}, but [run] says {f'{said:,}' if said else 'no rounding'}",
+        f"set counts = {coarsest} in [run], as --write does", figures, mended=True,
+    )  # fmt: skip
+
+
+def _rounding(values: Array) -> float:
+    """Return the step that values are rounded to, 0 where none is seen."""
+    # Sums and differences of multiples are off by their last digits.
+    levels = np.unique(np.round(values, 9))
+    gaps = np.diff(levels)
+    gaps = gaps[gaps > 5e-9]
+    if len(gaps) < 5:
+        return 0.0
+    step = float(gaps.min())
+    whole = np.abs(gaps / step - np.round(gaps / step)) < 0.02 + 2e-9 / step
+    if step < 1e-6 or whole.mean() < 0.95:
+        return 0.0
+    return float(np.ptp(levels)) / round(float(np.ptp(levels)) / step)
+
+
+_DETUNING, _FASTER, _LEAST_DAMPING = 0.05, 5.0, 0.01
+"""Share by which frequencies may be off the model's; dampings that are worth a word: so many times the model's."""
+
+
+def _model(swing: SwingFit, wiring: Wiring, model: Modes) -> Finding:
+    """Compare the arms' frequencies and dampings with the model's."""
+    hertz = ", ".join(f"{w / 2 / np.pi:.3f}" for w in swing.frequencies)
+    shares = ", ".join(f"{100 * (r - 1):+.1f} %" for r in swing.ratios)
+    sentence = f"the arms swing at {hertz} Hz, {shares} off the model's"
+    figures = {"frequencies": (swing.frequencies / 2 / np.pi).tolist(), "dampings": swing.dampings.tolist(),
+               "ratios": swing.ratios.tolist()}  # fmt: skip
+    faster = swing.dampings / np.maximum(model.dampings, _LEAST_DAMPING / _FASTER)
+    if float(faster.max()) > _FASTER:
+        sentence += f", and lose their swing {faster.max():.0f} times as fast"
+    elif float(np.abs(swing.ratios - 1).max()) < _DETUNING or np.any(np.abs(wiring.factors) < _STUCK):
+        return Finding("model", Verdict.OK, sentence, "", figures)
+    remedy = "identify the model from free swings of this rig (`dpcontrol identify`), or see to the joints' bearings"
+    return Finding("model", Verdict.UNSURE, sentence, remedy, figures)
+
+
+_ACCELERATE = 0.3
+"""m/s² towards the switches."""
+
+
+def _tried_switches(
+    session: _Session, most: float, limits: Limits, options: CommissioningSettings
+) -> list[Finding]:  # fmt: skip
+    """Creep to each side until the switch answers, and come back; return a finding for each side."""
+    session.reach = most + REACH
+    return [_tried_switch(session, side, name, most, limits, options) for side, name in ((1, "right"), (-1, "left"))]
+
+
+def _tried_switch(
+    session: _Session, side: int, name: str, most: float, limits: Limits, options: CommissioningSettings
+) -> Finding:
+    answer, at = _creep(session, side, most, options.creep)
+    _return(session, options)
+    figures = {"side": name, "answer": answer, "position": at}
+
+    def wrong(sentence: str, remedy: str) -> Finding:
+        return Finding("switches", Verdict.WRONG, sentence, remedy, figures)
+
+    if answer == -side:
+        return wrong(f"at the {name}, at {at:+.4f} m, the switch of the other side answers",
+                     "exchange the plugs of the limit switches, or their signs in the rig's program: right is +1")  # fmt: skip
+    if not answer:
+        return wrong(
+            f"no switch answers at the {name} up to {at:+.4f} m",
+            "press that switch by hand: where nothing comes of it see to its wiring, else give --switches a longer way, "
+            "short of the hard stop",
+        )
+    if abs(at) < limits.position:
+        return wrong(
+            f"the switch at the {name} answers at {at:+.4f} m, within the ±{limits.position:g} m that [limits] allows",
+            f"set position below {abs(at):.3f} in [limits], or move the switch outwards",
+        )
+    return Finding("switches", Verdict.OK, f"the switch at the {name} answers at {at:+.4f} m", "", figures)
+
+
+def _creep(session: _Session, side: int, most: float, speed: float) -> tuple[int, float]:
+    """Move to a side until a switch answers or the way is done; return the answer and where the cart is then."""
+    period, wanted, slope = session.period, 0.0, 0.0
+    while True:
+        ahead = min(_ACCELERATE, (speed - slope) / period)
+        slope += ahead * period
+        wanted += slope * period
+        reading = session.advance(session.steered(side * wanted, side * slope, side * ahead))
+        away = session.cart - session.home
+        if reading.switch or abs(away) >= most or wanted > most:
+            session.home += away
+            session.hold(0.3)
+            session.home -= away
+            return reading.switch, away
+
+
+def _return(session: _Session, options: CommissioningSettings) -> None:
+    """Bring the cart back to where it was, smoothly."""
+    away = session.cart - session.home
+    duration = max(1.875 * abs(away) / (2 * options.creep), 0.5)
+    s = np.linspace(0, 1, max(3, round(duration / session.period)))
+    path = away * (1 - s**3 * (10 - 15 * s + 6 * s**2))
+    session.follow(path, np.gradient(np.gradient(path, session.period), session.period))
+    session.hold(0.3)
+
+
+def _deadlines(session: _Session) -> Finding:
+    """Judge how well the two ends kept time."""
+    ticks, lost = len(session.positions), session.present.count(False)
+    kept = getattr(session.rig, "deadlines", None)
+    figures: dict[str, Any] = {"ticks": ticks, "late": session.late, "lost": lost}
+    sentence = f"of {ticks:,} ticks {session.late} began a period late or later, and {lost} had no reading"
+    worst = max(session.late, lost)
+    if isinstance(kept, Deadlines):
+        figures |= {"held": kept.held, "trip_median": kept.trip_median, "trip_99": kept.trip_99}
+        sentence += f"; the bench repeated a command {kept.held} times"
+        worst = max(worst, kept.held)
+    if worst <= 0.001 * ticks:
+        return Finding("deadlines", Verdict.OK, sentence, "", figures)
+    verdict = Verdict.UNSURE if worst <= 0.01 * ticks else Verdict.WRONG
+    remedy = "give the computers less other work, ask for priority with --real-time, or run at a lower rate"
+    return Finding("deadlines", verdict, sentence, remedy, figures)
