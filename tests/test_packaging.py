@@ -58,12 +58,12 @@ def test_the_wheel_carries_every_model_and_itinerary_as_it_is_in_the_checkout(wh
     assert carried == expected
 
 
-def test_the_wheel_carries_every_module_its_tables_and_nothing_of_the_tests(wheel: Path) -> None:
+def test_the_wheel_carries_every_module_its_tables_and_pages_and_nothing_of_the_tests(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = {n for n in archive.namelist() if not n.startswith("dpcontrol/data/") and ".dist-info/" not in n}
-    package = {file for end in ("*.py", "*.toml", "*.json") for file in (ROOT / "dpcontrol").rglob(end)}
+    package = {file for end in ("*.py", "*.toml", "*.json", "*.md") for file in (ROOT / "dpcontrol").rglob(end)}
     assert names == {str(file.relative_to(ROOT)) for file in package}
-    assert "dpcontrol/recordings/mappings/multi-arm.toml" in names
+    assert {"dpcontrol/recordings/mappings/multi-arm.toml", "dpcontrol/guide/rig.md"} <= names
 
 
 def test_the_wheel_declares_the_console_script_and_the_dependencies(wheel: Path) -> None:

@@ -1,8 +1,8 @@
-"""The verbs that run the loop, and the options that override a scene's run settings: run, rig, campaign."""
+"""The verbs that run the loop, and the options that override a scene's run settings: run, rig, commission, campaign."""
 
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -12,6 +12,7 @@ from click.core import ParameterSource
 from dpcontrol.cli.review import score_text, shortfall
 from dpcontrol.cli.verbs import (
     FILE,
+    OUTPUT,
     YES,
     Answer,
     Option,
@@ -27,6 +28,7 @@ from dpcontrol.cli.verbs import (
     verb,
 )
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.interrupts import forget_interrupts
 from dpcontrol.foundation.progress import part_of, progress_bar
 from dpcontrol.foundation.settings import suggest
@@ -153,6 +155,27 @@ def _repeat(source: Path, out: Path | None, force: bool) -> Answer:
 SERVER = "Server"
 
 
+class _Fault(click.ParamType):
+    """One of the mistakes that the example bench can be given."""
+
+    name = "fault"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        from dpcontrol.rig.bench import FAULTS
+
+        if value not in FAULTS:
+            self.fail(f"{value!r} is no fault of the example bench: {suggest(str(value), FAULTS)}", param, ctx)
+        return str(value)
+
+
+_FAULT = _Fault()
+FAULT_HELP = (
+    "Give the example bench a mistake, for practice: drive-reversed, cart-reversed, encoder-1-reversed, "
+    "encoder-2-reversed, encoders-swapped, angles-not-summed, encoder-1-factor-4, zeros-off, switch-dead, "
+    "switches-swapped."
+)
+
+
 @verb("rig", example="dpcontrol rig outer-turn --port 47000 --mismatch 0.05")
 def rig_command(
     *,
@@ -164,27 +187,33 @@ def rig_command(
     real_time: bool = option(group=SERVER, help="Ask the system for priority over all ordinary work."),
     key_file: Path | None = option(type=FILE, group=SERVER, help=KEY_HELP),
     insecure: bool = option(group=SERVER, help="Let anyone who can reach --host drive the cart, without a key."),
+    hanging: bool = option(help="Begin with the arms hanging, as `dpcontrol commission` needs; nothing is planned."),
+    fault: tuple[str, ...] = option(type=_FAULT, metavar="NAME", help=FAULT_HELP),
     settings: RunOptions = run_settings(),
     yes: bool = YES,
 ) -> None:
     """Start an example bench: the itinerary's arms and cart, simulated in real time, reached over UDP.
 
     Prints its address, for `dpcontrol run ITINERARY --rig ADDRESS`, and serves one run after the other until Ctrl-C.
-    The arms start where the itinerary does. The packets are described in dpcontrol/rig/packets.py. Where --host can be
+    The arms start where the itinerary does. The packets are described in dpcontrol/guide/rig.md. Where --host can be
     reached from other computers, loops need the bench's key.
     """
     from dpcontrol.rig.access import checked_host, shared_key
-    from dpcontrol.rig.bench import BenchServerSettings, UdpBench
+    from dpcontrol.rig.bench import BenchServerSettings, UdpBench, checked_faults
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.plan import make_plan
-    from dpcontrol.scenes.run import bench_recipe
+    from dpcontrol.scenes.run import bench_recipe, hanging_recipe
 
     key = shared_key(key_file)
     checked_host(host, port, key=key, insecure=insecure)
     scene = load_itinerary(itinerary).with_run(settings, seed=seed)
-    with progress_bar("rig") as progress:
-        plan = make_plan(scene, progress=progress, yes=yes)
-    recipe = bench_recipe(plan)
+    faults = checked_faults(fault, scene.model.arms.count)
+    if hanging:
+        recipe = hanging_recipe(scene, faults=faults)
+    else:
+        with progress_bar("rig") as progress:
+            plan = make_plan(scene, progress=progress, yes=yes)
+        recipe = replace(bench_recipe(plan), faults=faults)
     recipe.rehearse()
     arms, server = recipe.parameters.count, BenchServerSettings(real_time=real_time)
 
@@ -204,6 +233,83 @@ def rig_command(
             bench.serve(runs=runs)
         except KeyboardInterrupt:
             forget_interrupts()
+
+
+@verb("commission", example="dpcontrol commission outer-turn --fault encoder-2-reversed", note="exits with 1")
+def commission_command(
+    *,
+    itinerary: str = argument(),
+    address: str | None = option(
+        "--rig",
+        metavar="ADDRESS",
+        group=BENCH,
+        help="The rig at udp://HOST:PORT, or, with udp alone, the example bench in a process of its own. [default: the "
+        "example bench in simulated time]",
+    ),
+    switches: float | None = option(
+        group=BENCH,
+        metavar="METRES",
+        help="Creep so far to either side, short of the hard stops, until the limit switches answer.",
+    ),
+    real_time: bool = option(group=BENCH, help="With --rig: ask for priority over all ordinary work."),
+    key_file: Path | None = option(type=FILE, group=BENCH, help=KEY_HELP),
+    insecure: bool = option(group=BENCH, help="With --rig: take a bench on another computer without a key."),
+    seed: int = option(default=0, help="Seed of all that is random on the example bench."),
+    fault: tuple[str, ...] = option(type=_FAULT, metavar="NAME", help=FAULT_HELP),
+    settings: RunOptions = run_settings(),
+    write: bool = option(group=OUTPUT, help="Write delay, lag, zeros and counts as measured into ITINERARY's [run]."),
+) -> Answer:
+    """Find out what must be right before the first run on a rig, and measure its delay and lag.
+
+    The arms must hang and the cart stand at the centre. The cart shifts a few millimetres, then follows a chirp within
+    10 mm: signs, order and counts of the encoders, zeros, direction and gain of the drive come from how cart and arms
+    move. Ctrl-C brakes the cart. Exits with 1 where something is wrong. Settings and faults are the example bench's.
+    More is in dpcontrol/guide/rig.md.
+    """
+    from dpcontrol.rig.access import shared_key
+    from dpcontrol.rig.client import parse_address
+    from dpcontrol.scenes.itinerary import load_itinerary
+    from dpcontrol.scenes.run import OWN_BENCH, commission_rig, measured_text
+
+    own = address in (None, OWN_BENCH)
+    if address is None and (real_time or key_file or insecure):
+        raise click.UsageError("--real-time, --key-file and --insecure are for a rig: give --rig as well")
+    if not own and (fault or settings.given()):
+        raise click.UsageError("--fault and settings of the bench are for the example bench: leave them out with --rig")
+    if address is not None and not own:
+        parse_address(address)
+    key = b"" if own else shared_key(key_file)
+    scene = load_itinerary(itinerary)
+    practice = scene.with_run(settings, seed=seed)
+    if write:
+        # A file that cannot be changed is found out before the cart moves.
+        measured_text(scene, {"delay": 1.0, "lag": 0.0, "zeros": [0.0], "counts": 1})
+    found = commission_rig(
+        scene, address, practice=practice, faults=fault, switches=switches or 0.0, key=key, insecure=insecure,
+        real_time=real_time, tell=lambda text: say(f"dpcontrol: {text}"),
+    )  # fmt: skip
+    lines = [f"commissioning for {scene.name} on {address or 'the example bench, simulated'}"]
+    for finding in found.findings:
+        lines.append(f"  {finding.verdict:6}  {finding.step}: {finding.sentence}")
+        if finding.remedy:
+            lines.append(f"          → {finding.remedy}")
+    document, left, unwritten = {**found.document(), "written": None}, found.wrong, ""
+    if write and found.changes:
+        path, text = measured_text(scene, found.changes)
+        try:
+            write_whole(path, text)
+        except InputError as error:
+            # What was measured is shown all the same.
+            unwritten = str(error)
+        else:
+            document["written"], left = path, found.blocking
+            values = ", ".join(f"{key} = {value}" for key, value in found.changes.items())
+            lines.append(f"{path}: [run] now has {values}")
+    elif write:
+        lines.append(f"{scene.path} stays as it is until the rig is right")
+    if left and not unwritten:
+        unwritten = f"{len(left)} of {len(found.findings)} findings must be mended; first: {left[0].sentence}"
+    return Answer(document, lines, unwritten)
 
 
 WORK = "Work"

@@ -13,8 +13,10 @@ Checked reading of TOML files: every mistake is one sentence naming file, table,
 
 import difflib
 import math
+import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields
 from functools import cache
 from numbers import Real
@@ -207,6 +209,80 @@ def parse_toml(text: str, file: str) -> Table:
         raise InputError(f"{file} is not valid TOML: {error}") from error
     except (RecursionError, ValueError) as error:
         raise InputError(f"{file} is not usable TOML: nested too deeply, or a number of too many digits") from error
+
+
+def with_values(text: str, table: str, values: Mapping[str, Any], *, file: str) -> str:
+    """Return TOML text with keys of one table set to numbers or lists of numbers; all else stays as it was written.
+
+    Comments, order, spacing and line ends are kept; new keys follow the table's last one, a new table the text.
+
+    Raises:
+        InputError: the text is written in a way that this cannot change; says what to write by hand.
+    """
+    before = tomllib.loads(text)
+    wanted = {**before, table: {**before.get(table, {}), **values}}
+    end = "\r\n" if "\r\n" in text else "\n"
+    lines = text.splitlines(keepends=True)
+    if lines and not lines[-1].endswith(("\n", "\r")):
+        lines[-1] += end
+    header = re.compile(rf"\s*\[\s*{re.escape(table)}\s*\]\s*(#.*)?$")
+    first = next((k for k, line in enumerate(lines) if header.match(line)), None)
+    if first is None:
+        lines += [end, f"[{table}]{end}"] if lines else [f"[{table}]{end}"]
+        first = len(lines) - 1
+    for key, value in values.items():
+        _set(lines, first, key, repr(value), end)
+    out = "".join(lines)
+    try:
+        same = tomllib.loads(out) == wanted
+    except tomllib.TOMLDecodeError:
+        same = False
+    if not same:
+        shown = ", ".join(f"{key} = {value!r}" for key, value in values.items())
+        raise InputError(f"{file}: its [{table}] is not written line by line and stays as it is; write there {shown}")
+    return out
+
+
+def _set(lines: list[str], header: int, key: str, value: str, end: str) -> None:
+    """Set one key of the table whose header is line `header`, in place."""
+    last = k = header + 1
+    while k < len(lines) and not lines[k].lstrip().startswith("["):
+        stop = _end_of_value(lines, k)
+        if stop is None:
+            k += 1
+            continue
+        found = re.match(rf"(\s*{re.escape(key)}\s*=\s*)(.*)", "".join(lines[k:stop]), re.DOTALL)
+        if found:
+            comment = _comment(found[1], found[2])
+            if comment:
+                # It stays in its column where the value leaves room.
+                room = len(found[2].rstrip("\r\n")) - len(comment.lstrip())
+                comment = f"{'':{max(room - len(value), 1)}}{comment.lstrip()}"
+            lines[k:stop] = [f"{found[1]}{value}{comment}{end}"]
+            return
+        last = k = stop
+    lines.insert(last, f"{key} = {value}{end}")
+
+
+def _end_of_value(lines: Sequence[str], k: int) -> int | None:
+    """Return the line after the value of the key that line k begins, None where it begins none."""
+    if not lines[k].strip() or lines[k].lstrip().startswith("#"):
+        return None
+    for stop in range(k + 1, len(lines) + 1):
+        with suppress(tomllib.TOMLDecodeError):
+            tomllib.loads("".join(lines[k:stop]))
+            return stop
+    return None
+
+
+def _comment(begin: str, rest: str) -> str:
+    """Return the comment after a value of one line, with the blanks before it."""
+    rest = rest.rstrip("\r\n")
+    for found in re.finditer(r"\s*#", rest):
+        with suppress(tomllib.TOMLDecodeError):
+            tomllib.loads(begin + rest[: found.start()])
+            return rest[found.start() :]
+    return ""
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,9 @@ ticks j, T apart, a drive of delay d, lag τ and gain γ moves the cart by
 
     x(t) = x_0 + v_0 t + γ Σ_j (u_j - u_{j-1}) p(t - j T - d),     p(s) = s²/2 - τ s + τ² (1 - e^{-s/τ})  for s > 0
 
-Both sides are high-passed, so that what noise on the command adds up to does not count, and d, τ, γ fitted to the cart's
-readings. Standard errors are of residuals that stay alike over blocks. Hanging arms, on small swings, have normal modes
+Both sides are high-passed, so that what noise on the command adds up to does not count, and d, τ, γ fitted to the
+cart's readings. Standard errors allow for residuals that stay alike over blocks. Hanging arms have, on small swings,
+normal modes
 
     readings = zeros + W y + free swing,     ÿ_i + 2 ζ_i ω_i ẏ_i + ω_i² y_i = -ẍ
 
@@ -37,7 +38,8 @@ from numpy.typing import NDArray
 from scipy import linalg, optimize, signal
 
 from dpcontrol.dynamics.chain import ArmChainParameters
-from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import Bounds, Settings, setting
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import Reading, Rig
 from dpcontrol.references.problem import Limits
@@ -48,6 +50,9 @@ Tell = Callable[[str], None]
 
 REACH = 0.010
 """m: how far the cart goes from where it stands, switches apart."""
+
+
+_SWITCHES = Bounds(least=2 * REACH, most=100, unit="m")
 
 
 class Verdict(StrEnum):
@@ -144,6 +149,9 @@ _LONGEST_GAP = 0.1
 """s without a reading of the cart after which it is not moved any more."""
 
 
+_OFTEN_LATE = 0.01
+"""Share of ticks."""
+_HURRY = "give the computers less other work, ask for priority with --real-time, or run at a lower rate"
 _COMPLAINS = "mend what the rig complains of and start again"
 
 
@@ -218,6 +226,12 @@ class _Session:
                 "see whether the rig sends a reading each period, and whether the line loses packets",
             )
         away = self.cart - self.home
+        if abs(away) > self.reach and self.late > _OFTEN_LATE * self.tick:
+            raise self.halted(
+                f"the cart left its {1e3 * self.reach:.3g} mm and was stopped, as {self.late} of {self.tick} commands "
+                "came a period late or later",
+                _HURRY,
+            )
         if abs(away) > self.reach:
             raise self.halted(
                 f"the cart left its {1e3 * self.reach:.3g} mm (it is at {1e3 * away:+.3g} mm), so it was stopped",
@@ -277,8 +291,13 @@ def commission(
     settings, zeros: what the scene's [run] says of it so far. switches m: creep so far to either side until the limit
     switches answer; zero: leave them. tell: called with what is to be seen next. The rig is stopped at the end, and
     whatever happens.
+
+    Raises:
+        InputError: an impossible way to the switches.
     """
     options = options or CommissioningSettings()
+    if switches and (complaint := _SWITCHES.complaint(switches)):
+        raise InputError(f"switches = {switches!r}: {complaint}")
     findings: list[Finding] = []
     changes: dict[str, Any] = {}
     halt, session, motion = None, None, _Motion()
@@ -312,6 +331,7 @@ class _Motion:
 
     held_from: int = 0
     chirped_from: int = 0
+    chirped_to: int = 0
     rang_to: int = 0
     switches: list[Finding] = field(default_factory=list)
 
@@ -328,11 +348,12 @@ def _move(
     _shift(session, arms)
     session.step = "still"
     _wait_until_still(session, options, tell)
-    tell(f"the cart follows a chirp for {options.sweep:g} s, then stands for {options.ring:g} s; the arms swing a little")
+    tell(f"the cart follows a chirp for {options.sweep:g} s, then stands for {options.ring:g} s; the arms swing")
     session.step, motion.held_from = "delay", session.tick
     session.hold(options.hold)
     motion.chirped_from = session.tick
     session.follow(*chirp)
+    motion.chirped_to = session.tick
     session.hold(options.ring)
     motion.rang_to = session.tick
     session.step = "switches"
@@ -342,7 +363,7 @@ def _move(
     elif session.gain < 0:
         motion.switches = [_untried("the drive is not right", "mend the drive first")]
     else:
-        tell(f"the cart creeps to the right, then to the left, by up to {switches:g} m: keep a hand at the power switch")
+        tell(f"the cart creeps to the right, then to the left, by up to {switches:g} m: be ready to cut the power")
         motion.switches = _tried_switches(session, switches, limits, options)
 
 
@@ -357,7 +378,9 @@ def _judged(
     """Return what the motion shows, and put what it measures into `changes`."""
     angles, carts = (read()[: motion.rang_to + 1] for read in (session.angles, session.carts))
     since = motion.held_from
-    drive = fit_drive(carts, session.commands, session.period, first=motion.chirped_from)
+    drive = fit_drive(
+        carts, session.commands, session.period, first=motion.chirped_from, last=motion.chirped_to
+    )  # fmt: skip
     swing = fit_swing(angles[since:], carts[since:], session.period, arms)
     wiring = read_wiring(swing, arms)
     signs = _signs(drive.gain, wiring.factors)
@@ -387,46 +410,52 @@ def _side(switch: int) -> str:
     return "right" if switch > 0 else "left"
 
 
-_SHIFTS = (0.0002, 0.001, 0.004)
-"""m: the cart's shifts, tried one after the other until one is seen."""
-_SHIFT_SECONDS = 0.16
-_SEEN = 0.0003
-"""m: a shift that is seen well enough."""
+_SHIFTS = (0.0005, 0.004)
+"""m: the cart's shifts; the second where the first is not seen."""
+_SHIFT_SECONDS, _AFTER_SHIFT = 0.16, 0.1
+_SEEN, _CLEARLY_SEEN = 0.0002, 5.0
+"""m, and in terms of how far the cart wanders by itself: a shift that is seen well enough."""
 
 
 def _shift(session: _Session, arms: ArmChainParameters) -> None:
     """Find the drive's direction and gain, without feedback, which needs them."""
     quarter = max(1, round(_SHIFT_SECONDS / 4 / session.period))
-    pattern = np.repeat([1.0, -1.0, -1.0, 1.0], quarter)
-    noise = float(np.std(np.diff(session.carts())))
-    seen = gain = 0.0
+    pattern = np.repeat([1.0, -1.0, -1.0, 1.0], quarter) / (quarter * session.period) ** 2
+    after = max(2, round(_AFTER_SHIFT / session.period))
+    before = session.carts()[-(len(pattern) + after) :]
+    wander = float(np.std(before - _drift(before)))
+    seen = 0.0
     for size in _SHIFTS:
+        if size < _SHIFTS[-1] and _CLEARLY_SEEN * wander > size / 3:
+            continue
         first = session.tick
-        for value in pattern * size / (quarter * session.period) ** 2:
+        for value in (*(pattern * size), *np.zeros(after)):
             session.advance(float(value))
-        for _ in range(max(2, round(0.1 / session.period))):
-            session.advance(0.0)
         carts = session.carts(first)
         wanted = _response(np.array([*session.commands[first:], 0.0]), session.period, 0.0)[:, 0]
-        # The drive's delay is not known: the shift at its best. A drift goes with the means.
-        lags = range(0, len(carts) - 2 * quarter, max(1, quarter // 8))
-        fits = [_slope(wanted[: len(wanted) - k], carts[k:]) for k in lags]
+        # The drive's delay is not known yet: what it explains best.
+        delays = range(0, len(carts) - 2 * quarter, max(1, quarter // 8))
+        fits = [_slope(wanted[: len(wanted) - k], carts[k:]) for k in delays]
         gain, explained = max(fits, key=lambda fit: fit[1])
         seen = abs(gain) * size
-        if seen > max(_SEEN, 10 * noise) and explained > 0.5:
-            break
-    else:
-        _no_shift(session, arms, seen)
-    session.gain = gain
+        if seen > _SEEN and abs(gain) * np.std(wanted) > _CLEARLY_SEEN * wander and explained > 0.5:
+            session.gain = gain
+            return
+    _no_shift(session, arms, seen)
+
+
+def _drift(values: Array) -> Array:
+    """Return the straight line through values (K,)."""
+    line = np.vander(np.linspace(-1, 1, len(values)), 2)
+    return line @ np.linalg.lstsq(line, values, rcond=None)[0]
 
 
 def _slope(wanted: Array, seen: Array) -> tuple[float, float]:
-    """Return how much of `wanted` is in `seen`, apart from a drift, and the share of the variance that it explains."""
-    drift = np.vander(np.linspace(-1, 1, len(seen)), 2)
-    left = [v - drift @ np.linalg.lstsq(drift, v, rcond=None)[0] for v in (wanted, seen)]
-    size = float(left[0] @ left[0])
-    slope = float(left[0] @ left[1]) / size
-    return slope, slope**2 * size / max(float(left[1] @ left[1]), 1e-30)
+    """Return how much of `wanted` is in `seen`, apart from drifts, and the share of the variance that it explains."""
+    wanted, seen = wanted - _drift(wanted), seen - _drift(seen)
+    size = float(wanted @ wanted)
+    slope = float(wanted @ seen) / size
+    return slope, slope**2 * size / max(float(seen @ seen), 1e-30)
 
 
 def _no_shift(session: _Session, arms: ArmChainParameters, seen: float) -> None:
@@ -438,8 +467,8 @@ def _no_shift(session: _Session, arms: ArmChainParameters, seen: float) -> None:
     if float(np.abs(wiring.factors).max()) > 0.3:
         raise session.halted(
             f"the arms began to swing when the cart was to shift by {1e3 * _SHIFTS[-1]:g} mm and back, but its reading "
-            "did not change with it: the cart's scale does not count",
-            "see whether the cart's scale is plugged in, and whether its reading is sent in metres as the last position",
+            "did not change: the cart's scale does not count",
+            "see whether the cart's scale is plugged in, and whether its reading is the last position sent, in metres",
         )
     raise session.halted(
         f"the cart does not move: commanded to shift by {1e3 * _SHIFTS[-1]:g} mm and back, its reading shows "
@@ -514,22 +543,22 @@ def _response(commands: Array, period: float, total: float, square: float = 0.0)
     return signal.fftconvolve(changes, kernels, axes=0)[: len(commands)]
 
 
-_HIGH_PASS = 4.0
-"""Hz: below it the cart's motion may be the doing of noise, of feedback or of friction."""
-_BEFORE = 0.5
-"""s of commands before the chirp that the fit takes account of."""
-_BLOCKS = 60
+_HIGH_PASS = 20.0
+"""Hz: below it the filter makes accelerations of positions, in which noise on the command is white."""
+_MARGIN = 0.5
+"""s before and after the chirp that the fit takes account of."""
+_BLOCKS = 24
 
 
-def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: int) -> DriveFit:
+def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: int, last: int) -> DriveFit:
     """Fit delay, lag and gain of the drive to the cart's readings (K,) m and the commands after each, m/s².
 
-    first: tick at which the cart begins to move.
+    first, last: ticks at which the cart begins and ends its chirp.
     """
-    begin = max(first - round(_BEFORE / period), 0)
-    x, u = carts[begin:], np.array([*commands, 0.0])[begin : len(carts)]
-    cutoff = min(_HIGH_PASS, 0.02 / period)
-    sections = signal.butter(3, cutoff, "highpass", fs=1 / period, output="sos")
+    begin, end = max(first - round(_MARGIN / period), 0), min(last + round(_MARGIN / period), len(carts))
+    x, u = carts[begin:end], np.array([*commands, 0.0])[begin:end]
+    cutoff = min(_HIGH_PASS, 0.05 / period)
+    sections = signal.butter(2, cutoff, "highpass", fs=1 / period, output="sos")
     t = np.linspace(-1, 1, len(x))
     skip = min(round(0.3 / period), len(x) // 8)
 
@@ -539,9 +568,12 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
     base, _ = np.linalg.qr(high(np.vander(t, 3)))
 
     def seen(values: Array) -> Array:
-        passed = high(values)
+        passed = high(values) / size
         return passed - base @ (base.T @ passed)
 
+    # In units of the motion itself, so that the fit knows when it is done.
+    size = 1.0
+    size = max(float(np.std(seen(x[:, None]))), 1e-9)
     y = seen(x[:, None])[:, 0]
 
     def rough(total: float, lag: float) -> tuple[float, float]:
@@ -583,12 +615,12 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
             left = residual(values)
             scale = max(1.5 * 1.4826 * float(np.median(np.abs(left))), 1e-9)
         errors = np.zeros(len(values))
-        errors[free] = _sandwich(slopes(values)[:, free], left / np.sqrt(1 + (left / scale) ** 2))
+        errors[free] = _sandwich(slopes(values)[:, free], left, 1 / np.sqrt(1 + (left / scale) ** 2))
         return values, errors
 
     values, errors = fitted(np.array([total, lag**2, rough(total, lag)[1]]) / unit, [0, 1, 2])
     lag_error = _error_of_root(values[1] * unit[1], errors[1] * unit[1])
-    if values[1] < 2 * errors[1] or values[1] * unit[1] < _NO_LAG**2:
+    if values[1] < 3 * errors[1] or values[1] * unit[1] < _NO_LAG**2:
         # Then it is none, and need not make the delay unsure.
         values[1] = 0.0
         values, errors = fitted(values, [0, 2])
@@ -608,12 +640,15 @@ def _error_of_root(square: float, error: float) -> float:
     return math.sqrt(square + error) - math.sqrt(square)
 
 
-def _sandwich(jacobian: Array, residual: Array) -> Array:
-    """Return standard errors (p,) of residuals (K,) that stay alike over blocks."""
+def _sandwich(jacobian: Array, residual: Array, weights: Array | None = None) -> Array:
+    """Return standard errors (p,) where residuals (K,) stay alike over blocks; weights (K,): those of soft_l1."""
+    weights = np.ones(len(residual)) if weights is None else weights
     edges = np.linspace(0, len(residual), _BLOCKS + 1).round().astype(int)[:-1]
-    scores = np.add.reduceat(jacobian * residual[:, None], edges)
-    inverse = np.linalg.pinv(jacobian.T @ jacobian)
-    return np.sqrt(np.diag(inverse @ (scores.T @ scores) @ inverse))
+    scores = np.add.reduceat(jacobian * (weights * residual)[:, None], edges)
+    # The slope of weight times residual is the weight's cube.
+    inverse = np.linalg.pinv(jacobian.T @ (weights[:, None] ** 3 * jacobian))
+    few = _BLOCKS / (_BLOCKS - jacobian.shape[1])
+    return np.sqrt(few * np.diag(inverse @ (scores.T @ scores) @ inverse))
 
 
 class Modes(NamedTuple):
@@ -645,7 +680,7 @@ def _sums(n: int) -> Array:
 
 
 class SwingFit(NamedTuple):
-    """Modes as they show in the readings: frequencies (n,), dampings (n,), shapes W (n, n); strengths (n,): of each mode.
+    """Modes as the readings show them: frequencies (n,), dampings (n,), shapes W (n, n); strengths (n,): rms of y.
 
     zeros (n,) rad with their standard errors; ratios (n,): frequencies over the model's; misfit (n,): rms of what is
     left of each reading, rad; swing (n,): rms of each reading.
@@ -678,8 +713,8 @@ def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParamete
     def columns(frequency: float, damping: float) -> Array:
         """Return a mode's answer to the cart, and its free swing (K, 3)."""
         w, z = frequency, damping
-        top, bottom, _ = signal.cont2discrete(([2 * z * w, w**2], [1, 2 * z * w, w**2]), period, method="foh")
-        forced = signal.lfilter(np.ravel(top), bottom, x) - x
+        top, bottom, _ = signal.cont2discrete(([-1, 0, 0], [1, 2 * z * w, w**2]), period, method="foh")
+        forced = signal.lfilter(np.ravel(top), bottom, x)
         free = np.exp(-z * w * t)
         turned = w * math.sqrt(max(1 - z**2, 1e-6)) * t
         return np.stack([forced, free * np.cos(turned), free * np.sin(turned)], axis=1)
@@ -864,7 +899,8 @@ def _lateness(drive: DriveFit, settings: LoopSettings, period: float, changes: d
         return Finding("delay", Verdict.OK, f"{sentence}, as [run] says", "", figures)
     return Finding(
         "delay", Verdict.WRONG, f"{sentence}, but [run] says {said.delay:g} periods and {1e3 * said.lag:g} ms",
-        f"set delay = {changes['delay']:g} and lag = {changes['lag']:g} in [run], as --write does", figures, mended=True,
+        f"set delay = {changes['delay']:g} and lag = {changes['lag']:g} in [run], as --write does", figures,
+        mended=True,
     )  # fmt: skip
 
 
@@ -933,11 +969,13 @@ def _encoders(wiring: Wiring, swing: SwingFit, signs: list[tuple[str, ...]], gai
     if not stuck and wiring.misfit > _LEFT_OVER:
         return [
             Finding(
-                "encoders", Verdict.UNSURE,
+                "encoders",
+                Verdict.UNSURE,
                 f"the arms swing in no way that a known mistake explains: {100 * wiring.misfit:.0f} % is left over",
                 "see whether the model is that of these arms (`dpcontrol identify`) and turn each arm by hand: its own "
-                "angle should grow counter-clockwise", figures,
-            )  # fmt: skip
+                "angle should grow counter-clockwise",
+                figures,
+            )
         ]
     if not stuck and wiring.order != tuple(range(n)):
         moved = [k + 1 for k in range(n) if wiring.order[k] != k]
@@ -957,7 +995,7 @@ def _encoders(wiring: Wiring, swing: SwingFit, signs: list[tuple[str, ...]], gai
         if f"arm {k + 1}" in turned:
             found.append(wrong(
                 f"the {joint} encoder of arm {k + 1} counts backwards",
-                f"reverse the sign of that encoder's counts in the rig's program, before angles are summed, or exchange "
+                "reverse the sign of that encoder's counts in the rig's program, before angles are summed, or exchange "
                 "its channels A and B"))  # fmt: skip
         size = abs(float(factors[k]))
         if abs(size - 1) > _FACTOR and not scaled:
@@ -1035,8 +1073,8 @@ def _model(swing: SwingFit, wiring: Wiring, model: Modes) -> Finding:
     return Finding("model", Verdict.UNSURE, sentence, remedy, figures)
 
 
-_ACCELERATE = 0.3
-"""m/s² towards the switches."""
+_ACCELERATE, _STOPPING = 0.3, 1.0
+"""m/s² towards the switches, and where one has answered."""
 
 
 def _tried_switches(
@@ -1058,13 +1096,15 @@ def _tried_switch(
         return Finding("switches", Verdict.WRONG, sentence, remedy, figures)
 
     if answer == -side:
-        return wrong(f"at the {name}, at {at:+.4f} m, the switch of the other side answers",
-                     "exchange the plugs of the limit switches, or their signs in the rig's program: right is +1")  # fmt: skip
+        return wrong(
+            f"at the {name}, at {at:+.4f} m, the switch of the other side answers",
+            "exchange the plugs of the limit switches, or their signs in the rig's program: right is +1",
+        )
     if not answer:
         return wrong(
             f"no switch answers at the {name} up to {at:+.4f} m",
-            "press that switch by hand: where nothing comes of it see to its wiring, else give --switches a longer way, "
-            "short of the hard stop",
+            "press that switch by hand: where nothing comes of it see to its wiring, else give --switches a longer "
+            "way, short of the hard stop",
         )
     if abs(at) < limits.position:
         return wrong(
@@ -1077,17 +1117,17 @@ def _tried_switch(
 def _creep(session: _Session, side: int, most: float, speed: float) -> tuple[int, float]:
     """Move to a side until a switch answers or the way is done; return the answer and where the cart is then."""
     period, wanted, slope = session.period, 0.0, 0.0
+    answer, at, braking = 0, 0.0, False
     while True:
-        ahead = min(_ACCELERATE, (speed - slope) / period)
-        slope += ahead * period
+        change = max(-_STOPPING, -slope / period) if braking else min(_ACCELERATE, (speed - slope) / period)
+        slope += change * period
         wanted += slope * period
-        reading = session.advance(session.steered(side * wanted, side * slope, side * ahead))
-        away = session.cart - session.home
-        if reading.switch or abs(away) >= most or wanted > most:
-            session.home += away
-            session.hold(0.3)
-            session.home -= away
-            return reading.switch, away
+        reading = session.advance(session.steered(side * wanted, side * slope, side * change))
+        if not braking:
+            answer, at = reading.switch, session.cart - session.home
+            braking = bool(answer) or abs(at) >= most or wanted > most
+        elif slope < 1e-9:
+            return answer, at
 
 
 def _return(session: _Session, options: CommissioningSettings) -> None:
@@ -1113,6 +1153,5 @@ def _deadlines(session: _Session) -> Finding:
         worst = max(worst, kept.held)
     if worst <= 0.001 * ticks:
         return Finding("deadlines", Verdict.OK, sentence, "", figures)
-    verdict = Verdict.UNSURE if worst <= 0.01 * ticks else Verdict.WRONG
-    remedy = "give the computers less other work, ask for priority with --real-time, or run at a lower rate"
-    return Finding("deadlines", verdict, sentence, remedy, figures)
+    verdict = Verdict.UNSURE if worst <= _OFTEN_LATE * ticks else Verdict.WRONG
+    return Finding("deadlines", verdict, sentence, _HURRY, figures)

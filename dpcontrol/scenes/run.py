@@ -10,13 +10,15 @@ that speaks `dpcontrol.rig.packets`; the example is the simulated one, by its ow
 
 import json
 import types
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
+
+import numpy as np
 
 import dpcontrol
 from dpcontrol.control.estimation import ESTIMATORS
@@ -25,6 +27,7 @@ from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import checked_other_file, content_hash
 from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.settings import with_values
 from dpcontrol.logs import (
     Comparison,
     Event,
@@ -36,12 +39,13 @@ from dpcontrol.logs import (
     joint_names,
     read_log,
 )
-from dpcontrol.loop.loop import ControlLoop, LoopSettings, control_loop, loop_controller, loop_fallback, run_loop
-from dpcontrol.loop.result import LogSink, LoopResult, NoSink
+from dpcontrol.loop.loop import LoopSettings, control_loop, loop_controller, loop_fallback, run_loop
+from dpcontrol.loop.result import LogSink, LoopResult, NoSink, Rig
+from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import load_reference
 from dpcontrol.review.score import MODEL_METADATA, REFERENCE_ATTACHMENT, Score, score
 from dpcontrol.scenes.itinerary import CONTROLLERS, Itinerary, itinerary_from
-from dpcontrol.scenes.model import model_from
+from dpcontrol.scenes.model import folders, model_from
 from dpcontrol.scenes.plan import Plan, plan_key
 
 if TYPE_CHECKING:
@@ -50,6 +54,7 @@ if TYPE_CHECKING:
 
     from dpcontrol.rig.bench import BenchRecipe
     from dpcontrol.rig.client import Deadlines, UdpRig
+    from dpcontrol.rig.commissioning import Commissioning, CommissioningSettings
 
 _SCENE, _MODEL = "scene.toml", "model.toml"
 
@@ -343,7 +348,104 @@ def bench_recipe(plan: Plan, controller: Controller | None = None) -> "BenchReci
     return BenchRecipe(
         itinerary.model.arms, loop, loop.limits(reference), controller.first_state,
         ticks=controller.ticks + round(_SPARE * loop.rate) + 1, uncertainty=itinerary.uncertainty,
+        zeros=itinerary.zeros,
     )  # fmt: skip
+
+
+_HANGING = 600.0
+"""Seconds for which a bench with hanging arms can run."""
+
+
+def hanging_recipe(itinerary: Itinerary, *, faults: Sequence[str] = ()) -> "BenchRecipe":
+    """Return the itinerary's simulated bench with its arms hanging, for commissioning, for which nothing is planned.
+
+    Raises:
+        InputError: a fault that these arms cannot have; the plant is to be drawn from an uncertainty that is not known.
+    """
+    from dpcontrol.rig.bench import BenchRecipe, checked_faults
+
+    arms, loop = itinerary.model.arms, itinerary.loop
+    return BenchRecipe(
+        arms, loop, _limits(itinerary), np.zeros(2 * arms.count + 2), ticks=round(_HANGING * loop.rate),
+        uncertainty=itinerary.uncertainty, zeros=itinerary.zeros, faults=checked_faults(faults, arms.count),
+    )  # fmt: skip
+
+
+def _limits(itinerary: Itinerary) -> Limits:
+    travel = itinerary.loop.travel
+    return replace(itinerary.limits, position=travel) if travel else itinerary.limits
+
+
+def commission_rig(
+    itinerary: Itinerary,
+    address: str | None = None,
+    *,
+    practice: Itinerary | None = None,
+    faults: Sequence[str] = (),
+    switches: float = 0.0,
+    key: bytes = b"",
+    insecure: bool = False,
+    real_time: bool = False,
+    options: "CommissioningSettings | None" = None,
+    tell: Callable[[str], None] = lambda text: None,
+) -> "Commissioning":
+    """Find out what must be right before the first run on the rig at `address`; see `dpcontrol.rig.commissioning`.
+
+    address: udp://HOST:PORT, `udp` for the example bench in a process of its own, or None for that in simulated time.
+    practice: the itinerary as that bench has it, with other settings; faults: it has besides.
+
+    Raises:
+        InputError: the address is malformed, no bench answers, it needs a key or does not fit the itinerary.
+    """
+    from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
+    from dpcontrol.rig.client import UdpRig, parse_address, real_time_priority, without_collecting
+    from dpcontrol.rig.commissioning import CommissioningSettings, commission
+
+    arms, options = itinerary.model.arms, options or CommissioningSettings()
+    limits = _limits(itinerary)
+    with ExitStack() as stack:
+        if address is None or address == OWN_BENCH:
+            recipe = hanging_recipe(practice or itinerary, faults=faults)
+        if address is None:
+            rig: Rig = recipe.rig(())
+        else:
+            where = None if address == OWN_BENCH else parse_address(address)
+            if where is None:
+                process = stack.enter_context(BenchProcess(recipe, BenchServerSettings(real_time=real_time)))
+                where, key = process.address, process.key
+            rig = stack.enter_context(UdpRig(where, key=key, insecure=insecure))
+            ticks = round((options.seconds + 2 * switches / options.creep * 2) * itinerary.loop.rate)
+            _fits(
+                rig, arms=arms.count, rate=itinerary.loop.rate, ticks=ticks, what="commissioning",
+                remedy="set rate = {0:g} in [run]",
+            )  # fmt: skip
+            stack.enter_context(without_collecting())
+            if real_time:
+                stack.enter_context(real_time_priority())
+        return commission(
+            rig, arms, itinerary.loop, limits=limits, zeros=itinerary.zeros, switches=switches, options=options,
+            tell=tell,
+        )  # fmt: skip
+
+
+def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path, str]:
+    """Return the file that is to hold an itinerary with values in its [run], and its text.
+
+    That is its own file, or, of one that is shipped, a copy in the working folder's `itineraries`.
+
+    Raises:
+        InputError: the file cannot be read, or its text not be changed.
+    """
+    try:
+        text = itinerary.path.read_bytes().decode()
+    except OSError as error:
+        raise InputError(f"cannot read {itinerary.path}: {error.strerror or error}; check the file") from error
+    own, shipped = folders("itineraries")
+    path = itinerary.path.resolve()
+    if path.is_relative_to(shipped.resolve()) and not path.is_relative_to(own.resolve()):
+        path = own / path.name
+    mark = "\ufeff" if text.startswith("\ufeff") else ""
+    return path, mark + with_values(text.removeprefix(mark), "run", values, file=str(itinerary.path))
 
 
 def run_on_rig(
@@ -390,8 +492,10 @@ def run_on_rig(
                     BenchProcess(bench_recipe(plan, controller), BenchServerSettings(real_time=real_time))
                 )
                 where, key = process.address, process.key
-            rig = stack.enter_context(UdpRig(where, queued=loop.queued, key=key, insecure=insecure))
-            _fits(rig, loop, arms=arms.count, rate=settings.rate)
+            rig = stack.enter_context(
+                UdpRig(where, queued=loop.queued, zeros=itinerary.zeros, key=key, insecure=insecure)
+            )
+            _fits(rig, arms=arms.count, rate=settings.rate, ticks=loop.count, what="the itinerary")
             stack.enter_context(without_collecting())
             if real_time:
                 stack.enter_context(real_time_priority())
@@ -405,14 +509,16 @@ def run_on_rig(
     return RigRun(score(read_log(out)), result, deadlines, tuple(process.said if process else ()))
 
 
-def _fits(rig: "UdpRig", loop: ControlLoop, *, arms: int, rate: float) -> None:
+def _fits(
+    rig: "UdpRig", *, arms: int, rate: float, ticks: int, what: str, remedy: str = "run with --rate {0:g}"
+) -> None:  # fmt: skip
     welcome = rig.welcome
     if welcome.arms != arms:
         raise InputError(f"rig {rig.address} has {welcome.arms} arms, the itinerary's model {arms}")
     if abs(welcome.period * rate - 1) > 1e-6:
         raise InputError(
             f"rig {rig.address} ticks at {1 / welcome.period:g} Hz, the loop at {rate:g} Hz; "
-            f"run with --rate {1 / welcome.period:g}"
+            f"{remedy.format(1 / welcome.period)}"
         )
-    if welcome.ticks < loop.count:
-        raise InputError(f"rig {rig.address} can run for {welcome.ticks} ticks, the itinerary takes {loop.count}")
+    if welcome.ticks < ticks:
+        raise InputError(f"rig {rig.address} can run for {welcome.ticks} ticks, {what} takes {ticks}")

@@ -1,0 +1,59 @@
+"""A table's keys are set in TOML text, and nothing else changes: comments, order, spacing, line ends."""
+
+import tomllib
+
+import pytest
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.settings import with_values
+
+SCENE = """\
+title = "A scene"   # [run] is below
+
+[run]   # of the bench
+rate  = 1000.0   # Hz
+delay = 1        # samples # as the drive's manual says
+# zeros = [0.0, 0.0]
+
+[[run.blows]]
+time = 1.0
+
+[limits]
+delay = "not this one"
+"""
+VALUES = {"delay": 2.5, "zeros": [0.03, -0.02]}
+
+
+def test_a_key_keeps_its_place_and_comment_and_a_new_one_follows_the_last() -> None:
+    lines = SCENE.splitlines()
+    changed = with_values(SCENE, "run", VALUES, file="a.toml").splitlines()
+    assert changed[4] == "delay = 2.5      # samples # as the drive's manual says"
+    assert changed[5] == "zeros = [0.03, -0.02]"
+    assert changed[:4] + changed[6:] == lines[:4] + lines[5:]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "", "a = 1", "[run]", "[ run ] # mine\ndelay=1", "[run]\n\n# only this\n",
+        "[run]\nzeros = [\n  1.0, # one\n  2.0,\n]\nrate = 1.0\n",
+        "[[run.blows]]\ntime = 1.0\n", '[run]\nnote = """\n[run]\ndelay = 7\n"""\ndelay = 3\n',
+    ],
+)  # fmt: skip
+def test_what_is_read_afterwards_is_what_was_there_and_the_values(text: str) -> None:
+    for end in ("\n", "\r\n"):
+        before = text.replace("\n", end)
+        after = with_values(before, "run", VALUES, file="a.toml")
+        was = tomllib.loads(before)
+        assert tomllib.loads(after) == {**was, "run": {**was.get("run", {}), **VALUES}}
+        if end in before:
+            assert after.count("\n") == after.count(end)
+        assert with_values(after, "run", VALUES, file="a.toml") == after
+
+
+@pytest.mark.parametrize(
+    "text", ["run = {delay = 1}\n", "run.delay = 1\n", '[run]\n"delay" = 1\n', '["run"]\ndelay = 1\n']
+)
+def test_text_that_is_written_otherwise_is_left_alone_by_name(text: str) -> None:
+    with pytest.raises(InputError, match=r"a\.toml: its \[run\] .*write there delay = 2\.5, zeros = \[0\.03, -0\.02\]"):
+        with_values(text, "run", VALUES, file="a.toml")

@@ -1,0 +1,321 @@
+"""Commissioning finds each mistake that a rig may have, by a true sentence with a remedy, and never does harm."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from shadowing_stand_in import LAB
+
+from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.loop.result import Reading, Rig
+from dpcontrol.references.problem import Limits
+from dpcontrol.rig.bench import BenchRecipe
+from dpcontrol.rig.commissioning import (
+    REACH,
+    Commissioning,
+    CommissioningSettings,
+    Verdict,
+    commission,
+    modes,
+)
+
+QUICK = CommissioningSettings(look=0.2, hold=0.5, sweep=4.0, ring=2.0, wait=3.0)
+LIMITS = Limits(position=0.4)
+RATE = 500.0
+
+
+class Watched:
+    """A rig whose true cart and commands are remembered."""
+
+    truth: None = None
+    acted: None = None
+
+    def __init__(self, rig: Any, *, breaks_at: int = -1, error: type[BaseException] = ArithmeticError) -> None:
+        self.rig, self.period = rig, rig.period
+        self.plant = getattr(rig, "_rig", rig)
+        self.breaks_at, self.error = breaks_at, error
+        self.farthest = self.strongest = 0.0
+        self.ticks = self.stops = 0
+
+    @property
+    def fault(self) -> str:
+        return self.rig.fault
+
+    def read(self) -> Reading:
+        self.ticks += 1
+        if self.ticks == self.breaks_at:
+            raise self.error("the bench caught fire")
+        reading = self.rig.read()
+        self.farthest = max(self.farthest, abs(float(self.plant.truth[-2])))
+        return reading
+
+    def command(self, acceleration: float) -> None:
+        assert not self.stops
+        self.strongest = max(self.strongest, abs(acceleration))
+        self.rig.command(acceleration)
+
+    def stop(self) -> None:
+        self.stops += 1
+        self.rig.stop()
+
+
+def bench(
+    *faults: str, arms: ArmChainParameters = LAB, zeros: tuple[float, ...] = (), seed: int = 0,
+    bent: float = 0.0, plant: ArmChainParameters | None = None, **changes: dict[str, Any],
+) -> Watched:  # fmt: skip
+    """Return a bench at hand; changes: of its sensors, drive and disturbances."""
+    settings = LoopSettings(seed=seed, rate=RATE, mismatch=0.03)
+    settings = replace(settings, **{part: replace(getattr(settings, part), **own) for part, own in changes.items()})
+    n = arms.count
+    start = np.concatenate([np.full(n, bent), np.zeros(n + 2)])
+    recipe = BenchRecipe(plant or arms, settings, LIMITS, start, 100_000, zeros=zeros, faults=faults)
+    return Watched(recipe.rig(()))
+
+
+def commissioned(
+    rig: Rig, *, arms: ArmChainParameters = LAB, switches: float = 0.0, zeros: Sequence[float] = (),
+    said: LoopSettings | None = None,
+) -> Commissioning:  # fmt: skip
+    said = said or LoopSettings(seed=0, rate=RATE)
+    return commission(rig, arms, said, limits=LIMITS, zeros=zeros, switches=switches, options=QUICK)
+
+
+def only_wrong(found: Commissioning, step: str) -> str:
+    """Return sentence and remedy of the one finding that is wrong, which is of `step`."""
+    (one,) = found.wrong
+    assert one.step == step
+    assert one.remedy
+    return f"{one.sentence} → {one.remedy}"
+
+
+def test_a_rig_that_is_right_is_found_right_and_measured() -> None:
+    rig = bench()
+    found = commissioned(rig)
+    assert not found.wrong
+    steps = [f.step for f in found.findings]
+    assert steps == ["still", "drive", "delay", "encoders", "counts", "model", "switches", "deadlines"]
+    assert [f.step for f in found.findings if f.verdict is Verdict.UNSURE] == ["switches"]
+    assert found.changes == {"delay": pytest.approx(1.0, abs=0.01), "lag": 0.0}
+    assert rig.stops == 1
+
+
+WIRED_WRONGLY = {
+    "drive-reversed": ("drive", "the drive is reversed", "exchange two of the motor's leads"),
+    "cart-reversed": ("drive", "the cart's scale is reversed", "reverse the sign of the cart's reading"),
+    "encoder-1-reversed": ("encoders", "encoder of arm 1 counts backwards", "reverse the sign"),
+    "encoder-2-reversed": ("encoders", "encoder of arm 2 counts backwards", "reverse the sign"),
+    "encoders-swapped": ("encoders", "encoders of arms 1 and 2 are exchanged", "exchange their plugs"),
+    "angles-not-summed": ("encoders", "angle to the arm before it", "send absolute angles"),
+    "encoder-1-factor-4": ("encoders", "encoder of arm 1 shows", "divide its angle by 4 "),
+}
+
+
+ROUGH = {"sensors": {"counts": 2000, "noise": 0.001}, "drive": {"command_noise": 0.1}}
+
+
+@pytest.mark.parametrize("fault", WIRED_WRONGLY)
+@pytest.mark.parametrize("trouble", [{}, ROUGH])
+def test_what_is_wired_wrongly_is_found_and_nothing_measured_is_kept(fault: str, trouble: dict[str, Any]) -> None:
+    rig = bench(fault, seed=3, **trouble)
+    # What is said of the counts is not at issue here.
+    said = LoopSettings(seed=0, rate=RATE)
+    said = replace(said, sensors=replace(said.sensors, counts=trouble["sensors"]["counts"] if trouble else 40_000))
+    found = commissioned(rig, said=said)
+    step, sentence, remedy = WIRED_WRONGLY[fault]
+    told = only_wrong(found, step)
+    assert sentence in told
+    assert remedy in told
+    assert not found.changes
+    assert rig.farthest <= REACH + 1e-4
+    assert rig.strongest <= LIMITS.acceleration
+
+
+def test_two_mistakes_that_the_mirror_image_shares_are_both_named() -> None:
+    for faults in (("drive-reversed", "cart-reversed"), ("encoder-1-reversed", "encoder-2-reversed")):
+        told = only_wrong(commissioned(bench(*faults)), "drive")
+        assert "the encoder of arm 1 and the encoder of arm 2" in told
+        assert "the cart's scale and the drive" in told
+        assert "look which way" in told
+
+
+def test_zeros_are_measured_though_the_arms_swing_and_then_taken_off() -> None:
+    said = LoopSettings(seed=0, rate=RATE)
+    rig = bench("zeros-off", bent=0.03)
+    found = commissioned(rig)
+    assert "zeros = [" in only_wrong(found, "still")
+    assert found.changes["zeros"] == pytest.approx([0.03, -0.02], abs=1e-3)
+    again = commissioned(bench(zeros=(0.03, -0.02)), zeros=found.changes["zeros"], said=said)
+    assert not again.wrong
+    assert again.changes["zeros"] == pytest.approx([0.03, -0.02], abs=1e-3)
+
+
+def test_a_tilted_track_is_named_beside_zeros_and_half_a_turn_is_no_zero() -> None:
+    assert "level the track" in only_wrong(commissioned(bench(disturbances={"tilt": 0.02})), "still")
+    found = commissioned(bench(zeros=(np.pi, np.pi)))
+    assert "angles count from hanging" in only_wrong(found, "still")
+    assert not found.changes
+
+
+@pytest.mark.parametrize(("delay", "lag"), [(0.5, 0.0), (2.5, 0.008), (4.0, 0.02), (1.0, 0.002)])
+def test_delay_and_lag_are_measured_and_compared_with_the_scene(delay: float, lag: float) -> None:
+    found = commissioned(bench(drive={"delay": delay, "lag": lag}))
+    assert found.changes["delay"] == pytest.approx(delay, abs=0.02)
+    assert found.changes["lag"] == pytest.approx(lag, abs=5e-5)
+    told = only_wrong(found, "delay")
+    assert f"but [run] says 1 periods and 0 ms → set delay = {found.changes['delay']:g}" in told
+
+
+def test_counts_are_seen_in_the_readings() -> None:
+    found = commissioned(bench(sensors={"counts": 2000}))
+    assert "set counts = 2000" in only_wrong(found, "counts")
+    assert found.changes["counts"] == 2000
+
+
+@pytest.mark.parametrize(
+    ("trouble", "step", "sentence", "remedy"),
+    [
+        ({"drive": {"response": 0.0}}, "drive", "the cart does not move", "whether the motor is on"),
+        ({"drive": {"response": 0.5}}, "drive", "the drive gives 0.5 times", "multiply commands by 2 "),
+        ({"drive": {"response": 4.0}}, "drive", "the drive gives 4 times", "multiply commands by 0.25 "),
+        ({"sensors": {"stuck_at": 0.0, "stuck_sensor": 2}}, "drive", "scale does not count", "plugged in"),
+        ({"sensors": {"stuck_at": 0.0, "stuck_sensor": 1}}, "encoders", "encoder of arm 2 does not move", "plugged in"),
+        ({"sensors": {"stuck_at": 0.0, "stuck_sensor": 0}}, "encoders", "encoder of arm 1 does not move", "plugged in"),
+        ({"bent": 0.5}, "still", "the arms still swing by ±0.", "hold them until they hang still"),
+    ],
+)
+def test_what_does_not_work_is_one_true_sentence(
+    trouble: dict[str, Any], step: str, sentence: str, remedy: str
+) -> None:
+    rig = bench(**trouble)
+    found = commissioned(rig)
+    told = only_wrong(found, step)
+    assert sentence in told
+    assert remedy in told
+    assert not found.changes
+    assert rig.farthest <= REACH
+    assert rig.stops == 1
+
+
+def test_friction_is_remarked_on_and_hides_no_wiring() -> None:
+    rusty = replace(LAB, coulomb=(5e-4, 5e-4))
+    found = commissioned(bench(plant=rusty))
+    assert not found.wrong
+    (model,) = [f for f in found.findings if f.step == "model"]
+    assert model.verdict is Verdict.UNSURE
+    assert "lose their swing" in model.sentence
+    assert "exchanged" in only_wrong(commissioned(bench("encoders-swapped", plant=rusty)), "encoders")
+
+
+def test_noise_on_the_command_is_held_within_the_reach_and_told_in_the_errors() -> None:
+    rig = bench(drive={"command_noise": 0.3, "delay": 2.0}, sensors={"noise": 0.002}, seed=1)
+    found = commissioned(rig)
+    (delay,) = [f.figures for f in found.findings if f.step == "delay"]
+    assert rig.farthest < REACH
+    assert delay["delay_error"] > 0.005
+    assert abs(delay["delay"] + delay["lag"] * RATE - 2.0) < 0.3
+
+
+def with_switches(*faults: str, track: float = 0.5) -> Watched:
+    return bench(*faults, drive={"track": track, "switch_margin": 0.05})
+
+
+def test_both_switches_are_found_by_creeping_and_the_cart_comes_back() -> None:
+    rig = with_switches()
+    found = commissioned(rig, switches=0.48)
+    assert not found.wrong
+    sides = [f.figures for f in found.findings if f.step == "switches"]
+    assert [(one["side"], one["answer"]) for one in sides] == [("right", 1), ("left", -1)]
+    assert [one["position"] for one in sides] == pytest.approx([0.45, -0.45], abs=1e-3)
+    assert rig.farthest < 0.455
+    assert abs(float(rig.plant.truth[-2])) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("faults", "track", "sentence", "remedy"),
+    [
+        (("switch-dead",), 0.5, "no switch answers at the right up to +0.48", "press that switch by hand"),
+        (("switches-swapped",), 0.5, "the switch of the other side answers", "exchange the plugs"),
+        ((), 0.4, "within the ±0.4 m that [limits] allows", "set position below 0.35"),
+    ],
+)
+def test_a_switch_that_is_dead_exchanged_or_in_the_way_is_found(
+    faults: tuple[str, ...], track: float, sentence: str, remedy: str
+) -> None:
+    found = commissioned(with_switches(*faults, track=track), switches=0.48)
+    assert {f.step for f in found.wrong} == {"switches"}
+    assert sentence in found.wrong[0].sentence
+    assert remedy in found.wrong[0].remedy
+    assert not found.changes
+
+
+def test_a_hard_stop_in_the_way_to_a_switch_ends_it_by_name() -> None:
+    told = only_wrong(commissioned(bench(), switches=0.48), "switches")
+    assert "cart hit its hard stop" in told
+    assert "give --switches less" in told
+
+
+def test_a_switch_that_answers_at_the_centre_is_found_before_anything_moves() -> None:
+    rig = bench(drive={"track": 0.5, "switch_margin": 0.5})
+    assert "inverted" in only_wrong(commissioned(rig), "still")
+    assert rig.strongest == 0
+
+
+@pytest.mark.parametrize("tick", [1, 50, 700, 2500])
+def test_a_rig_that_fails_is_stopped_and_quoted_and_an_interrupt_stops_it_too(tick: int) -> None:
+    rig = bench()
+    rig.breaks_at = tick
+    found = commissioned(rig)
+    assert "the bench caught fire" in found.blocking[0].sentence
+    assert not found.changes
+    assert rig.stops == 1
+    rig = bench()
+    rig.breaks_at, rig.error = tick, KeyboardInterrupt
+    with pytest.raises(KeyboardInterrupt):
+        commissioned(rig)
+    assert rig.stops == 1
+
+
+def test_readings_that_stay_out_stop_the_cart() -> None:
+    rig = bench(sensors={"dropout": 0.999})
+    told = only_wrong(replace(found := commissioned(rig), findings=found.findings[:-1]), "still")
+    assert "no reading came for 0.1 s" in told
+    assert rig.stops == 1
+
+
+def three_arms() -> ArmChainParameters:
+    return replace(
+        LAB, mass=(*LAB.mass, 0.1), centre_of_mass=(*LAB.centre_of_mass, 0.1), length=(*LAB.length, 0.2),
+        inertia=(*LAB.inertia, 5e-4), viscous=(*LAB.viscous, 1e-5),
+    )  # fmt: skip
+
+
+def one_arm() -> ArmChainParameters:
+    columns = ("mass", "centre_of_mass", "length", "inertia", "viscous")
+    return replace(LAB, **{name: getattr(LAB, name)[:1] for name in columns})
+
+
+@pytest.mark.parametrize("arms", [one_arm(), three_arms()], ids=["one", "three"])
+def test_other_numbers_of_arms_are_commissioned_as_well(arms: ArmChainParameters) -> None:
+    assert not commissioned(bench(arms=arms), arms=arms).wrong
+    told = only_wrong(commissioned(bench("encoder-1-reversed", arms=arms), arms=arms), "encoders")
+    assert "encoder of arm 1 counts backwards" in told or arms.count == 1
+
+
+def test_modes_are_those_of_the_equations_linearised() -> None:
+    from dpcontrol.dynamics.chain import Level, equations_of
+
+    equations = equations_of(LAB, Level.CART)
+    import casadi as ca
+
+    function = ca.Function("f", [equations.state, equations.inputs, equations.parameters], [
+        ca.jacobian(equations.rate, equations.state), ca.jacobian(equations.rate, equations.inputs)])  # fmt: skip
+    slopes, push = (np.array(part) for part in function(np.zeros(6), 0.0, LAB.base()))
+    found = modes(LAB)
+    poles = np.linalg.eigvals(slopes[:4, :4])
+    ours = found.frequencies * (-found.dampings + 1j * np.sqrt(1 - found.dampings**2))
+    assert sorted(poles[poles.imag > 0].imag) == pytest.approx(sorted(ours.imag), rel=1e-4)
+    # At once after a push all of it is acceleration: θ̈ = W_0 ÿ = -W_0 · 1.
+    assert -found.shapes.sum(axis=1) == pytest.approx(push[2:4, 0])
