@@ -447,7 +447,12 @@ def _shift(session: _Session, arms: ArmChainParameters) -> None:
 def _drift(values: Array) -> Array:
     """Return the straight line through values (K,)."""
     line = np.vander(np.linspace(-1, 1, len(values)), 2)
-    return line @ np.linalg.lstsq(line, values, rcond=None)[0]
+    return line @ _solved(line, values)
+
+
+def _solved(design: Array, values: Array) -> Array:
+    """Return what makes `design` (K, p) come nearest to values (K,) or (K, n)."""
+    return np.asarray(np.linalg.lstsq(design, values, rcond=None)[0], dtype=float)
 
 
 def _slope(wanted: Array, seen: Array) -> tuple[float, float]:
@@ -604,11 +609,14 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
             out[free] = some
             return out
 
+        def own(some: Array) -> Any:
+            return slopes(whole(some))[:, free]
+
         scale = 1.0
         # A command that came too late throws the cart off for a moment; such moments count less.
         for loss in ("linear", "soft_l1"):
             found = optimize.least_squares(
-                lambda some: residual(whole(some)), values[free], lambda some: slopes(whole(some))[:, free],
+                lambda some: residual(whole(some)), values[free], own,  # type: ignore[arg-type]
                 bounds=(low[free], most[free]), method="dogbox", loss=loss, f_scale=scale, x_scale="jac",
             )  # fmt: skip
             values = whole(found.x)
@@ -713,15 +721,15 @@ def fit_swing(angles: Array, carts: Array, period: float, arms: ArmChainParamete
     def columns(frequency: float, damping: float) -> Array:
         """Return a mode's answer to the cart, and its free swing (K, 3)."""
         w, z = frequency, damping
-        top, bottom, _ = signal.cont2discrete(([-1, 0, 0], [1, 2 * z * w, w**2]), period, method="foh")
-        forced = signal.lfilter(np.ravel(top), bottom, x)
+        filter: Any = signal.cont2discrete(([-1, 0, 0], [1, 2 * z * w, w**2]), period, method="foh")
+        forced = signal.lfilter(np.ravel(filter[0]), filter[1], x)
         free = np.exp(-z * w * t)
         turned = w * math.sqrt(max(1 - z**2, 1e-6)) * t
         return np.stack([forced, free * np.cos(turned), free * np.sin(turned)], axis=1)
 
     def left(parts: Sequence[Array]) -> tuple[Array, Array, Array]:
         design = np.hstack([*parts, ones])
-        weights = np.linalg.lstsq(design, rows, rcond=None)[0]
+        weights = _solved(design, rows)
         return design, weights, rows - design @ weights
 
     frequencies, dampings = model.frequencies.copy(), np.clip(model.dampings, 1e-4, 0.2)
@@ -786,7 +794,7 @@ def read_wiring(swing: SwingFit, arms: ArmChainParameters) -> Wiring:
         for form, (after, before) in forms.items():
             inner = (before @ model.shapes)[list(order)] * strengths
             columns = np.stack([np.outer(after[:, k], inner[k]).ravel() for k in range(n)], axis=1)
-            factors, *_ = np.linalg.lstsq(columns, wanted, rcond=None)
+            factors = _solved(columns, wanted)
             left = float(np.linalg.norm(wanted - columns @ factors)) / size
             found.append(Wiring(form, order, factors, left))
     least = min(one.misfit for one in found)

@@ -403,9 +403,8 @@ def commission_rig(
 
     arms, options = itinerary.model.arms, options or CommissioningSettings()
     limits = _limits(itinerary)
+    recipe = hanging_recipe(practice or itinerary, faults=faults)
     with ExitStack() as stack:
-        if address is None or address == OWN_BENCH:
-            recipe = hanging_recipe(practice or itinerary, faults=faults)
         if address is None:
             rig: Rig = recipe.rig(())
         else:
