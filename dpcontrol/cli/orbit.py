@@ -204,16 +204,18 @@ def _rotating_text(families: "Iterable[RotatingFamily]", arm: str) -> Iterator[s
 def _sustained(model: "Model", saddle: str, energy: float, family: int, sections: int, picture: Path | None) -> Answer:
     from dpcontrol.references.sustained import sustained_orbit
 
+    # Asked for first: a system without arms is refused before its orbit is sought, which may take minutes.
+    arms = model.arms
     lyapunov = _lyapunov(model, saddle, energy, family)
     with progress_bar(f"sustained orbit about {saddle}") as progress:
-        orbit = sustained_orbit(lyapunov, model.arms, progress=progress)
+        orbit = sustained_orbit(lyapunov, arms, progress=progress)
     if not orbit.converged:
         picture = None
     if picture is not None:
         from dpcontrol.review.of_log import sustained_view
         from dpcontrol.review.page import draw, save_figure
 
-        save_figure(draw(sustained_view(orbit, model.arms.length)), picture)
+        save_figure(draw(sustained_view(orbit, arms.length)), picture)
     document = {**orbit.document(sections), "picture": picture}
     missed = "" if orbit.converged else f"the sustained orbit about {saddle} at {energy:g} J: {orbit.status}"
     return Answer(document, () if missed else [*_sustained_text(orbit, sections), *drawn_to(picture)], missed)
