@@ -39,6 +39,11 @@ def conversations(text: str = README) -> list[tuple[str, list[str]]]:
 
 SECTIONS = {text.split("\n", 1)[0]: conversations(text) for text in README.split("\n## ")[1:] if conversations(text)}
 """The README's sections that hold commands, by title."""
+LONG = [title for title, shown in SECTIONS.items() if "dpcontrol bench" in str(shown)] + [
+    "Write an itinerary",
+    "The bench, and what controls it",
+]
+"""Sections whose commands take ten seconds and more: they draw a chart, or plan and fly several itineraries each."""
 
 
 def makers(text: str) -> list[str]:
@@ -95,10 +100,7 @@ def test_the_readme_shows_every_verb_at_work() -> None:
 
 @pytest.mark.parametrize(
     "section",
-    [
-        pytest.param(section, marks=pytest.mark.slow if "dpcontrol bench" in str(shown) else [])
-        for section, shown in SECTIONS.items()
-    ],
+    [pytest.param(title, marks=pytest.mark.slow if title in LONG else []) for title in SECTIONS],
 )
 def test_the_commands_of_a_section_print_what_it_shows(section: str) -> None:
     own = [command for command, _ in SECTIONS[section]]

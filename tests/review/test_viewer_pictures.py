@@ -46,7 +46,8 @@ def shown(write: Callable[[Path], None], folder: Path) -> None:
     assert float((np.abs(pixels - pixels[0, 0]).max(axis=-1) > 0.1).mean()) > SEEN
 
 
-@pytest.mark.parametrize("good", [True, False])
+# That of a pair shows a good one too.
+@pytest.mark.parametrize("good", [pytest.param(True, marks=pytest.mark.slow), False])
 def test_a_run_is_shown_without_complaint(good: bool, tmp_path: Path) -> None:
     view = logged(tmp_path, "run", good=good)
     shown(lambda file: write_recording(view, file), tmp_path)
