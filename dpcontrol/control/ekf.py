@@ -15,11 +15,10 @@ Source: Bar-Shalom, Li & Kirubarajan, Estimation with Applications to Tracking a
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from math import inf
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -207,9 +206,8 @@ class FilterEquations:
         """Return the step as a casadi function; without `predicts` the measurement alone.
 
         Inputs: memory (z, then P packed), command, measured (n+1), present (n+1), noise (R packed), parameters, process
-        (`FilterSettings.process`), coming: the command of the next period. Output: memory, standard deviations (N+E),
-        innovation (n+1), z a period later under `coming`, NIS, number present, and a number that is finite if the
-        estimate is.
+        (`FilterSettings.process`). Output: memory, standard deviations (N+E), innovation (n+1), NIS, number present, and
+        a number that is finite if the estimate is.
         """
         z, command, parameters, process = (ca.SX.sym(name, size) for name, size in self.inputs.items())
         m, size = self.arms + 1, self.dimension
@@ -227,15 +225,12 @@ class FilterEquations:
         sigmas = ca.vertcat(*(ca.sqrt(covariance[i, i]) for i in range(size)))
         # The last is not finite as soon as anything in the estimate is not: one comparison finds it.
         sound = ca.sum1(after) + ca.sum1(sigmas)
-        # Within the same call this costs a sixth of a call of its own.
-        coming = ca.SX.sym("coming")
-        later = self.prediction(with_jacobian=False)(after, coming, parameters, process)
-        out = ca.vertcat(after, pack(covariance), sigmas, y, later, nis, ca.sum1(present), sound)
+        out = ca.vertcat(after, pack(covariance), sigmas, y, nis, ca.sum1(present), sound)
         memory = ca.SX.sym("memory", size + triangle.shape[0])
         out = ca.substitute(ca.densify(out), ca.vertcat(z, triangle), memory)
         inputs = {
             "memory": memory, "command": command, "measured": measured, "present": present, "noise": noise,
-            "parameters": parameters, "process": process, "coming": coming,
+            "parameters": parameters, "process": process,
         }  # fmt: skip
         return ca.Function("filter", [*inputs.values()], [ca.cse(out)], [*inputs], ["out"], {"cse": True})
 
@@ -248,7 +243,6 @@ class FilterEquations:
         return ca.Function("prediction", [*inputs.values()], [ca.cse(out)], [*inputs], ["out"], {"cse": True})
 
 
-_AT_ONCE = 32
 RESTART_RATE = 10.0
 """rad/s: standard deviation of the rates after a restart, as fast as the arms of a laboratory swing."""
 RESTART_VELOCITY = 1.0
@@ -293,7 +287,7 @@ class EkfProgram:
         self.equations, self.step, self.update, self.ahead = _compiled(model.equations, model.period, settings.augments)
         """ahead: from z, command, parameters and process to the next z (N+E,), without a measurement."""
         size, m = self.equations.dimension, model.arms + 1
-        lengths = {"z": size, "covariance": size * (size + 1) // 2, "sigmas": size, "innovation": m, "later": size}
+        lengths = {"z": size, "covariance": size * (size + 1) // 2, "sigmas": size, "innovation": m}
         lengths |= {"nis": 1, "used": 1, "sound": 1}
         ends = np.cumsum([*lengths.values()])
         self.out = {name: slice(int(end - n), int(end)) for (name, n), end in zip(lengths.items(), ends, strict=True)}
@@ -356,14 +350,6 @@ class EkfProgram:
         return out
 
 
-class _Memory(NamedTuple):
-    """What the filter keeps from tick to tick: z and P; and z a period later, if `coming` m/s² act until then."""
-
-    kept: Array
-    coming: float
-    later: Array
-
-
 class KalmanFilter(ABC):
     """What the filters share: model, settings, noise (n+1, n+1) of the measured positions, and the compiled equations.
 
@@ -409,106 +395,68 @@ class CompiledEkf(KalmanFilter):
     def __init__(self, model: SampledModel, settings: FilterSettings, *, noise: Array) -> None:
         super().__init__(model, settings, noise=noise)
         self._inputs = self.program.inputs(noise)
-        self._size = model.dimension
-        where, out = self.program.slices, self.program.out
-        # Made once: views of the inputs and slices of the outputs cost as much as the call if made at every tick.
-        self._memory, self._measured = self._inputs[where["memory"]], self._inputs[where["measured"]]
-        self._present = self._inputs[where["present"]]
-        self._command_at = where["command"].start
-        self._all = True
-        self._shape, self._kept = self._measured.shape, len(self._memory)
-        self._z, self._coming_at = out["z"].stop, where["coming"].start
-        self._rooms = self._room()
-        ahead = self.program.ahead
-        for function in (self.program.update, self.program.step, ahead):
-            # Compiled now: the first ticks of a run have no time for it.
-            _ = function.machine
-        self._ahead_inputs = np.zeros(ahead.size_in)
+        self._ahead_inputs = np.zeros(self.program.ahead.size_in)
         for name, value in (("parameters", model.parameters), ("process", self.program.process)):
-            self._ahead_inputs[ahead.slices[name]] = value
-
-    def _room(self) -> Iterator[tuple[Array, ...]]:
-        """Yield outputs and views of their parts: views of many ticks' at once are made in half the time."""
-        parts = [self.program.out[name] for name in ("state", "extra", "sigmas", "innovation", "memory", "later")]
-        while True:
-            block = np.empty((_AT_ONCE, self.program.step.size_out))
-            yield from zip(block, block[:, -3:], *(block[:, part] for part in parts), strict=True)
+            self._ahead_inputs[self.program.ahead.slices[name]] = value
 
     def _begun(self, memory: Array, sigmas: Array) -> Estimate:
-        still = np.zeros(self.model.arms + 1)
-        state, extra = memory[: self._size], memory[self._size : self._z]
-        return Estimate(state, extra, sigmas, still, float("nan"), 0, _Memory(memory, float("nan"), state))
+        out, still = self.program.out, np.zeros(self.model.arms + 1)
+        return Estimate(memory[out["state"]], memory[out["extra"]], sigmas, still, float("nan"), 0, memory)
 
-    def update(self, estimate: Estimate, measured: Array, present: Present = None, *, coming: float = 0.0) -> Estimate:
+    def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
         """Return the estimate after the positions `measured` (n+1,): angles in rad, cart in m.
 
-        present (n+1,): which of them count. coming: the next period's command, which spares `ahead` its first period.
+        present (n+1,): which of them count.
 
         Raises:
             InputError: the measurement or the estimate has the wrong shape.
             ArithmeticError: the estimate is no longer finite, or its covariance no longer positive.
         """
-        return self._called(self.program.update, estimate, measured, present, coming)
+        return self._called(self.program.update, estimate, measured, present)
 
-    def step(
-        self, estimate: Estimate, command: float, measured: Array, present: Present = None, *, coming: float = 0.0
-    ) -> Estimate:
+    def step(self, estimate: Estimate, command: float, measured: Array, present: Present = None) -> Estimate:
         """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came.
 
-        present, coming, what is raised: as in `update`.
+        present, what is raised: as in `update`.
         """
-        self._inputs[self._command_at] = command
-        return self._called(self.program.step, estimate, measured, present, coming)
+        self._inputs[self.program.slices["command"]] = command
+        return self._called(self.program.step, estimate, measured, present)
 
-    def _called(
-        self, program: Compiled, estimate: Estimate, measured: Array, present: Present, coming: float
-    ) -> Estimate:
-        memory = estimate.memory.kept
-        self._inputs[self._coming_at] = coming
-        if measured.shape != self._shape or len(memory) != self._kept:
+    def _called(self, function: Compiled, estimate: Estimate, measured: Array, present: Present) -> Estimate:
+        program, inputs = self.program, self._inputs
+        memory, positions = inputs[program.slices["memory"]], inputs[program.slices["measured"]]
+        if measured.shape != positions.shape or len(estimate.memory) != len(memory):
             raise InputError(
-                f"measurement has shape {measured.shape} and the estimate's memory {memory.shape}: the filter needs "
-                f"{self._shape} and {self._memory.shape}"
+                f"measurement has shape {measured.shape} and the estimate's memory {estimate.memory.shape}: the filter "
+                f"needs {positions.shape} and {memory.shape}"
             )
-        self._memory[:] = memory
-        if present is not None:
-            # NaN must not reach the products: zero times NaN is not zero.
-            np.copyto(self._measured, 0.0)
-            np.copyto(self._measured, measured, where=present)
-            self._present[:] = present
-            self._all = False
-        else:
-            self._measured[:] = measured
-            if not self._all:
-                self._present[:] = 1.0
-                self._all = True
-        out, figures, state, extra, sigmas, innovation, kept, later = next(self._rooms)
-        program.machine(self._inputs, out)
-        nis, used, sound = figures.tolist()
+        memory[:] = estimate.memory
+        counts = np.ones(len(positions), dtype=bool) if present is None else present
+        # NaN must not reach the products: zero times NaN is not zero.
+        positions[:] = np.where(counts, measured, 0.0)
+        inputs[program.slices["present"]] = counts
+        out = function.machine(inputs, np.empty(function.size_out))
+        nis, used, sound = (out[program.out[name]].item() for name in ("nis", "used", "sound"))
         if not (0 <= nis < inf and -inf < sound < inf):
             raise ArithmeticError(
                 "the filter's covariance is no longer positive, or its state no longer finite; begin again from the "
                 "measured positions, or assume more noise"
             )
-        return Estimate(state, extra, sigmas, innovation, nis, int(used), _Memory(kept, coming, later))
+        parts = (out[program.out[name]] for name in ("state", "extra", "sigmas", "innovation"))
+        return Estimate(*parts, nis, int(used), out[program.out["memory"]])
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
         """Return the state (N,) after the commands on their way, one per period, with the extras' effect.
 
         This compensates the delay: a new command is computed for the state at which it will act.
         """
-        memory: _Memory = estimate.memory
-        first = 0
-        z = memory.kept[: self._z]
-        if commands and commands[0] == memory.coming:
-            first, z = 1, memory.later
-        inputs, n = self._ahead_inputs, self._z
-        for command in commands[first:]:
-            inputs[:n] = z
-            inputs[n] = command
-            z = self.program.ahead(inputs, np.empty(n))
-        return z[: self._size]
+        inputs, n = self._ahead_inputs, self.program.out["z"].stop
+        z = estimate.memory[:n]
+        for command in commands:
+            inputs[:n], inputs[n] = z, command
+            z = self.program.ahead.machine(inputs, np.empty(n))
+        return z[: self.model.dimension]
 
     def covariance(self, estimate: Estimate) -> Array:
         """Return the covariance (N+E, N+E) of state and extra."""
-        return unpacked(estimate.memory.kept[self._z :])
+        return unpacked(estimate.memory[self.program.out["covariance"]])

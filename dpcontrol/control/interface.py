@@ -134,15 +134,12 @@ class Estimator(Protocol):
         """Return the estimate before any measurement, at `state` (N,)."""
         ...
 
-    def update(self, estimate: Estimate, measured: Array, present: Present = None, *, coming: float = 0.0) -> Estimate:
-        """Return the estimate after the positions `measured` (n+1,), of which those `present` count.
-
-        coming m/s²: the command of the next period, if `ahead` is to be asked for it.
-        """
+    def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
+        """Return the estimate after the positions `measured` (n+1,), of which those `present` count."""
         ...
 
     def step(
-        self, estimate: Estimate, command: float, measured: Array, present: Present = None, *, coming: float = 0.0
+        self, estimate: Estimate, command: float, measured: Array, present: Present = None
     ) -> Estimate:
         """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came."""
         ...

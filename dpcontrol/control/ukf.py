@@ -81,7 +81,7 @@ class FilterpyEstimator(KalmanFilter):
     ) -> tuple[Array, Array, Array, float]:
         """Return z, P, innovation (m,) and NIS after m measured values = `observation` (m, N+E) z and noise."""
 
-    def update(self, estimate: Estimate, measured: Array, present: Present = None, *, coming: float = 0.0) -> Estimate:
+    def update(self, estimate: Estimate, measured: Array, present: Present = None) -> Estimate:
         """Return the estimate after the positions `measured` (n+1,), of which those `present` count: rad, cart in m.
 
         Raises:
@@ -106,7 +106,7 @@ class FilterpyEstimator(KalmanFilter):
         return self._estimate(after, left, innovation, nis, len(rows))
 
     def step(
-        self, estimate: Estimate, command: float, measured: Array, present: Present = None, *, coming: float = 0.0
+        self, estimate: Estimate, command: float, measured: Array, present: Present = None
     ) -> Estimate:
         """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came.
 

@@ -177,13 +177,13 @@ class Ticker:
         program, estimator, before = self.program, self.estimator, self._estimate
         assert estimator is not None
         way = [float(command[0]) for command in program.on_their_way()]
-        coming, sound = way[0] if way else 0.0, 1.0
+        sound = 1.0
         try:
             if k:
                 acted = program.report[self.at["acting"], 0].item()
-                now = estimator.step(before, acted, reading.positions, reading.present, coming=coming)
+                now = estimator.step(before, acted, reading.positions, reading.present)
             else:
-                now = estimator.update(before, reading.positions, reading.present, coming=coming)
+                now = estimator.update(before, reading.positions, reading.present)
             self._estimate = now
         except ArithmeticError:
             now, sound = before, 0.0

@@ -88,9 +88,9 @@ def test_friction_errors_count_for_every_law_and_the_smoothing_stays() -> None:
     model = SampledModel(equations, arms.base(), period=1e-3)
     ekf = CompiledEkf(model, EkfSettings(augment=("friction",)), noise=NOISE)
     first = ekf.first(np.array(SWING))
-    kept = first.memory.kept.copy()
+    kept = first.memory.copy()
     kept[6:8] = 0.5, -0.4
-    estimate = first._replace(memory=first.memory._replace(kept=kept))
+    estimate = first._replace(memory=kept)
     factors = (1.5, 0.6)
     changed = replace(
         arms,

@@ -79,7 +79,7 @@ def test_an_estimate_that_is_lost_is_mended_by_a_restart() -> None:
     # A filter that is sure of rates that are wrong by 30 rad/s.
     wrong = np.array(SWING) + np.array([0.5, 0.5, 30, -30, 0, 0])
     estimate = ekf.first(wrong)
-    sure = estimate.memory._replace(kept=ekf.program.first(wrong, np.full(6, 1e-4)))
+    sure = ekf.program.first(wrong, np.full(6, 1e-4))
     estimate = estimate._replace(memory=sure)
     for k in range(20):
         estimate = ekf.step(estimate, float(flown.commands[k]), flown.measured(k))
