@@ -206,8 +206,8 @@ class FilterEquations:
         """Return the step as a casadi function; without `predicts` the measurement alone.
 
         Inputs: memory (z, then P packed), command, measured (n+1), present (n+1), noise (R packed), parameters, process
-        (`FilterSettings.process`). Output: memory, standard deviations (N+E), innovation (n+1), NIS, number present, and
-        a number that is finite if the estimate is.
+        (`FilterSettings.process`). Output: memory, standard deviations (N+E), innovation (n+1), NIS, number present,
+        and a number that is finite if the estimate is.
         """
         z, command, parameters, process = (ca.SX.sym(name, size) for name, size in self.inputs.items())
         m, size = self.arms + 1, self.dimension
