@@ -138,9 +138,7 @@ class Estimator(Protocol):
         """Return the estimate after the positions `measured` (n+1,), of which those `present` count."""
         ...
 
-    def step(
-        self, estimate: Estimate, command: float, measured: Array, present: Present = None
-    ) -> Estimate:
+    def step(self, estimate: Estimate, command: float, measured: Array, present: Present = None) -> Estimate:
         """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came."""
         ...
 

@@ -105,9 +105,7 @@ class FilterpyEstimator(KalmanFilter):
         innovation[rows] = y
         return self._estimate(after, left, innovation, nis, len(rows))
 
-    def step(
-        self, estimate: Estimate, command: float, measured: Array, present: Present = None
-    ) -> Estimate:
+    def step(self, estimate: Estimate, command: float, measured: Array, present: Present = None) -> Estimate:
         """Return the estimate a period later: the cart accelerated by `command` m/s², then `measured` came.
 
         Raises: as `update`.
