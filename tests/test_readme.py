@@ -40,10 +40,11 @@ def conversations(text: str = README) -> list[tuple[str, list[str]]]:
 SECTIONS = {text.split("\n", 1)[0]: conversations(text) for text in README.split("\n## ")[1:] if conversations(text)}
 """The README's sections that hold commands, by title."""
 LONG = [title for title, shown in SECTIONS.items() if "dpcontrol bench" in str(shown)] + [
+    "The atlas of an energy",
     "Write an itinerary",
     "The bench, and what controls it",
 ]
-"""Sections whose commands take ten seconds and more: they draw a chart, or plan and fly several itineraries each."""
+"""Sections that take longest: they draw a chart, search an interval of energies, or plan and fly several itineraries."""
 
 
 def makers(text: str) -> list[str]:
