@@ -44,7 +44,7 @@ LONG = [title for title, shown in SECTIONS.items() if "dpcontrol bench" in str(s
     "Write an itinerary",
     "The bench, and what controls it",
 ]
-"""Sections that take longest: they draw a chart, search an interval of energies, or plan and fly several itineraries."""
+"""Sections that take longest: they draw a chart, search an interval of energies, or fly several itineraries."""
 
 
 def makers(text: str) -> list[str]:
