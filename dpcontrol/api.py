@@ -166,12 +166,13 @@ def atlas(
     hits: tuple[int, int] | None = None,
     thorough: bool = False,
     fresh: bool = False,
+    yes: bool = False,
     progress: Reporting = None,
 ) -> "Atlas":
     """Return the atlas of an energy in J: every orbit, tube and connection; kept by content unless `fresh`.
 
     hits: of the unstable and the stable tube; by default the first at which they meet, up to the second. thorough: go
-    on where a search says "at least", for up to a minute each.
+    on where a search says "at least", for up to a minute each. yes: however long all that takes.
 
     >>> len(dp.atlas(lab, energy=-0.07).connections)
     8
@@ -184,7 +185,7 @@ def atlas(
 
     settings = AtlasSettings(hits=hits, search=search_settings(thorough=thorough))
     with _reporting(progress, "atlas") as report:
-        return make_atlas(model, energy, settings=settings, fresh=fresh, progress=report).atlas
+        return make_atlas(model, energy, settings=settings, fresh=fresh, yes=yes, progress=report).atlas
 
 
 def shadow(

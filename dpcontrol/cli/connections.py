@@ -218,6 +218,7 @@ def atlas_command(
     thorough: bool = option(help=f"{THOROUGH} for each kind of connection."),
     fresh: bool = option(help="Compute anew even if the atlas is cached."),
     out: Path | None = file_option(suffix=".npz", help="Also write the atlas to this .npz."),
+    yes: bool = YES,
 ) -> Answer:
     """Compute all of one energy: every Lyapunov orbit, their tubes, every connection between them, rotating orbits.
 
@@ -230,7 +231,7 @@ def atlas_command(
 
     settings = AtlasSettings(hits=hits, search=search_settings(thorough=thorough))
     with progress_bar("atlas") as progress:
-        found = make_atlas(load_model(model), energy, settings=settings, fresh=fresh, progress=progress)
+        found = make_atlas(load_model(model), energy, settings=settings, fresh=fresh, yes=yes, progress=progress)
     atlas, file = found.atlas, found.file if found.file.is_file() else None
     if out is not None:
         save_atlas(out, atlas)

@@ -147,7 +147,7 @@ def walk_command(
         loaded = load_model(model)
         numbers = {(a, b) for a in range(1, hits[0] + 1) for b in range(1, hits[1] + 1)}
         asked = parse_walk(symbols, vertex_names(loaded.system)) if symbols else ways(through)
-        edges = find_edges(loaded.system, float(energy), hits=numbers, symbols=asked, progress=progress)
+        edges = find_edges(loaded.system, float(energy), hits=numbers, symbols=asked, yes=yes, progress=progress)
     leads = (lead_in, lead_out)
     if not chosen:
         return _graph(edges)

@@ -134,6 +134,7 @@ def make_atlas(
     *,
     settings: AtlasSettings | None = None,
     fresh: bool = False,
+    yes: bool = False,
     progress: Progress = no_progress,
 ) -> FoundAtlas:
     """Return the atlas of `model` at `energy` (J), from the cache unless `fresh`, and keep it there.
@@ -147,7 +148,7 @@ def make_atlas(
     file = cache_file("atlases", f"{model.name}-{energy:g}", atlas_key(model, energy, settings))
     if not fresh and (content := kept(file)) is not None:
         return FoundAtlas(load_atlas(BytesIO(content)), file, cached=True)
-    atlas = compute_atlas(model, energy, settings=settings, progress=progress)
+    atlas = compute_atlas(model, energy, settings=settings, yes=yes, progress=progress)
     content = BytesIO()
     save_atlas(content, atlas)
     keep(file, content.getvalue())
@@ -155,7 +156,12 @@ def make_atlas(
 
 
 def compute_atlas(
-    model: Model | System, energy: float, *, settings: AtlasSettings | None = None, progress: Progress = no_progress
+    model: Model | System,
+    energy: float,
+    *,
+    settings: AtlasSettings | None = None,
+    yes: bool = False,
+    progress: Progress = no_progress,
 ) -> Atlas:
     """Compute the atlas of `model` at `energy` (J).
 
@@ -189,7 +195,7 @@ def compute_atlas(
     hits = [(hit, hit) for hit in range(1, settings.last_hit + 1)] if settings.hits is None else [settings.hits]
     with _timed(seconds, "connections"):
         within = part_of(progress, 0.2, 0.9)
-        searches = search_pairs(tubes, first, pairs, hits, until_found=True, progress=within)
+        searches = search_pairs(tubes, first, pairs, hits, until_found=True, yes=yes, progress=within)
         connections = tuple(_sampled_connection(c) for one in searches for c in one.search.connections)
     seconds["tubes"], seconds["connections"] = tubes.seconds, seconds["connections"] - tubes.seconds
     progress("tubes", 0.9)

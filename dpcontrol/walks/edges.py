@@ -18,6 +18,7 @@ import networkx as nx
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.cost import Cost, announce
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
@@ -245,6 +246,24 @@ def orbits_at(
     return orbits, absent
 
 
+_SEARCHED, _SEARCHED_MOST = 1.0, 60.0
+"""s of a search at the first crossings of both tubes, and at later ones, where tubes scatter, or of a thorough one."""
+_HIT_BYTES = 1e8
+"""Bytes that a thorough search keeps for each crossing up to those that count."""
+
+
+def searches_cost(
+    pairs: Sequence[tuple[str, str]], hits: Sequence[tuple[int, int]], settings: ConnectionSettings
+) -> Cost:
+    """Return what searching all of `pairs` at all of `hits` may take."""
+    # Opposite pairs are images of one another.
+    different = len({frozenset(pair) for pair in pairs})
+    each = [_SEARCHED_MOST if max(hit) > 2 or settings.thorough else _SEARCHED * max(hit) for hit in hits]
+    memory = different * sum(_HIT_BYTES * max(hit) for hit in hits) if settings.thorough else _HIT_BYTES
+    last = max(hits)
+    return Cost(f"up to {different * len(hits):,} searches", different * sum(each), memory, f"hits up to {last[0]},{last[1]}")
+
+
 def search_pairs(
     tubes: TubeCuts,
     orbits: Mapping[str, LyapunovOrbit],
@@ -252,13 +271,18 @@ def search_pairs(
     hits: Sequence[tuple[int, int]],
     *,
     until_found: bool = False,
+    yes: bool = False,
     progress: Progress = no_progress,
 ) -> list[PairSearch]:
     """Search the connections between the orbits of `pairs` of saddles at all `hits`, each tube cut once.
 
+    yes: however long that takes.
+
     Of two opposite pairs one is searched, the other is its image under time reversal where that keeps the section.
     until_found: stop with the first of the hits at which a pair has connections.
     """
+    if pairs:
+        announce(searches_cost(pairs, hits, tubes.settings), yes=yes)
     found: list[PairSearch] = []
     # An image under time reversal has its hits exchanged: it serves where both are asked for.
     both_ways = all((b, a) in hits for a, b in hits)
@@ -297,6 +321,7 @@ def find_edges(
     pairs: Sequence[tuple[str, str]] | None = None,
     hits: Iterable[tuple[int, int]] = ((1, 1),),
     symbols: Iterable[Symbol] = (),
+    yes: bool = False,
     progress: Progress = no_progress,
 ) -> Edges:
     """Find the connections at `energy` between all saddles that have orbits there, or between those of `pairs`.
@@ -315,7 +340,7 @@ def find_edges(
         raise InputError("; ".join(dict.fromkeys(reason for _, reason in absent)))
     kinds = [p for p in system.sections if p[0] in orbits and p[1] in orbits and (not pairs or p in pairs)]
     numbers = sorted(set(hits))
-    searches = search_pairs(TubeCuts(system), orbits, kinds, numbers, progress=progress)
+    searches = search_pairs(TubeCuts(system), orbits, kinds, numbers, yes=yes, progress=progress)
     progress("connections", 1.0)
     notes = tuple(note for one in searches if not one.by_reversal for note in _doubts(one.search))
     connections = tuple(c for one in searches for c in one.search.connections)

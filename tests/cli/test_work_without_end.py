@@ -30,10 +30,11 @@ TURN = ("-s", "down-up +")
         ((*WALK, "--random", "1", "--lengths", "1", "1000000000"), "--lengths"),
         (("bifurcations", "lab", "--from", "down-up", "--to", "down-up", "--energies", "-0.11", "-0.09", "--samples",
           "1000000000"), "samples"),
+        ((*WALK, "--hits", "9,9", "--length", "1"), "hits up to 9,9: up to 243 searches"),
         (("import", "--simulated", "lab", "--swings", "1000000000"), "swings"),
         (("import", "--simulated", "lab", "--swings", "1000", "--seconds", "1000"), "swings"),
     ],
-    ids=["wraps", "absurd wraps", "symbols", "random", "lengths", "samples", "swings", "long swings"],
+    ids=["wraps", "absurd wraps", "symbols", "random", "lengths", "samples", "hits", "swings", "long swings"],
 )  # fmt: skip
 def test_endless_work_is_refused_before_it_is_begun(call: tuple[str, ...], key: str) -> None:
     ended = dpcontrol(*call)
@@ -81,6 +82,22 @@ def test_a_campaign_of_a_thousand_cases_says_what_it_takes_and_is_refused_beyond
         dp.campaign("outer-turn", over=over, runs=100, workers=2)
     with pytest.raises(InputError, match=r"200,000 runs of 1,000 cases.* will take about .*60 minutes and 4 GB"):
         dp.campaign("outer-turn", over=over, runs=200, workers=2)
+
+
+def test_an_atlas_says_what_it_takes_and_is_refused_likewise(monkeypatch: pytest.MonkeyPatch) -> None:
+    model = load_model("lab")
+    monkeypatch.setattr("dpcontrol.walks.edges._SEARCHED", 1e4)
+    with pytest.raises(InputError, match=r"hits up to 2,2: up to 2 searches will take about .* ask for less"):
+        dp.atlas(model, energy=-0.07, fresh=True)
+    ended = dpcontrol("atlas", "lab", "--energy", "-0.07", "--fresh")
+    assert ended.code == 2
+    assert "begun unasked; ask for less, or give --yes" in ended.message
+
+    def begun(*_: object, **__: object) -> None:
+        raise GoalMissed("begun")
+
+    monkeypatch.setattr("dpcontrol.walks.edges.find_connections", begun)
+    assert dpcontrol("atlas", "lab", "--energy", "-0.07", "--fresh", "--yes").code == 1
 
 
 def test_charts_say_what_they_take_and_are_refused_likewise(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
