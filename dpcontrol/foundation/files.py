@@ -222,6 +222,9 @@ def archive_format(path: Path | str) -> str:
         return ""
 
 
+_LONGEST_HEADER = 1000
+
+
 def _member(packed: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
     """Return an array of an archive.
 
@@ -233,6 +236,9 @@ def _member(packed: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:
     # Only header version 1 can be of what is written here; later ones are for thousands of named fields.
     if np.lib.format.read_magic(stream) != (1, 0):
         raise ValueError(f"{info.filename} is of another version")
+    # NumPy's own refusal of such a header advises to trust the file.
+    if (length := int.from_bytes(stream.getbuffer()[8:10], "little")) > _LONGEST_HEADER:
+        raise ValueError(f"{info.filename} describes its array in {length:,} characters")
     shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
     there = info.file_size - stream.tell()
     if dtype.hasobject:

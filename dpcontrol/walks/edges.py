@@ -260,8 +260,8 @@ def searches_cost(
     different = len({frozenset(pair) for pair in pairs})
     each = [_SEARCHED_MOST if max(hit) > 2 or settings.thorough else _SEARCHED * max(hit) for hit in hits]
     memory = different * sum(_HIT_BYTES * max(hit) for hit in hits) if settings.thorough else _HIT_BYTES
-    last = max(hits)
-    return Cost(f"up to {different * len(hits):,} searches", different * sum(each), memory, f"hits up to {last[0]},{last[1]}")
+    key = f"hits up to {max(hits)[0]},{max(hits)[1]}"
+    return Cost(f"up to {different * len(hits):,} searches", different * sum(each), memory, key)
 
 
 def search_pairs(
