@@ -264,8 +264,8 @@ def test_a_walk_that_does_not_converge_ends_with_1_its_reason_and_the_least_wrap
         ((*LOW, *TURN, "--picture", "x.png"), "--solve"),
         ((*LOW, *TURN, "--solve", "--picture", "x.jpg"), ".png"),
         ((*LOW, "--random", "2", "--solve", "--picture", "x.png"), "here are 2"),
-        ((*LOW, *TURN, "--solve", "--out", "taken/x"), "cannot write taken/x"),
-        ((*LOW, *TURN, "--solve", "--picture", "taken/x.png"), "cannot write taken/x.png"),
+        ((*LOW, *TURN, "--solve", "--out", "taken/x"), "cannot use taken/x: Not a directory"),
+        ((*LOW, *TURN, "--solve", "--picture", "taken/x.png"), "cannot use taken/x.png: Not a directory"),
     ],
 )
 def test_a_mistake_is_refused_in_one_sentence_and_leaves_nothing(
