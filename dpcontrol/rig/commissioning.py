@@ -55,6 +55,10 @@ REACH = 0.010
 _SWITCHES = Bounds(least=2 * REACH, most=100, unit="m")
 
 
+def _sensor(k: int, arms: int) -> str:
+    return f"the encoder of arm {k + 1}" if k < arms else "the cart's scale"
+
+
 class Verdict(StrEnum):
     """What a step found."""
 
@@ -85,7 +89,7 @@ class CommissioningSettings(Settings, table="commissioning"):
 
     wait: float = setting(60.0, least=0, most=3600, unit="s")
     still: float = setting(0.05, above=0, most=0.2, unit="rad")
-    look: float = setting(0.5, least=0.1, most=60, unit="s")
+    look: float = setting(0.3, least=0.1, most=60, unit="s")
     hold: float = setting(1.5, least=0.5, most=60, unit="s")
     sweep: float = setting(8.0, least=2, most=120, unit="s")
     ring: float = setting(3.0, least=0.5, most=120, unit="s")
@@ -140,7 +144,7 @@ class _Halted(Exception):
         self.finding = finding
 
 
-_FREQUENCY = 2 * np.pi * 0.4
+_FREQUENCY = 2 * np.pi * 0.6
 """rad/s of the loop that holds the cart: slow enough for any drive's delay."""
 _DAMPING = 0.8
 _SLOPE = 0.01
@@ -216,14 +220,21 @@ class _Session:
         self.commands.append(command)
         reading = self.read()
         self._gap = 0 if self.present[-1] else self._gap + 1
+        missing = np.ones(self.arms + 1, dtype=bool) if reading.present is None else ~reading.present
         if self.rig.fault:
             creeping = self.step == "switches"
             remedy = "give --switches less than the way to the hard stop" if creeping else _COMPLAINS
             raise self.halted(self.rig.fault, remedy)
         if self._gap * self.period > _LONGEST_GAP:
+            if missing.all():
+                raise self.halted(
+                    f"no reading came for {self._gap * self.period:.2g} s, so the cart was stopped",
+                    "see whether the rig sends a reading each period, and whether the line loses packets",
+                )
+            which = " and ".join(_sensor(k, self.arms) for k in np.flatnonzero(missing).tolist())
             raise self.halted(
-                f"no reading came for {self._gap * self.period:.2g} s, so the cart was stopped",
-                "see whether the rig sends a reading each period, and whether the line loses packets",
+                f"{which} gave no number for {self._gap * self.period:.2g} s, so the cart was stopped",
+                "see whether it is plugged in, and whether the rig's program reads it",
             )
         away = self.cart - self.home
         if abs(away) > self.reach and self.late > _OFTEN_LATE * self.tick:
@@ -352,7 +363,9 @@ def _move(
     session.step, motion.held_from = "delay", session.tick
     session.hold(options.hold)
     motion.chirped_from = session.tick
-    session.follow(*chirp)
+    # A small gain may be that of a scale which shows too little: the cart then goes farther than it seems to.
+    share = min(abs(session.gain), 1.0)
+    session.follow(*(share * part for part in chirp))
     motion.chirped_to = session.tick
     session.hold(options.ring)
     motion.rang_to = session.tick
@@ -389,13 +402,18 @@ def _judged(
         _direction(drive, wiring, signs),
         _lateness(drive, settings, session.period, changes),
         *_encoders(wiring, swing, signs, drive.gain),
-        _counts(session, wiring, settings, changes),
+        _counts(session, wiring, drive.gain, settings, changes),
         _model(swing, wiring, modes(arms)),
     ]
 
 
 def _look(session: _Session, options: CommissioningSettings) -> None:
     """Take readings before anything has moved."""
+    if abs(session.home) > _OFF_CENTRE:
+        raise session.halted(
+            f"the cart stands at {session.home:+.4g} m by its scale",
+            "bring it to the centre of its way, and set its scale to zero there, in metres",
+        )
     for _ in range(max(4, round(options.look / session.period))):
         session.advance(0.0)
     if session.switches[-1]:
@@ -406,11 +424,15 @@ def _look(session: _Session, options: CommissioningSettings) -> None:
         )
 
 
+_OFF_CENTRE = 0.02
+"""m."""
+
+
 def _side(switch: int) -> str:
     return "right" if switch > 0 else "left"
 
 
-_SHIFTS = (0.0005, 0.004)
+_SHIFTS = (0.0005, 0.003)
 """m: the cart's shifts; the second where the first is not seen."""
 _SHIFT_SECONDS, _AFTER_SHIFT = 0.16, 0.1
 _SEEN, _CLEARLY_SEEN = 0.0002, 5.0
@@ -496,7 +518,8 @@ def _wait_until_still(session: _Session, options: CommissioningSettings, tell: T
         if waited > options.wait:
             raise session.halted(
                 f"the arms still swing by ±{swings.max():.2g} rad after {waited:.0f} s",
-                "hold them until they hang still, let go and start again",
+                "hold them until they hang still, let go and start again; where they do hang still, their readings are "
+                "not in radians, or are wrapped to one turn",
             )
         if not told:
             tell(f"the arms swing by ±{swings.max():.2g} rad: hold them still; waiting for up to {options.wait:g} s")
@@ -639,7 +662,7 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
     return DriveFit(total - lag, lag, gain, (delay_error, lag_error, float(errors[2])), misfit)
 
 
-_NO_LAG = 1e-4
+_NO_LAG = 2e-5
 """s: shorter lags are as good as none."""
 
 
@@ -853,7 +876,8 @@ def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) ->
     if "drive" in signs[0]:
         return wrong(
             "the drive is reversed: a command to the right moves the cart to the left, by its scale and by the arms",
-            "reverse the sign of commands in the rig's program, or exchange two of the motor's leads",
+            "reverse the sign of commands in the rig's program, or exchange two of the motor's leads; where the cart "
+            "was seen to go to the right first, reverse the cart's scale and all encoders instead",
         )
     if "cart" in signs[0]:
         return wrong(
@@ -1020,12 +1044,15 @@ def _encoders(wiring: Wiring, swing: SwingFit, signs: list[tuple[str, ...]], gai
     return [Finding("encoders", Verdict.OK, sentence, "", figures)]
 
 
-def _counts(session: _Session, wiring: Wiring, settings: LoopSettings, changes: dict[str, Any]) -> Finding:
+def _counts(
+    session: _Session, wiring: Wiring, gain: float, settings: LoopSettings, changes: dict[str, Any]
+) -> Finding:  # fmt: skip
     """Compare the rounding of joint angles with what [run] says of the encoders."""
     joints = np.diff(np.array(session.positions)[:, :-1], axis=1, prepend=0.0)
     steps = [_rounding(column) for column in joints.T]
     # An angle that is four times too large has steps that are, too.
-    factors = [_plain_factor(max(abs(float(d)), _STUCK)) for d in wiring.factors]
+    sizes = np.abs(wiring.factors * (gain if _cart_scale(gain, wiring.factors) else 1.0))
+    factors = [_plain_factor(max(float(size), _STUCK)) for size in sizes]
     seen = [round(2 * np.pi * factor / step) if step else 0 for step, factor in zip(steps, factors, strict=True)]
     said = settings.sensors.counts
     figures = {"counts": seen}

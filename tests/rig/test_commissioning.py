@@ -1,6 +1,6 @@
 """Commissioning finds each mistake that a rig may have, by a true sentence with a remedy, and never does harm."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -197,6 +197,48 @@ def test_what_does_not_work_is_one_true_sentence(
     assert not found.changes
     assert rig.farthest <= REACH
     assert rig.stops == 1
+
+
+class Misread(Watched):
+    """A rig whose readings are spoilt on their way."""
+
+    def __init__(self, rig: Watched, spoil: Callable[[Reading], Reading]) -> None:
+        super().__init__(rig.rig)
+        self.spoil = spoil
+
+    def read(self) -> Reading:
+        return self.spoil(super().read())
+
+
+def times(*factors: float) -> Callable[[Reading], Reading]:
+    return lambda reading: reading._replace(positions=reading.positions * np.array(factors))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "step", "told"),
+    [
+        (times(1, 1, 0.3), "drive", "divide the cart's reading by 0.3 "),
+        (times(1, 1, 1.5), "drive", "divide the cart's reading by 1.5 "),
+        (times(1, 1, 1000), "drive", "has its cart's scale in metres"),
+        (times(1, -1, 1), "encoders", "the absolute encoder of arm 2 counts backwards"),
+        (times(-1, -1, -1), "drive", "seen to go to the right first, reverse the cart's scale and all"),
+        (times(0, 0, 0), "drive", "whether the motor is on"),
+        (lambda r: r._replace(positions=r.positions + 0.2), "still", "bring it to the centre"),
+        (lambda r: r._replace(positions=np.degrees(r.positions) * [1, 1, np.pi / 180]), "still", "not in radians"),
+    ],
+)
+def test_readings_in_other_units_or_signs_are_found_within_the_reach(
+    spoil: Callable[[Reading], Reading], step: str, told: str
+) -> None:
+    rig = Misread(bench(), spoil)
+    assert told in only_wrong(commissioned(rig), step)
+    assert rig.farthest < REACH
+
+
+def test_a_sensor_that_gives_no_numbers_is_named() -> None:
+    rig = Misread(bench(), lambda r: r._replace(present=np.array([True, r.time < 0.6, True])))
+    found = commissioned(rig)
+    assert found.wrong[0].sentence == "the encoder of arm 2 gave no number for 0.1 s, so the cart was stopped"
 
 
 def test_friction_is_remarked_on_and_hides_no_wiring() -> None:

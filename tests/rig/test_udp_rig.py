@@ -135,6 +135,12 @@ def test_every_tick_comes_once_and_its_command_goes_back() -> None:
     assert all(tick >= value for tick, value in toy.commands)
 
 
+def test_zeros_are_taken_off_the_arms_readings() -> None:
+    with served(Toy()) as bench, UdpRig(bench.address, zeros=[0.25, -0.5], settings=LONG) as rig:
+        rig.read()
+        assert rig.read().positions == pytest.approx([0.75, 1.5, 1.0])
+
+
 def test_lost_packets_are_counted_and_the_ticks_stay_the_benchs() -> None:
     toy, random = Toy(), np.random.default_rng(0)
     dropped = {Kind.READING: 0, Kind.COMMAND: 0}
