@@ -59,22 +59,24 @@ class Lanes(NamedTuple):
     """Arithmetic for one run on plain floats, or for S runs in lockstep on arrays (S,): `ONE` and `MANY`.
 
     Short arrays take numpy ten times as long as floats take Python, so what both do is written once over these.
-    clip; nearest and below: whole numbers; dot: of (N,), or of rows (S, N); column: (S,) as (S, 1); rows: of an array
+    clip; nearest and below: whole numbers to count by; rounded: whole numbers to reckon with; dot: of (N,), or of rows (S, N); column: (S,) as (S, 1); rows: of an array
     (K,) or (K, S), one by one.
     """
 
     clip: Callable[[Any, Any, Any], Any]
     nearest: Callable[[Any], Any]
+    rounded: Callable[[Any], Any]
     below: Callable[[Any], Any]
     dot: Callable[[Array, Array], Any]
     column: Callable[[Any], Any]
     rows: Callable[[Array], list[Any]]
 
 
-ONE = Lanes(clip_number, round, int, lambda a, b: float(a.dot(b)), lambda value: value, lambda a: a.tolist())
+ONE = Lanes(clip_number, round, round, int, lambda a, b: float(a.dot(b)), lambda value: value, lambda a: a.tolist())
 MANY = Lanes(
     clip_lanes,
     lambda values: np.rint(values).astype(int),
+    np.rint,
     lambda values: values.astype(int),
     lambda a, b: (a * b).sum(1),
     lambda values: values[:, None],

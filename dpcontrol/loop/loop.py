@@ -458,7 +458,7 @@ class _Lockstep:
         self._period, self._arms = ticker.program.period, ticker.program.model.arms
         noise = [draw.rate_noise for draw in draws if draw.rate_noise is not None]
         self._rate_noise = np.stack(noise, axis=2) if noise else None
-        self._alive = np.ones(self._runs, dtype=bool)
+        self._alive, self._over = np.ones(self._runs, dtype=bool), False
         self._counts, self._stopped_at = [ticker.count] * self._runs, [ticker.count] * self._runs
         self._endings = [Ending.FINISHED] * self._runs
         self._reasons = ["came to the reference's end"] * self._runs
@@ -477,15 +477,14 @@ class _Lockstep:
                 if (failed := bench.failed) is not None:
                     why = f"plant failed at t = {k * self._period:.3f} s: its state is no longer finite"
                     self._end(failed, k, Ending.PLANT_FAILED, why)
-                if report[notable].any():
+                if np.add.reduce(report[notable]):
                     self._heed(k, report, rows)
+                    for lane in np.flatnonzero(report[done] * self._alive).tolist():
+                        self._end([lane], k + 1, self._endings[lane], self._reasons[lane])
                 for lane, fault in bench.faults.items():
                     if self._endings[lane] is not Ending.CART_STOP:
                         self._end([lane], k + 1, Ending.CART_STOP, fault)
-                if report[done].any():
-                    for lane in np.flatnonzero(report[done] * self._alive).tolist():
-                        self._end([lane], k + 1, self._endings[lane], self._reasons[lane])
-                if not self._alive.any():
+                if self._over:
                     break
         references = ticker.references
         angles = references[:, : self._arms, None] if references.ndim == 2 else references
@@ -514,3 +513,4 @@ class _Lockstep:
             if self._alive[lane]:
                 self._endings[lane], self._reasons[lane], self._counts[lane] = ending, reason, count
                 self._alive[lane] = False
+        self._over = not self._alive.any()

@@ -55,7 +55,7 @@ def test_time_of_a_tick_by_kind_and_extras(one_core, hold):
             if isinstance(estimator, CompiledEkf):
                 program = estimator.program
                 inputs, out = program.inputs(NOISE, runs=256), np.empty((program.step.size_out, 256))
-                inputs[program.slices["memory"]] = last.memory.kept[:, None]
+                inputs[program.slices["memory"]] = last.memory[:, None]
                 inputs[program.slices["measured"]] = measured[:, None]
                 each = least(lambda p=program, i=inputs, o=out: p.step(i, o), count=40) / 256
                 assert spent[estimator.kind] / each > TOGETHER
