@@ -228,6 +228,11 @@ class Ticker:
         for k in range(min(50, self.count)):
             self(k, reading)
         self.begin()
+        if self._whole:
+            # What beginning has put in their place is fetched again.
+            begun = self.program.memory.copy()
+            self(0, reading)
+            self.program.memory[:] = begun
 
     def doubt(self) -> str:
         """Return a sentence on the parameter that the last tick found to be wrong beyond the law's trust."""

@@ -1,0 +1,84 @@
+"""The loop against the time it simulates, and what a tick of controller and estimator takes; the best of several."""
+
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dpcontrol.loop.loop import loop_controller, make_ticker, run_batch, run_loop
+from dpcontrol.loop.result import LogSink, Reading
+from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.plan import make_plan
+from dpcontrol.scenes.run import log_writer
+from dpcontrol.scenes.run_options import RunOptions
+
+pytestmark = pytest.mark.benchmark
+
+BENCH = RunOptions(mismatch=0.05, initial_error=0.05, lag=0.005, command_noise=0.3)
+PACE, PACE_WITH_LOG, PACE_TOGETHER = 60.0, 25.0, 700.0
+"""Times quicker than real time: one run, one with its log, 64 together."""
+MEDIAN, NEARLY_ALL = 12e-6, 50e-6
+"""s of a tick of controller and estimator, and of 99 % of them."""
+
+
+@pytest.fixture(scope="module")
+def planned():
+    scene = load_itinerary("outer-turn").with_run(BENCH, seed=3)
+    plan = make_plan(scene)
+    return scene, plan, loop_controller(plan.reference, scene.model.arms, scene.loop)
+
+
+def test_the_loop_is_sixty_times_quicker_than_time_and_twenty_five_with_its_log(planned, tmp_path, one_core):
+    scene, plan, controller = planned
+    arms, bare, logged = scene.model.arms, [], []
+    for _ in range(7):
+        result = run_loop(plan.reference, arms, settings=scene.loop, controller=controller)
+        bare.append(result.real_time_factor)
+        with log_writer(plan, tmp_path / "run.mcap") as log:
+            sink = LogSink(log)
+            logged.append(
+                run_loop(plan.reference, arms, settings=scene.loop, controller=controller, sink=sink).real_time_factor
+            )
+    sys.stdout.write(f"\nonce {max(bare):.1f} × real time, with its log {max(logged):.1f} ×\n")
+    assert max(bare) >= PACE
+    assert max(logged) >= PACE_WITH_LOG
+
+
+def test_sixty_four_runs_together_are_seven_hundred_times_quicker_than_time(planned, one_core):
+    scene, plan, controller = planned
+    best = 0.0
+    for _ in range(5):
+        began = time.process_time()
+        runs = run_batch(
+            scene.model.arms, settings=scene.loop, seeds=range(64), controller=controller,
+            limits=scene.loop.limits(plan.reference),
+        )  # fmt: skip
+        best = max(best, sum(run.times[-1] for run in runs) / (time.process_time() - began))
+    sys.stdout.write(f"\n64 runs: {best:.0f} × real time\n")
+    assert best >= PACE_TOGETHER
+
+
+@pytest.mark.parametrize("augment", [("zeros",), ("drive", "friction", "parameters")])
+def test_a_tick_takes_a_hundredth_of_its_period_and_the_first_no_longer(planned, one_core, augment):
+    scene, plan, controller = planned
+    settings = replace(scene.loop, estimator=replace(scene.loop.estimator, augment=augment))
+    limits = settings.limits(plan.reference)
+    ticker = make_ticker(scene.model.arms, settings, controller, limits=limits, delay=1.0)
+    where = ticker.program.model.position_indices
+    readings = [Reading(0.0, state[where]) for state in ticker.references]
+    ticker.rehearse()
+    spent = np.full(len(readings), np.nan)
+    for k, reading in enumerate(readings):
+        began = time.perf_counter()
+        ticker(k, reading)
+        spent[k] = time.perf_counter() - began
+    median, nearly_all = np.median(spent), np.quantile(spent, 0.99)
+    sys.stdout.write(
+        f"\n{'+'.join(augment)}: {1e6 * median:.1f} µs, 99 % within {1e6 * nearly_all:.1f} µs; the first ten at most "
+        f"{1e6 * spent[:10].max():.1f} µs\n"
+    )
+    assert median <= MEDIAN
+    assert nearly_all <= NEARLY_ALL
+    assert spent[:10].max() <= NEARLY_ALL
