@@ -59,8 +59,8 @@ class Lanes(NamedTuple):
     """Arithmetic for one run on plain floats, or for S runs in lockstep on arrays (S,): `ONE` and `MANY`.
 
     Short arrays take numpy ten times as long as floats take Python, so what both do is written once over these.
-    clip; nearest and below: whole numbers to count by; rounded: whole numbers to reckon with; dot: of (N,), or of rows (S, N); column: (S,) as (S, 1); rows: of an array
-    (K,) or (K, S), one by one.
+    clip; nearest and below: whole numbers to count by; rounded: whole numbers to reckon with; dot: of (N,), or of rows
+    (S, N); column: (S,) as (S, 1); rows: of an array (K,) or (K, S), one by one.
     """
 
     clip: Callable[[Any, Any, Any], Any]
