@@ -85,7 +85,7 @@ def nested() -> dict[str, bytes]:
 
 def nested_description() -> dict[str, bytes]:
     """Return an array whose own header nests thousands deep."""
-    return {"header.npy": b"\x93NUMPY\x01\x00" + struct.pack("<H", 9000) + b"(" * 9000}
+    return {"header.npy": b"\x93NUMPY\x01\x00" + struct.pack("<H", 20_000) + b"(" * 20_000}
 
 
 @pytest.mark.parametrize("members", [lying(), nested(), nested_description()], ids=["lying", "nested", "described"])
