@@ -39,7 +39,7 @@ GROUPS = {
         "run": ("run", "Run an itinerary in closed loop and write its log."),
         "campaign": ("run", "Run an itinerary with many seeds; report how often it is completed."),
         "rig": ("run", "Start an example bench for runs over UDP in real time."),
-        "commission": ("run", "Find out what must be right on a rig before its first run."),
+        "commission": ("run", "Check what must be right on a rig before its first run, and measure it."),
     },
     "Review": {
         "score": ("review", "Report whether logged runs did what was asked."),

@@ -308,7 +308,7 @@ def commission_command(
     elif write:
         lines.append(f"{scene.path} stays as it is until the rig is right")
     if left and not unwritten:
-        unwritten = f"{len(left)} of {len(found.findings)} findings must be mended; first: {left[0].sentence}"
+        unwritten = f"{len(left)} of {len(found.findings)} findings must be fixed; first: {left[0].sentence}"
     return Answer(document, lines, unwritten)
 
 

@@ -384,12 +384,12 @@ FAULTS: Mapping[str, str] = {
     "cart-reversed": "the cart's scale counts backwards",
     "encoder-1-reversed": "the inner arm's encoder counts backwards",
     "encoder-2-reversed": "the next arm's encoder counts backwards",
-    "encoders-swapped": "the first two encoders are exchanged",
+    "encoders-swapped": "the first two encoders are swapped",
     "angles-not-summed": "each arm's angle is that to the arm before it",
     "encoder-1-factor-4": "the inner arm's encoder counts four times too much",
     "zeros-off": "the encoders are off by 0.03 and -0.02 rad",
     "switch-dead": "the limit switch at the right never answers",
-    "switches-swapped": "the limit switches are exchanged",
+    "switches-swapped": "the limit switches are swapped",
 }
 """Mistakes that the example bench can be given, for practice with `dpcontrol commission`."""
 _PRACTICE_ZEROS = (0.03, -0.02)

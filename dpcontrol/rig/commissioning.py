@@ -19,7 +19,7 @@ D a diagonal of signs and factors, P an exchange of encoders, B is L D P L⁻¹ 
 D P L⁻¹ (never summed), D P (absolute encoders) or L D P (absolute angles summed again). The nearest of these to
 W W_0⁻¹ is what is reported. An accelerated cart leaves hanging arms behind, which ties the arms' signs to the cart's.
 
-What cannot be told from within, because the mirror image of a rig is a rig, is whether the cart and its drive are
+What cannot be determined from within, as the mirror image of a rig is a rig, is whether the cart and its drive are
 reversed or all the encoders are; both are then named.
 
 Sources: Ljung, System identification (1999), sections 7.4 (output error) and 14.4 (prefilters); Golub & Pereyra,
@@ -50,8 +50,6 @@ Tell = Callable[[str], None]
 
 REACH = 0.010
 """m: how far the cart goes from where it stands, switches apart."""
-
-
 _SWITCHES = Bounds(least=2 * REACH, most=100, unit="m")
 
 
@@ -151,12 +149,10 @@ _SLOPE = 0.01
 """s over which the cart's velocity is read off its positions."""
 _LONGEST_GAP = 0.1
 """s without a reading of the cart after which it is not moved any more."""
-
-
 _OFTEN_LATE = 0.01
 """Share of ticks."""
 _HURRY = "give the computers less other work, ask for priority with --real-time, or run at a lower rate"
-_COMPLAINS = "mend what the rig complains of and start again"
+_COMPLAINS = "fix what the rig reports and start again"
 
 
 class _Session:
@@ -220,21 +216,21 @@ class _Session:
         self.commands.append(command)
         reading = self.read()
         self._gap = 0 if self.present[-1] else self._gap + 1
-        missing = np.ones(self.arms + 1, dtype=bool) if reading.present is None else ~reading.present
         if self.rig.fault:
             creeping = self.step == "switches"
             remedy = "give --switches less than the way to the hard stop" if creeping else _COMPLAINS
             raise self.halted(self.rig.fault, remedy)
         if self._gap * self.period > _LONGEST_GAP:
-            if missing.all():
+            absent = [k for k, there in enumerate([] if reading.present is None else reading.present) if not there]
+            if len(absent) > self.arms:
                 raise self.halted(
                     f"no reading came for {self._gap * self.period:.2g} s, so the cart was stopped",
-                    "see whether the rig sends a reading each period, and whether the line loses packets",
+                    "check whether the rig sends a reading each period, and whether the line loses packets",
                 )
-            which = " and ".join(_sensor(k, self.arms) for k in np.flatnonzero(missing).tolist())
+            which = " and ".join(_sensor(k, self.arms) for k in absent)
             raise self.halted(
                 f"{which} gave no number for {self._gap * self.period:.2g} s, so the cart was stopped",
-                "see whether it is plugged in, and whether the rig's program reads it",
+                "check whether it is plugged in, and whether the rig's program reads it",
             )
         away = self.cart - self.home
         if abs(away) > self.reach and self.late > _OFTEN_LATE * self.tick:
@@ -246,7 +242,7 @@ class _Session:
         if abs(away) > self.reach:
             raise self.halted(
                 f"the cart left its {1e3 * self.reach:.3g} mm (it is at {1e3 * away:+.3g} mm), so it was stopped",
-                "see whether the drive obeys an acceleration in m/s², holds the cart at zero, and has its cart's "
+                "check whether the drive obeys an acceleration in m/s², holds the cart at zero, and has its cart's "
                 "scale in metres",
             )
         return reading
@@ -325,7 +321,7 @@ def commission(
         if motion.rang_to:
             findings += _judged(session, motion, arms, settings, tuple(zeros), changes)
             right = all(f.verdict is Verdict.OK for f in findings if f.step == "drive")
-            findings += motion.switches if right else [_untried("the drive is not right", "mend the drive first")]
+            findings += motion.switches if right else [_untried("the drive is not right", "fix the drive first")]
         if halt is not None:
             findings.append(halt)
         findings.append(_deadlines(session))
@@ -371,17 +367,21 @@ def _move(
     motion.rang_to = session.tick
     session.step = "switches"
     if not switches:
-        ask = "give --switches with the distance in metres that the cart may go, to have them tried"
-        motion.switches = [_untried("nobody asked for it", ask)]
-    elif session.gain < 0:
-        motion.switches = [_untried("the drive is not right", "mend the drive first")]
+        ask = "give --switches with the distance in metres that the cart may go"
+        motion.switches = [_untried("--switches was not given", ask)]
+    elif abs(session.gain - 1) > _SAFE_GAIN:
+        # With a wrong scale it might reach the hard stop.
+        motion.switches = [_untried("the drive is not right", "fix the drive first")]
     else:
         tell(f"the cart creeps to the right, then to the left, by up to {switches:g} m: be ready to cut the power")
         motion.switches = _tried_switches(session, switches, limits, options)
 
 
+_SAFE_GAIN = 0.2
+
+
 def _untried(why: str, remedy: str) -> Finding:
-    return Finding("switches", Verdict.UNSURE, f"the limit switches were not tried, as {why}", remedy)
+    return Finding("switches", Verdict.UNSURE, f"the limit switches were not tried: {why}", remedy)
 
 
 def _judged(
@@ -391,9 +391,7 @@ def _judged(
     """Return what the motion shows, and put what it measures into `changes`."""
     angles, carts = (read()[: motion.rang_to + 1] for read in (session.angles, session.carts))
     since = motion.held_from
-    drive = fit_drive(
-        carts, session.commands, session.period, first=motion.chirped_from, last=motion.chirped_to
-    )  # fmt: skip
+    drive = fit_drive(carts, session.commands, session.period, first=motion.chirped_from, last=motion.chirped_to)
     swing = fit_swing(angles[since:], carts[since:], session.period, arms)
     wiring = read_wiring(swing, arms)
     signs = _signs(drive.gain, wiring.factors)
@@ -419,7 +417,7 @@ def _look(session: _Session, options: CommissioningSettings) -> None:
     if session.switches[-1]:
         raise session.halted(
             f"the limit switch at the {_side(session.switches[-1])} answers though the cart stands free",
-            "see whether it is stuck or its contact is inverted (normally closed), and whether the cart is at the "
+            "check whether it is stuck or its contact is inverted (normally closed), and whether the cart is at the "
             "centre",
         )
 
@@ -495,13 +493,13 @@ def _no_shift(session: _Session, arms: ArmChainParameters, seen: float) -> None:
         raise session.halted(
             f"the arms began to swing when the cart was to shift by {1e3 * _SHIFTS[-1]:g} mm and back, but its reading "
             "did not change: the cart's scale does not count",
-            "see whether the cart's scale is plugged in, and whether its reading is the last position sent, in metres",
+            "check whether the cart's scale is plugged in, and its reading is the last position sent, in metres",
         )
     raise session.halted(
         f"the cart does not move: commanded to shift by {1e3 * _SHIFTS[-1]:g} mm and back, its reading shows "
-        f"{1e3 * seen:.2g} mm of it and the arms nothing",
-        "see whether the motor is on, its brake released and the emergency stop pulled out, and whether commands reach "
-        "the drive as accelerations in m/s²",
+        f"{1e3 * seen:.2g} mm of it and the arms do not swing",
+        "check whether the motor is on, its brake released and the emergency stop pulled out, and commands reach the "
+        "drive as accelerations in m/s²",
     )
 
 
@@ -518,7 +516,7 @@ def _wait_until_still(session: _Session, options: CommissioningSettings, tell: T
         if waited > options.wait:
             raise session.halted(
                 f"the arms still swing by ±{swings.max():.2g} rad after {waited:.0f} s",
-                "hold them until they hang still, let go and start again; where they do hang still, their readings are "
+                "hold them until they hang still, let go and start again; if they do hang still, their readings are "
                 "not in radians, or are wrapped to one turn",
             )
         if not told:
@@ -865,7 +863,7 @@ def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) ->
             "drive", Verdict.UNSURE,
             f"{100 * drive.misfit:.0f} % of the cart's motion is not what its commands make of a drive with a delay "
             "and a lag",
-            "see whether the drive works within its limits, and whether deadlines were missed", figures,
+            "check whether the drive works within its limits, and whether deadlines were missed", figures,
         )  # fmt: skip
     if len(signs) > 1:
         either, other = (" and ".join(_named(name) for name in one) for one in signs)
@@ -876,7 +874,7 @@ def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) ->
     if "drive" in signs[0]:
         return wrong(
             "the drive is reversed: a command to the right moves the cart to the left, by its scale and by the arms",
-            "reverse the sign of commands in the rig's program, or exchange two of the motor's leads; where the cart "
+            "reverse the sign of commands in the rig's program, or swap two of the motor's leads; where the cart "
             "was seen to go to the right first, reverse the cart's scale and all encoders instead",
         )
     if "cart" in signs[0]:
@@ -886,16 +884,16 @@ def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) ->
         )
     if np.all(np.abs(factors) > _STUCK) and _cart_scale(gain, factors):
         return wrong(
-            f"the cart's scale shows {abs(gain):.3g} times the way that commands and arms say",
+            f"the cart's scale shows {abs(gain):.3g} times the distance that commands and arms show",
             f"divide the cart's reading by {abs(gain):.3g} in the rig's program; it is in metres",
         )
     if abs(gain - 1) > _GAIN:
         return wrong(
-            f"the drive gives {gain:.3g} times the acceleration that it is asked for",
+            f"the drive gives {gain:.3g} times the commanded acceleration",
             f"multiply commands by {1 / gain:.3g} in the rig's program, or correct the drive's own scale",
         )
     return Finding(
-        "drive", Verdict.OK, f"the drive goes the way it is told, with {gain:.3f} of the acceleration", "", figures
+        "drive", Verdict.OK, f"the cart goes the commanded way, with {gain:.3f} of the acceleration", "", figures
     )  # fmt: skip
 
 
@@ -919,8 +917,8 @@ def _lateness(drive: DriveFit, settings: LoopSettings, period: float, changes: d
     errors = drive.errors[0] / period, drive.errors[1]
     figures = {"delay": delay, "delay_error": errors[0], "lag": lag, "lag_error": errors[1], "misfit": drive.misfit}
     if drive.misfit > _LEFT_OVER:
-        return Finding("delay", Verdict.UNSURE, "delay and lag cannot be told from this motion",
-                       "mend what the step before says and start again", figures)  # fmt: skip
+        return Finding("delay", Verdict.UNSURE, "delay and lag cannot be determined from this motion",
+                       "fix what the step before says and start again", figures)  # fmt: skip
     said = settings.drive
     sentence = (
         f"the delay is {_with_error(delay, errors[0])} periods, the lag {_with_error(1e3 * lag, 1e3 * errors[1])} ms"
@@ -959,8 +957,8 @@ def _zeros(
     allowed = max(_ZERO, 1.5 * settings.sensors.steps[0])
     worst = float(np.abs(off).max())
     if np.any(np.abs(wiring.factors) < _STUCK):
-        return Finding("still", Verdict.UNSURE, "the arms' zeros cannot be told while an encoder does not count",
-                       "mend the encoder and start again", figures)  # fmt: skip
+        return Finding("still", Verdict.UNSURE, "the arms' zeros cannot be determined while an encoder does not count",
+                       "fix the encoder and start again", figures)  # fmt: skip
     if worst > _FAR:
         return Finding("still", Verdict.WRONG, f"{sentence}: angles count from hanging, where each is zero",
                        "set the encoders to zero while the arms hang", figures)  # fmt: skip
@@ -994,7 +992,7 @@ def _encoders(wiring: Wiring, swing: SwingFit, signs: list[tuple[str, ...]], gai
     found = [
         wrong(
             f"the encoder of arm {k + 1} does not move: it shows {abs(factors[k]):.2f} of the swing that it should",
-            f"see whether the encoder of arm {k + 1} is plugged in, powered and fast on its shaft",
+            f"check whether the encoder of arm {k + 1} is plugged in, powered and tight on its shaft",
         )
         for k in stuck
     ]
@@ -1004,15 +1002,15 @@ def _encoders(wiring: Wiring, swing: SwingFit, signs: list[tuple[str, ...]], gai
                 "encoders",
                 Verdict.UNSURE,
                 f"the arms swing in no way that a known mistake explains: {100 * wiring.misfit:.0f} % is left over",
-                "see whether the model is that of these arms (`dpcontrol identify`) and turn each arm by hand: its own "
-                "angle should grow counter-clockwise",
+                "check whether the model is that of these arms (`dpcontrol identify`) and turn each arm by hand: its "
+                "own angle should grow counter-clockwise",
                 figures,
             )
         ]
     if not stuck and wiring.order != tuple(range(n)):
         moved = [k + 1 for k in range(n) if wiring.order[k] != k]
-        found.append(wrong(f"the encoders of arms {' and '.join(map(str, moved))} are exchanged",
-                           "exchange their plugs, or their order in the rig's program"))  # fmt: skip
+        found.append(wrong(f"the encoders of arms {' and '.join(map(str, moved))} are swapped",
+                           "swap their plugs, or their order in the rig's program"))  # fmt: skip
     if not stuck and wiring.form is Form.RELATIVE:
         found.append(wrong(
             "the rig sends each arm's angle to the arm before it",
@@ -1027,8 +1025,8 @@ def _encoders(wiring: Wiring, swing: SwingFit, signs: list[tuple[str, ...]], gai
         if f"arm {k + 1}" in turned:
             found.append(wrong(
                 f"the {joint} encoder of arm {k + 1} counts backwards",
-                "reverse the sign of that encoder's counts in the rig's program, before angles are summed, or exchange "
-                "its channels A and B"))  # fmt: skip
+                "reverse the sign of that encoder's counts in the rig's program, before angles are summed, or swap its "
+                "channels A and B"))  # fmt: skip
         size = abs(float(factors[k]))
         if abs(size - 1) > _FACTOR and not scaled:
             factor = _plain_factor(size)
@@ -1101,10 +1099,10 @@ def _model(swing: SwingFit, wiring: Wiring, model: Modes) -> Finding:
                "ratios": swing.ratios.tolist()}  # fmt: skip
     faster = swing.dampings / np.maximum(model.dampings, _LEAST_DAMPING / _FASTER)
     if float(faster.max()) > _FASTER:
-        sentence += f", and lose their swing {faster.max():.0f} times as fast"
+        sentence += f", and their swing decays {faster.max():.0f} times as fast"
     elif float(np.abs(swing.ratios - 1).max()) < _DETUNING or np.any(np.abs(wiring.factors) < _STUCK):
         return Finding("model", Verdict.OK, sentence, "", figures)
-    remedy = "identify the model from free swings of this rig (`dpcontrol identify`), or see to the joints' bearings"
+    remedy = "identify the model from free swings of this rig (`dpcontrol identify`), or check the joints' bearings"
     return Finding("model", Verdict.UNSURE, sentence, remedy, figures)
 
 
@@ -1112,9 +1110,7 @@ _ACCELERATE, _STOPPING = 0.3, 1.0
 """m/s² towards the switches, and where one has answered."""
 
 
-def _tried_switches(
-    session: _Session, most: float, limits: Limits, options: CommissioningSettings
-) -> list[Finding]:  # fmt: skip
+def _tried_switches(session: _Session, most: float, limits: Limits, options: CommissioningSettings) -> list[Finding]:
     """Creep to each side until the switch answers, and come back; return a finding for each side."""
     session.reach = most + REACH
     return [_tried_switch(session, side, name, most, limits, options) for side, name in ((1, "right"), (-1, "left"))]
@@ -1133,13 +1129,13 @@ def _tried_switch(
     if answer == -side:
         return wrong(
             f"at the {name}, at {at:+.4f} m, the switch of the other side answers",
-            "exchange the plugs of the limit switches, or their signs in the rig's program: right is +1",
+            "swap the plugs of the limit switches, or their signs in the rig's program: right is +1",
         )
     if not answer:
         return wrong(
             f"no switch answers at the {name} up to {at:+.4f} m",
-            "press that switch by hand: where nothing comes of it see to its wiring, else give --switches a longer "
-            "way, short of the hard stop",
+            "press that switch by hand: if no reading shows it, check its wiring; otherwise give --switches a "
+            "longer way, short of the hard stop",
         )
     if abs(at) < limits.position:
         return wrong(

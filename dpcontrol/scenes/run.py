@@ -416,7 +416,7 @@ def commission_rig(
             ticks = round((options.seconds + 2 * switches / options.creep * 2) * itinerary.loop.rate)
             _fits(
                 rig, arms=arms.count, rate=itinerary.loop.rate, ticks=ticks, what="commissioning",
-                remedy="set rate = {0:g} in [run]",
+                remedy="set rate = {0:g} in [run]", longer="; start the example bench with --hanging",
             )  # fmt: skip
             stack.enter_context(without_collecting())
             if real_time:
@@ -509,7 +509,8 @@ def run_on_rig(
 
 
 def _fits(
-    rig: "UdpRig", *, arms: int, rate: float, ticks: int, what: str, remedy: str = "run with --rate {0:g}"
+    rig: "UdpRig", *, arms: int, rate: float, ticks: int, what: str, remedy: str = "run with --rate {0:g}",
+    longer: str = "",
 ) -> None:  # fmt: skip
     welcome = rig.welcome
     if welcome.arms != arms:
@@ -520,4 +521,4 @@ def _fits(
             f"{remedy.format(1 / welcome.period)}"
         )
     if welcome.ticks < ticks:
-        raise InputError(f"rig {rig.address} can run for {welcome.ticks} ticks, {what} takes {ticks}")
+        raise InputError(f"rig {rig.address} can run for {welcome.ticks} ticks, {what} takes {ticks}{longer}")

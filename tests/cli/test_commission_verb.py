@@ -55,7 +55,7 @@ def test_nothing_is_written_while_the_rig_is_wrong(scene: Path) -> None:
     before = scene.read_bytes()
     ended = dpcontrol("commission", scene, "--fault", "encoders-swapped", "--delay", "2", "--write")
     assert ended.code == 1
-    assert "→ exchange their plugs" in ended.stdout
+    assert "→ swap their plugs" in ended.stdout
     assert "stays as it is until the rig is right" in ended.stdout
     assert scene.read_bytes() == before
 

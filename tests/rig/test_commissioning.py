@@ -103,11 +103,11 @@ def test_a_rig_that_is_right_is_found_right_and_measured() -> None:
 
 
 WIRED_WRONGLY = {
-    "drive-reversed": ("drive", "the drive is reversed", "exchange two of the motor's leads"),
+    "drive-reversed": ("drive", "the drive is reversed", "swap two of the motor's leads"),
     "cart-reversed": ("drive", "the cart's scale is reversed", "reverse the sign of the cart's reading"),
     "encoder-1-reversed": ("encoders", "encoder of arm 1 counts backwards", "reverse the sign"),
     "encoder-2-reversed": ("encoders", "encoder of arm 2 counts backwards", "reverse the sign"),
-    "encoders-swapped": ("encoders", "encoders of arms 1 and 2 are exchanged", "exchange their plugs"),
+    "encoders-swapped": ("encoders", "encoders of arms 1 and 2 are swapped", "swap their plugs"),
     "angles-not-summed": ("encoders", "angle to the arm before it", "send absolute angles"),
     "encoder-1-factor-4": ("encoders", "encoder of arm 1 shows", "divide its angle by 4 "),
 }
@@ -247,8 +247,8 @@ def test_friction_is_remarked_on_and_hides_no_wiring() -> None:
     assert not found.wrong
     (model,) = [f for f in found.findings if f.step == "model"]
     assert model.verdict is Verdict.UNSURE
-    assert "lose their swing" in model.sentence
-    assert "exchanged" in only_wrong(commissioned(bench("encoders-swapped", plant=rusty)), "encoders")
+    assert "their swing decays" in model.sentence
+    assert "swapped" in only_wrong(commissioned(bench("encoders-swapped", plant=rusty)), "encoders")
 
 
 def test_noise_on_the_command_is_held_within_the_reach_and_told_in_the_errors() -> None:
@@ -279,7 +279,7 @@ def test_both_switches_are_found_by_creeping_and_the_cart_comes_back() -> None:
     ("faults", "track", "sentence", "remedy"),
     [
         (("switch-dead",), 0.5, "no switch answers at the right up to +0.48", "press that switch by hand"),
-        (("switches-swapped",), 0.5, "the switch of the other side answers", "exchange the plugs"),
+        (("switches-swapped",), 0.5, "the switch of the other side answers", "swap the plugs"),
         ((), 0.4, "within the ±0.4 m that [limits] allows", "set position below 0.35"),
     ],
 )
