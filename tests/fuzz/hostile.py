@@ -96,6 +96,7 @@ BASES: dict[str, tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]] = {
     "reference": ((("reference.npz",), ()),),
     "run": ((("rest.toml",), ()), ((), ("--from=run.mcap",))),
     "campaign": ((("rest.toml",), ("--runs=2", "--workers=1")),),
+    "commission": ((("rest.toml",), ("--seed=1",)),),
     "rig": ((("rest.toml",), ("--runs=1",)),),
     "score": ((("run.mcap",), ()), (("run.mcap", "swings.mcap"), ())),
     "review": (
@@ -122,6 +123,7 @@ LEFT = {
     "bifurcations": {"energies"},
     "cache": {"clear"},
     "campaign": {"standard", "workers", "scheduler"},
+    "commission": {"address"},
     "figures": {"names"},
     "bench": {"names"},
     "run": {"address"},
