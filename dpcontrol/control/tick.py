@@ -190,13 +190,15 @@ class TickEquations:
     """The tick of one filter, delay and law.
 
     whole, lead: the delay's whole periods, and for how many the command is computed ahead. shares (E,): which extras
-    are relative errors that the law trusts only so far; None for a law without gains on them.
+    are relative errors that the law trusts only so far; None for a law without gains on them. same rad and m: readings
+    of a joint and of the cart this near to each other are the same count.
     """
 
     filter: FilterEquations
     whole: int
     lead: int
     shares: tuple[bool, ...] | None = None
+    same: tuple[float, float] = (SAME, SAME)
 
     @cached_property
     def memory(self) -> Layout:
@@ -357,7 +359,7 @@ class TickEquations:
             value = r["measured"][i] - inner
             should = (wanted[i] - (wanted[i - 1] if i else 0)) if arm else travelled
             step = ca.fabs(value - m["last"][i])
-            same = step < SAME
+            same = step < self.same[0 if arm else 1]
             smallest = ca.if_else(same, m["step"][i], ca.fmin(m["step"][i], step))
             begin = ca.if_else(same, m["begin"][i], should)
             away = ca.if_else(same, ca.fmax(m["away"][i], ca.fabs(should - begin)), 0)
@@ -695,6 +697,11 @@ class TickProgram:
         """Compile these functions now."""
         for name in names:
             _ = self.machine(name).machine
+
+    @property
+    def numbers(self) -> Array:
+        """What does not change in a run, (size,); see `TickEquations.numbers`."""
+        return self._numbers[:, 0].copy()
 
     def set_number(self, name: str, value: float) -> None:
         """Change one of the `BOUNDS`."""
