@@ -11,6 +11,8 @@ in step with its chunks, every twenty milliseconds: a run that is killed loses n
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -306,23 +308,36 @@ def make_ticker(
     delay: float,
     can_hold: bool = False,
     runs: int = 1,
+    library: Path | None = None,
 ) -> Ticker:
     """Return controller, estimator and supervisor of one run, or of `runs` side by side; delay in periods, believed.
 
+    library: one made of what `dpcontrol export` writes, which does the ticks of one run.
+
     Raises:
-        InputError: the delay is impossible, or the controller is not for these arms.
+        InputError: the delay is impossible, or the controller is not for these arms; or the library is not of these
+            settings, or such a one cannot be.
     """
     # The estimator believes in the sensors' resolution and noise.
     noise, model = settings.sensors.covariance(parameters.count), sampled_model(parameters, settings.rate)
     schedule = schedule_of(controller, whole_periods(delay)[1])
-    program = TickProgram(
+    compiled = isinstance(settings.estimator, EkfSettings)
+    make: Any = TickProgram
+    if library is not None:
+        from dpcontrol.control.export import LibraryProgram, checked_exportable
+
+        checked_exportable(controller, schedule, compiled=compiled, lead=whole_periods(delay)[1])
+        make = partial(LibraryProgram, library)
+    program = make(
         model, settings.estimator, noise=noise, delay=delay, runs=runs,
         bounds=_bounds(settings, limits, can_hold=can_hold, trust=0.0 if schedule is None else schedule.trust),
         shares=None if schedule is None else schedule.shares,
     )  # fmt: skip
-    compiled = isinstance(settings.estimator, EkfSettings)
     estimator = None if compiled else make_estimator(settings.estimator, model, noise=noise)
-    return Ticker(program, controller, schedule=schedule, estimator=estimator, estimator_kind=settings.estimator.kind)
+    ticker = Ticker(program, controller, schedule=schedule, estimator=estimator, estimator_kind=settings.estimator.kind)
+    if library is not None:
+        program.check(schedule, law=controller.kind)
+    return ticker
 
 
 def _bounds(settings: LoopSettings, limits: Limits, *, can_hold: bool, trust: float) -> dict[str, float]:
@@ -346,17 +361,23 @@ def control_loop(
     rate_noise: Array | None = None,
     sink: LoopSink | None = None,
     fallback: Fallback | None = None,
+    library: Path | None = None,
     progress: Progress = no_progress,
 ) -> ControlLoop:
     """Return a loop for any rig, simulated or real; believed_delay in periods, the drive's own by default.
 
-    rate_noise (K, n) rad/s: see `ControlLoop`.
+    rate_noise (K, n) rad/s: see `ControlLoop`. library: see `make_ticker`.
 
     Raises:
-        InputError: the delay is impossible, or the controller is not for these arms.
+        InputError: the delay is impossible, or the controller is not for these arms; or the library is not for this.
     """
+    if library is not None and (rate_noise is not None or fallback is not None):
+        what = "noise on measured rates" if fallback is None else 'hold = "nearest"'
+        raise InputError(f"run: a controller's library knows nothing of {what}; run it without")
     delay = settings.drive.delay if believed_delay is None else believed_delay
-    ticker = make_ticker(parameters, settings, controller, limits=limits, delay=delay, can_hold=fallback is not None)
+    ticker = make_ticker(
+        parameters, settings, controller, limits=limits, delay=delay, can_hold=fallback is not None, library=library
+    )
     return ControlLoop(
         ticker, limits=limits, sink=sink or NoSink(), rate_noise=rate_noise, fallback=fallback, progress=progress
     )
@@ -372,13 +393,14 @@ def run_loop(
     uncertainty: Uncertainty | None = None,
     sink: LoopSink | None = None,
     fallback: Fallback | None = None,
+    library: Path | None = None,
     progress: Progress = no_progress,
 ) -> LoopResult:
     """Track `reference` on a simulated bench, with `parameters` as the model of controller and estimator.
 
     controller, fallback: made before, by `loop_controller` and `loop_fallback` with the same settings, to spare making
     them for each of many seeds. plant: the arms to simulate; without it the model's, drawn from its `uncertainty` and
-    mismatched by the settings.
+    mismatched by the settings. library: see `make_ticker`.
 
     Raises:
         InputError: the reference did not converge, or is not one of these arms; an uncertainty is asked for and not
@@ -393,7 +415,7 @@ def run_loop(
     draw = settings.draw(parameters, ticks=controller.ticks + 1, uncertainty=uncertainty, plant=plant)
     loop = control_loop(
         parameters, settings, controller, limits=limits, rate_noise=draw.rate_noise, sink=sink, fallback=fallback,
-        progress=progress,
+        library=library, progress=progress,
     )  # fmt: skip
     rig = SimulatedRig(draw, settings.bench, limits=limits, start=first, queued=loop.queued)
     return replace(loop.run(rig), plant=draw.plant.arms)

@@ -1,0 +1,461 @@
+"""The tick as C99 for a target of one's own, and a library made of it in the loop's place.
+
+The expression is the loop's own (`dpcontrol.control.tick`), with all numbers of the run put in before CasADi makes C of
+it: what they decide beforehand costs nothing. What changes from tick to tick stands in constant tables:
+
+    law     of each command: feedforward m/s², gains, gains on the extras; columns that never change are in the code
+    states  the reference: of the tick at which a command acts, and of the tick itself
+
+The controller's memory belongs to the caller; files that do not change from one controller to the next are templates in
+the folder `target`, with names between @ for what does. The interface is `target/dpc_controller.h`.
+"""
+
+import ctypes
+import re
+import subprocess
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+import dpcontrol
+from dpcontrol.control.interface import Controller, GainSchedule
+from dpcontrol.control.tick import SETTLING, UNROLLED, TickEquations, TickProgram
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import checked_source, content_hash
+
+Array = NDArray[np.float64]
+
+_TEMPLATES = Path(__file__).with_name("target")
+_VERSION = 1
+"""Of the interface, as in the header."""
+MOST_NUMBERS = 5_000_000
+"""In the tables: from there on compilers need minutes and gigabytes."""
+SAME_IN_SINGLE = (1e-5, 1e-7)
+"""rad and m: `SAME` in single precision, which rounds differences of angles of some turns to 2e-6 rad."""
+
+
+class Figures(NamedTuple):
+    """What a controller needs of its target, in bytes; None where no gcc was there to tell.
+
+    code: of the controller, with its constants; stack: of a step; memory: the caller's, kept from tick to tick. tables:
+    in all, tables_per_second: of reference.
+    """
+
+    operations: int
+    code: int | None
+    stack: int | None
+    memory: int
+    tables: int
+    tables_per_second: float
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerSource:
+    """A controller as C: files by their names, identity, and what it needs of its target."""
+
+    files: Mapping[str, str]
+    identity: str
+    figures: Figures
+
+
+def checked_exportable(controller: Controller, schedule: GainSchedule | None, *, compiled: bool, lead: int) -> None:
+    """Reject what is no single function of memory, reading and a table's row.
+
+    compiled: whether the estimator is the compiled filter; lead: periods that are looked ahead.
+
+    Raises:
+        InputError: the law keeps a clock of its own, the estimator is another one, or the delay too long.
+    """
+    if schedule is None:
+        raise InputError(
+            f'controller: kind = "{controller.kind}" keeps a clock of its own and cannot leave as C; '
+            'use "tvlqr" by time (schedule = "time", without keep), "adaptive", "feedforward" or "lqr"'
+        )
+    if not compiled:
+        raise InputError('estimator: only kind = "ekf" is made into C; choose it')
+    if lead > UNROLLED:
+        raise InputError(
+            f"drive: the delay is {lead} periods, and C looks {UNROLLED} ahead at most; lower the rate, so that the "
+            "same delay has fewer periods"
+        )
+
+
+def identity(program: TickProgram, schedule: GainSchedule, start: Array) -> str:
+    """Return what identifies all that a controller is made from, but for the code; start (M,): the first memory."""
+    equations = program.equations
+    parts = [*equations.numbers.slices, *equations.memory.slices, *equations.row.slices, *equations.filter.extra_names]
+    shape = repr((_VERSION, equations.whole, equations.lead, equations.shares, program.period, parts))
+    arrays = (program.numbers, start, schedule.rows, schedule.references, schedule.queued)
+    return content_hash(shape, *(np.ascontiguousarray(one, dtype="<f8").tobytes() for one in arrays))
+
+
+class _Tables(NamedTuple):
+    """What changes from tick to tick: law (K, C) of the commands, its columns' places in (L,), constants (L,) there.
+
+    states (K, N): the reference, one row where it never moves; names (C,).
+    """
+
+    law: Array
+    varying: NDArray[np.bool_]
+    constants: Array
+    states: Array
+    names: tuple[str, ...]
+
+
+def _tables(equations: TickEquations, schedule: GainSchedule) -> _Tables:
+    row, n = equations.row, equations.filter.arms
+    law = np.concatenate([schedule.rows[:, row.slices[name]] for name in _law_parts(equations)], axis=1)
+    states, last = schedule.references, len(schedule.references) - 1
+    acts = np.minimum(np.arange(len(law)) + equations.lead, last)
+    assert np.array_equal(schedule.rows[:, row.slices["state"]], states[acts])
+    assert np.array_equal(schedule.rows[:, row.slices["wanted"]], states[: len(law), :n])
+    varying = np.ptp(law, axis=0) > 0
+    names = ["feedforward", *(f"gain {i + 1}" for i in range(equations.filter.equations.dimension))]
+    names += [f"gain on {name}" for name in equations.filter.extra_names] if equations.shares is not None else []
+    moving = law[:, varying] if varying.any() else np.zeros((1, 1))
+    return _Tables(
+        _without_end(moving), varying, law[0], _without_end(states), tuple(np.array(names)[varying]) or ("nothing",)
+    )
+
+
+def _law_parts(equations: TickEquations) -> list[str]:
+    return ["feedforward", "gains"] + ([] if equations.shares is None else ["extra_gains"])
+
+
+def _without_end(rows: Array) -> Array:
+    """Return the rows up to the first of those that are as the last."""
+    differing = np.flatnonzero((rows != rows[-1]).any(axis=1))
+    return rows[: differing[-1] + 2 if len(differing) else 1]
+
+
+_ARGUMENTS = ("memory", "measured", "present", "limit_switch", "law", "acts", "now")
+"""Of the C function, in its order."""
+
+
+def _function(program: TickProgram, tables: _Tables, *, single: bool) -> ca.Function:
+    """Return the tick with all numbers in it: (memory, measured, present, switch, law, acts, now) -> memory, report."""
+    equations = program.equations
+    if single:
+        equations = replace(equations, same=SAME_IN_SINGLE)
+    n, size = equations.filter.arms, equations.filter.equations.dimension
+    memory, parts = equations.memory.symbols("memory")
+    measured, present = ca.SX.sym("measured", n + 1), ca.SX.sym("present", n + 1)
+    switch, law = ca.SX.sym("limit_switch"), ca.SX.sym("law", tables.law.shape[1])
+    acts, now = ca.SX.sym("acts", size), ca.SX.sym("now", size)
+    known = [ca.SX(value) for value in tables.constants.tolist()]
+    for place, column in enumerate(np.flatnonzero(tables.varying).tolist()):
+        known[column] = law[place]
+    still = len(tables.states) == 1
+    steers = ca.SX(ca.DM(tables.states[0])) if still else acts
+    wanted = steers[:n] if still else now[:n]
+    row = equations.row.joined(
+        {"feedforward": known[0], "gains": ca.vertcat(*known[1 : size + 1]), "state": steers,
+         "extra_gains": ca.vertcat(*known[size + 1 :]), "wanted": wanted}
+    )  # fmt: skip
+    # What nothing but a fallback sets stays as it begins.
+    parts["held"] = ca.SX(0)
+    reading = ca.vertcat(measured, present, switch, ca.SX.zeros(n))
+    numbers = ca.SX(ca.DM(program.numbers))
+    (out,) = equations.function().call([equations.memory.joined(parts), reading, row, numbers], True, False)
+    inputs = [memory, measured, present, switch, law, acts, now]
+    return ca.Function("tick", inputs, [ca.cse(out)], [*_ARGUMENTS], ["out"], {"cse": True})
+
+
+_READ = re.compile(r"arg\[(\d+)\]\? arg\[\d+\]\[(\d+)\] : 0")
+_WRITTEN = re.compile(r"if \(res\[0\]!=0\) res\[0\]\[(\d+)\]=")
+_NUMBER = re.compile(r"(?<![\w.])\d+\.\d*(?:e[+-]?\d+)?")
+_CALLS = re.compile(r"\b(fabs|sqrt|sin|cos|atan2)\(")
+
+
+def _body(function: ca.Function, *, single: bool) -> str:
+    """Return the statements of a function as C, as CasADi's generator writes them, without what stands around them."""
+    generator = ca.CodeGenerator("tick", {"casadi_real": "dpc_real", "with_export": False})
+    generator.add(function)
+    lines = generator.dump().splitlines()
+    begin = next(k for k, line in enumerate(lines) if line.startswith("static int casadi_f0("))
+    end = lines.index("  return 0;", begin)
+    body = "\n".join("    " + line.strip() for line in lines[begin + 1 : end])
+    body = _READ.sub(lambda found: f"{_ARGUMENTS[int(found[1])]}[{found[2]}]", body)
+    body = _WRITTEN.sub(r"out[\1]=", body).replace("casadi_real", "dpc_real").replace("casadi_inf", "(dpc_real)INFINITY")
+    body = body.replace("casadi_fabs(", "fabs(")
+    for name in ("sq", "fmin", "fmax"):
+        body = body.replace(f"casadi_{name}(", f"dpc_{name}(")
+    body = _NUMBER.sub(lambda found: _c_number(float(found[0]), single=single), body)
+    return _CALLS.sub(r"\1f(", body) if single else body
+
+
+def _c_number(value: float, *, single: bool) -> str:
+    if np.isinf(value):
+        return "(dpc_real)INFINITY" if value > 0 else "(dpc_real)-INFINITY"
+    text = str(np.float32(value)) if single else repr(float(value))
+    text = text if set(text) & set(".e") else f"{text}."
+    return f"{text}f" if single else text
+
+
+def _table(name: str, rows: Array, *, single: bool) -> str:
+    """Return a table (K, C), or an array (C,), as C."""
+    lines = [", ".join(_c_number(value, single=single) for value in row) for row in np.atleast_2d(rows).tolist()]
+    if rows.ndim == 1:
+        return f"const dpc_real {name}[{rows.shape[0]}] = {{\n{lines[0]}\n}};\n"
+    inner = "},\n{".join(lines)
+    return f"const dpc_real {name}[{rows.shape[0]}][{rows.shape[1]}] = {{\n{{{inner}}}\n}};\n"
+
+
+def controller_source(
+    program: TickProgram,
+    controller: Controller,
+    schedule: GainSchedule,
+    *,
+    itinerary: str,
+    title: str,
+    single: bool,
+    readings: str,
+) -> ControllerSource:
+    """Return the C of a program that has begun and of its schedule; see `checked_exportable`.
+
+    single: in single precision. readings: of a simulated run and what was commanded, as main_replay.c reads them.
+
+    Raises:
+        InputError: the tables would be too long for compilers.
+    """
+    equations = program.equations
+    filtered, names = equations.filter, equations.filter.extra_names
+    tables = _tables(equations, schedule)
+    count = tables.law.size + tables.states.size
+    if count > MOST_NUMBERS:
+        raise InputError(
+            f"export: the tables would hold {count:,} numbers, {MOST_NUMBERS:,} are allowed; lower --rate, or export a "
+            "shorter itinerary"
+        )
+    function = _function(program, tables, single=single)
+    body = _body(function, single=single)
+    start = program.memory[:, 0].copy()
+    digest, n = identity(program, schedule, start), filtered.arms
+    places = {name: where.start for name, where in equations.memory.slices.items() if name in ("stopped", "still")}
+    places |= {name: equations.memory.size + where.start for name, where in equations.report.slices.items()}
+    bounds = {name: float(program.numbers[equations.numbers.slices[name]][0]) for name in
+              ("lost_estimate", "lost_tracking", "missing")}  # fmt: skip
+    seconds = (len(schedule.rows) - 1) * program.period
+    width = 4 if single else 8
+    columns = [*(f"measured.arm_{i + 1}" for i in range(n)), "measured.cart"]
+    known = {
+        "TITLE": _comment(f"{itinerary}: {title}"),
+        "ITINERARY_COMMENT": _comment(itinerary), "ITINERARY": _string(itinerary), "LAW": _string(controller.kind),
+        "VERSION": dpcontrol.__version__, "IDENTITY": digest, "REAL": "float" if single else "double",
+        "ARMS": n, "POSITIONS": n + 1, "STATES": filtered.equations.dimension, "EXTRAS": len(names),
+        "EXTRA_NAMES": ", ".join(names) or "nothing", "MEMORY": equations.memory.size, "TICKS": len(schedule.rows),
+        "RATE": repr(1 / program.period), "PERIOD": repr(program.period), "DELAY": repr(_delay(program)),
+        "LEAD": equations.lead,
+        **{name.upper(): f"{value:g}" for name, value in bounds.items()},
+        "PLACES": "\n".join(f"    AT_{name.upper()} = {place}," for name, place in places.items()),
+        "RESULTS": equations.memory.size + equations.report.size,
+        "SETTLING": _c_number(SETTLING, single=single), "TICK": body,
+        "HELPERS": "\n".join(text for name, text in _HELPERS.items() if f"{name}(" in body),
+        "STATE_ROWS": len(tables.states), "LAW_ROWS": len(tables.law), "LAW_COLUMNS": tables.law.shape[1],
+        "LAW_NAMES": ", ".join(tables.names), "QUEUED": max(equations.lead, 1),
+        "COLUMNS": ", ".join(columns), "NAMES": ", ".join(f'"{name}"' for name in columns),
+        "TOLERANCE": "1e-2" if single else "1e-9",
+    }  # fmt: skip
+    files = {name: _filled(name, known) for name in _SOURCES}
+    queued = schedule.queued if equations.lead else np.zeros(1)
+    arrays = {"dpc_states": tables.states, "dpc_law": tables.law, "dpc_start": start, "dpc_first_commands": queued}
+    text = "\n".join(_table(name, rows, single=single) for name, rows in arrays.items())
+    files["dpc_tables.c"] = f'#include "dpc_tables.h"\n\n#include <math.h>\n\n{text}'
+    code, stack = _measured(files)
+    figures = Figures(
+        operations=function.n_instructions(), code=code, stack=stack,
+        memory=width * equations.memory.size + ctypes.sizeof(ctypes.c_long),
+        tables=width * count, tables_per_second=width * count / max(seconds, program.period),
+    )  # fmt: skip
+    known |= _readme(figures, single=single)
+    files["README.md"] = _filled("README.md", known)
+    files["readings.csv"] = readings
+    return ControllerSource(files, digest, figures)
+
+
+_SOURCES = ("dpc_controller.h", "dpc_controller.c", "dpc_tables.h", "main_replay.c", "Makefile", "CMakeLists.txt")
+_HELPERS = {
+    "dpc_sq": "static dpc_real dpc_sq(dpc_real x) { return x * x; }",
+    "dpc_fmin": "static dpc_real dpc_fmin(dpc_real x, dpc_real y) { return x < y ? x : y; }",
+    "dpc_fmax": "static dpc_real dpc_fmax(dpc_real x, dpc_real y) { return x > y ? x : y; }",
+}
+
+
+def _filled(name: str, known: Mapping[str, Any]) -> str:
+    """Return a template with what stands between @ put in."""
+    return re.sub(r"@([A-Z_]+)@", lambda found: str(known[found[1]]), (_TEMPLATES / name).read_text())
+
+
+def _comment(text: str) -> str:
+    """Return a text for a comment of C, whatever it holds."""
+    plain = " ".join(text.split()).encode("ascii", "backslashreplace").decode()
+    return plain.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?").rstrip("\\")
+
+
+def _string(text: str) -> str:
+    """Return a text for a string of C."""
+    safe = frozenset(b"-_ .,:+()")
+    return "".join(chr(one) if chr(one).isalnum() and one < 128 or one in safe else f"\\{one:03o}"
+                   for one in text.encode("utf-8", "replace"))  # fmt: skip
+
+
+def _delay(program: TickProgram) -> float:
+    share = program.numbers[program.equations.numbers.slices["share"]][0]
+    return program.equations.whole + float(share)
+
+
+def _measured(files: Mapping[str, str]) -> tuple[int | None, int | None]:
+    """Return bytes of code and of stack as gcc tells them; None where there is no gcc, or none that compiles this."""
+    with TemporaryDirectory(prefix="dpcontrol-") as name:
+        folder = Path(name)
+        for file, text in files.items():
+            (folder / file).write_text(text)
+        flags = ["-std=c99", "-O2", "-ffp-contract=off", "-fno-asynchronous-unwind-tables", "-fstack-usage", "-c"]
+        try:
+            for command in (["gcc", *flags, "dpc_controller.c"], ["size", "dpc_controller.o"]):
+                done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=True)
+            code = int(done.stdout.splitlines()[1].split()[0])
+            used = [line.split("\t") for line in (folder / "dpc_controller.su").read_text().splitlines()]
+            step = sum(int(size) for place, size, *_ in used if place.endswith(("dpc_step", "dpc_tick")))
+        except (OSError, ValueError, LookupError, subprocess.SubprocessError):
+            return None, None
+    return code, step
+
+
+def kibibytes(count: float | None) -> str:
+    """Return a number of bytes for people."""
+    return "unknown (no gcc to measure it)" if count is None else f"{count / 1024:.1f} KiB"
+
+
+def _readme(figures: Figures, *, single: bool) -> dict[str, str]:
+    shown = {"code": figures.code, "stack": figures.stack, "memory": figures.memory, "tables": figures.tables,
+             "tables_per_second": figures.tables_per_second}  # fmt: skip
+    return {**{f"BYTES_{name.upper()}": kibibytes(count) for name, count in shown.items()},
+            "PRECISION": "single" if single else "double"}  # fmt: skip
+
+
+# A library in the loop's place.
+
+
+def _types(program: TickProgram, real: str) -> tuple[np.dtype, np.dtype]:
+    """Return what dpc_reading and dpc_report are to numpy."""
+    n, size = program.model.arms, program.model.dimension
+    extras = len(program.equations.filter.extra_names)
+    reading = [("positions", real, (n + 1,)), ("present", "u1", (n + 1,)), ("limit_switch", "i4")]
+    whole = {"outcome": "i4", "stopped_by": "i4", "stop": "i4", "done": "i4", "mode": "i4", "saturated": "i4",
+             "newly_cut": "i4", "used": "i4", "sensor": "i4", "repeats": "l", "doubted": "i4"}  # fmt: skip
+    lengths = {"state": size, "sigmas": size + extras, "extra": extras, "reference": size, "ahead": size}
+    numbers = [(name, real, (length,)) for name, length in lengths.items() if length]
+    scalars = ("wish", "feedforward", "feedback", "acting", "nis", "mean_nis", "error", "silent")
+    report = [("command", real), *whole.items(), *numbers, *((name, real) for name in scalars)]
+    return np.dtype(reading, align=True), np.dtype(report, align=True)
+
+
+class _Description(ctypes.Structure):
+    """dpc_description."""
+
+    _fields_ = (
+        *((name, ctypes.c_int) for name in
+          ("version", "real_bytes", "controller_bytes", "reading_bytes", "report_bytes", "arms", "states", "extras",
+           "lead")),
+        ("ticks", ctypes.c_long), ("rate", ctypes.c_double), ("delay", ctypes.c_double),
+        ("itinerary", ctypes.c_char_p), ("law", ctypes.c_char_p), ("identity", ctypes.c_char_p),
+    )  # fmt: skip
+
+
+class LibraryProgram(TickProgram):
+    """A tick that an exported library does, for one run; all else is as of the program that it was made from.
+
+    Raises:
+        InputError: the file is no such library, or of another interface or other arms.
+    """
+
+    def __init__(self, library: Path, *arguments: Any, **settings: Any) -> None:
+        super().__init__(*arguments, **settings)
+        self.library = checked_source(library)
+        if not self.library.exists():
+            raise InputError(f"there is no library {library}; `dpcontrol export` and `make` make one")
+        try:
+            self._c = ctypes.CDLL(str(self.library.resolve()))
+            self._c.dpc_describe.restype = ctypes.POINTER(_Description)
+            described: _Description = self._c.dpc_describe().contents
+        except (OSError, AttributeError, ValueError) as error:
+            why = " ".join(str(error).split())
+            raise InputError(f"{library} is no library of `dpcontrol export`: {why}; make one and give that") from error
+        if described.version != _VERSION:
+            raise InputError(
+                f"{library} has version {described.version} of the interface, this program reads {_VERSION}; "
+                "export it again"
+            )
+        self.described = described
+        if described.arms != self.model.arms:
+            raise InputError(f"{library} is for {described.arms} arms, the itinerary's model has {self.model.arms}")
+        reading, report = _types(self, "f4" if described.real_bytes == 4 else "f8")
+        if described.extras == len(self.equations.filter.extra_names) and (
+            (described.reading_bytes, described.report_bytes) != (reading.itemsize, report.itemsize)
+        ):
+            raise InputError(f"{library} was compiled for another machine's layout of structures; compile it here")
+        self._reading, self._told = np.zeros((), reading), np.zeros((), report)
+        self._controller = ctypes.create_string_buffer(described.controller_bytes + 8)
+        self._step = self._c.dpc_step
+        self._step.restype = ctypes.c_float if described.real_bytes == 4 else ctypes.c_double
+        self._step.argtypes = [ctypes.c_void_p] * 3
+        self._c.dpc_init.restype = None
+        self._arguments = [
+            ctypes.addressof(self._controller), self._reading.ctypes.data, self._told.ctypes.data
+        ]  # fmt: skip
+        report_slices = self.equations.report.slices
+        self._copied = [(name, report_slices[name]) for name in report.fields or () if name in report_slices]
+
+    def check(self, schedule: GainSchedule, *, itinerary: str = "", law: str) -> None:
+        """Reject a library that was made of something else than what has begun here.
+
+        Raises:
+            InputError: says what differs.
+        """
+        there = self.described
+        own = {
+            "law": (there.law.decode("utf-8", "replace"), law),
+            "rate": (f"{there.rate:g} Hz", f"{1 / self.period:g} Hz"),
+            "delay": (f"{there.delay:g} periods", f"{_delay(self):g} periods"),
+            "ticks": (there.ticks, len(schedule.rows)),
+        }
+        for name, (theirs, ours) in own.items():
+            if theirs != ours:
+                raise InputError(
+                    f"{self.library} is of {there.itinerary.decode('utf-8', 'replace')!r} with {name} {theirs}, this "
+                    f"run has {ours}; export this run's itinerary with this run's options"
+                )
+        if there.identity.decode() != identity(self, schedule, self.memory[:, 0]):
+            raise InputError(
+                f"{self.library} was made from another plan, model, limits or settings of estimator, controller or "
+                f"supervisor (it is of {there.itinerary.decode('utf-8', 'replace')!r}); export this run's itinerary "
+                "with this run's options"
+            )
+
+    def begin(self, first: Array, queued: Array, *, velocity: float) -> None:
+        """Begin a run; see `TickProgram.begin`."""
+        super().begin(first, queued, velocity=velocity)
+        self._c.dpc_init(ctypes.c_void_p(self._arguments[0]))
+
+    def prepare(self, names: Sequence[str]) -> None:
+        """Compile nothing: the library is compiled."""
+
+    def tick(self) -> None:
+        """Do a whole tick with the library's own table."""
+        reading, told, report = self._reading, self._told, self.report
+        reading["positions"] = self._measured[:, 0]
+        reading["present"] = self._present[:, 0]
+        reading["limit_switch"] = self._switch[0]
+        self._step(*self._arguments)
+        for name, where in self._copied:
+            report[where, 0] = told[name]
+        at = self.at
+        report[at["notable"], 0] = report[at["outcome"], 0] + report[at["stop"], 0]
+        report[at["news"], 0] = report[at["newly_cut"], 0] + report[at["doubted"], 0]

@@ -1,0 +1,134 @@
+/* @TITLE@
+ *
+ * Written by dpcontrol @VERSION@ (dpcontrol export). The tick itself is the expression that dpcontrol's own loop runs,
+ * made C by CasADi with this itinerary's numbers in it: change the itinerary, not this file.
+ */
+#include "dpc_controller.h"
+#include "dpc_tables.h"
+
+#include <limits.h>
+#include <math.h>
+
+#ifdef __FAST_MATH__
+#error "compile without -ffast-math: what is not a number must be found not to be one"
+#endif
+
+/* Where the tick's results stand: the memory for the next, then the report. */
+enum {
+@PLACES@
+    AT_END = @RESULTS@
+};
+
+@HELPERS@
+
+/* memory[DPC_MEMORY], measured and present[DPC_POSITIONS], limit_switch; law: the table's row for the command; acts and
+ * now: the reference's states when it acts and at this tick; out[AT_END]. */
+static void dpc_tick(const dpc_real *memory, const dpc_real *measured, const dpc_real *present,
+                     const dpc_real *limit_switch, const dpc_real *law, const dpc_real *acts, const dpc_real *now,
+                     dpc_real *out)
+{
+@TICK@
+    (void)law;
+    (void)acts;
+    (void)now;
+}
+
+static const dpc_real *state_at(long tick)
+{
+    return dpc_states[tick < 0 ? 0 : tick < DPC_STATE_ROWS ? tick : DPC_STATE_ROWS - 1];
+}
+
+void dpc_init(dpc_controller *controller)
+{
+    int i;
+
+    for (i = 0; i < DPC_MEMORY; i++)
+        controller->memory[i] = dpc_start[i];
+    controller->tick = 0;
+}
+
+dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_report *report)
+{
+    dpc_real out[AT_END], measured[DPC_POSITIONS], present[DPC_POSITIONS], limit_switch;
+    const long tick = controller->tick < DPC_TICKS ? controller->tick : DPC_TICKS - 1;
+    const dpc_real *now = state_at(tick);
+    int i;
+
+    for (i = 0; i < DPC_POSITIONS; i++) {
+        measured[i] = reading->positions[i];
+        present[i] = reading->present[i] ? 1 : 0;
+    }
+    limit_switch = reading->limit_switch ? 1 : 0;
+    dpc_tick(controller->memory, measured, present, &limit_switch, dpc_law[tick < DPC_LAW_ROWS ? tick : DPC_LAW_ROWS - 1],
+             state_at(tick + DPC_LEAD), now, out);
+    for (i = 0; i < DPC_MEMORY; i++)
+        controller->memory[i] = out[i];
+    if (controller->tick < LONG_MAX)
+        controller->tick++;
+    if (report) {
+        report->command = out[AT_COMMAND];
+        report->outcome = (int)out[AT_OUTCOME];
+        report->stopped_by = (int)out[AT_STOPPED];
+        report->stop = (int)out[AT_STOP];
+        report->done = (int)out[AT_DONE];
+        report->mode = (int)out[AT_MODE];
+        report->saturated = (int)out[AT_SATURATED];
+        report->newly_cut = (int)out[AT_NEWLY_CUT];
+        report->used = (int)out[AT_USED];
+        report->sensor = (int)out[AT_SENSOR];
+        report->repeats = (long)out[AT_REPEATS];
+        report->doubted = (int)out[AT_DOUBTED];
+        for (i = 0; i < DPC_STATES; i++) {
+            report->state[i] = out[AT_STATE + i];
+            report->reference[i] = now[i];
+            report->ahead[i] = out[AT_AHEAD + i];
+        }
+        for (i = 0; i < DPC_STATES + DPC_EXTRAS; i++)
+            report->sigmas[i] = out[AT_SIGMAS + i];
+#if DPC_EXTRAS > 0
+        for (i = 0; i < DPC_EXTRAS; i++)
+            report->extra[i] = out[AT_EXTRA + i];
+#endif
+        report->wish = out[AT_WISH];
+        report->feedforward = out[AT_FEEDFORWARD];
+        report->feedback = out[AT_FEEDBACK];
+        report->acting = out[AT_ACTING];
+        report->nis = out[AT_NIS];
+        report->mean_nis = out[AT_MEAN_NIS];
+        report->error = out[AT_ERROR];
+        report->silent = out[AT_SILENT];
+    }
+    return out[AT_COMMAND];
+}
+
+int dpc_status(const dpc_controller *controller)
+{
+    if (controller->memory[AT_STOPPED] > 0)
+        return controller->memory[AT_STILL] > @SETTLING@ ? DPC_AT_REST : DPC_BRAKING;
+    return controller->tick < DPC_TICKS ? DPC_RUNNING : DPC_FINISHED;
+}
+
+dpc_real dpc_queued(long k)
+{
+    return k >= 0 && k < DPC_LEAD ? dpc_first_commands[k] : 0;
+}
+
+void dpc_reference(long tick, dpc_real state[DPC_STATES])
+{
+    const dpc_real *row = state_at(tick);
+    int i;
+
+    for (i = 0; i < DPC_STATES; i++)
+        state[i] = row[i];
+}
+
+const dpc_description *dpc_describe(void)
+{
+    static const dpc_description description = {
+        DPC_VERSION, (int)sizeof(dpc_real), (int)sizeof(dpc_controller), (int)sizeof(dpc_reading),
+        (int)sizeof(dpc_report), DPC_ARMS, DPC_STATES, DPC_EXTRAS, DPC_LEAD, DPC_TICKS, DPC_RATE, DPC_DELAY,
+        DPC_ITINERARY, DPC_LAW, DPC_IDENTITY
+    };
+
+    return &description;
+}
