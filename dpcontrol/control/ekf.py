@@ -65,6 +65,10 @@ def unpack(triangle: ca.SX, n: int) -> ca.SX:
     return out
 
 
+def _sparse(matrix: Array) -> ca.SX:
+    return ca.sparsify(ca.SX(ca.DM(matrix)))
+
+
 def _inverse(matrix: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
     """Return the inverse of a small positive definite matrix, and its factors: L⁻¹ and D of L D Lᵀ."""
     n = matrix.shape[0]
@@ -82,11 +86,16 @@ def _inverse(matrix: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
 
 @dataclass(frozen=True, eq=False)
 class FilterEquations:
-    """A model of the cart level, sampled at `period` s, with what it is augmented by."""
+    """A model of the cart level, sampled at `period` s, with what it is augmented by.
+
+    as_measured: whether P is that of the angles as they are measured, encoders' zeros in them, in place of the true
+    ones: an angle and its zero are each known to 0.02 rad, their sum to a count, and single precision keeps the sum.
+    """
 
     equations: Equations
     period: float
     augment: tuple[Augment, ...]
+    as_measured: bool = False
 
     @property
     def arms(self) -> int:
@@ -113,6 +122,19 @@ class FilterEquations:
             if name.startswith("zero_"):
                 out[int(name.removeprefix("zero_")) - 1, self.equations.dimension + i] = 1.0
         return out
+
+    @cached_property
+    def carried(self) -> Array:
+        """Return T (N+E, N+E): P is carried for T z."""
+        out = np.eye(self.dimension)
+        if self.as_measured:
+            out[[*range(self.arms), 2 * self.arms]] = self.observation
+        return out
+
+    @cached_property
+    def restored(self) -> Array:
+        """Return the inverse of T: its entries are 0, 1 and -1."""
+        return 2 * np.eye(self.dimension) - self.carried
 
     @cached_property
     def inputs(self) -> dict[str, int]:
@@ -153,7 +175,7 @@ class FilterEquations:
         return ca.Function("f", inputs, [slope, ca.jacobian(slope, x), ca.jacobian(slope, e)], {"cse": True})
 
     def predicted(self, z: ca.SX, command: ca.SX, parameters: ca.SX, process: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return the next z, its Jacobian and Q."""
+        """Return the next z, its Jacobian and Q, both for T z."""
         size, n, step = self.equations.dimension, self.arms, self.period
         extras = len(self.extra_names)
         # The state and the extras stand apart here, for the Jacobians of the stages by both.
@@ -180,18 +202,23 @@ class FilterEquations:
             noise[i, j] = noise[j, i] = density * block[0, 1]
         for i in range(extras):
             noise[size + i, size + i] = process[3 + extras + i]
+        if self.as_measured:
+            t, back = _sparse(self.carried), _sparse(self.restored)
+            jacobian, noise = t @ jacobian @ back, t @ noise @ t.T
         return following, jacobian, noise
 
     def updated(
         self, z: ca.SX, covariance: ca.SX, measured: ca.SX, present: ca.SX, noise: ca.SX
     ) -> tuple[ca.SX, ca.SX, ca.SX, ca.SX]:
-        """Return z, P, innovation and NIS after a measurement."""
+        """Return z, P of T z, innovation and NIS after a measurement."""
         n, m = self.arms, self.arms + 1
-        h, w = ca.sparsify(ca.SX(ca.DM(self.observation))), ca.diag(present)
+        h, w = _sparse(self.observation), ca.diag(present)
         y = measured - h @ z
         # Wrapped: a whole turn in a measured angle makes no difference.
         y = ca.vertcat(*(ca.atan2(ca.sin(y[i]), ca.cos(y[i])) for i in range(n)), y[n]) * present
         r = unpack(noise, m)
+        if self.as_measured:
+            h = _sparse(self.observation @ self.restored)
         crossed = covariance @ h.T @ w
         # 1 - W first: one plus S minus one would leave nothing of a cart's variance of 1e-13 m².
         inverse, back, d = _inverse(w @ h @ crossed + w @ r @ w + (ca.SX.eye(m) - w))
@@ -200,7 +227,8 @@ class FilterEquations:
         half = covariance - gain @ (h @ covariance)
         after = half + (gain @ r - half @ h.T) @ gain.T
         white = back @ y
-        return z + gain @ y, after, y, ca.sum1(white**2 / d)
+        step = gain @ y
+        return z + (_sparse(self.restored) @ step if self.as_measured else step), after, y, ca.sum1(white**2 / d)
 
     def function(self, *, predicts: bool) -> ca.Function:
         """Return the step as a casadi function; without `predicts` the measurement alone.

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dpcontrol
+from dpcontrol.control.ekf import packed, unpacked
 from dpcontrol.control.interface import Controller, GainSchedule
 from dpcontrol.control.tick import SETTLING, UNROLLED, TickEquations, TickProgram
 from dpcontrol.foundation.errors import InputError
@@ -140,9 +141,7 @@ _ARGUMENTS = ("memory", "measured", "present", "limit_switch", "law", "acts", "n
 
 def _function(program: TickProgram, tables: _Tables, *, single: bool) -> ca.Function:
     """Return the tick with all numbers in it: (memory, measured, present, switch, law, acts, now) -> memory, report."""
-    equations = program.equations
-    if single:
-        equations = replace(equations, same=SAME_IN_SINGLE)
+    equations = _for_precision(program.equations, single=single)
     n, size = equations.filter.arms, equations.filter.equations.dimension
     memory, parts = equations.memory.symbols("memory")
     measured, present = ca.SX.sym("measured", n + 1), ca.SX.sym("present", n + 1)
@@ -165,6 +164,20 @@ def _function(program: TickProgram, tables: _Tables, *, single: bool) -> ca.Func
     (out,) = equations.function().call([equations.memory.joined(parts), reading, row, numbers], True, False)
     inputs = [memory, measured, present, switch, law, acts, now]
     return ca.Function("tick", inputs, [ca.cse(out)], [*_ARGUMENTS], ["out"], {"cse": True})
+
+
+def _for_precision(equations: TickEquations, *, single: bool) -> TickEquations:
+    if not single:
+        return equations
+    return replace(equations, filter=replace(equations.filter, as_measured=True), same=SAME_IN_SINGLE)
+
+
+def _start(program: TickProgram, *, single: bool) -> Array:
+    """Return the first memory (M,)."""
+    start, where = program.memory[:, 0].copy(), program.equations.memory.slices["covariance"]
+    t = _for_precision(program.equations, single=single).filter.carried
+    start[where] = packed(t @ unpacked(start[where]) @ t.T)
+    return start
 
 
 _READ = re.compile(r"arg\[(\d+)\]\? arg\[\d+\]\[(\d+)\] : 0")
@@ -235,12 +248,13 @@ def controller_source(
         )
     function = _function(program, tables, single=single)
     body = _body(function, single=single)
-    start = program.memory[:, 0].copy()
-    digest, n = identity(program, schedule, start), filtered.arms
-    places = {name: where.start for name, where in equations.memory.slices.items() if name in ("stopped", "still")}
+    digest, n = identity(program, schedule, program.memory[:, 0]), filtered.arms
+    places = {name: where.start for name, where in equations.memory.slices.items() 
+              if name in ("stopped", "still", "velocity")}  # fmt: skip
+    places["sent_last"] = equations.memory.slices["sent"].stop - 1
     places |= {name: equations.memory.size + where.start for name, where in equations.report.slices.items()}
     bounds = {name: float(program.numbers[equations.numbers.slices[name]][0]) for name in
-              ("lost_estimate", "lost_tracking", "missing")}  # fmt: skip
+              ("acceleration", "lost_estimate", "lost_tracking", "missing")}  # fmt: skip
     seconds = (len(schedule.rows) - 1) * program.period
     width = 4 if single else 8
     columns = [*(f"measured.arm_{i + 1}" for i in range(n)), "measured.cart"]
@@ -255,7 +269,7 @@ def controller_source(
         **{name.upper(): f"{value:g}" for name, value in bounds.items()},
         "PLACES": "\n".join(f"    AT_{name.upper()} = {place}," for name, place in places.items()),
         "RESULTS": equations.memory.size + equations.report.size,
-        "SETTLING": _c_number(SETTLING, single=single), "TICK": body,
+        "PERIOD_REAL": _c_number(program.period, single=single), "SETTLING": _c_number(SETTLING, single=single), "TICK": body,
         "HELPERS": "\n".join(text for name, text in _HELPERS.items() if f"{name}(" in body),
         "STATE_ROWS": len(tables.states), "LAW_ROWS": len(tables.law), "LAW_COLUMNS": tables.law.shape[1],
         "LAW_NAMES": ", ".join(tables.names), "QUEUED": max(equations.lead, 1),
@@ -264,7 +278,7 @@ def controller_source(
     }  # fmt: skip
     files = {name: _filled(name, known) for name in _SOURCES}
     queued = schedule.queued if equations.lead else np.zeros(1)
-    arrays = {"dpc_states": tables.states, "dpc_law": tables.law, "dpc_start": start, "dpc_first_commands": queued}
+    arrays = {"dpc_states": tables.states, "dpc_law": tables.law, "dpc_start": _start(program, single=single), "dpc_first_commands": queued}
     text = "\n".join(_table(name, rows, single=single) for name, rows in arrays.items())
     files["dpc_tables.c"] = f'#include "dpc_tables.h"\n\n#include <math.h>\n\n{text}'
     code, stack = _measured(files)
@@ -347,7 +361,7 @@ def _types(program: TickProgram, real: str) -> tuple[np.dtype, np.dtype]:
     """Return what dpc_reading and dpc_report are to numpy."""
     n, size = program.model.arms, program.model.dimension
     extras = len(program.equations.filter.extra_names)
-    reading = [("positions", real, (n + 1,)), ("present", "u1", (n + 1,)), ("limit_switch", "i4")]
+    reading = [("positions", "f8", (n + 1,)), ("present", "u1", (n + 1,)), ("limit_switch", "i4")]
     whole = {"outcome": "i4", "stopped_by": "i4", "stop": "i4", "done": "i4", "mode": "i4", "saturated": "i4",
              "newly_cut": "i4", "used": "i4", "sensor": "i4", "repeats": "l", "doubted": "i4"}  # fmt: skip
     lengths = {"state": size, "sigmas": size + extras, "extra": extras, "reference": size, "ahead": size}

@@ -301,15 +301,22 @@ class TickEquations:
                 anew.append(_within(known, ca.SX(most[i])))
         z = ca.vertcat(*(ca.if_else(again, anew[i], z[i]) for i in range(size)))
         entries: list[ca.SX] = []
+        t = self.filter.carried
         for i in range(size):
             for j in range(i + 1):
                 kept = ca.if_else(ca.logic_not(again), triangle[len(entries)], 0)
-                entries.append(kept + ca.if_else(again, c["fresh"][i], 0) if i == j else kept)
+                shared = np.flatnonzero(t[i] * t[j]).tolist()
+                fresh = sum((c["fresh"][k] for k in shared[1:]), c["fresh"][shared[0]]) if shared else None
+                entries.append(kept if fresh is None else kept + ca.if_else(again, fresh, 0))
         covariance = unpack(ca.vertcat(*entries), size)
         # NaN must not reach the products: zero times NaN is not zero.
         measured = ca.vertcat(*(ca.if_else(r["present"][i], r["measured"][i], 0) for i in range(n + 1)))
         after, covariance, _, nis = self.filter.updated(z, covariance, measured, r["present"], c["noise"])
-        sigmas = ca.vertcat(*(ca.sqrt(covariance[i, i]) for i in range(size)))
+        variances = ca.diag(covariance)
+        if self.filter.as_measured:
+            back = ca.sparsify(ca.SX(ca.DM(self.filter.restored)))
+            variances = ca.diag(back @ covariance @ back.T)
+        sigmas = ca.vertcat(*(ca.sqrt(variances[i]) for i in range(size)))
         # The last is not finite as soon as anything in the estimate is not.
         sound = _all(nis >= 0, nis <= _BIG, _finite(ca.sum1(after) + ca.sum1(sigmas)))
         # Where it fails the prediction is kept, which the restart begins with.

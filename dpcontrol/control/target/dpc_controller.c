@@ -55,7 +55,7 @@ dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_re
     int i;
 
     for (i = 0; i < DPC_POSITIONS; i++) {
-        measured[i] = reading->positions[i];
+        measured[i] = (dpc_real)reading->positions[i];
         present[i] = reading->present[i] ? 1 : 0;
     }
     limit_switch = reading->limit_switch ? 1 : 0;
@@ -99,6 +99,14 @@ dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_re
         report->silent = out[AT_SILENT];
     }
     return out[AT_COMMAND];
+}
+
+void dpc_sent(dpc_controller *controller, dpc_real command)
+{
+    dpc_real *last = &controller->memory[AT_SENT_LAST];
+
+    controller->memory[AT_VELOCITY] += (command - *last) * @PERIOD_REAL@;
+    *last = command;
 }
 
 int dpc_status(const dpc_controller *controller)

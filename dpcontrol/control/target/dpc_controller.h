@@ -31,6 +31,7 @@ typedef @REAL@ dpc_real;
 #define DPC_RATE @RATE@             /* Hz */
 #define DPC_PERIOD @PERIOD@         /* s, from one dpc_step to the next */
 #define DPC_DELAY @DELAY@           /* periods from a reading to the acting of its command, as the controller believes */
+#define DPC_ACCELERATION @ACCELERATION@     /* m/s^2: no command is larger */
 #define DPC_LEAD @LEAD@             /* periods for which the command is computed ahead: commands on their way at the start */
 
 /* What a step decides, dpc_report.outcome. From DPC_ESTIMATE_LOST on the cart is brought to rest. */
@@ -66,8 +67,9 @@ typedef struct {
 
 /* What was measured at a tick. */
 typedef struct {
-    dpc_real positions[DPC_POSITIONS];    /* rad: each arm's own angle from hanging, counter-clockwise positive, whole
-                                             turns counted; then m: the cart from the middle of its track */
+    double positions[DPC_POSITIONS];      /* rad: each arm's own angle from hanging, counter-clockwise positive, whole
+                                             turns counted; then m: the cart from the middle of its track. Double also
+                                             where dpc_real is float, which would round a count after some turns. */
     unsigned char present[DPC_POSITIONS]; /* 1 where measured, 0 where not: that position may then be anything */
     int limit_switch;                     /* 1 while a limit switch is touched */
 } dpc_reading;
@@ -116,6 +118,10 @@ void dpc_init(dpc_controller *controller);
 
 /* Do one tick and return its command in m/s^2; report may be a null pointer. */
 dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_report *report);
+
+/* Tell that the drive was given another command than the last step's, as by a limiter of the target's own. Without it the
+ * controller's next estimate is of a cart that went elsewhere. */
+void dpc_sent(dpc_controller *controller, dpc_real command);
 
 /* enum dpc_run, after the last step. */
 int dpc_status(const dpc_controller *controller);

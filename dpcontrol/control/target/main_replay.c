@@ -6,10 +6,11 @@
  * CSV: a line of names, then a line for each tick. Columns, in any order, others are ignored: @COLUMNS@
  * (rad, then m; empty or nan: not measured), limit_switch (0 or 1; may be missing), control.command (m/s^2; may
  * be missing: the command before limits that is expected). `log.frame().to_csv(FILE)` in dpcontrol writes such a file.
- * Binary: for each tick DPC_POSITIONS + 1 doubles of this machine, the positions and the limit switch; nan: not measured.
+ * Binary: for each tick DPC_POSITIONS + 2 doubles of this machine: positions, limit switch, command; nan: not known.
  *
- * Prints tick,command,wish,outcome,status. Where control.command is given, exits with 1 if one is farther than
- * TOLERANCE (@TOLERANCE@ m/s^2) from its wish.
+ * Prints tick,command,wish,outcome,status. A command that is given is what the drive got, and is told to the controller,
+ * whose own would drift away from it: estimator and law alone, without the arms, are not stable. Exits with 1 if one is
+ * farther than TOLERANCE (@TOLERANCE@ m/s^2) from the controller's wish.
  */
 #include "dpc_controller.h"
 
@@ -104,10 +105,10 @@ int main(int count, char **arguments)
 
         for (k = 0; k < KINDS; k++)
             values[k] = k == SWITCH ? 0 : NAN;
-        if (binary ? fread(values, sizeof *values, WISH, file) != WISH : !next_line(file, values))
+        if (binary ? fread(values, sizeof *values, KINDS, file) != KINDS : !next_line(file, values))
             break;
         for (k = 0; k < DPC_POSITIONS; k++) {
-            reading.positions[k] = (dpc_real)values[k];
+            reading.positions[k] = values[k];
             reading.present[k] = !isnan(values[k]);
         }
         reading.limit_switch = values[SWITCH] != 0;
@@ -120,6 +121,7 @@ int main(int count, char **arguments)
             compared++;
             if (!(away <= worst))
                 worst = away;
+            dpc_sent(&controller, (dpc_real)fmax(fmin(values[WISH], DPC_ACCELERATION), -DPC_ACCELERATION));
         }
     }
     fclose(file);
