@@ -37,6 +37,7 @@ GROUPS = {
     },
     "Run": {
         "run": ("run", "Run an itinerary in closed loop and write its log."),
+        "export": ("run", "Write an itinerary's controller as C for a target of one's own."),
         "campaign": ("run", "Run an itinerary with many seeds; report how often it is completed."),
         "rig": ("run", "Start an example bench for runs over UDP in real time."),
         "commission": ("run", "Check what must be right on a rig before its first run, and measure it."),

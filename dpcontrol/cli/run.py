@@ -12,6 +12,7 @@ from click.core import ParameterSource
 from dpcontrol.cli.review import score_text, shortfall
 from dpcontrol.cli.verbs import (
     FILE,
+    FOLDER,
     OUTPUT,
     YES,
     Answer,
@@ -74,6 +75,12 @@ def run_command(
     real_time: bool = option(group=BENCH, help="With --rig: ask for priority over all ordinary work."),
     key_file: Path | None = option(type=FILE, group=BENCH, help=KEY_HELP),
     insecure: bool = option(group=BENCH, help="With --rig: take a bench on another computer without a key."),
+    library: Path | None = option(
+        "--controller-library",
+        type=FILE,
+        group=BENCH,
+        help="Shared library made of what `dpcontrol export` wrote with the same options; it does the ticks.",
+    ),
     settings: RunOptions = run_settings(),
     out: Path | None = file_option(suffix=".mcap", help="Log to write [logs/NAME-SEED.mcap]."),
     force: bool = force_option(),
@@ -92,6 +99,8 @@ def run_command(
         raise click.UsageError("--real-time is for runs on a rig: give --rig udp as well")
     if address is None and (key_file or insecure):
         raise click.UsageError("--key-file and --insecure are for runs on a rig: give --rig as well")
+    if address is not None and library is not None:
+        raise click.UsageError("--controller-library is for runs on the simulated bench; on a rig run main_udp.c")
     key = b""
     if address is not None:
         from dpcontrol.rig.access import shared_key
@@ -111,7 +120,9 @@ def run_command(
     out = out or default_log(scene)
     with progress_bar("run") as progress:
         plan = make_plan(scene, progress=progress, yes=yes)
-        verdict = run_plan(plan, out, force=force, progress=progress).score() if address is None else None
+        verdict = None
+        if address is None:
+            verdict = run_plan(plan, out, library=library, force=force, progress=progress).score()
     if verdict is not None:
         for line in run_remarks(scene):
             say(line)
@@ -150,6 +161,49 @@ def _repeat(source: Path, out: Path | None, force: bool) -> Answer:
     differs = f"not the same run: {same.difference}{f'; {done.versions}' if done.versions else ''}"
     missed = shortfall(verdict) if same.difference is None else differs
     return Answer({**verdict.document(), "repeated": repeated}, lines, missed)
+
+
+@verb("export", example="dpcontrol export outer-turn --out controller --float")
+def export_command(
+    *,
+    itinerary: str = argument(),
+    single: bool = option("--float", help="In single precision."),
+    settings: RunOptions = run_settings(),
+    out: Path = option(type=FOLDER, group=OUTPUT, help="Folder to write."),
+    force: bool = option("--force", group=OUTPUT, help="Replace files of these names in a folder that is there."),
+    yes: bool = YES,
+) -> Answer:
+    """Write an itinerary's controller as C99 for a target of one's own: estimator, law and supervisor in one call.
+
+    Plans first if the plan is not cached. The folder has a Makefile, a replay program and a page on how to wire it. Laws
+    with gains by time can leave: tvlqr, adaptive, lqr, feedforward. The bench's own settings, as --mismatch, change
+    nothing but the simulated run that `make check` replays.
+    """
+    from dpcontrol.control.export import COARSER, kibibytes
+    from dpcontrol.scenes.itinerary import load_itinerary
+    from dpcontrol.scenes.plan import make_plan
+    from dpcontrol.scenes.run import check_exportable, export_plan
+
+    scene = load_itinerary(itinerary).with_run(settings)
+    check_exportable(scene)
+    with progress_bar("export") as progress:
+        plan = make_plan(scene, progress=progress, yes=yes)
+        source = export_plan(plan, out, single=single, force=force)
+    figures, rate = source.figures, scene.loop.rate
+    document = {
+        "folder": out, "files": list(source.files), "identity": source.identity,
+        "precision": "single" if single else "double", "rate": rate, **figures._asdict(),
+    }  # fmt: skip
+    coarser = f"{kibibytes(figures.coarser_per_second)} with gains at every {COARSER}th tick and lines between"
+    halves = f"at {rate / 2:g} Hz half of it" + ("" if single else ", with --float half")
+    lines = [
+        f"{out}: controller of {scene.name} in {document['precision']} precision, {rate:g} Hz",
+        f"  code    {kibibytes(figures.code)} by gcc -O2 on this computer, {figures.operations:,} operations a tick",
+        f"  stack   {kibibytes(figures.stack)}, memory {kibibytes(figures.memory)}",
+        f"  tables  {kibibytes(figures.tables)}, {kibibytes(figures.tables_per_second)} for each second; {halves}, "
+        f"{coarser} (wrong by {figures.coarser_error:.1%} at most)",
+    ]
+    return Answer(document, lines)
 
 
 SERVER = "Server"

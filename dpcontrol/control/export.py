@@ -45,7 +45,8 @@ class Figures(NamedTuple):
     """What a controller needs of its target, in bytes; None where no gcc was there to tell.
 
     code: of the controller, with its constants; stack: of a step; memory: the caller's, kept from tick to tick. tables:
-    in all, tables_per_second: of reference.
+    in all, tables_per_second: of reference; coarser_per_second: with gains at every `COARSER`-th tick only and lines
+    between them, each wrong by a share `coarser_error` of its largest at most.
     """
 
     operations: int
@@ -54,6 +55,11 @@ class Figures(NamedTuple):
     memory: int
     tables: int
     tables_per_second: float
+    coarser_per_second: float
+    coarser_error: float
+
+
+COARSER = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,26 +71,25 @@ class ControllerSource:
     figures: Figures
 
 
-def checked_exportable(controller: Controller, schedule: GainSchedule | None, *, compiled: bool, lead: int) -> None:
-    """Reject what is no single function of memory, reading and a table's row.
+LEAVING = 'use "tvlqr" by time, "adaptive", "feedforward" or "lqr"'
+"""What to do about a law that cannot be exported."""
 
-    compiled: whether the estimator is the compiled filter; lead: periods that are looked ahead.
+
+def checked_exportable(controller: Controller, *, lead: int) -> GainSchedule:
+    """Return the gains of a law that is a function of memory, reading and a table's row; lead: periods looked ahead.
 
     Raises:
-        InputError: the law keeps a clock of its own, the estimator is another one, or the delay too long.
+        InputError: the law keeps a clock of its own, or the delay is too long.
     """
-    if schedule is None:
-        raise InputError(
-            f'controller: kind = "{controller.kind}" keeps a clock of its own and cannot leave as C; '
-            'use "tvlqr" by time (schedule = "time", without keep), "adaptive", "feedforward" or "lqr"'
-        )
-    if not compiled:
-        raise InputError('estimator: only kind = "ekf" is made into C; choose it')
     if lead > UNROLLED:
         raise InputError(
-            f"drive: the delay is {lead} periods, and C looks {UNROLLED} ahead at most; lower the rate, so that the "
+            f"drive: delay = {lead} periods or so, and C looks {UNROLLED} ahead at most; lower the rate, so that the "
             "same delay has fewer periods"
         )
+    made = getattr(controller, "schedule", None)
+    if made is None:
+        raise InputError(f'controller: kind = "{controller.kind}" keeps a clock of its own and cannot leave as C; {LEAVING}')
+    return made(lead)
 
 
 def identity(program: TickProgram, schedule: GainSchedule, start: Array) -> str:
@@ -133,6 +138,13 @@ def _without_end(rows: Array) -> Array:
     """Return the rows up to the first of those that are as the last."""
     differing = np.flatnonzero((rows != rows[-1]).any(axis=1))
     return rows[: differing[-1] + 2 if len(differing) else 1]
+
+
+def _error_between(law: Array) -> float:
+    """Return by how much lines between every `COARSER`-th row are wrong, as a share of each column's largest."""
+    places = np.arange(len(law))
+    lines = [np.interp(places, places[::COARSER], column[::COARSER]) for column in law.T]
+    return float(np.max(np.abs(np.array(lines).T - law).max(0) / np.maximum(np.abs(law).max(0), 1e-300)))
 
 
 _ARGUMENTS = ("memory", "measured", "present", "limit_switch", "law", "acts", "now")
@@ -255,7 +267,7 @@ def controller_source(
     places |= {name: equations.memory.size + where.start for name, where in equations.report.slices.items()}
     bounds = {name: float(program.numbers[equations.numbers.slices[name]][0]) for name in
               ("acceleration", "lost_estimate", "lost_tracking", "missing")}  # fmt: skip
-    seconds = (len(schedule.rows) - 1) * program.period
+    seconds = max(len(schedule.rows) - 1, 1) * program.period
     width = 4 if single else 8
     columns = [*(f"measured.arm_{i + 1}" for i in range(n)), "measured.cart"]
     known = {
@@ -285,7 +297,9 @@ def controller_source(
     figures = Figures(
         operations=function.n_instructions(), code=code, stack=stack,
         memory=width * equations.memory.size + ctypes.sizeof(ctypes.c_long),
-        tables=width * count, tables_per_second=width * count / max(seconds, program.period),
+        tables=width * count, tables_per_second=width * count / seconds,
+        coarser_per_second=width * (tables.law.size / COARSER + tables.states.size) / seconds,
+        coarser_error=_error_between(tables.law),
     )  # fmt: skip
     known |= _readme(figures, single=single)
     files["README.md"] = _filled("README.md", known)

@@ -174,6 +174,39 @@ def write_whole(path: Path, content: bytes | str) -> None:
         temporary.write_bytes(data)
 
 
+def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -> None:
+    """Write text files by their names to the folder `path`: all of them, or nothing.
+
+    A folder that holds them already, to the letter, stays as it is. force: replace files of these names in a folder
+    that holds anything else, whose other files stay.
+
+    Raises:
+        InputError: the folder is there and holds something else, or cannot be written.
+    """
+    path = Path(path)
+    if path.exists() and not path.is_dir():
+        raise InputError(f"cannot write {path}: it is a file; choose another folder")
+    try:
+        there = path.is_dir() and any(path.iterdir())
+        if there and not force:
+            if all((path / name).is_file() and (path / name).read_text() == text for name, text in files.items()):
+                return
+            raise in_the_way(path, "holds something else")
+        path.absolute().parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{path.name[:40]}.", dir=path.absolute().parent) as name:
+            whole = Path(name) / "whole"
+            whole.mkdir()
+            for file, text in files.items():
+                (whole / file).write_text(text)
+            if there:
+                for file in files:
+                    (whole / file).replace(path / file)
+            else:
+                whole.replace(path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot write {path}: {getattr(error, 'strerror', None) or error}; choose another") from error
+
+
 def content_hash(*parts: str | bytes) -> str:
     """Return 16 hexadecimal digits that identify `parts` in order."""
     digest = hashlib.sha256()

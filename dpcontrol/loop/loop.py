@@ -326,7 +326,7 @@ def make_ticker(
     if library is not None:
         from dpcontrol.control.export import LibraryProgram, checked_exportable
 
-        checked_exportable(controller, schedule, compiled=compiled, lead=whole_periods(delay)[1])
+        schedule = checked_exportable(controller, lead=whole_periods(delay)[1])
         make = partial(LibraryProgram, library)
     program = make(
         model, settings.estimator, noise=noise, delay=delay, runs=runs,
@@ -335,7 +335,7 @@ def make_ticker(
     )  # fmt: skip
     estimator = None if compiled else make_estimator(settings.estimator, model, noise=noise)
     ticker = Ticker(program, controller, schedule=schedule, estimator=estimator, estimator_kind=settings.estimator.kind)
-    if library is not None:
+    if library is not None and schedule is not None:
         program.check(schedule, law=controller.kind)
     return ticker
 

@@ -22,10 +22,14 @@ import numpy as np
 
 import dpcontrol
 from dpcontrol.control.estimation import ESTIMATORS
+from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.export import LEAVING, ControllerSource, checked_exportable, controller_source
 from dpcontrol.control.interface import Controller
+from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
+from dpcontrol.control.tick import whole_periods
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import checked_other_file, content_hash
+from dpcontrol.foundation.files import checked_other_file, checked_source, content_hash, write_folder
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import with_values
 from dpcontrol.logs import (
@@ -39,7 +43,7 @@ from dpcontrol.logs import (
     joint_names,
     read_log,
 )
-from dpcontrol.loop.loop import LoopSettings, control_loop, loop_controller, loop_fallback, run_loop
+from dpcontrol.loop.loop import LoopSettings, control_loop, loop_controller, loop_fallback, make_ticker, run_loop
 from dpcontrol.loop.result import LogSink, LoopResult, NoSink, Rig
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import load_reference
@@ -57,6 +61,8 @@ if TYPE_CHECKING:
     from dpcontrol.rig.commissioning import Commissioning, CommissioningSettings
 
 _SCENE, _MODEL = "scene.toml", "model.toml"
+_LIBRARY = "controller_library"
+"""Metadata of a run whose ticks a library did: what identifies its file."""
 
 
 def default_log(itinerary: Itinerary) -> Path:
@@ -123,25 +129,37 @@ class Run:
         return draw(run_view(self.log))
 
 
-def run_plan(plan: Plan, out: Path | None = None, *, force: bool = False, progress: Progress = no_progress) -> Run:
+def run_plan(
+    plan: Plan,
+    out: Path | None = None,
+    *,
+    library: Path | None = None,
+    force: bool = False,
+    progress: Progress = no_progress,
+) -> Run:
     """Run the closed loop of a planned itinerary; write its log to `out`, if one is wanted.
 
-    force: replace a log of another run at `out`.
+    library: one made of what `export_plan` wrote for this itinerary, which does the ticks. force: replace a log of
+    another run at `out`.
 
     Raises:
         InputError: the log cannot be written, or there is that of another run; the plant is to be drawn from an
-            uncertainty that the model's file does not give.
+            uncertainty that the model's file does not give; or the library is not of this itinerary.
         GoalMissed: the plan did not converge, or no controller can be made for it, or no plant drawn.
     """
     scene, sink = plan.followed().itinerary, _Events()
     run = partial(
         run_loop, plan.reference, scene.model.arms, settings=scene.loop, uncertainty=scene.uncertainty,
-        progress=progress,
+        library=library, progress=progress,
     )  # fmt: skip
     if out is None:
         return Run(_log_in_memory(plan, run(sink=sink), sink))
-    check_replaced(out, _metadata(plan.itinerary), force=force)
-    with log_writer(plan, out) as writer:
+    made_by: dict[str, str] = {}
+    if library is not None:
+        check_exportable(scene)
+        made_by[_LIBRARY] = content_hash(checked_source(library).read_bytes()) if library.is_file() else str(library)
+    check_replaced(out, {**_metadata(plan.itinerary), **made_by}, force=force)
+    with log_writer(plan, out, **made_by) as writer:
         writer.result(**_outcome(run(sink=LogSink(writer))))
     return Run(read_log(out))
 
@@ -184,8 +202,8 @@ def _log_in_memory(plan: Plan, result: LoopResult, events: _Events) -> RunLog:
     )
 
 
-def log_writer(plan: Plan, out: Path) -> LogWriter:
-    """Return the writer of the log of a run, with all that is known before it.
+def log_writer(plan: Plan, out: Path, **more: str) -> LogWriter:
+    """Return the writer of the log of a run, with all that is known before it, and more metadata.
 
     Raises:
         InputError: the log cannot be written.
@@ -197,7 +215,7 @@ def log_writer(plan: Plan, out: Path) -> LogWriter:
         arm_lengths=itinerary.model.arms.length,
         rate_hz=itinerary.loop.rate,
         limits=(limits.position, limits.velocity, limits.acceleration),
-        metadata=_metadata(itinerary),
+        metadata={**_metadata(itinerary), **more},
         attachments=_attachments(plan),
     )
 
@@ -272,6 +290,11 @@ def _plan(log: RunLog, folder: Path) -> Plan:
             f"{log.path} cannot be repeated: it was made on {where}, and only what is simulated does the same twice; "
             f"`dpcontrol replay` shows what a model makes of it"
         )
+    if _LIBRARY in log.metadata:
+        raise InputError(
+            f"{log.path} cannot be repeated: a controller's library did its ticks, which is not in the log; run it "
+            "again with --controller-library"
+        )
     model = model_from(log.attachments[_MODEL].decode(), log.metadata["model"])
     itinerary = itinerary_from(log.attachments[_SCENE].decode(), log.metadata["itinerary"], model)
     file = folder / REFERENCE_ATTACHMENT
@@ -312,6 +335,66 @@ def _value(name: str, hint: Any, value: Any) -> Any:
         return _settings(_KINDS[name][value["kind"]], value)
     options = get_args(hint) if get_origin(hint) is types.UnionType else (hint,)
     return _settings(next(option for option in options if is_dataclass(option) and isinstance(option, type)), value)
+
+
+_CHECKED_TICKS = 4000
+"""Of a simulated run, for the check of what was exported."""
+
+
+def check_exportable(itinerary: Itinerary) -> None:
+    """Reject an itinerary whose controller cannot leave as C, by its settings, before it is planned.
+
+    Raises:
+        InputError: names the setting.
+    """
+    loop = itinerary.loop
+    if loop.keep != "none":
+        raise InputError(f'run: keep = "{loop.keep}" keeps a clock of its own and cannot leave as C; export without it')
+    if loop.supervisor.hold != "none":
+        raise InputError(
+            f'supervisor: hold = "{loop.supervisor.hold}" searches for what to hold and cannot leave as C; export with '
+            'hold = "none"'
+        )
+    kind, by = loop.controller.kind, getattr(loop.controller, "schedule", "time")
+    if isinstance(loop.controller, OgySettings | ClassicOgySettings) or by != "time":
+        what = f'schedule = "{by}"' if by != "time" else f'kind = "{kind}"'
+        raise InputError(f"controller: {what} keeps a clock of its own and cannot leave as C; {LEAVING}")
+    if not isinstance(loop.estimator, EkfSettings):
+        raise InputError(f'estimator: kind = "{loop.estimator.kind}" cannot leave as C; use "ekf"')
+
+
+def export_plan(
+    plan: Plan, out: Path, *, single: bool = False, force: bool = False, progress: Progress = no_progress
+) -> ControllerSource:
+    """Write the controller of a planned itinerary as C to the folder `out`, whole or not at all.
+
+    single: in single precision. force: replace what is in the folder under the same names.
+
+    Raises:
+        InputError: its law or estimator cannot leave as C, or the folder holds something else.
+        GoalMissed: the plan did not converge, or no controller can be made for it.
+    """
+    itinerary, reference = plan.itinerary, plan.followed().reference
+    arms, loop = itinerary.model.arms, itinerary.loop
+    check_exportable(itinerary)
+    controller = loop_controller(reference, arms, loop)
+    limits, delay = loop.limits(reference), loop.drive.delay
+    lead = whole_periods(delay)[1]
+    schedule = checked_exportable(controller, lead=lead)
+    ticker = make_ticker(arms, loop, controller, limits=limits, delay=delay)
+    checked = replace(loop, sensors=replace(loop.sensors, rate_noise=0.0))
+    ran = run_loop(
+        reference, arms, settings=checked, controller=controller, uncertainty=itinerary.uncertainty, progress=progress
+    )
+    names = [f"measured.{name}" for name in joint_names(arms.count, has_cart=True)]
+    rows = np.column_stack([ran.ticks.measured, ran.ticks.control[:, 0]])[:_CHECKED_TICKS].tolist()
+    readings = "".join(f"{','.join(map(repr, row))}\n" for row in rows)
+    source = controller_source(
+        ticker.program, controller, schedule, itinerary=itinerary.name, title=itinerary.title, single=single,
+        readings=f"{','.join([*names, 'control.command'])}\n{readings}",
+    )  # fmt: skip
+    write_folder(out, source.files, force=force)
+    return source
 
 
 OWN_BENCH = "udp"
