@@ -24,7 +24,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dpcontrol
-from dpcontrol.control.ekf import packed, unpacked
 from dpcontrol.control.interface import Controller, GainSchedule
 from dpcontrol.control.tick import SETTLING, UNROLLED, TickEquations, TickProgram
 from dpcontrol.foundation.errors import InputError
@@ -179,17 +178,7 @@ def _function(program: TickProgram, tables: _Tables, *, single: bool) -> ca.Func
 
 
 def _for_precision(equations: TickEquations, *, single: bool) -> TickEquations:
-    if not single:
-        return equations
-    return replace(equations, filter=replace(equations.filter, as_measured=True), same=SAME_IN_SINGLE)
-
-
-def _start(program: TickProgram, *, single: bool) -> Array:
-    """Return the first memory (M,)."""
-    start, where = program.memory[:, 0].copy(), program.equations.memory.slices["covariance"]
-    t = _for_precision(program.equations, single=single).filter.carried
-    start[where] = packed(t @ unpacked(start[where]) @ t.T)
-    return start
+    return replace(equations, same=SAME_IN_SINGLE) if single else equations
 
 
 _READ = re.compile(r"arg\[(\d+)\]\? arg\[\d+\]\[(\d+)\] : 0")
@@ -290,7 +279,7 @@ def controller_source(
     }  # fmt: skip
     files = {name: _filled(name, known) for name in _SOURCES}
     queued = schedule.queued if equations.lead else np.zeros(1)
-    arrays = {"dpc_states": tables.states, "dpc_law": tables.law, "dpc_start": _start(program, single=single), "dpc_first_commands": queued}
+    arrays = {"dpc_states": tables.states, "dpc_law": tables.law, "dpc_start": program.memory[:, 0], "dpc_first_commands": queued}
     text = "\n".join(_table(name, rows, single=single) for name, rows in arrays.items())
     files["dpc_tables.c"] = f'#include "dpc_tables.h"\n\n#include <math.h>\n\n{text}'
     code, stack = _measured(files)

@@ -569,7 +569,7 @@ def _tick_equations(
     shares: tuple[bool, ...] | None,
 ) -> tuple[TickEquations, dict[str, Compiled]]:  # fmt: skip
     """Return a tick's equations and the machine code made of them so far: once for all runs of a process."""
-    return TickEquations(FilterEquations(equations, period, augments), *path, shares), {}
+    return TickEquations(FilterEquations(equations, period, augments, as_measured=True), *path, shares), {}
 
 
 def whole_periods(delay: float) -> tuple[int, int]:
@@ -662,9 +662,10 @@ class TickProgram:
         for command in np.clip(self.spread(queued), -most, most):
             sent = np.concatenate([sent[1:], command[None]])
             speed = np.clip(speed + command * self.period, -fastest, fastest)
+        t = self.equations.filter.carried
         start = {
             "z": np.concatenate([first, np.zeros(self.equations.filter.dimension - len(first))]),
-            "covariance": packed(np.diag(self.settings.first_sigmas(self.model.arms) ** 2)),
+            "covariance": packed(t @ np.diag(self.settings.first_sigmas(self.model.arms) ** 2) @ t.T),
             "sent": sent, "velocity": speed[None], "moved": np.inf, "last": np.inf, "step": np.inf,
         }  # fmt: skip
         self.memory[:] = self.equations.memory.filled(start, self.lanes)
