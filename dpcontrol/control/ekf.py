@@ -174,8 +174,10 @@ class FilterEquations:
         inputs = [x, e, command, parameters]
         return ca.Function("f", inputs, [slope, ca.jacobian(slope, x), ca.jacobian(slope, e)], {"cse": True})
 
-    def predicted(self, z: ca.SX, command: ca.SX, parameters: ca.SX, process: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Return the next z, its Jacobian and Q, both for T z."""
+    def predicted(
+        self, z: ca.SX, command: ca.SX, parameters: ca.SX, process: ca.SX, origin: ca.SX | None = None
+    ) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Return the next z, its Jacobian and Q, both for T z; origin (N+E,): what z is relative to, if anything."""
         size, n, step = self.equations.dimension, self.arms, self.period
         extras = len(self.extra_names)
         # The state and the extras stand apart here, for the Jacobians of the stages by both.
@@ -185,7 +187,8 @@ class FilterEquations:
         moved, spread = x, start
         total, slopes = ca.SX.zeros(size), ca.SX(size, size + extras)
         for weight, further in ((1, step / 2), (2, step / 2), (2, step), (1, None)):
-            k, by_x, by_e = self._slopes(moved, e, command, parameters)
+            place = moved if origin is None else moved + origin[:size]
+            k, by_x, by_e = self._slopes(place, e, command, parameters)
             k_slope = by_x @ spread + ca.horzcat(ca.SX(size, size), by_e)
             total, slopes = total + weight * k, slopes + weight * k_slope
             if further is not None:

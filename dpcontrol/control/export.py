@@ -146,12 +146,12 @@ def _error_between(law: Array) -> float:
     return float(np.max(np.abs(np.array(lines).T - law).max(0) / np.maximum(np.abs(law).max(0), 1e-300)))
 
 
-_ARGUMENTS = ("memory", "measured", "present", "limit_switch", "law", "acts", "now")
+_ARGUMENTS = ("memory", "measured", "present", "offset", "limit_switch", "law", "acts", "now")
 """Of the C function, in its order."""
 
 
 def _function(program: TickProgram, tables: _Tables, *, single: bool) -> ca.Function:
-    """Return the tick with all numbers in it: (memory, measured, present, switch, law, acts, now) -> memory, report."""
+    """Return the tick with all numbers in it: (memory, measured, present, offset, switch, law, acts, now) -> memory, report."""
     equations = _for_precision(program.equations, single=single)
     n, size = equations.filter.arms, equations.filter.equations.dimension
     memory, parts = equations.memory.symbols("memory")
@@ -170,15 +170,29 @@ def _function(program: TickProgram, tables: _Tables, *, single: bool) -> ca.Func
     )  # fmt: skip
     # What nothing but a fallback sets stays as it begins.
     parts["held"] = ca.SX(0)
-    reading = ca.vertcat(measured, present, switch, ca.SX.zeros(n))
+    offset = ca.SX.sym("offset", n + 1)
+    seen = {"measured": measured, "present": present, "switch": switch, "rate_error": ca.SX.zeros(n), "offset": offset}
+    reading = equations.reading.joined(seen)
     numbers = ca.SX(ca.DM(program.numbers))
     (out,) = equations.function().call([equations.memory.joined(parts), reading, row, numbers], True, False)
-    inputs = [memory, measured, present, switch, law, acts, now]
+    inputs = [memory, measured, present, offset, switch, law, acts, now]
     return ca.Function("tick", inputs, [ca.cse(out)], [*_ARGUMENTS], ["out"], {"cse": True})
 
 
 def _for_precision(equations: TickEquations, *, single: bool) -> TickEquations:
-    return replace(equations, same=SAME_IN_SINGLE) if single else equations
+    return replace(equations, same=SAME_IN_SINGLE, split=True) if single else equations
+
+
+def _start(program: TickProgram, *, single: bool) -> Array:
+    """Return the first memory (M,)."""
+    start = program.memory[:, 0].copy()
+    if not single:
+        return start
+    parts = {name: start[where] for name, where in program.equations.memory.slices.items()}
+    places, z = program.model.position_indices, parts["z"]
+    parts["origin"] = z[places].astype(np.float32).astype(float)
+    z[places] -= parts["origin"]
+    return _for_precision(program.equations, single=True).memory.filled(parts)
 
 
 _READ = re.compile(r"arg\[(\d+)\]\? arg\[\d+\]\[(\d+)\] : 0")
@@ -238,7 +252,7 @@ def controller_source(
     Raises:
         InputError: the tables would be too long for compilers.
     """
-    equations = program.equations
+    equations = _for_precision(program.equations, single=single)
     filtered, names = equations.filter, equations.filter.extra_names
     tables = _tables(equations, schedule)
     count = tables.law.size + tables.states.size
@@ -252,6 +266,8 @@ def controller_source(
     digest, n = identity(program, schedule, program.memory[:, 0]), filtered.arms
     places = {name: where.start for name, where in equations.memory.slices.items() 
               if name in ("stopped", "still", "velocity")}  # fmt: skip
+    if single:
+        places |= {"z": equations.memory.slices["z"].start, "origin": equations.memory.slices["origin"].start}
     places["sent_last"] = equations.memory.slices["sent"].stop - 1
     places |= {name: equations.memory.size + where.start for name, where in equations.report.slices.items()}
     bounds = {name: float(program.numbers[equations.numbers.slices[name]][0]) for name in
@@ -270,7 +286,7 @@ def controller_source(
         **{name.upper(): f"{value:g}" for name, value in bounds.items()},
         "PLACES": "\n".join(f"    AT_{name.upper()} = {place}," for name, place in places.items()),
         "RESULTS": equations.memory.size + equations.report.size,
-        "PERIOD_REAL": _c_number(program.period, single=single), "SETTLING": _c_number(SETTLING, single=single), "TICK": body,
+        "PERIOD_REAL": _c_number(program.period, single=single), "SPLIT": _SPLIT if single else "", "OFFSET": _OFFSET if single else "offset[i] = measured[i];", "SETTLING": _c_number(SETTLING, single=single), "TICK": body,
         "HELPERS": "\n".join(text for name, text in _HELPERS.items() if f"{name}(" in body),
         "STATE_ROWS": len(tables.states), "LAW_ROWS": len(tables.law), "LAW_COLUMNS": tables.law.shape[1],
         "LAW_NAMES": ", ".join(tables.names), "QUEUED": max(equations.lead, 1),
@@ -279,7 +295,7 @@ def controller_source(
     }  # fmt: skip
     files = {name: _filled(name, known) for name in _SOURCES}
     queued = schedule.queued if equations.lead else np.zeros(1)
-    arrays = {"dpc_states": tables.states, "dpc_law": tables.law, "dpc_start": program.memory[:, 0], "dpc_first_commands": queued}
+    arrays = {"dpc_states": tables.states, "dpc_law": tables.law, "dpc_start": _start(program, single=single), "dpc_first_commands": queued}
     text = "\n".join(_table(name, rows, single=single) for name, rows in arrays.items())
     files["dpc_tables.c"] = f'#include "dpc_tables.h"\n\n#include <math.h>\n\n{text}'
     code, stack = _measured(files)
@@ -302,6 +318,19 @@ _HELPERS = {
     "dpc_fmin": "static dpc_real dpc_fmin(dpc_real x, dpc_real y) { return x < y ? x : y; }",
     "dpc_fmax": "static dpc_real dpc_fmax(dpc_real x, dpc_real y) { return x > y ? x : y; }",
 }
+
+
+_OFFSET = "offset[i] = (dpc_real)(reading->positions[i] - (double)controller->memory[AT_ORIGIN + i]);"
+_SPLIT = """    /* Positions are kept as the sum of two numbers, origin and z: what is known of them is finer than a float. */
+    for (i = 0; i < DPC_POSITIONS; i++) {
+        dpc_real *origin = &controller->memory[AT_ORIGIN + i];
+        dpc_real *rest = &controller->memory[AT_Z + (i < DPC_ARMS ? i : 2 * DPC_ARMS)];
+        const dpc_real sum = *origin + *rest, added = sum - *origin;
+
+        *rest = (*origin - (sum - added)) + (*rest - added);
+        *origin = sum;
+    }
+"""
 
 
 def _filled(name: str, known: Mapping[str, Any]) -> str:

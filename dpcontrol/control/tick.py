@@ -191,7 +191,8 @@ class TickEquations:
 
     whole, lead: the delay's whole periods, and for how many the command is computed ahead. shares (E,): which extras
     are relative errors that the law trusts only so far; None for a law without gains on them. same rad and m: readings
-    of a joint and of the cart this near to each other are the same count.
+    of a joint and of the cart this near to each other are the same count. split: whether the filter's positions are kept
+    as a sum of two numbers, for arithmetic that rounds an angle of some turns to more than is known of it.
     """
 
     filter: FilterEquations
@@ -199,6 +200,7 @@ class TickEquations:
     lead: int
     shares: tuple[bool, ...] | None = None
     same: tuple[float, float] = (SAME, SAME)
+    split: bool = False
 
     @cached_property
     def memory(self) -> Layout:
@@ -210,13 +212,14 @@ class TickEquations:
         restart: 1 where the filter begins anew; stopped: the outcome that ended the run, or 0; still s: for how long
         the cart was sent nowhere since; cut: 1 where the last command was; doubts: 1 once an extra was trusted no
         further. Then sensor by sensor: last reading, smallest step, ticks with this reading, what it should have been
-        when they began, by how much that has moved since; travelled m: how far the cart was sent.
+        when they began, by how much that has moved since; travelled m: how far the cart was sent. Split: origin, which
+        the positions in z are relative to; whoever keeps the memory may move from one to the other.
         """
         size, m = self.filter.dimension, self.filter.arms + 1
         return Layout(
             z=size, covariance=size * (size + 1) // 2, sent=self.whole + 2, velocity=1, error=1, nis=1, silent=1,
             restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, cut=1, doubts=1, last=m, step=m, same=m,
-            begin=m, away=m, travelled=1,
+            begin=m, away=m, travelled=1, **({"origin": m} if self.split else {}),
         )  # fmt: skip
 
     @cached_property
@@ -225,9 +228,10 @@ class TickEquations:
 
         measured (n+1,): angles in rad, the cart in m; present (n+1,): 1 where measured; switch: 1 while a limit switch
         is touched; rate_error (n,) rad/s: added to the rates that the law sees, in simulations of measured rates.
+        Split: offset (n+1,), measured less the memory's origin.
         """
         m = self.filter.arms + 1
-        return Layout(measured=m, present=m, switch=1, rate_error=m - 1)
+        return Layout(measured=m, present=m, switch=1, rate_error=m - 1, **({"offset": m} if self.split else {}))
 
     @cached_property
     def row(self) -> Layout:
@@ -285,6 +289,8 @@ class TickEquations:
         """The filter's update."""
         n, size = self.filter.arms, self.filter.dimension
         z, triangle, again = m["z"], m["covariance"], m["restart"]
+        # All here is relative to the origin, where there is one.
+        positions_read = r["offset"] if self.split else r["measured"]
         # A filter that begins anew trusts the positions; rates stay where they are finite, extras are forgotten.
         positions = {**{i: i for i in range(n)}, 2 * n: n}
         most = [np.inf] * n + [3 * RESTART_RATE] * n + [np.inf, 3 * RESTART_VELOCITY]
@@ -296,7 +302,7 @@ class TickEquations:
             known = ca.if_else(_finite(z[i]), z[i], 0)
             if i in positions:
                 k = positions[i]
-                anew.append(ca.if_else(r["present"][k], r["measured"][k], known))
+                anew.append(ca.if_else(r["present"][k], positions_read[k], known))
             else:
                 anew.append(_within(known, ca.SX(most[i])))
         z = ca.vertcat(*(ca.if_else(again, anew[i], z[i]) for i in range(size)))
@@ -310,7 +316,7 @@ class TickEquations:
                 entries.append(kept if fresh is None else kept + ca.if_else(again, fresh, 0))
         covariance = unpack(ca.vertcat(*entries), size)
         # NaN must not reach the products: zero times NaN is not zero.
-        measured = ca.vertcat(*(ca.if_else(r["present"][i], r["measured"][i], 0) for i in range(n + 1)))
+        measured = ca.vertcat(*(ca.if_else(r["present"][i], positions_read[i], 0) for i in range(n + 1)))
         after, covariance, _, nis = self.filter.updated(z, covariance, measured, r["present"], c["noise"])
         variances = ca.diag(covariance)
         if self.filter.as_measured:
@@ -322,7 +328,18 @@ class TickEquations:
         # Where it fails the prediction is kept, which the restart begins with.
         after = ca.vertcat(*(ca.if_else(sound, after[i], z[i]) for i in range(size)))
         used = ca.sum1(r["present"])
-        return {"z": after, "covariance": pack(covariance), "sigmas": sigmas, "nis": nis, "used": used, "sound": sound}
+        out = {"z": after, "covariance": pack(covariance), "sigmas": sigmas, "nis": nis, "used": used, "sound": sound}
+        if self.split:
+            out |= {"z": after + self._origin(m), "relative": after}
+        return out
+
+    def _origin(self, m: Mapping[str, ca.SX]) -> ca.SX:
+        """What z is relative to, (N+E,)."""
+        n = self.filter.arms
+        out = ca.SX.zeros(self.filter.dimension)
+        for k, i in enumerate([*range(n), 2 * n]):
+            out[i] = m["origin"][k]
+        return out
 
     def _acting(self, command: ca.SX, velocity: ca.SX, c: Mapping[str, ca.SX]) -> ca.SX:
         """What acts of a command on a cart of this velocity: the drive keeps below its fastest."""
@@ -482,12 +499,15 @@ class TickEquations:
             "cut": saturated, "doubts": ca.logic_or(m["doubts"], doubted > 0), **watch,
         }  # fmt: skip
         if predicts:
-            following, jacobian, noise = self.filter.predicted(e["z"], acting, c["parameters"], c["process"])
+            start, origin = (e["relative"], self._origin(m)) if self.split else (e["z"], None)
+            following, jacobian, noise = self.filter.predicted(start, acting, c["parameters"], c["process"], origin)
             covariance = unpack(e["covariance"], self.filter.dimension)
             memory["z"] = following
             memory["covariance"] = pack(jacobian @ covariance @ jacobian.T + noise)
         else:
             memory |= {"z": m["z"], "covariance": m["covariance"]}
+        if self.split:
+            memory["origin"] = m["origin"]
         report = {
             "state": e["z"][:size], "wish": wish, "feedforward": forward, "feedback": feedback, "acting": acting,
             "saturated": saturated, "nis": e["nis"], "mode": mode, "sigmas": e["sigmas"], "extra": e["z"][size:],

@@ -21,13 +21,14 @@ enum {
 
 @HELPERS@
 
-/* memory[DPC_MEMORY], measured and present[DPC_POSITIONS], limit_switch; law: the table's row for the command; acts and
+/* memory[DPC_MEMORY], measured, present and offset[DPC_POSITIONS], limit_switch; law: the table's row for the command; acts and
  * now: the reference's states when it acts and at this tick; out[AT_END]. */
-static void dpc_tick(const dpc_real *memory, const dpc_real *measured, const dpc_real *present,
+static void dpc_tick(const dpc_real *memory, const dpc_real *measured, const dpc_real *present, const dpc_real *offset,
                      const dpc_real *limit_switch, const dpc_real *law, const dpc_real *acts, const dpc_real *now,
                      dpc_real *out)
 {
 @TICK@
+    (void)offset;
     (void)law;
     (void)acts;
     (void)now;
@@ -49,7 +50,7 @@ void dpc_init(dpc_controller *controller)
 
 dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_report *report)
 {
-    dpc_real out[AT_END], measured[DPC_POSITIONS], present[DPC_POSITIONS], limit_switch;
+    dpc_real out[AT_END], measured[DPC_POSITIONS], present[DPC_POSITIONS], offset[DPC_POSITIONS], limit_switch;
     const long tick = controller->tick < DPC_TICKS ? controller->tick : DPC_TICKS - 1;
     const dpc_real *now = state_at(tick);
     int i;
@@ -57,13 +58,14 @@ dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_re
     for (i = 0; i < DPC_POSITIONS; i++) {
         measured[i] = (dpc_real)reading->positions[i];
         present[i] = reading->present[i] ? 1 : 0;
+        @OFFSET@
     }
     limit_switch = reading->limit_switch ? 1 : 0;
-    dpc_tick(controller->memory, measured, present, &limit_switch, dpc_law[tick < DPC_LAW_ROWS ? tick : DPC_LAW_ROWS - 1],
-             state_at(tick + DPC_LEAD), now, out);
+    dpc_tick(controller->memory, measured, present, offset, &limit_switch,
+             dpc_law[tick < DPC_LAW_ROWS ? tick : DPC_LAW_ROWS - 1], state_at(tick + DPC_LEAD), now, out);
     for (i = 0; i < DPC_MEMORY; i++)
         controller->memory[i] = out[i];
-    if (controller->tick < LONG_MAX)
+@SPLIT@    if (controller->tick < LONG_MAX)
         controller->tick++;
     if (report) {
         report->command = out[AT_COMMAND];
