@@ -368,7 +368,7 @@ def _measured(files: Mapping[str, str]) -> tuple[int | None, int | None]:
                 done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=True)
             code = int(done.stdout.splitlines()[1].split()[0])
             used = [line.split("\t") for line in (folder / "dpc_controller.su").read_text().splitlines()]
-            step = sum(int(size) for place, size, *_ in used if place.endswith(("dpc_step", "dpc_tick")))
+            step = sum(int(size) for place, size, *_ in used if re.search(r":dpc_(step|tick)\b", place))
         except (OSError, ValueError, LookupError, subprocess.SubprocessError):
             return None, None
     return code, step
