@@ -175,9 +175,9 @@ def export_command(
 ) -> Answer:
     """Write an itinerary's controller as C99 for a target of one's own: estimator, law and supervisor in one call.
 
-    Plans first if the plan is not cached. The folder has a Makefile, a replay program and a page on how to wire it. Laws
-    with gains by time can leave: tvlqr, adaptive, lqr, feedforward. The bench's own settings, as --mismatch, change
-    nothing but the simulated run that `make check` replays.
+    Plans first if the plan is not cached. The folder has a Makefile, a replay program and a page on how to wire it.
+    Laws with gains by time can leave: tvlqr, adaptive, lqr, feedforward. The bench's own settings, as --mismatch,
+    change nothing but the simulated run that `make check` replays.
     """
     from dpcontrol.control.export import COARSER, kibibytes
     from dpcontrol.scenes.itinerary import load_itinerary

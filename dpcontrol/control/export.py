@@ -87,16 +87,18 @@ def checked_exportable(controller: Controller, *, lead: int) -> GainSchedule:
         )
     made = getattr(controller, "schedule", None)
     if made is None:
-        raise InputError(f'controller: kind = "{controller.kind}" keeps a clock of its own and cannot leave as C; {LEAVING}')
+        raise InputError(
+            f'controller: kind = "{controller.kind}" keeps a clock of its own and cannot leave as C; {LEAVING}'
+        )
     return made(lead)
 
 
-def identity(program: TickProgram, schedule: GainSchedule, start: Array) -> str:
-    """Return what identifies all that a controller is made from, but for the code; start (M,): the first memory."""
+def identity(program: TickProgram, schedule: GainSchedule) -> str:
+    """Return what identifies all that a controller is made from, but for the code; the program has begun."""
     equations = program.equations
     parts = [*equations.numbers.slices, *equations.memory.slices, *equations.row.slices, *equations.filter.extra_names]
     shape = repr((_VERSION, equations.whole, equations.lead, equations.shares, program.period, parts))
-    arrays = (program.numbers, start, schedule.rows, schedule.references, schedule.queued)
+    arrays = (program.numbers, program.memory[:, 0], schedule.rows, schedule.references, schedule.queued)
     return content_hash(shape, *(np.ascontiguousarray(one, dtype="<f8").tobytes() for one in arrays))
 
 
@@ -151,7 +153,7 @@ _ARGUMENTS = ("memory", "measured", "present", "offset", "limit_switch", "law", 
 
 
 def _function(program: TickProgram, tables: _Tables, *, single: bool) -> ca.Function:
-    """Return the tick with all numbers in it: (memory, measured, present, offset, switch, law, acts, now) -> memory, report."""
+    """Return the tick with all numbers in it: `_ARGUMENTS` -> memory and report."""
     equations = _for_precision(program.equations, single=single)
     n, size = equations.filter.arms, equations.filter.equations.dimension
     memory, parts = equations.memory.symbols("memory")
@@ -210,10 +212,10 @@ def _body(function: ca.Function, *, single: bool) -> str:
     end = lines.index("  return 0;", begin)
     body = "\n".join("    " + line.strip() for line in lines[begin + 1 : end])
     body = _READ.sub(lambda found: f"{_ARGUMENTS[int(found[1])]}[{found[2]}]", body)
-    body = _WRITTEN.sub(r"out[\1]=", body).replace("casadi_real", "dpc_real").replace("casadi_inf", "(dpc_real)INFINITY")
-    body = body.replace("casadi_fabs(", "fabs(")
-    for name in ("sq", "fmin", "fmax"):
-        body = body.replace(f"casadi_{name}(", f"dpc_{name}(")
+    body = _WRITTEN.sub(r"out[\1]=", body)
+    own = {"casadi_real": "dpc_real", "casadi_inf": "(dpc_real)INFINITY", "casadi_fabs(": "fabs("}
+    for theirs, ours in {**own, **{f"casadi_{name[4:]}(": f"{name}(" for name in _HELPERS}}.items():
+        body = body.replace(theirs, ours)
     body = _NUMBER.sub(lambda found: _c_number(float(found[0]), single=single), body)
     return _CALLS.sub(r"\1f(", body) if single else body
 
@@ -253,7 +255,6 @@ def controller_source(
         InputError: the tables would be too long for compilers.
     """
     equations = _for_precision(program.equations, single=single)
-    filtered, names = equations.filter, equations.filter.extra_names
     tables = _tables(equations, schedule)
     count = tables.law.size + tables.states.size
     if count > MOST_NUMBERS:
@@ -262,42 +263,21 @@ def controller_source(
             "shorter itinerary"
         )
     function = _function(program, tables, single=single)
-    body = _body(function, single=single)
-    digest, n = identity(program, schedule, program.memory[:, 0]), filtered.arms
-    places = {name: where.start for name, where in equations.memory.slices.items() 
-              if name in ("stopped", "still", "velocity")}  # fmt: skip
-    if single:
-        places |= {"z": equations.memory.slices["z"].start, "origin": equations.memory.slices["origin"].start}
-    places["sent_last"] = equations.memory.slices["sent"].stop - 1
-    places |= {name: equations.memory.size + where.start for name, where in equations.report.slices.items()}
-    bounds = {name: float(program.numbers[equations.numbers.slices[name]][0]) for name in
-              ("acceleration", "lost_estimate", "lost_tracking", "missing")}  # fmt: skip
-    seconds = max(len(schedule.rows) - 1, 1) * program.period
-    width = 4 if single else 8
-    columns = [*(f"measured.arm_{i + 1}" for i in range(n)), "measured.cart"]
     known = {
-        "TITLE": _comment(f"{itinerary}: {title}"),
-        "ITINERARY_COMMENT": _comment(itinerary), "ITINERARY": _string(itinerary), "LAW": _string(controller.kind),
-        "VERSION": dpcontrol.__version__, "IDENTITY": digest, "REAL": "float" if single else "double",
-        "ARMS": n, "POSITIONS": n + 1, "STATES": filtered.equations.dimension, "EXTRAS": len(names),
-        "EXTRA_NAMES": ", ".join(names) or "nothing", "MEMORY": equations.memory.size, "TICKS": len(schedule.rows),
-        "RATE": repr(1 / program.period), "PERIOD": repr(program.period), "DELAY": repr(_delay(program)),
-        "LEAD": equations.lead,
-        **{name.upper(): f"{value:g}" for name, value in bounds.items()},
-        "PLACES": "\n".join(f"    AT_{name.upper()} = {place}," for name, place in places.items()),
-        "RESULTS": equations.memory.size + equations.report.size,
-        "PERIOD_REAL": _c_number(program.period, single=single), "SPLIT": _SPLIT if single else "", "OFFSET": _OFFSET if single else "offset[i] = measured[i];", "SETTLING": _c_number(SETTLING, single=single), "TICK": body,
-        "HELPERS": "\n".join(text for name, text in _HELPERS.items() if f"{name}(" in body),
-        "STATE_ROWS": len(tables.states), "LAW_ROWS": len(tables.law), "LAW_COLUMNS": tables.law.shape[1],
-        "LAW_NAMES": ", ".join(tables.names), "QUEUED": max(equations.lead, 1),
-        "COLUMNS": ", ".join(columns), "NAMES": ", ".join(f'"{name}"' for name in columns),
-        "TOLERANCE": "1e-2" if single else "1e-9",
+        "TITLE": _comment(f"{itinerary}: {title}"), "ITINERARY_COMMENT": _comment(itinerary),
+        "ITINERARY": _string(itinerary), "LAW": _string(controller.kind),
+        "IDENTITY": identity(program, schedule), "TICK": _body(function, single=single),
+        **_described(program, equations, single=single), **_laid_out(equations),
+        "TICKS": len(schedule.rows), "STATE_ROWS": len(tables.states), "LAW_ROWS": len(tables.law),
+        "LAW_COLUMNS": tables.law.shape[1], "LAW_NAMES": ", ".join(tables.names),
     }  # fmt: skip
+    known["HELPERS"] = "\n".join(text for name, text in _HELPERS.items() if f"{name}(" in known["TICK"])
     files = {name: _filled(name, known) for name in _SOURCES}
     queued = schedule.queued if equations.lead else np.zeros(1)
-    arrays = {"dpc_states": tables.states, "dpc_law": tables.law, "dpc_start": _start(program, single=single), "dpc_first_commands": queued}
-    text = "\n".join(_table(name, rows, single=single) for name, rows in arrays.items())
-    files["dpc_tables.c"] = f'#include "dpc_tables.h"\n\n#include <math.h>\n\n{text}'
+    arrays = {"dpc_states": tables.states, "dpc_law": tables.law, "dpc_start": _start(program, single=single)}
+    text = [_table(name, rows, single=single) for name, rows in {**arrays, "dpc_first_commands": queued}.items()]
+    files["dpc_tables.c"] = "\n".join(['#include "dpc_tables.h"\n\n#include <math.h>\n', *text])
+    width, seconds = 4 if single else 8, max(len(schedule.rows) - 1, 1) * program.period
     code, stack = _measured(files)
     figures = Figures(
         operations=function.n_instructions(), code=code, stack=stack,
@@ -306,10 +286,44 @@ def controller_source(
         coarser_per_second=width * (tables.law.size / COARSER + tables.states.size) / seconds,
         coarser_error=_error_between(tables.law),
     )  # fmt: skip
-    known |= _readme(figures, single=single)
+    shown = figures._asdict()
+    known |= {f"BYTES_{name.upper()}": kibibytes(shown[name]) for name in _SHOWN}
     files["README.md"] = _filled("README.md", known)
     files["readings.csv"] = readings
-    return ControllerSource(files, digest, figures)
+    return ControllerSource(files, known["IDENTITY"], figures)
+
+
+_SHOWN = ("code", "stack", "memory", "tables", "tables_per_second")
+
+
+def _described(program: TickProgram, equations: TickEquations, *, single: bool) -> dict[str, Any]:
+    """Return what templates say of the arms, the clock, the bounds and the arithmetic."""
+    n, numbers, extras = equations.filter.arms, equations.numbers.slices, equations.filter.extra_names
+    bounds = ("acceleration", "lost_estimate", "lost_tracking", "missing")
+    columns = [*(f"measured.arm_{i + 1}" for i in range(n)), "measured.cart"]
+    return {
+        "VERSION": dpcontrol.__version__, "REAL": "float" if single else "double",
+        "PRECISION": "single" if single else "double", "SPLIT": int(equations.split),
+        "TOLERANCE": "1e-2" if single else "1e-9",
+        "ARMS": n, "POSITIONS": n + 1, "STATES": equations.filter.equations.dimension,
+        "EXTRAS": len(extras), "EXTRA_NAMES": ", ".join(extras) or "nothing",
+        "RATE": repr(1 / program.period), "PERIOD": repr(program.period), "DELAY": repr(_delay(program)),
+        "LEAD": equations.lead, "QUEUED": max(equations.lead, 1),
+        **{name.upper(): f"{float(program.numbers[numbers[name]][0]):.9g}" for name in bounds},
+        "PERIOD_REAL": _c_number(program.period, single=single), "SETTLING": _c_number(SETTLING, single=single),
+        "COLUMNS": ", ".join(columns), "NAMES": ", ".join(f'"{name}"' for name in columns),
+    }  # fmt: skip
+
+
+def _laid_out(equations: TickEquations) -> dict[str, Any]:
+    """Return where the C finds what in the tick's results."""
+    memory, report = equations.memory, equations.report
+    kept = ("z", "velocity", "stopped", "still", *(["origin"] if equations.split else []))
+    places = {name: memory.slices[name].start for name in kept}
+    places["sent_last"] = memory.slices["sent"].stop - 1
+    places |= {name: memory.size + where.start for name, where in report.slices.items()}
+    lines = "\n".join(f"    AT_{name.upper()} = {place}," for name, place in places.items())
+    return {"MEMORY": memory.size, "PLACES": lines, "RESULTS": memory.size + report.size}
 
 
 _SOURCES = ("dpc_controller.h", "dpc_controller.c", "dpc_tables.h", "main_replay.c", "Makefile", "CMakeLists.txt")
@@ -318,19 +332,6 @@ _HELPERS = {
     "dpc_fmin": "static dpc_real dpc_fmin(dpc_real x, dpc_real y) { return x < y ? x : y; }",
     "dpc_fmax": "static dpc_real dpc_fmax(dpc_real x, dpc_real y) { return x > y ? x : y; }",
 }
-
-
-_OFFSET = "offset[i] = (dpc_real)(reading->positions[i] - (double)controller->memory[AT_ORIGIN + i]);"
-_SPLIT = """    /* Positions are kept as the sum of two numbers, origin and z: what is known of them is finer than a float. */
-    for (i = 0; i < DPC_POSITIONS; i++) {
-        dpc_real *origin = &controller->memory[AT_ORIGIN + i];
-        dpc_real *rest = &controller->memory[AT_Z + (i < DPC_ARMS ? i : 2 * DPC_ARMS)];
-        const dpc_real sum = *origin + *rest, added = sum - *origin;
-
-        *rest = (*origin - (sum - added)) + (*rest - added);
-        *origin = sum;
-    }
-"""
 
 
 def _filled(name: str, known: Mapping[str, Any]) -> str:
@@ -347,7 +348,7 @@ def _comment(text: str) -> str:
 def _string(text: str) -> str:
     """Return a text for a string of C."""
     safe = frozenset(b"-_ .,:+()")
-    return "".join(chr(one) if chr(one).isalnum() and one < 128 or one in safe else f"\\{one:03o}"
+    return "".join(chr(one) if (chr(one).isalnum() and one < 128) or one in safe else f"\\{one:03o}"
                    for one in text.encode("utf-8", "replace"))  # fmt: skip
 
 
@@ -377,13 +378,6 @@ def _measured(files: Mapping[str, str]) -> tuple[int | None, int | None]:
 def kibibytes(count: float | None) -> str:
     """Return a number of bytes for people."""
     return "unknown (no gcc to measure it)" if count is None else f"{count / 1024:.1f} KiB"
-
-
-def _readme(figures: Figures, *, single: bool) -> dict[str, str]:
-    shown = {"code": figures.code, "stack": figures.stack, "memory": figures.memory, "tables": figures.tables,
-             "tables_per_second": figures.tables_per_second}  # fmt: skip
-    return {**{f"BYTES_{name.upper()}": kibibytes(count) for name, count in shown.items()},
-            "PRECISION": "single" if single else "double"}  # fmt: skip
 
 
 # A library in the loop's place.
@@ -478,7 +472,7 @@ class LibraryProgram(TickProgram):
                     f"{self.library} is of {there.itinerary.decode('utf-8', 'replace')!r} with {name} {theirs}, this "
                     f"run has {ours}; export this run's itinerary with this run's options"
                 )
-        if there.identity.decode() != identity(self, schedule, self.memory[:, 0]):
+        if there.identity.decode() != identity(self, schedule):
             raise InputError(
                 f"{self.library} was made from another plan, model, limits or settings of estimator, controller or "
                 f"supervisor (it is of {there.itinerary.decode('utf-8', 'replace')!r}); export this run's itinerary "

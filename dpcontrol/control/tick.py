@@ -190,9 +190,11 @@ class TickEquations:
     """The tick of one filter, delay and law.
 
     whole, lead: the delay's whole periods, and for how many the command is computed ahead. shares (E,): which extras
-    are relative errors that the law trusts only so far; None for a law without gains on them. same rad and m: readings
-    of a joint and of the cart this near to each other are the same count. split: whether the filter's positions are kept
-    as a sum of two numbers, for arithmetic that rounds an angle of some turns to more than is known of it.
+    are relative errors that the law trusts only so far; None for a law without gains on them.
+
+    For coarser arithmetic: same rad and m, how near to each other readings of a joint and of the cart are the same
+    count; split, whether the filter's positions are kept as a sum of two numbers: single precision rounds an angle of
+    some turns to more than the filter would know of it.
     """
 
     filter: FilterEquations

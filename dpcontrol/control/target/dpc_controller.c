@@ -13,6 +13,9 @@
 #error "compile without -ffast-math: what is not a number must be found not to be one"
 #endif
 
+/* Whether positions are kept as the sum of two numbers, origin and z: what is known of them is finer than a float. */
+#define DPC_SPLIT @SPLIT@
+
 /* Where the tick's results stand: the memory for the next, then the report. */
 enum {
 @PLACES@
@@ -58,14 +61,28 @@ dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_re
     for (i = 0; i < DPC_POSITIONS; i++) {
         measured[i] = (dpc_real)reading->positions[i];
         present[i] = reading->present[i] ? 1 : 0;
-        @OFFSET@
+#if DPC_SPLIT
+        offset[i] = (dpc_real)(reading->positions[i] - (double)controller->memory[AT_ORIGIN + i]);
+#else
+        offset[i] = measured[i];
+#endif
     }
     limit_switch = reading->limit_switch ? 1 : 0;
     dpc_tick(controller->memory, measured, present, offset, &limit_switch,
              dpc_law[tick < DPC_LAW_ROWS ? tick : DPC_LAW_ROWS - 1], state_at(tick + DPC_LEAD), now, out);
     for (i = 0; i < DPC_MEMORY; i++)
         controller->memory[i] = out[i];
-@SPLIT@    if (controller->tick < LONG_MAX)
+#if DPC_SPLIT
+    for (i = 0; i < DPC_POSITIONS; i++) {
+        dpc_real *origin = &controller->memory[AT_ORIGIN + i];
+        dpc_real *rest = &controller->memory[AT_Z + (i < DPC_ARMS ? i : 2 * DPC_ARMS)];
+        const dpc_real sum = *origin + *rest, added = sum - *origin;
+
+        *rest = (*origin - (sum - added)) + (*rest - added);
+        *origin = sum;
+    }
+#endif
+    if (controller->tick < LONG_MAX)
         controller->tick++;
     if (report) {
         report->command = out[AT_COMMAND];
