@@ -442,16 +442,20 @@ class LibraryProgram(TickProgram):
         ):
             raise InputError(f"{library} was compiled for another machine's layout of structures; compile it here")
         self._reading, self._told = np.zeros((), reading), np.zeros((), report)
-        self._controller = ctypes.create_string_buffer(described.controller_bytes + 8)
+        # Of its own, aligned as any structure of C.
+        self._controller = np.zeros(described.controller_bytes // 8 + 2, dtype=np.float64)
+        self.controller_address = self._controller.ctypes.data
+        real = ctypes.c_float if described.real_bytes == 4 else ctypes.c_double
+        for name, result, more in (
+            ("dpc_init", None, []), ("dpc_step", real, [ctypes.c_void_p] * 2), ("dpc_sent", None, [real]),
+            ("dpc_status", ctypes.c_int, []),
+        ):  # fmt: skip
+            function = getattr(self._c, name)
+            function.restype, function.argtypes = result, [ctypes.c_void_p, *more]
         self._step = self._c.dpc_step
-        self._step.restype = ctypes.c_float if described.real_bytes == 4 else ctypes.c_double
-        self._step.argtypes = [ctypes.c_void_p] * 3
-        self._c.dpc_init.restype = None
-        self._arguments = [
-            ctypes.addressof(self._controller), self._reading.ctypes.data, self._told.ctypes.data
-        ]  # fmt: skip
-        report_slices = self.equations.report.slices
-        self._copied = [(name, report_slices[name]) for name in report.fields or () if name in report_slices]
+        self._arguments = (self.controller_address, self._reading.ctypes.data, self._told.ctypes.data)
+        where = self.equations.report.slices
+        self._copied = [(name, where[name]) for name in report.fields or () if name in where]
 
     def check(self, schedule: GainSchedule, *, itinerary: str = "", law: str) -> None:
         """Reject a library that was made of something else than what has begun here.
@@ -482,7 +486,16 @@ class LibraryProgram(TickProgram):
     def begin(self, first: Array, queued: Array, *, velocity: float) -> None:
         """Begin a run; see `TickProgram.begin`."""
         super().begin(first, queued, velocity=velocity)
-        self._c.dpc_init(ctypes.c_void_p(self._arguments[0]))
+        self._c.dpc_init(self.controller_address)
+
+    @property
+    def status(self) -> int:
+        """What dpc_status tells after the last tick."""
+        return self._c.dpc_status(self.controller_address)
+
+    def tell_sent(self, command: float) -> None:
+        """Tell the controller that the drive was given this command, m/s², and not its own."""
+        self._c.dpc_sent(self.controller_address, command)
 
     def prepare(self, names: Sequence[str]) -> None:
         """Compile nothing: the library is compiled."""

@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 
 import numpy as np
@@ -29,7 +30,7 @@ from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
 from dpcontrol.control.tick import whole_periods
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import checked_other_file, checked_source, content_hash, write_folder
+from dpcontrol.foundation.files import checked_other_file, checked_source, content_hash, picked, write_folder
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import with_values
 from dpcontrol.logs import (
@@ -382,12 +383,12 @@ def export_plan(
     lead = whole_periods(delay)[1]
     schedule = checked_exportable(controller, lead=lead)
     ticker = make_ticker(arms, loop, controller, limits=limits, delay=delay)
-    checked = replace(loop, sensors=replace(loop.sensors, rate_noise=0.0))
     ran = run_loop(
-        reference, arms, settings=checked, controller=controller, uncertainty=itinerary.uncertainty, progress=progress
-    )
+        reference, arms, settings=replace(loop, sensors=replace(loop.sensors, rate_noise=0.0)),
+        controller=_beginning(controller, _CHECKED_TICKS), uncertainty=itinerary.uncertainty, progress=progress,
+    )  # fmt: skip
     names = [f"measured.{name}" for name in joint_names(arms.count, has_cart=True)]
-    rows = np.column_stack([ran.ticks.measured, ran.ticks.control[:, 0]])[:_CHECKED_TICKS].tolist()
+    rows = np.column_stack([ran.ticks.measured, ran.ticks.control[:, 0]]).tolist()
     readings = "".join(f"{','.join(map(repr, row))}\n" for row in rows)
     source = controller_source(
         ticker.program, controller, schedule, itinerary=itinerary.name, title=itinerary.title, single=single,
@@ -395,6 +396,12 @@ def export_plan(
     )  # fmt: skip
     write_folder(out, source.files, force=force)
     return source
+
+
+def _beginning(controller: Controller, count: int) -> Any:
+    """Return the same controller for `count` ticks at most."""
+    names = ("kind", "first_state", "schedule")
+    return SimpleNamespace(**picked(controller, *names), ticks=min(controller.ticks, count - 1))
 
 
 OWN_BENCH = "udp"

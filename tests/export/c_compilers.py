@@ -1,0 +1,84 @@
+"""What is exported, compiled; and the library of it beside the loop's own tick."""
+
+import shutil
+import subprocess
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dpcontrol.control.export import LibraryProgram
+from dpcontrol.loop.loop import LoopSettings, loop_controller, make_ticker
+from dpcontrol.loop.result import Reading
+from dpcontrol.loop.ticker import Ticker
+from dpcontrol.scenes.plan import Plan
+
+WARNINGS = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off"]
+SOURCES = ["dpc_controller.c", "dpc_tables.c"]
+
+
+def needed(program: str) -> str:
+    """Return a program's name, or skip the test where it is not installed."""
+    if shutil.which(program) is None:
+        pytest.skip(f"{program} is not installed")
+    return program
+
+
+def ran(*command: str | Path, folder: Path) -> subprocess.CompletedProcess[str]:
+    """Run a program in `folder` to its end, whatever that is."""
+    return subprocess.run([*map(str, command)], cwd=folder, capture_output=True, text=True, check=False)
+
+
+def compiled(compiler: str, *options: str, folder: Path, out: str, sources: Iterable[str] = SOURCES) -> Path:
+    """Compile sources of `folder` without a warning; return what was made."""
+    done = ran(needed(compiler), *WARNINGS, *options, "-o", out, *sources, "-lm", folder=folder)
+    assert done.returncode == 0, done.stderr
+    assert not done.stderr
+    return folder / out
+
+
+def library(folder: Path, *options: str) -> Path:
+    """Return the shared library of an exported folder."""
+    made = folder / "libdpc.so"
+    if made.exists():
+        return made
+    return compiled("gcc", "-O0", "-fPIC", "-shared", *options, folder=folder, out=made.name)
+
+
+class SideBySide:
+    """The loop's tick and a library's, given the same readings.
+
+    told: what the loop's tick commanded is told to the library, whose own commands would drift away from it.
+    """
+
+    def __init__(self, plan: Plan, made: Path, *, settings: LoopSettings | None = None, told: bool = True) -> None:
+        scene, reference = plan.itinerary, plan.reference
+        arms, loop = scene.model.arms, settings or scene.loop
+        controller = loop_controller(reference, arms, loop)
+        limits, delay = loop.limits(reference), loop.drive.delay
+        self.own = make_ticker(arms, loop, controller, limits=limits, delay=delay)
+        self.other = make_ticker(arms, loop, controller, limits=limits, delay=delay, library=made)
+        self.references, self.count = self.own.references, self.own.count
+        self._told, self._k = told, 0
+
+    @property
+    def c(self) -> LibraryProgram:
+        program = self.other.program
+        assert isinstance(program, LibraryProgram)
+        return program
+
+    def __call__(
+        self, positions: np.ndarray, *, present: np.ndarray | None = None, switch: int = 0
+    ) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+        """Do a tick by both; return their reports by names."""
+        reading = Reading(0.0, positions, present=present, switch=switch)
+        k, self._k = min(self._k, self.count - 1), self._k + 1
+        own, other = (_named(ticker, ticker(k, reading)[:, 0].copy()) for ticker in (self.own, self.other))
+        if self._told:
+            self.c.tell_sent(float(own["command"][0]))
+        return own, other
+
+
+def _named(ticker: Ticker, report: np.ndarray) -> dict[str, np.ndarray]:
+    return {name: report[where] for name, where in ticker.program.equations.report.slices.items()}

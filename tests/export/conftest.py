@@ -1,0 +1,36 @@
+"""Controllers exported once per session: of one itinerary, in double and in single precision."""
+
+from pathlib import Path
+
+import pytest
+
+from dpcontrol.control import export
+from dpcontrol.control.export import ControllerSource
+from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.plan import Plan, make_plan
+from dpcontrol.scenes.run import export_plan
+
+
+@pytest.fixture(scope="session")
+def plan() -> Plan:
+    return make_plan(load_itinerary("outer-turn"))
+
+
+@pytest.fixture(scope="session")
+def double(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ControllerSource]:
+    folder = tmp_path_factory.mktemp("double") / "controller"
+    with pytest.MonkeyPatch.context() as patch:
+        # One of the two is measured, by gcc, which takes a second or two.
+        patch.setattr(export, "_measured", lambda files: (None, None))
+        return folder, export_plan(plan, folder)
+
+
+@pytest.fixture(scope="session")
+def single(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ControllerSource]:
+    folder = tmp_path_factory.mktemp("single") / "controller"
+    return folder, export_plan(plan, folder, single=True)
+
+
+@pytest.fixture(scope="session", params=["double", "single"])
+def exported(request: pytest.FixtureRequest) -> tuple[Path, ControllerSource]:
+    return request.getfixturevalue(request.param)

@@ -1,0 +1,342 @@
+"""The exported C against the loop's own tick, by gcc and clang: the same commands and decisions, nothing but C99."""
+
+import ctypes
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from c_compilers import SOURCES, WARNINGS, SideBySide, compiled, library, needed, ran
+from command_line import dpcontrol
+
+from dpcontrol.control import export
+from dpcontrol.control.export import ControllerSource, LibraryProgram
+from dpcontrol.control.tick import SETTLING, Outcome
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import write_folder
+from dpcontrol.loop.loop import loop_controller
+from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.plan import Plan
+from dpcontrol.scenes.run import export_plan, run_plan
+from dpcontrol.scenes.run_options import RunOptions
+
+SAME = {"double": 1e-9, "float": 1e-2}  # m/s²: the two differ by the rounding of sines, times the law's gains.
+COUNT = 2 * np.pi / 40_000
+RUNNING, FINISHED, BRAKING, AT_REST = range(4)
+
+Exported = tuple[Path, ControllerSource]
+
+
+def precision(exported: Exported) -> str:
+    return "float" if "typedef float dpc_real" in exported[1].files["dpc_controller.h"] else "double"
+
+
+def readings(exported: Exported) -> np.ndarray:
+    return np.genfromtxt(exported[0] / "readings.csv", delimiter=",", skip_header=1)
+
+
+def set_clock(program: LibraryProgram, tick: int) -> None:
+    """Set the count of steps done, which stands last in dpc_controller."""
+    place = program.described.controller_bytes - ctypes.sizeof(ctypes.c_long)
+    ctypes.c_long.from_address(program.controller_address + place).value = tick
+
+
+def test_the_folder_holds_all_that_a_target_needs_and_says_what_it_takes(exported: Exported) -> None:
+    folder, source = exported
+    assert {file.name for file in folder.iterdir()} >= {
+        "dpc_controller.h", "dpc_controller.c", "dpc_tables.c", "dpc_tables.h", "main_replay.c", "Makefile",
+        "CMakeLists.txt", "README.md", "readings.csv",
+    }  # fmt: skip
+    assert not any(re.search(r"@[A-Z_]+@", text) for text in source.files.values())
+    page = (folder / "README.md").read_text()
+    assert len(page.splitlines()) < 80
+    assert all(f"`{name}" in page for name in ("dpc_init", "dpc_step", "dpc_status", "dpc_queued", "dpc_reference"))
+    figures, width = source.figures, 4 if precision(exported) == "float" else 8
+    # Feedforward, gains and the reference's state: thirteen numbers a tick.
+    assert figures.tables_per_second == pytest.approx(13 * width * 1000, rel=0.01)
+    assert figures.code is None or figures.code < 64 * 1024
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_compilers_find_nothing_to_warn_of(exported: Exported, compiler: str) -> None:
+    for source in (*SOURCES, "main_replay.c"):
+        # Doubles where floats were meant would cost a small target dear.
+        more = ["-Wdouble-promotion"] if source in SOURCES else []
+        done = ran(needed(compiler), *WARNINGS, *more, "-fsyntax-only", source, folder=exported[0])
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_nothing_is_allocated_and_no_other_name_is_taken(exported: Exported) -> None:
+    folder, source = exported
+    # What is relocated when it is loaded would look like a variable.
+    options = ["-O0", "-fno-pic", "-fno-pie", "-c"]
+    made = compiled("gcc", *options, folder=folder, out="controller.o", sources=SOURCES[:1])
+    symbols = [line.split()[-2:] for line in ran(needed("nm"), made, folder=folder).stdout.splitlines()]
+    assert {name for kind, name in symbols if kind == "T"} == {
+        "dpc_init", "dpc_step", "dpc_sent", "dpc_status", "dpc_queued", "dpc_reference", "dpc_describe"
+    }  # fmt: skip
+    assert not [name for kind, name in symbols if kind in "BbDdCG"], "a variable outlives a call"
+    asked = {name for kind, name in symbols if kind == "U"} - {"memcpy", "memmove", "memset"}
+    functions = {name.removesuffix("f") for name in asked if not name.startswith(("dpc_", "_"))}
+    assert functions <= {"sin", "cos", "sqrt", "atan2", "fabs"}
+    if precision(exported) == "float":
+        assert not re.search(r"\b(sin|cos|sqrt|atan2)\(", source.files["dpc_controller.c"])
+
+
+def test_a_replayed_run_gets_the_loops_commands(exported: Exported) -> None:
+    folder = exported[0]
+    program = compiled("gcc", "-O1", folder=folder, out="replay", sources=[*SOURCES, "main_replay.c"])
+    done = ran(program, "readings.csv", folder=folder)
+    assert done.returncode == 0, done.stderr
+    assert f"{SAME[precision(exported)]:g} allowed" in done.stderr
+    rows = np.genfromtxt(done.stdout.splitlines(), delimiter=",", skip_header=1)
+    given = readings(exported)
+    assert len(rows) == len(given) > 3000
+    assert np.abs(rows[:, 2] - given[:, -1]).max() <= SAME[precision(exported)]
+    assert not rows[:, 3:].any()
+    # The same readings as numbers of this machine, which know no text.
+    binary = np.insert(given, 3, 0.0, axis=1)
+    binary.astype("<f8").tofile(folder / "readings.bin")
+    assert ran(program, "readings.bin", folder=folder).stdout == done.stdout
+    # A wrong command is found, and a file of another layout refused.
+    text = (folder / "readings.csv").read_text().splitlines()
+    (folder / "wrong.csv").write_text("\n".join([*text[:50], text[50].rsplit(",", 1)[0] + ",1", *text[51:60]]))
+    assert ran(program, "wrong.csv", folder=folder).returncode == 1
+    (folder / "other.csv").write_text("time,angle\n0,1\n")
+    other = ran(program, "other.csv", folder=folder)
+    assert other.returncode == 2
+    assert "measured.arm_1" in other.stderr
+
+
+def test_every_number_of_the_report_is_the_loops(plan: Plan, exported: Exported) -> None:
+    both, rows = SideBySide(plan, library(exported[0])), readings(exported)[:300, :3]
+    loose = precision(exported) == "float"
+    for k, positions in enumerate(rows):
+        present = None
+        if 100 <= k < 120:
+            # What is not measured may be anything.
+            present, positions = np.array([True, False, k % 2 == 0]), np.array([positions[0], np.nan, positions[2]])
+        own, other = both(positions, present=present)
+        for name in own:
+            assert other[name] == pytest.approx(own[name], rel=1e-2 if loose else 1e-6, abs=2e-2 if loose else 1e-8), (
+                k, name
+            )  # fmt: skip
+    assert both.c.status == RUNNING
+
+
+@pytest.mark.parametrize("sensor", [1, 2, 3])
+def test_a_stuck_sensor_brakes_the_cart_at_the_same_tick(plan: Plan, exported: Exported, sensor: int) -> None:
+    both, rows = SideBySide(plan, library(exported[0])), readings(exported)[:, :3].copy()
+    joints = np.diff(np.insert(rows[:, :2], 0, 0.0, axis=1), axis=1)
+    (rows if sensor == 3 else joints)[900:, sensor - 1] = (rows if sensor == 3 else joints)[900, sensor - 1]
+    rows[:, :2] = np.cumsum(joints, axis=1)
+    outcomes = []
+    for positions in rows[:1400]:
+        own, other = both(positions)
+        outcomes.append((own["outcome"][0], other["outcome"][0], other["sensor"][0]))
+    decided = [(own, other, which) for own, other, which in outcomes if own or other]
+    assert decided == [(Outcome.STUCK, Outcome.STUCK, sensor)]
+
+
+@pytest.mark.parametrize(
+    ("trouble", "outcome"),
+    [("switch", Outcome.SWITCH), ("silence", Outcome.SILENT), ("far", Outcome.CART), ("nan", Outcome.ESTIMATE_LOST)],
+)
+def test_what_the_supervisor_decides_brings_the_cart_to_rest(
+    plan: Plan, exported: Exported, trouble: str, outcome: Outcome
+) -> None:
+    both, rows = SideBySide(plan, library(exported[0]), told=False), readings(exported)[:, :3].copy()
+    told = []
+    for k, positions in enumerate(rows[:1000]):
+        on, present = k >= 300, None
+        if on and trouble == "silence":
+            present = np.zeros(3, dtype=bool)
+        if on and trouble == "far":
+            positions = np.add(positions, [0, 0, 0.6])
+        if on and trouble == "nan":
+            positions = positions * np.nan
+        own, other = both(positions, present=present, switch=int(on and trouble == "switch"))
+        if other["outcome"][0] >= Outcome.ESTIMATE_LOST:
+            assert other["outcome"][0] == own["outcome"][0] == outcome
+            assert both.c.status == BRAKING
+        told.append(other)
+        if other["done"][0]:
+            break
+    assert both.c.status == AT_REST
+    stopped = next(k for k, report in enumerate(told) if report["stop"][0])
+    most = plan.reference.limits.acceleration
+    assert all(abs(report["command"][0]) <= most for report in told)
+    # Once the cart stands nothing more is commanded.
+    still = round(SETTLING * 1000) - 1
+    assert all(report["command"][0] == 0.0 for report in told[-still:])
+    assert stopped < len(told) - still
+
+
+def test_after_the_last_tick_the_last_row_goes_on_holding(plan: Plan, double: Exported) -> None:
+    both = SideBySide(plan, library(double[0]), told=False)
+    rows = loop_controller(plan.reference, plan.itinerary.model.arms, plan.itinerary.loop).schedule(1).rows
+    # Its clock is set to just before the end: what comes is decided by the rows alone.
+    set_clock(both.c, both.count - 3)
+    told, states = [], []
+    for _ in range(8):
+        told.append(both(both.references[0][[0, 1, 4]])[1]["feedforward"][0])
+        states.append(both.c.status)
+    assert told == [*rows[-3:, 0], *[rows[-1, 0]] * 5]
+    assert states == [RUNNING] * 2 + [FINISHED] * 6
+
+
+def test_the_header_gives_the_first_commands_and_the_reference(plan: Plan, double: Exported) -> None:
+    both = SideBySide(plan, library(double[0]))
+    c = ctypes.CDLL(str(library(double[0])))
+    c.dpc_queued.restype = ctypes.c_double
+    c.dpc_queued.argtypes = [ctypes.c_long]
+    assert [c.dpc_queued(k) for k in (-1, 0, 1)] == [0.0, both.own.queued[0, 0], 0.0]
+    state = (ctypes.c_double * 6)()
+    for tick, row in ((-5, 0), (0, 0), (1234, 1234), (10**9, -1)):
+        c.dpc_reference(ctypes.c_long(tick), state)
+        assert np.array_equal(np.array(state), both.references[row])
+
+
+def test_the_library_takes_the_ticks_place_in_a_run(plan: Plan, exported: Exported, tmp_path: Path) -> None:
+    made = library(exported[0])
+    log = tmp_path / "run.mcap"
+    ended = dpcontrol("run", "outer-turn", "--seed", "1", "--controller-library", made, "--out", log, "--json")
+    own = run_plan(replace(plan, itinerary=load_itinerary("outer-turn").with_run(RunOptions(), seed=1))).score()
+    assert ended.code == 0, ended.message
+    shown = ended.document
+    assert (shown["completed"], shown["symbols_completed"]) == (True, own.symbols_completed)
+    # Rounding turns into other counts of the encoders, and these into some per cent of the error.
+    assert shown["rms_tracking_error"] == pytest.approx(own.rms_tracking_error, rel=0.2)
+    again = dpcontrol("run", "--from", log, "--out", tmp_path / "again.mcap")
+    assert again.code == 2
+    assert "a controller's library did its ticks" in again.message
+    # Another run is not taken for this one.
+    assert dpcontrol("run", "outer-turn", "--seed", "1", "--out", log).code == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--rate", "500"], "rate"),
+        (["--delay", "2"], "delay"),
+        (["--controller", "feedforward"], "law"),
+        (["--travel", "0.3"], "limits"),
+        (["--counts", "5000"], "settings of estimator"),
+        (["--hold", "nearest"], "hold"),
+        (["--rate-noise", "0.1"], "measured rates"),
+        (["--controller", "ogy"], "clock of its own"),
+        (["--estimator", "ukf"], "ukf"),
+    ],
+)
+def test_a_library_of_other_settings_is_refused(
+    double: Exported, tmp_path: Path, options: list[str], said: str
+) -> None:
+    log = tmp_path / "run.mcap"
+    ended = dpcontrol("run", "outer-turn", *options, "--controller-library", library(double[0]), "--out", log)
+    assert ended.code == 2
+    assert said in ended.message
+    assert len(ended.stderr.splitlines()) == 1
+    assert not log.exists()
+
+
+def test_a_library_for_another_bench_runs_with_any_mismatch_and_seed(double: Exported, plan: Plan) -> None:
+    scene = load_itinerary("outer-turn").with_run(RunOptions(mismatch=0.05, lag=0.002, zero_error=0.02), seed=7)
+    assert run_plan(replace(plan, itinerary=scene), library=library(double[0])).converged
+
+
+def test_what_is_no_library_is_refused(tmp_path: Path, double: Exported) -> None:
+    log, text = tmp_path / "run.mcap", tmp_path / "text.so"
+    text.write_text("no library")
+    (tmp_path / "other.c").write_text("int nothing(void) { return 0; }\n")
+    done = ran(needed("gcc"), "-shared", "-fPIC", "-o", "other.so", "other.c", folder=tmp_path)
+    assert done.returncode == 0
+    for made, said in (
+        (text, "is no library of `dpcontrol export`"), (tmp_path / "other.so", "dpc_describe"),
+        (tmp_path / "missing.so", "there is no library"), (double[0], "directory"),
+    ):  # fmt: skip
+        ended = dpcontrol("run", "outer-turn", "--controller-library", made, "--out", log)
+        assert ended.code == 2, made
+        assert said in ended.stderr
+        assert not log.exists()
+
+
+@pytest.mark.parametrize(
+    ("itinerary", "options", "said"),
+    [
+        ("keep-down-up", [], 'kind = "ogy"'),
+        ("linger", [], 'keep = "ogy"'),
+        ("outer-turn", ["--hold", "nearest"], 'hold = "nearest"'),
+        ("outer-turn", ["--estimator", "ukf"], 'kind = "ukf"'),
+        ("outer-turn", ["--estimator", "ekf-filterpy"], 'kind = "ekf-filterpy"'),
+        ("outer-turn", ["--delay", "9"], "8 ahead"),
+        ("outer-turn", ["--rate", "20000"], "rate"),
+        ("outer-turn", ["--rate", "0"], "rate"),
+        ("no-such-itinerary", [], "no-such-itinerary"),
+    ],
+)
+def test_what_cannot_leave_is_refused_and_nothing_written(
+    itinerary: str, options: list[str], said: str, tmp_path: Path
+) -> None:
+    ended = dpcontrol("export", itinerary, *options, "--out", tmp_path / "new" / "controller")
+    assert ended.code == 2
+    assert said in ended.message
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_reference_followed_by_phase_cannot_leave(tmp_path: Path) -> None:
+    text = Path("itineraries/outer-turn.toml").read_text() if Path("itineraries").is_dir() else ""
+    scene = tmp_path / "phase.toml"
+    scene.write_text(re.sub(r'kind = "tvlqr"[^\n]*', 'kind = "tvlqr"\nschedule = "phase"', text, count=1))
+    ended = dpcontrol("export", scene, "--out", tmp_path / "controller")
+    assert ended.code == 2
+    assert 'schedule = "phase"' in ended.message
+    assert not (tmp_path / "controller").exists()
+
+
+def test_a_folder_that_holds_something_else_is_kept(tmp_path: Path) -> None:
+    folder, files = tmp_path / "controller", {"a.c": "int a;\n", "b.c": "int b;\n"}
+    write_folder(folder, files)
+    before = (folder / "a.c").stat().st_mtime_ns
+    (folder / "main.c").write_text("int main(void) { return 0; }\n")
+    # The same again changes nothing, and needs no leave.
+    write_folder(folder, files)
+    assert (folder / "a.c").stat().st_mtime_ns == before
+    with pytest.raises(InputError, match="--force"):
+        write_folder(folder, {**files, "b.c": "int c;\n"})
+    assert (folder / "b.c").read_text() == "int b;\n"
+    write_folder(folder, {**files, "b.c": "int c;\n"}, force=True)
+    assert {file.name: file.read_text() for file in folder.iterdir()} == {
+        "a.c": "int a;\n", "b.c": "int c;\n", "main.c": "int main(void) { return 0; }\n"
+    }  # fmt: skip
+    with pytest.raises(InputError, match="it is a file"):
+        write_folder(folder / "a.c", files)
+    assert [file.name for file in tmp_path.iterdir()] == ["controller"]
+
+
+def test_a_folder_that_cannot_be_written_whole_is_not_begun(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="cannot write"):
+        write_folder(tmp_path / "new", {"a.c": "int a;\n", "no/such/folder.c": ""})
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_title_of_any_signs_stays_within_its_comment(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(export, "_measured", lambda files: (None, None))
+    hostile = 'ends */ here, /* opens, "quotes" \\ ??/ @TICK@ é\n# and a new line \\'
+    named = replace(plan, itinerary=replace(plan.itinerary, title=hostile, name='a"b\\n??/*'))
+    export_plan(named, tmp_path / "controller")
+    for source in (*SOURCES, "main_replay.c"):
+        done = ran(needed("gcc"), *WARNINGS, "-fsyntax-only", source, folder=tmp_path / "controller")
+        assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_columns_that_never_change_stand_in_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(export, "_measured", lambda files: (None, None))
+    ended = dpcontrol("export", "hold-up-up", "--float", "--out", tmp_path / "hold", "--json")
+    assert ended.code == 0, ended.message
+    # An equilibrium and its gain: a row of the reference, whatever it is held for.
+    assert ended.document["tables"] <= 7 * 4
+    assert ended.document["precision"] == "single"
+    assert ended.document["stack"] is None
