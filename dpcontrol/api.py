@@ -32,6 +32,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from dpcontrol.bifurcations.bifurcations import BifurcationSearch
+    from dpcontrol.control.export import ControllerSource
     from dpcontrol.foundation.cache import CacheContents
     from dpcontrol.identification.identify import Identification
     from dpcontrol.orbits.lyapunov import LyapunovOrbit
@@ -326,6 +327,38 @@ def run(
         scene = planned.itinerary.with_run(_options(options, mismatch), seed=seed)
         out = None if log is None else Path(log)
         return run_plan(replace(planned, itinerary=scene), out, force=force, progress=part_of(report, 0.5, 1.0))
+
+
+def export(
+    planned: "Plan | str",
+    folder: Place | None = None,
+    *,
+    single: bool = False,
+    options: RunOptions | None = None,
+    force: bool = False,
+    yes: bool = False,
+    progress: Reporting = None,
+) -> "ControllerSource":
+    """Return the controller of a plan, or of an itinerary by name, as C99, and write it to `folder` if one is given.
+
+    single: in single precision; options: settings of the run that take the place of the scene's. force: replace files
+    of the same names in a folder that is there. yes: however long its plan takes.
+
+    >>> sorted(dp.export("outer-turn", single=True).files)[:2]
+    ['CMakeLists.txt', 'Makefile']
+
+    Raises:
+        InputError: the law or the estimator cannot leave as C, or the folder holds something else.
+        GoalMissed: there is no reference to follow, or no controller can be made for it.
+    """
+    from dpcontrol.scenes.run import check_exportable, export_plan
+
+    with _reporting(progress, "export") as report:
+        planned = plan(planned, yes=yes, progress=part_of(report, 0.0, 0.5)) if isinstance(planned, str) else planned
+        scene = planned.itinerary.with_run(_options(options, None))
+        check_exportable(scene)
+        out, rest = None if folder is None else Path(folder), part_of(report, 0.5, 1.0)
+        return export_plan(replace(planned, itinerary=scene), out, single=single, force=force, progress=rest)
 
 
 def campaign(

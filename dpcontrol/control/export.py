@@ -69,6 +69,9 @@ class ControllerSource:
     identity: str
     figures: Figures
 
+    def __repr__(self) -> str:
+        return f"<controller in C: {len(self.files)} files, {self.figures.operations:,} operations a tick>"
+
 
 LEAVING = 'use "tvlqr" by time, "adaptive", "feedforward" or "lqr"'
 """What to do about a law that cannot be exported."""

@@ -365,9 +365,14 @@ def check_exportable(itinerary: Itinerary) -> None:
 
 
 def export_plan(
-    plan: Plan, out: Path, *, single: bool = False, force: bool = False, progress: Progress = no_progress
+    plan: Plan,
+    out: Path | None = None,
+    *,
+    single: bool = False,
+    force: bool = False,
+    progress: Progress = no_progress,
 ) -> ControllerSource:
-    """Write the controller of a planned itinerary as C to the folder `out`, whole or not at all.
+    """Return the controller of a planned itinerary as C, and write it to a folder if one is given, whole or not at all.
 
     single: in single precision. force: replace what is in the folder under the same names.
 
@@ -394,7 +399,8 @@ def export_plan(
         ticker.program, controller, schedule, itinerary=itinerary.name, title=itinerary.title, single=single,
         readings=f"{','.join([*names, 'control.command'])}\n{readings}",
     )  # fmt: skip
-    write_folder(out, source.files, force=force)
+    if out is not None:
+        write_folder(out, source.files, force=force)
     return source
 
 
