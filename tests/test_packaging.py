@@ -61,7 +61,8 @@ def test_the_wheel_carries_every_model_and_itinerary_as_it_is_in_the_checkout(wh
 def test_the_wheel_carries_every_module_its_tables_and_pages_and_nothing_of_the_tests(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         names = {n for n in archive.namelist() if not n.startswith("dpcontrol/data/") and ".dist-info/" not in n}
-    package = {file for end in ("*.py", "*.toml", "*.json", "*.md", "*.[ch]") for file in (ROOT / "dpcontrol").rglob(end)}
+    ends = ("*.py", "*.toml", "*.json", "*.md", "*.[ch]")
+    package = {file for end in ends for file in (ROOT / "dpcontrol").rglob(end)}
     package |= {ROOT / "dpcontrol/control/target" / name for name in ("Makefile", "CMakeLists.txt")}
     assert names == {str(file.relative_to(ROOT)) for file in package}
     assert {"dpcontrol/recordings/mappings/multi-arm.toml", "dpcontrol/guide/rig.md"} <= names
