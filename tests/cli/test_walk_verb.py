@@ -40,10 +40,10 @@ def graphs() -> dict[Any, Any]:
 def each_graph_once(graphs: dict[Any, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     """Let all calls share the search of each graph: most are about what comes after it."""
 
-    def found(system: System, energy: float, *, hits: Any, symbols: Any, progress: Progress) -> edges.Edges:
+    def found(system: System, energy: float, *, hits: Any, symbols: Any, yes: bool, progress: Progress) -> edges.Edges:
         key = (system.name, energy, *sorted(hits), *symbols)
         if key not in graphs:
-            graphs[key] = search(system, energy, hits=hits, symbols=symbols, progress=progress)
+            graphs[key] = search(system, energy, hits=hits, symbols=symbols, yes=yes, progress=progress)
         return graphs[key]
 
     search = edges.find_edges
