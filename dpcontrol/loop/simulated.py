@@ -117,7 +117,7 @@ class SimulatedPlant:
         self._inputs[step.slices["parameters"]] = np.array([p.numbers() for p in plants]).T
         self._input, self._duration = step.slices["inputs"].start, step.slices["duration"].start
         self._cart, self._lag = 2 * first.arms.count, first.lag
-        self._longest = min(longest_step(p) for p in plants)
+        self._longest, self._lasts = min(longest_step(p) for p in plants), 0.0
         self._states: Array = self._inputs[step.slices["state"]]
         self.state: Array = self._states if many else self._states[:, 0]
         """The state now; overwritten as the plant moves."""
@@ -142,8 +142,10 @@ class SimulatedPlant:
         inputs, following, track, cart = self._inputs, self._following, self.track, self._cart
         step, many = self._machine, self._many
         duration /= splits
+        if duration != self._lasts:
+            inputs[self._duration] = self._lasts = duration
         for k in range(splits):
-            inputs[self._input], inputs[self._duration] = acceleration, duration
+            inputs[self._input] = acceleration
             step(inputs, self._flown)
             if many:
                 beyond = np.abs(following[cart]) > track
@@ -174,6 +176,7 @@ class SimulatedPlant:
 
     def _flow(self, acceleration: float, duration: float) -> Array:
         self._inputs[self._input], self._inputs[self._duration] = acceleration, duration
+        self._lasts = duration
         self._step(self._inputs, self._flown)
         return self._following
 
