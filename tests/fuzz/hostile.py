@@ -98,6 +98,7 @@ BASES: dict[str, tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]] = {
     "campaign": ((("rest.toml",), ("--runs=2", "--workers=1")),),
     "commission": ((("rest.toml",), ("--seed=1",)),),
     "rig": ((("rest.toml",), ("--runs=1",)),),
+    "export": ((("rest.toml",), ("--out=exported",)), (("rest.toml",), ("--rate=100", "--out=exported"))),
     "score": ((("run.mcap",), ()), (("run.mcap", "swings.mcap"), ())),
     "review": (
         (("run.mcap",), ("--save=out.rrd",)),
