@@ -1,5 +1,6 @@
 """The verbs that run the loop, and the options that override a scene's run settings: run, rig, commission, campaign."""
 
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, fields, replace
@@ -72,6 +73,12 @@ def run_command(
         help="Run in real time on the bench at udp://HOST:PORT (see `dpcontrol rig`), or, with udp alone, on one "
         "started for the run.",
     ),
+    program: Path | None = option(
+        "--controller-program",
+        type=FILE,
+        group=BENCH,
+        help="With --rig udp: the program that controls the run, such as main_udp of `dpcontrol export`.",
+    ),
     real_time: bool = option(group=BENCH, help="With --rig: ask for priority over all ordinary work."),
     key_file: Path | None = option(type=FILE, group=BENCH, help=KEY_HELP),
     insecure: bool = option(group=BENCH, help="With --rig: take a bench on another computer without a key."),
@@ -101,6 +108,10 @@ def run_command(
         raise click.UsageError("--key-file and --insecure are for runs on a rig: give --rig as well")
     if address is not None and library is not None:
         raise click.UsageError("--controller-library is for runs on the simulated bench; on a rig run main_udp.c")
+    if program is not None and address != "udp":
+        raise click.UsageError("--controller-program controls the example bench of a run: give --rig udp as well")
+    if program is not None and not os.access(program, os.X_OK):
+        raise InputError(f"--controller-program {program}: there is no such program that may be run; compile it first")
     key = b""
     if address is not None:
         from dpcontrol.rig.access import shared_key
@@ -128,14 +139,24 @@ def run_command(
             say(line)
         return Answer(verdict.document(), score_text(verdict), shortfall(verdict))
     # Without a progress bar, whose own thread would take time from the loop's.
-    from dpcontrol.scenes.run import run_on_rig
+    from dpcontrol.scenes.run import run_on_rig, run_with_program
 
-    run = run_on_rig(plan, out, address or "", key=key, insecure=insecure, real_time=real_time, force=force)
+    if program is not None:
+        run = run_with_program(plan, out, program, real_time=real_time, force=force)
+    else:
+        run = run_on_rig(plan, out, address or "", key=key, insecure=insecure, real_time=real_time, force=force)
     verdict, result = run.score, run.result
-    document = {**verdict.document(), "ending": result.ending.value, "deadlines": asdict(run.deadlines)}
-    done = verdict.symbols_completed == verdict.symbols_total
+    kept = None if run.deadlines is None else asdict(run.deadlines)
+    document = {**verdict.document(), "ending": result.ending.value, "deadlines": kept}
+    # Where the true state is not known the estimate decides.
+    done = verdict.symbols_completed == verdict.symbols_total if verdict.completed is None else verdict.completed
     reason = "" if result.finished and done else verdict.reason if result.finished else result.reason
-    lines = [*score_text(verdict), f"  {run.deadlines.sentence}"]
+    lines = [*score_text(verdict)]
+    if run.deadlines is not None:
+        lines.append(f"  {run.deadlines.sentence}")
+    if run.difference is not None:
+        document["command_difference"] = run.difference
+        lines.append(f"  the program's commands differ from the loop's own by {run.difference:.2g} m/s² at most")
     return Answer(document, lines, reason and f"not completed: {reason}")
 
 

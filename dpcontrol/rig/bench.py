@@ -9,20 +9,26 @@ One run at a time, which begins at START: HELLO is answered, and binds the bench
 `dpcontrol.rig.packets`. A run hears its own loop only, by a socket that the system lets nobody else's packets into, so
 that a flood of them neither delays a tick nor drives out a command; they are counted in the time that is left.
 The example bench of a run lives in a process of its own, so that the loop and it share neither interpreter nor core.
+Where the loop is another program, the bench's own record of the run is what its log is made of: `RecordedRig` shows the
+loop's ticks what that program saw, and compares what both command.
 """
 
 import hmac
+import json
 import math
 import multiprocessing
+import os
 import secrets
 import select
 import signal
 import socket
+import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, nullcontext, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
+from pathlib import Path
 from types import TracebackType
 from typing import Any
 
@@ -39,7 +45,7 @@ from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.problem import Limits
 from dpcontrol.rig import packets as packets
 from dpcontrol.rig.access import KEY_VARIABLE, checked_host
-from dpcontrol.rig.client import real_time_priority, without_collecting
+from dpcontrol.rig.client import Deadlines, real_time_priority, without_collecting
 from dpcontrol.rig.packets import (
     LARGEST,
     CommandPacket,
@@ -56,8 +62,11 @@ from dpcontrol.rig.packets import (
     Welcome,
 )
 
+Array = NDArray[np.float64]
 Say = Callable[[str], None]
 
+_STANDING = 1e-9
+"""m/s: slower than any cart."""
 _LEAVING = 2.0
 """Seconds of silence after which a loop counts as gone, and the next may come."""
 _REFUSE_EVERY = 0.05
@@ -77,6 +86,93 @@ class BenchServerSettings(Settings, table="bench"):
     watchdog: float = setting(0.1, least=0.001, most=60, unit="s")
     spin: float = setting(0.0001, least=0, most=1, unit="s")
     real_time: bool = False
+
+
+class BenchRecord:
+    """What happened on a bench in a run of K ticks, n arms; a loop is silent, or stops the cart, from some tick on.
+
+    positions (K, n+1) rad and m; sent (K,): whether the reading went out; switch (K,); truth (K, 2n+2), not-a-number where
+    it is not known; commands (K,) m/s²: the one in answer to each tick's reading, not-a-number where none came in time.
+    last: the newest tick that was answered; fault: the bench's own, from tick `fault_at` on; ended: why the run did.
+    """
+
+    def __init__(self, ticks: int, arms: int, period: float) -> None:
+        self.period, self.ticks, self.last = period, 0, -1
+        self.positions, self.truth = np.full((ticks, arms + 1), np.nan), np.full((ticks, 2 * arms + 2), np.nan)
+        self.sent, self.switch = np.zeros(ticks, dtype=bool), np.zeros(ticks, dtype=np.int8)
+        self.commands = np.full(ticks, np.nan)
+        self.fault, self.fault_at, self.ended = "", ticks, ""
+
+    def read(self, k: int, reading: Reading, truth: Array | None, *, sent: bool) -> None:
+        """Keep the reading of tick k."""
+        self.ticks, self.sent[k], self.switch[k] = k + 1, sent, reading.switch
+        self.positions[k] = reading.positions
+        if truth is not None:
+            self.truth[k] = truth
+
+    def answered(self, k: int, command: float | None) -> None:
+        """Keep the command in answer to the reading of tick k; None: the cart was to be stopped."""
+        self.last = max(self.last, k)
+        if command is not None:
+            self.commands[k] = command
+
+    @property
+    def stood_at(self) -> float:
+        """Time from which the cart stood to the end of the record, s; not-a-number where it did not."""
+        moving = np.flatnonzero(~(np.abs(self.truth[: self.ticks, -1]) <= _STANDING))
+        first = int(moving[-1]) + 1 if len(moving) else 0
+        return first * self.period if first < self.ticks else math.nan
+
+
+class RecordedRig:
+    """A record behind the `Rig` protocol, up to where its loop stopped the cart or was heard last.
+
+    difference m/s²: the largest between a command that was sent then and what is commanded now.
+    """
+
+    acted: None = None
+
+    def __init__(self, record: BenchRecord) -> None:
+        self._record, self.period = record, record.period
+        self._tick, self._stopped = -1, False
+        self._nothing = np.zeros(record.positions.shape[1], dtype=bool)
+        self.difference = 0.0
+
+    @property
+    def truth(self) -> Array:
+        """The true state (2n+2,) at the last reading's tick."""
+        return self._record.truth[max(self._tick, 0)]
+
+    @property
+    def fault(self) -> str:
+        """Why the bench had failed by then, or ""."""
+        return self._record.fault if self._tick >= self._record.fault_at else ""
+
+    def read(self) -> Reading:
+        """Return the next tick's reading.
+
+        Raises:
+            ArithmeticError: the loop answered no more then.
+        """
+        record = self._record
+        k = self._tick + 1
+        if k >= record.ticks or (k > record.last and not self._stopped):
+            stood = f"; the cart stood from t = {record.stood_at:.3f} s on" if record.stood_at > 0 else ""
+            last = f"the controller's last command came at t = {record.last * self.period:.3f} s"
+            raise ArithmeticError(f"{last}: {record.ended}{stood}")
+        self._tick = k
+        present = None if record.sent[k] else self._nothing
+        return Reading(k * self.period, record.positions[k], present, int(record.switch[k]))
+
+    def command(self, acceleration: float) -> None:
+        """Compare a command, m/s², with the one that was sent then."""
+        difference = abs(acceleration - self._record.commands[self._tick])
+        if difference > self.difference:
+            self.difference = float(difference)
+
+    def stop(self) -> None:
+        """Note that the cart is brought to rest, as the record shows."""
+        self._stopped = True
 
 
 class UdpBench:
@@ -117,6 +213,8 @@ class UdpBench:
         self._socket.setblocking(False)
         self.address: tuple[str, int] = self._socket.getsockname()
         """Where the bench can be spoken to."""
+        self.record: BenchRecord | None = None
+        """Of the last run."""
 
     def __enter__(self) -> "UdpBench":
         return self
@@ -162,6 +260,7 @@ class UdpBench:
         # So that nothing of this run can begin another.
         self._secret = secrets.token_bytes(16)
         rig = self._make(heard.content.queued)
+        self.record = BenchRecord(self._ticks, self._arms, self._period)
         with without_collecting(), real_time_priority() if self._settings.real_time else nullcontext():
             talk = Talk(Role.BENCH, session, key=self._key)
             talk.hear(data)
@@ -170,9 +269,11 @@ class UdpBench:
                 if own := _own_socket(self._socket, sender):
                     sockets = [(stack.enter_context(own), _AT_ONCE), (self._socket, _STRANGERS_AT_ONCE)]
                 run = _BenchRun(
-                    sockets, sender, rig, talk, ticks=self._ticks, settings=self._settings, busy=self._busy
+                    sockets, sender, rig, talk, ticks=self._ticks, settings=self._settings, busy=self._busy,
+                    record=self.record,
                 )  # fmt: skip
                 ended = run.go()
+        self.record.ended = run.silence or ended
         self._say(f"run ended: {ended}; {run.sentence}")
         return True
 
@@ -237,21 +338,23 @@ class _BenchRun:
     """One run of the bench for one loop.
 
     sockets: where packets come in, the first also where they go out, with how many to take before a look at the clock.
-    busy: called with what others sent, and from where, once a tick at most.
+    busy: called with what others sent, and from where, once a tick at most. record: to be filled.
     """
 
     def __init__(
         self, sockets: list[tuple[socket.socket, int]], client: Any, rig: Rig, talk: Talk, *, ticks: int,
-        settings: BenchServerSettings, busy: Callable[[bytes, Any], None],
+        settings: BenchServerSettings, busy: Callable[[bytes, Any], None], record: BenchRecord,
     ) -> None:  # fmt: skip
         self._sockets, self._client, self._rig, self._talk, self._settings = sockets, client, rig, talk, settings
-        self._busy, self._busy_at = busy, -1
+        self._busy, self._busy_at, self._record = busy, -1, record
         self._ticks, self._tick = ticks, -1
         self._sent_at = [0.0] * _REMEMBERED
         self._heard, self._held, self._trip, self._fresh = -1, 0, 0.0, True
         self._silent, self._stopped, self._over, self._ignored = 0, False, "", 0
         self._condition, self._text = Condition.WELL, ""
         self._worst, self._behind = 0.0, 0
+        self.silence = ""
+        """A sentence, where the cart was stopped because the loop was not heard."""
 
     @property
     def sentence(self) -> str:
@@ -283,10 +386,9 @@ class _BenchRun:
             if self._silent > leaving:
                 return "the loop is gone"
             if self._silent > watchdog and not self._stopped:
-                self._stop(
-                    Condition.SILENCE, f"it heard nothing from the loop for {self._settings.watchdog:g} s "
-                    f"until t = {k * period:.3f} s",
-                )  # fmt: skip
+                silent = f"heard nothing from the loop for {self._settings.watchdog:g} s until t = {k * period:.3f} s"
+                self.silence = f"the bench {silent}"
+                self._stop(Condition.SILENCE, f"it {silent}")
             try:
                 reading = self._rig.read()
             except ArithmeticError as failure:
@@ -294,10 +396,13 @@ class _BenchRun:
                 return str(failure)
             if self._rig.fault and self._condition is Condition.WELL:
                 self._condition, self._text = Condition.FAULT, self._rig.fault
+                self._record.fault, self._record.fault_at = self._text, k
             self._tick = k
             self._sent_at[k % _REMEMBERED] = clock()
             # A tick without any reading sends none: the loop finds it lost.
-            if reading.present is None or reading.present.any():
+            sends = reading.present is None or bool(reading.present.any())
+            self._record.read(k, reading, self._rig.truth, sent=sends)
+            if sends:
                 content = ReadingPacket(
                     k, tuple(reading.positions.tolist()), self._heard, self._held, self._trip, reading.switch,
                     self._condition, self._text, self._ignored,
@@ -347,6 +452,8 @@ class _BenchRun:
         if isinstance(heard.content, CommandPacket):
             self._obey(heard.content)
         elif heard.kind is Kind.STOP:
+            if not self._stopped:
+                self._record.answered(max(self._tick, 0), None)
             self._stop(self._condition, self._text)
         elif heard.kind is Kind.BYE:
             self._over = str(heard.content)
@@ -357,6 +464,7 @@ class _BenchRun:
         if not self._heard < content.tick <= self._tick:
             return
         self._heard, self._fresh = content.tick, True
+        self._record.answered(content.tick, content.acceleration)
         if self._tick - content.tick < _REMEMBERED:
             self._trip = time.perf_counter() - self._sent_at[content.tick % _REMEMBERED]
         if not math.isfinite(content.acceleration):
@@ -462,7 +570,7 @@ class BenchRecipe:
     parameters: ArmChainParameters
     settings: LoopSettings
     limits: Limits
-    start: NDArray[np.float64]
+    start: Array
     ticks: int
     uncertainty: Uncertainty | None = None
     zeros: tuple[float, ...] = ()
@@ -498,6 +606,7 @@ def _serve(recipe: BenchRecipe, settings: BenchServerSettings, key: bytes, pipe:
     ) as bench:
         pipe.send(bench.address)
         bench.serve(runs=1)
+        pipe.send(bench.record)
 
 
 class BenchProcess:
@@ -512,7 +621,8 @@ class BenchProcess:
     def __init__(self, recipe: BenchRecipe, settings: BenchServerSettings | None = None) -> None:
         context = multiprocessing.get_context("spawn")
         self._pipe, theirs = context.Pipe(duplex=False)
-        self.key = secrets.token_bytes(32)
+        # In letters, so that an environment can carry it.
+        self.key = secrets.token_hex(32).encode()
         self._process = context.Process(
             target=_serve, args=(recipe, settings or BenchServerSettings(), self.key, theirs), daemon=True
         )
@@ -526,7 +636,8 @@ class BenchProcess:
             self._end()
             raise InputError("the example bench did not start; `dpcontrol rig` shows why")
         self.said: list[str] = []
-        """What the bench said of the run, once the block has been left."""
+        self.record: BenchRecord | None = None
+        """What the bench said of the run, and what happened in it, once the block has been left."""
 
     def __enter__(self) -> "BenchProcess":
         return self
@@ -534,11 +645,62 @@ class BenchProcess:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._process.join(_END)
-        with suppress(EOFError, OSError):
-            while self._pipe.poll():
-                self.said.append(self._pipe.recv())
+        if self.began:
+            self._take(_END)
         self._end()
+
+    @property
+    def began(self) -> bool:
+        """Whether a loop has begun its run."""
+        self._take(0.0)
+        return bool(self.said)
+
+    def _take(self, wait: float) -> None:
+        """Take what the bench says within so many seconds, or until it ends."""
+        until = time.perf_counter() + wait
+        with suppress(EOFError, OSError):
+            while self._pipe.poll(max(until - time.perf_counter(), 0.0)):
+                heard = self._pipe.recv()
+                if isinstance(heard, BenchRecord):
+                    self.record = heard
+                elif heard is not None:
+                    self.said.append(heard)
+
+    def controlled_by(self, program: Path, *arguments: str) -> Deadlines | None:
+        """Have a program control the run to its end, or stop it where interrupted; return what it says of deadlines.
+
+        It is called with the bench's address, then the arguments; the key is in its environment. On stdout it may print
+        its deadlines, a line of JSON.
+
+        Raises:
+            InputError: it cannot be started, or ended before the run began.
+        """
+        host, port = self.address
+        name, command = f"--controller-program {program}", [str(program.absolute()), f"udp://{host}:{port}", *arguments]
+        environment = {**os.environ, KEY_VARIABLE: self.key.decode()}
+        try:
+            process = subprocess.Popen(
+                command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                text=True, errors="replace",
+            )  # fmt: skip
+        except OSError as error:
+            raise InputError(f"{name}: {error.strerror or error}; give a program that can be run") from error
+        try:
+            figures, said = process.communicate()
+        finally:
+            if process.poll() is None:
+                # It stops the cart first.
+                process.send_signal(signal.SIGINT)
+                with suppress(subprocess.TimeoutExpired):
+                    process.communicate(timeout=_END)
+                process.kill()
+        if not self.began:
+            why = said.strip().splitlines()[-1:] or ["it said nothing"]
+            raise InputError(f"{name} ended with {process.returncode} before a run began: {why[0]}")
+        try:
+            return Deadlines(**json.loads(figures))
+        except (TypeError, ValueError):
+            return None
 
     def _end(self) -> None:
         if self._process.is_alive():

@@ -57,7 +57,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from pandas import DataFrame
 
-    from dpcontrol.rig.bench import BenchRecipe
+    from dpcontrol.rig.bench import BenchProcess, BenchRecipe
     from dpcontrol.rig.client import Deadlines, UdpRig
     from dpcontrol.rig.commissioning import Commissioning, CommissioningSettings
 
@@ -285,7 +285,7 @@ def _plan(log: RunLog, folder: Path) -> Plan:
     lacking += [key for key in ("itinerary", "model", "run_settings") if key not in log.metadata]
     if lacking:
         raise InputError(f"{log.path} cannot be repeated: it lacks {', '.join(lacking)}; give a log of `dpcontrol run`")
-    if log.truth is None:
+    if log.truth is None or "rig" in log.metadata:
         where = f"the rig at {log.metadata['rig']}" if "rig" in log.metadata else "a rig"
         raise InputError(
             f"{log.path} cannot be repeated: it was made on {where}, and only what is simulated does the same twice; "
@@ -420,13 +420,15 @@ _SPARE = 1.0
 class RigRun:
     """A run on a bench: score (completion is not known without the true state), the loop's result, deadlines.
 
-    bench: what the example bench said, if it was started for the run.
+    bench: what the example bench said, if it was started for the run. deadlines: None where another program controlled
+    it that says nothing of them. difference m/s²: the largest between such a program's commands and the loop's own.
     """
 
     score: Score
     result: LoopResult
-    deadlines: "Deadlines"
+    deadlines: "Deadlines | None"
     bench: tuple[str, ...]
+    difference: float | None = None
 
 
 def bench_recipe(plan: Plan, controller: Controller | None = None) -> "BenchRecipe":
@@ -602,6 +604,65 @@ def run_on_rig(
             writer.event(float(result.ticks.times[-1]), "warn", "rig", deadlines.strangers)
         writer.result(**_outcome(result), rig=rig.address, **deadlines.record())
     return RigRun(score(read_log(out)), result, deadlines, tuple(process.said if process else ()))
+
+
+PROGRAM_WATCHDOG = 0.03
+"""Seconds of silence after which the example bench stops the cart of a program, which does not stall as Python may."""
+
+
+def run_with_program(
+    plan: Plan, out: Path, program: Path, *, real_time: bool = False, force: bool = False
+) -> RigRun:
+    """Run a planned itinerary on an example bench with a program of its own as the controller, log and score the run.
+
+    The log is made once the run has ended: the loop is shown the readings that the bench recorded, and says what it
+    knew and wanted by them. It has the true states, and differs from a simulated run's in what real time did.
+    real_time: ask the system for priority, and the program to do so.
+
+    Raises:
+        InputError: the program cannot be run or does not fit the itinerary, or the log cannot be written.
+        GoalMissed: the plan did not converge, or no controller can be made for it.
+    """
+    from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
+
+    check_replaced(out, {**_metadata(plan.itinerary), "rig": OWN_BENCH}, force=force)
+    controller = loop_controller(plan.followed().reference, plan.itinerary.model.arms, plan.itinerary.loop)
+    settings = BenchServerSettings(real_time=real_time, watchdog=PROGRAM_WATCHDOG)
+    process, deadlines = BenchProcess(bench_recipe(plan, controller), settings), None
+    try:
+        with process:
+            deadlines = process.controlled_by(program, *(["--real-time"] if real_time else []))
+    except KeyboardInterrupt:
+        if process.record is not None:
+            _log_recorded(plan, out, controller, process, deadlines)
+        raise
+    return _log_recorded(plan, out, controller, process, deadlines)
+
+
+def _log_recorded(
+    plan: Plan, out: Path, controller: Controller, process: "BenchProcess", deadlines: "Deadlines | None"
+) -> RigRun:
+    from dpcontrol.rig.bench import RecordedRig
+
+    arms, settings, reference = plan.itinerary.model.arms, plan.itinerary.loop, plan.followed().reference
+    if process.record is None:
+        raise GoalMissed(f"the example bench did not end its run in order: {'; '.join(process.said)}")
+    rig = RecordedRig(process.record)
+    with log_writer(plan, out) as writer:
+        loop = control_loop(
+            arms, settings, controller, limits=settings.limits(reference), sink=LogSink(writer),
+            fallback=loop_fallback(reference, arms, settings),
+        )  # fmt: skip
+        result = loop.run(rig)
+        if not len(result.ticks.times):
+            raise GoalMissed(result.reason)
+        result = replace(result, elapsed=float(result.ticks.times[-1]) + rig.period)
+        kept = deadlines.record() if deadlines else {}
+        writer.result(
+            **_outcome(result), rig=f"udp://{process.address[0]}:{process.address[1]}",
+            command_difference=repr(rig.difference), **kept,
+        )  # fmt: skip
+    return RigRun(score(read_log(out)), result, deadlines, tuple(process.said), rig.difference)
 
 
 def _fits(

@@ -83,14 +83,15 @@ static void take_interrupt(int number) {
     interrupted = number;
 }
 
-/* Says why on stderr, and returns the exit code. */
+static char said[TEXT]; /* the last sentence that was said: at the end the bench is told it as well */
+
+/* Says a sentence on stderr, and returns the exit code. */
 static int complain(int code, const char *format, ...) {
     va_list rest;
     va_start(rest, format);
-    fputs("main_udp: ", stderr);
-    vfprintf(stderr, format, rest);
-    fputc('\n', stderr);
+    vsnprintf(said, sizeof said, format, rest);
     va_end(rest);
+    fprintf(stderr, "main_udp: %s\n", said);
     return code;
 }
 
@@ -254,8 +255,12 @@ static void say_start(void) {
     say(START, DPC_LEAD, body, (size_t)(to - body));
 }
 
-static void say_bye(const char *text) {
-    say(BYE, (int)strlen(text), (const unsigned char *)text, strlen(text));
+static void say_bye(void) {
+    size_t size = strlen(said);
+    /* Where it was cut, perhaps within a letter. */
+    while (size > TEXT - 5 && said[size - 1] & 0x80)
+        size--;
+    say(BYE, (int)size, (const unsigned char *)said, size);
 }
 
 /* Keeps a sentence of the bench, fit to be printed. */
@@ -563,8 +568,7 @@ static int run(void) {
     if (stopped_by)
         return complain(1, "the run was stopped at t = %.3f s: %s", (double)ended_at * DPC_PERIOD,
                         stopped_by <= DPC_SWITCH ? outcomes[stopped_by] : "the controller gave it up");
-    fprintf(stderr, "main_udp: came to the end of %s\n", DPC_ITINERARY);
-    return 0;
+    return complain(0, "the run is over: it came to the end of %s", DPC_ITINERARY);
 }
 
 static int is_blank(unsigned char c) {
@@ -666,7 +670,7 @@ int main(int count, char **arguments) {
     if ((code = introduce(address))) {
         /* A bench that has said welcome need not wait. */
         if (rig.session != rig.asked)
-            say_bye("the controller does not fit the bench");
+            say_bye();
         return code;
     }
     if (real_time)
@@ -674,7 +678,7 @@ int main(int count, char **arguments) {
     rig.begin = HUGE_VAL;
     code = run();
     say(STOP, 0, (const unsigned char *)"", 0);
-    say_bye(code ? "the controller ended the run" : "the run is over");
+    say_bye();
     report_deadlines();
     return code;
 }
