@@ -35,6 +35,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.control.tick import TickProgram
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.processes import end_with_parent
@@ -127,13 +128,15 @@ class BenchRecord:
 class RecordedRig:
     """A record behind the `Rig` protocol, up to where its loop stopped the cart or was heard last.
 
-    difference m/s²: the largest between a command that was sent then and what is commanded now.
+    program: of the loop that it is shown to. It is made to believe in the commands that were sent: one that believed in
+    its own would drift away from the readings, as a controller on its own is not stable. difference m/s²: the largest
+    between a command that was sent then and what is commanded now.
     """
 
     acted: None = None
 
-    def __init__(self, record: BenchRecord) -> None:
-        self._record, self.period = record, record.period
+    def __init__(self, record: BenchRecord, program: TickProgram) -> None:
+        self._record, self._program, self.period = record, program, record.period
         self._tick, self._stopped = -1, False
         self._nothing = np.zeros(record.positions.shape[1], dtype=bool)
         self.difference = 0.0
@@ -165,10 +168,13 @@ class RecordedRig:
         return Reading(k * self.period, record.positions[k], present, int(record.switch[k]))
 
     def command(self, acceleration: float) -> None:
-        """Compare a command, m/s², with the one that was sent then."""
-        difference = abs(acceleration - self._record.commands[self._tick])
-        if difference > self.difference:
-            self.difference = float(difference)
+        """Compare a command, m/s², with the one that was sent then, and let that one be on its way."""
+        sent = float(self._record.commands[self._tick])
+        if math.isfinite(sent):
+            self.difference = max(self.difference, abs(acceleration - sent))
+            memory, at = self._program.memory, self._program.equations.memory.slices
+            memory[at["velocity"]] += (sent - acceleration) * self.period
+            memory[at["sent"].stop - 1] = sent
 
     def stop(self) -> None:
         """Note that the cart is brought to rest, as the record shows."""

@@ -647,12 +647,12 @@ def _log_recorded(
     arms, settings, reference = plan.itinerary.model.arms, plan.itinerary.loop, plan.followed().reference
     if process.record is None:
         raise GoalMissed(f"the example bench did not end its run in order: {'; '.join(process.said)}")
-    rig = RecordedRig(process.record)
     with log_writer(plan, out) as writer:
         loop = control_loop(
             arms, settings, controller, limits=settings.limits(reference), sink=LogSink(writer),
             fallback=loop_fallback(reference, arms, settings),
         )  # fmt: skip
+        rig = RecordedRig(process.record, loop.ticker.program)
         result = loop.run(rig)
         if not len(result.ticks.times):
             raise GoalMissed(result.reason)

@@ -73,20 +73,23 @@ static struct {
 static volatile sig_atomic_t interrupted;
 static sigset_t while_waiting; /* signals that are held back then */
 
-static double now(void) {
+static double now(void)
+{
     struct timespec t;
     clock_gettime(CLOCK_MONOTONIC, &t);
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
 }
 
-static void take_interrupt(int number) {
+static void take_interrupt(int number)
+{
     interrupted = number;
 }
 
 static char said[TEXT]; /* the last sentence that was said: at the end the bench is told it as well */
 
 /* Says a sentence on stderr, and returns the exit code. */
-static int complain(int code, const char *format, ...) {
+static int complain(int code, const char *format, ...)
+{
     va_list rest;
     va_start(rest, format);
     vsnprintf(said, sizeof said, format, rest);
@@ -103,11 +106,13 @@ typedef struct {
     uint64_t size;
 } sha256;
 
-static uint32_t turned(uint32_t x, int bits) {
+static uint32_t turned(uint32_t x, int bits)
+{
     return x >> bits | x << (32 - bits);
 }
 
-static void sha_block(sha256 *s) {
+static void sha_block(sha256 *s)
+{
     static const uint32_t k[64] = {
         0x428a2f98, 0x71374491, 0xb5c0fbcf, 0xe9b5dba5, 0x3956c25b, 0x59f111f1, 0x923f82a4, 0xab1c5ed5,
         0xd807aa98, 0x12835b01, 0x243185be, 0x550c7dc3, 0x72be5d74, 0x80deb1fe, 0x9bdc06a7, 0xc19bf174,
@@ -139,14 +144,16 @@ static void sha_block(sha256 *s) {
         s->h[i] += v[i];
 }
 
-static void sha_begin(sha256 *s) {
+static void sha_begin(sha256 *s)
+{
     static const uint32_t first[8] = {0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a,
                                       0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19};
     memcpy(s->h, first, sizeof first);
     s->size = 0;
 }
 
-static void sha_add(sha256 *s, const void *data, size_t size) {
+static void sha_add(sha256 *s, const void *data, size_t size)
+{
     const unsigned char *from = data;
     for (size_t i = 0; i < size; i++) {
         s->block[s->size++ % 64] = from[i];
@@ -155,7 +162,8 @@ static void sha_add(sha256 *s, const void *data, size_t size) {
     }
 }
 
-static void sha_end(sha256 *s, unsigned char digest[32]) {
+static void sha_end(sha256 *s, unsigned char digest[32])
+{
     uint64_t bits = 8 * s->size;
     unsigned char pad = 0x80, length[8];
     for (int i = 0; i < 8; i++)
@@ -169,7 +177,8 @@ static void sha_end(sha256 *s, unsigned char digest[32]) {
 }
 
 /* The seal of a packet that `role` sends: the first 16 bytes of HMAC-SHA256 of role and packet. */
-static void seal(const char *role, const unsigned char *data, size_t size, unsigned char digest[32]) {
+static void seal(const char *role, const unsigned char *data, size_t size, unsigned char digest[32])
+{
     unsigned char key[64] = {0}, pad[64];
     sha256 s;
     if (rig.key_size > sizeof key) {
@@ -195,7 +204,8 @@ static void seal(const char *role, const unsigned char *data, size_t size, unsig
 
 /* Numbers in packets, little-endian whatever this computer is. */
 
-static unsigned char *put(unsigned char *to, uint64_t value, int bytes) {
+static unsigned char *put(unsigned char *to, uint64_t value, int bytes)
+{
     while (bytes-- > 0) {
         *to++ = (unsigned char)value;
         value >>= 8;
@@ -203,20 +213,23 @@ static unsigned char *put(unsigned char *to, uint64_t value, int bytes) {
     return to;
 }
 
-static uint64_t get(const unsigned char *from, int bytes) {
+static uint64_t get(const unsigned char *from, int bytes)
+{
     uint64_t value = 0;
     while (bytes-- > 0)
         value = value << 8 | from[bytes];
     return value;
 }
 
-static unsigned char *put_double(unsigned char *to, double value) {
+static unsigned char *put_double(unsigned char *to, double value)
+{
     uint64_t bits;
     memcpy(&bits, &value, sizeof bits);
     return put(to, bits, 8);
 }
 
-static double get_double(const unsigned char *from) {
+static double get_double(const unsigned char *from)
+{
     uint64_t bits = get(from, 8);
     double value;
     memcpy(&value, &bits, sizeof value);
@@ -224,7 +237,8 @@ static double get_double(const unsigned char *from) {
 }
 
 /* Sends a packet; one that cannot be sent is like one lost on the way. */
-static void say(int kind, int count, const unsigned char *body, size_t size) {
+static void say(int kind, int count, const unsigned char *body, size_t size)
+{
     unsigned char data[LARGEST], digest[32], *to = data;
     memcpy(to, "dpcb\2", 5);
     to = put(to + 5, (uint64_t)kind, 1);
@@ -242,20 +256,23 @@ static void say(int kind, int count, const unsigned char *body, size_t size) {
         rig.error = errno;
 }
 
-static void say_command(long tick, double acceleration) {
+static void say_command(long tick, double acceleration)
+{
     unsigned char body[12];
     put_double(put(body, (uint64_t)tick, 4), acceleration);
     say(COMMAND, 0, body, sizeof body);
 }
 
-static void say_start(void) {
+static void say_start(void)
+{
     unsigned char body[8 * DPC_LEAD + 1], *to = body;
     for (long k = 0; k < DPC_LEAD; k++)
         to = put_double(to, (double)dpc_queued(k));
     say(START, DPC_LEAD, body, (size_t)(to - body));
 }
 
-static void say_bye(void) {
+static void say_bye(void)
+{
     size_t size = strlen(said);
     /* Where it was cut, perhaps within a letter. */
     while (size > TEXT - 5 && said[size - 1] & 0x80)
@@ -264,7 +281,8 @@ static void say_bye(void) {
 }
 
 /* Keeps a sentence of the bench, fit to be printed. */
-static void note(const unsigned char *text, size_t size) {
+static void note(const unsigned char *text, size_t size)
+{
     size = size < TEXT ? size : TEXT - 1;
     for (size_t i = 0; i < size; i++)
         rig.text[i] = (char)(text[i] < 0x20 || text[i] == 0x7f ? '?' : text[i]);
@@ -273,7 +291,8 @@ static void note(const unsigned char *text, size_t size) {
 
 /* Tells whether a packet is the bench's, of this run and whole; kind and body are given back then. */
 static int is_ours(const unsigned char *data, size_t size, int *kind, int *count, const unsigned char **body,
-                   size_t *body_size) {
+                   size_t *body_size)
+{
     unsigned char digest[32], differs = 0;
     if (size < HEAD || memcmp(data, "dpcb\2", 5) != 0)
         return 0;
@@ -294,7 +313,8 @@ static int is_ours(const unsigned char *data, size_t size, int *kind, int *count
     return get(data + 8, 8) == rig.session;
 }
 
-static int read_reading(const unsigned char *body, size_t size, int count, bench_reading *to) {
+static int read_reading(const unsigned char *body, size_t size, int count, bench_reading *to)
+{
     size_t text;
     if (size < READING_HEAD || count != DPC_ARMS)
         return 0;
@@ -320,7 +340,8 @@ static int read_reading(const unsigned char *body, size_t size, int count, bench
 /* Returns the kind of the next packet that is to be believed, or 0 if none came until then or a signal did.
  *
  * Of WELCOME the numbers are in `rig`, of READING in `reading`, of BYE the sentence in rig.text. */
-static int hear(double until, bench_reading *reading) {
+static int hear(double until, bench_reading *reading)
+{
     unsigned char data[LARGEST];
     const unsigned char *body;
     size_t body_size;
@@ -383,7 +404,8 @@ static int hear(double until, bench_reading *reading) {
 }
 
 /* Asks for a run; returns 0, or the exit code. */
-static int introduce(const char *address) {
+static int introduce(const char *address)
+{
     double end = now() + ANSWER;
     unsigned char number[8];
     int random = open("/dev/urandom", O_RDONLY);
@@ -421,7 +443,8 @@ static int introduce(const char *address) {
 
 /* Waits for the reading of tick k. Returns 1 where it came, 0 where the tick must go on without it, -1 where the run
  * is over, which was said. */
-static int next_reading(long k) {
+static int next_reading(long k)
+{
     if (rig.waits) {
         if (rig.waiting.tick != (uint32_t)k)
             return 0;
@@ -467,7 +490,8 @@ static int next_reading(long k) {
     }
 }
 
-static void account(long k, int came) {
+static void account(long k, int came)
+{
     double lateness = now() - (rig.begin + (double)k * DPC_PERIOD);
     kept.lateness[kept.ticks++] = (float)(lateness > 0 ? lateness : 0);
     kept.missed += lateness > DPC_PERIOD;
@@ -484,19 +508,22 @@ static void account(long k, int came) {
     }
 }
 
-static int by_size(const void *a, const void *b) {
+static int by_size(const void *a, const void *b)
+{
     float x = *(const float *)a, y = *(const float *)b;
     return (x > y) - (x < y);
 }
 
 /* Value below which a share of the sorted values lies. */
-static double quantile(const float *sorted, long count, double share) {
+static double quantile(const float *sorted, long count, double share)
+{
     double at = share * (double)(count - 1);
     long below = (long)at, above = below + 1 < count ? below + 1 : below;
     return sorted[below] + (at - (double)below) * (sorted[above] - sorted[below]);
 }
 
-static void report_deadlines(void) {
+static void report_deadlines(void)
+{
     static const float nothing[1] = {0.0f};
     const float *late = kept.ticks ? kept.lateness : nothing, *trip = kept.answered ? kept.trips : nothing;
     long n = kept.ticks ? kept.ticks : 1, m = kept.answered ? kept.answered : 1;
@@ -515,7 +542,8 @@ static void report_deadlines(void) {
 }
 
 /* Runs the controller to its end; returns the exit code. */
-static int run(void) {
+static int run(void)
+{
     static const char *const outcomes[] = {
         "", "", "", "", "the estimate is lost", "nothing was measured for too long",
         "the cart must brake now to stay on its track", "tracking is lost", "a sensor repeats itself",
@@ -546,7 +574,7 @@ static int run(void) {
             /* What is not a number is not a reading. */
             reading.present[i] = came && isfinite(rig.reading.positions[i]);
             if (reading.present[i])
-                reading.positions[i] = (dpc_real)rig.reading.positions[i];
+                reading.positions[i] = rig.reading.positions[i];
         }
         reading.limit_switch = came && rig.reading.limit_switch;
         if (came && rig.reading.condition == SILENT && !stopped_by)
@@ -571,12 +599,14 @@ static int run(void) {
     return complain(0, "the run is over: it came to the end of %s", DPC_ITINERARY);
 }
 
-static int is_blank(unsigned char c) {
+static int is_blank(unsigned char c)
+{
     return c == ' ' || (c >= '\t' && c <= '\r');
 }
 
 /* Takes the shared key, blanks at its ends dropped; returns 0, or the exit code. */
-static int take_key(const char *file) {
+static int take_key(const char *file)
+{
     const char *variable = getenv("DPCONTROL_RIG_KEY"), *where = file ? file : "DPCONTROL_RIG_KEY";
     size_t begin = 0, end = 0;
     if (file) {
@@ -603,7 +633,8 @@ static int take_key(const char *file) {
 }
 
 /* Connects the socket to udp://ADDRESS:PORT; returns 0, or the exit code. */
-static int connect_to(const char *address, int insecure) {
+static int connect_to(const char *address, int insecure)
+{
     struct sockaddr_in to;
     char host[64], after;
     unsigned port;
@@ -627,14 +658,16 @@ static int connect_to(const char *address, int insecure) {
 }
 
 /* Asks for priority over all ordinary work; without the right to it the run goes on as it is. */
-static void take_priority(void) {
+static void take_priority(void)
+{
     struct sched_param first = {0};
     first.sched_priority = 1;
     if (sched_setscheduler(0, SCHED_FIFO, &first) != 0 || mlockall(MCL_CURRENT | MCL_FUTURE) != 0)
         complain(0, "no priority over other work: %s", strerror(errno));
 }
 
-int main(int count, char **arguments) {
+int main(int count, char **arguments)
+{
     const char *address = NULL, *key_file = NULL;
     int insecure = 0, real_time = 0, code;
     struct sigaction action;
