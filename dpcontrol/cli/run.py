@@ -13,7 +13,6 @@ from click.core import ParameterSource
 from dpcontrol.cli.review import score_text, shortfall
 from dpcontrol.cli.verbs import (
     FILE,
-    FOLDER,
     OUTPUT,
     YES,
     Answer,
@@ -189,8 +188,9 @@ def export_command(
     *,
     itinerary: str = argument(),
     single: bool = option("--float", help="In single precision."),
+    unit: bool = option("--fmu", help="Write a co-simulation unit (FMI 2.0) for Simulink, Modelica tools, FMPy."),
     settings: RunOptions = run_settings(),
-    out: Path = option(type=FOLDER, group=OUTPUT, help="Folder to write."),
+    out: Path = option(type=click.Path(path_type=Path), group=OUTPUT, help="Folder to write; with --fmu NAME.fmu."),
     force: bool = option("--force", group=OUTPUT, help="Replace files of these names in a folder that is there."),
     yes: bool = YES,
 ) -> Answer:
@@ -203,16 +203,23 @@ def export_command(
     from dpcontrol.control.export import COARSER, kibibytes
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.plan import make_plan
-    from dpcontrol.scenes.run import check_exportable, export_plan
+    from dpcontrol.scenes.run import check_exportable, export_plan, export_unit
 
+    if unit and out.suffix != ".fmu":
+        raise click.UsageError(f"--out {out}: a co-simulation unit is a file whose name ends in .fmu")
     scene = load_itinerary(itinerary).with_run(settings)
     check_exportable(scene)
     with progress_bar("export") as progress:
         plan = make_plan(scene, progress=progress, yes=yes)
-        source = export_plan(plan, out, single=single, force=force)
+        if unit:
+            source, lacks = export_unit(plan, out, single=single, force=force)
+        else:
+            source, lacks = export_plan(plan, out, single=single, force=force), ""
+    if lacks:
+        say(lacks)
     figures, rate = source.figures, scene.loop.rate
     document = {
-        "folder": out, "files": list(source.files), "identity": source.identity,
+        "unit" if unit else "folder": out, "files": [] if unit else list(source.files), "identity": source.identity,
         "precision": "single" if single else "double", "rate": rate, **figures._asdict(),
     }  # fmt: skip
     coarser = f"{kibibytes(figures.coarser_per_second)} with gains at every {COARSER}th tick and lines between"

@@ -329,7 +329,9 @@ def _laid_out(equations: TickEquations) -> dict[str, Any]:
     return {"MEMORY": memory.size, "PLACES": lines, "RESULTS": memory.size + report.size}
 
 
-_SOURCES = ("dpc_controller.h", "dpc_controller.c", "dpc_tables.h", "main_replay.c", "Makefile", "CMakeLists.txt")
+_SOURCES = (
+    "dpc_controller.h", "dpc_controller.c", "dpc_tables.h", "main_replay.c", "main_udp.c", "Makefile", "CMakeLists.txt"
+)  # fmt: skip
 _HELPERS = {
     "dpc_sq": "static dpc_real dpc_sq(dpc_real x) { return x * x; }",
     "dpc_fmin": "static dpc_real dpc_fmin(dpc_real x, dpc_real y) { return x < y ? x : y; }",

@@ -20,11 +20,14 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import dpcontrol
+from dpcontrol.control.export import ControllerSource
+from dpcontrol.control.interface import GainSchedule
+from dpcontrol.control.tick import TickProgram
 from dpcontrol.foundation.files import content_hash
 
 _TEMPLATE = Path(__file__).with_name("target") / "fmu.c"
 _COMPILED = ("dpc_controller.c", "dpc_tables.c", "fmu.c")
-_SOURCES = (*_COMPILED, "dpc_controller.h", "dpc_tables.h")
+_SOURCES = ("dpc_controller.h", "dpc_controller.c", "dpc_tables.h", "dpc_tables.c")
 _FLAGS = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
 _PLATFORMS = {("Linux", "x86_64"): ("linux64", ".so"), ("Darwin", "x86_64"): ("darwin64", ".dylib")}
 """Folder and ending of binaries that FMI 2.0 has a name for, and a Unix compiler makes."""
@@ -144,20 +147,20 @@ class Unit:
     lacks: str
 
 
-def unit(
-    files: Mapping[str, str], *, name: str, title: str, first: Sequence[float], extras: Sequence[str], period: float,
-    delay: float, ticks: int,
-) -> Unit:  # fmt: skip
-    """Return the unit of a controller's C files; name: the unit's; for the rest see `model_description`, `variables`."""
+def controller_unit(
+    source: ControllerSource, program: TickProgram, schedule: GainSchedule, *, name: str, title: str, delay: float
+) -> Unit:
+    """Return the unit `name` of a controller's C, which was made of this program and schedule; delay in periods."""
     template = _TEMPLATE.read_text()
-    sources = {file: files[file] for file in _SOURCES if file in files}
+    sources = {file: text for file, text in source.files.items() if file in _SOURCES}
     guid = content_hash(template, *sources.values())
     sources["fmu.c"] = template.replace("@GUID@", guid)
     identifier = re.sub(r"\W", "_", name, flags=re.ASCII)
     identifier = identifier if identifier[:1].isalpha() else f"dpc_{identifier}"
+    known = variables(schedule.references[0].tolist(), program.equations.filter.extra_names)
     described = model_description(
-        variables(first, extras), name=name, identifier=identifier, guid=guid, title=title, period=period, delay=delay,
-        ticks=ticks,
+        known, name=name, identifier=identifier, guid=guid, title=title, period=program.period, delay=delay,
+        ticks=len(schedule.rows),
     )  # fmt: skip
     binary, lacks = _binary(sources)
     stream = BytesIO()

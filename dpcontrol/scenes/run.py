@@ -25,12 +25,20 @@ import dpcontrol
 from dpcontrol.control.estimation import ESTIMATORS
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.export import LEAVING, ControllerSource, checked_exportable, controller_source
-from dpcontrol.control.interface import Controller
+from dpcontrol.control.interface import Controller, GainSchedule
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
-from dpcontrol.control.tick import whole_periods
+from dpcontrol.control.tick import TickProgram, whole_periods
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.foundation.files import checked_other_file, checked_source, content_hash, picked, write_folder
+from dpcontrol.foundation.files import (
+    checked_other_file,
+    checked_source,
+    content_hash,
+    in_the_way,
+    picked,
+    write_folder,
+    write_whole,
+)
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import with_values
 from dpcontrol.logs import (
@@ -380,6 +388,36 @@ def export_plan(
         InputError: its law or estimator cannot leave as C, or the folder holds something else.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """
+    source, _, _ = _exported(plan, single, progress)
+    if out is not None:
+        write_folder(out, source.files, force=force)
+    return source
+
+
+def export_unit(
+    plan: Plan, out: Path, *, single: bool = False, force: bool = False, progress: Progress = no_progress
+) -> tuple[ControllerSource, str]:
+    """Write the controller of a planned itinerary as a co-simulation unit to `out`; return its C, and why the unit has
+    no binary for this platform, or "".
+
+    single, force, and what is raised: see `export_plan`.
+    """
+    from dpcontrol.control.fmu import controller_unit
+
+    source, program, schedule = _exported(plan, single, progress)
+    made = controller_unit(
+        source, program, schedule, name=out.stem, title=plan.itinerary.title, delay=plan.itinerary.loop.drive.delay
+    )
+    if not force and out.exists() and not (out.is_file() and out.read_bytes() == made.archive):
+        raise in_the_way(out, "holds something else")
+    write_whole(out, made.archive)
+    return source, made.lacks
+
+
+def _exported(
+    plan: Plan, single: bool, progress: Progress
+) -> tuple[ControllerSource, TickProgram, GainSchedule]:
+    """Return a controller as C, with the readings of a simulated run to replay, and what it was made of."""
     itinerary, reference = plan.itinerary, plan.followed().reference
     arms, loop = itinerary.model.arms, itinerary.loop
     check_exportable(itinerary)
@@ -399,9 +437,7 @@ def export_plan(
         ticker.program, controller, schedule, itinerary=itinerary.name, title=itinerary.title, single=single,
         readings=f"{','.join([*names, 'control.command'])}\n{readings}",
     )  # fmt: skip
-    if out is not None:
-        write_folder(out, source.files, force=force)
-    return source
+    return source, ticker.program, schedule
 
 
 def _beginning(controller: Controller, count: int) -> Any:

@@ -8,13 +8,12 @@ import math
 import socket
 import struct
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager, suppress
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from bench_at_hand import KEY, LONG, PATIENT, Toy, next_reading, raw, served, welcomed
+from bench_at_hand import KEY, LONG, PATIENT, Toy, next_reading, raw, relayed, served, welcomed
 from shadowing_stand_in import LAB, StandIn
 
 from dpcontrol.control.tracking import tracking_controller
@@ -29,31 +28,6 @@ from dpcontrol.rig.packets import Condition, Kind, Role, Unsealed
 
 KEEPING_TIME = 3  # attempts
 LATE = 0.05  # share of deadlines
-
-
-@contextmanager
-def relayed(address: tuple[str, int], passes: Callable[[bytes], bool]) -> Iterator[tuple[str, int]]:
-    """Yield the address of a relay that lets only some packets through."""
-    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as relay:
-        relay.bind(("127.0.0.1", 0))
-        relay.settimeout(0.05)
-        over = threading.Event()
-
-        def carry() -> None:
-            loop: tuple[str, int] | None = None
-            while not over.is_set():
-                with suppress(TimeoutError):
-                    data, sender = relay.recvfrom(4096)
-                    if sender != address:
-                        loop = sender
-                    if passes(data) and loop is not None:
-                        relay.sendto(data, address if sender != address else loop)
-
-        thread = threading.Thread(target=carry, daemon=True)
-        thread.start()
-        yield relay.getsockname()
-        over.set()
-        thread.join()
 
 
 def read_on(rig: UdpRig) -> None:

@@ -59,6 +59,7 @@ static struct {
     uint32_t said, newest;   /* sequence numbers */
     double period, begin, last_packet;
     uint32_t ticks;
+    int arms;
     bench_reading reading, waiting; /* the newest that was taken, and one that came before its tick */
     int waits;
     char text[TEXT]; /* the bench's last sentence */
@@ -381,8 +382,7 @@ static int hear(double until, bench_reading *reading)
             continue;
         }
         if (kind == WELCOME && body_size == 20) {
-            if (count != DPC_ARMS)
-                return complain(-1, "the bench has %d arms, this controller is for %d", count, DPC_ARMS);
+            rig.arms = count;
             rig.period = get_double(body);
             rig.ticks = (uint32_t)get(body + 8, 4);
             rig.session = get(body + 12, 8);
@@ -418,13 +418,13 @@ static int introduce(const char *address)
         say(HELLO, 0, number, 0);
         while (now() < again && !interrupted) {
             int kind = hear(again, &rig.reading);
-            if (kind < 0)
-                return 2;
             if (kind == BYE)
                 return complain(2, "%s: %s", address, rig.text);
             if (kind != WELCOME)
                 continue;
             kept.refused = 0;
+            if (rig.arms != DPC_ARMS)
+                return complain(2, "%s has %d arms, this controller is for %d", address, rig.arms, DPC_ARMS);
             if (!(fabs(rig.period / DPC_PERIOD - 1) <= 1e-6))
                 return complain(2, "%s ticks at %g Hz, this controller at %g Hz; export it with --rate %g", address,
                                 1 / rig.period, 1 / DPC_PERIOD, 1 / rig.period);

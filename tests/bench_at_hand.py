@@ -2,8 +2,8 @@
 
 import socket
 import threading
-from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -29,6 +29,7 @@ class Toy:
     tick: int = -1
     commands: list[tuple[int, float]] = field(default_factory=list)
     stopped_at: int | None = None
+    queued: tuple[float, ...] = ()
     truth: None = None
     acted: None = None
 
@@ -48,10 +49,8 @@ class Toy:
 def served(
     toy: Toy, *, settings: BenchServerSettings = PATIENT, ticks: int = 100_000, key: bytes = b""
 ) -> Iterator[UdpBench]:
-    queued: list[float] = []
-
     def made(commands: tuple[float, ...]) -> Toy:
-        queued.extend(commands)
+        toy.queued = commands
         return toy
 
     with UdpBench(made, arms=2, ticks=ticks, period=toy.period, settings=settings, key=key) as bench:
@@ -98,6 +97,31 @@ def raw(bench: UdpBench, *, key: bytes = b"") -> Iterator[Raw]:
         client.send(packets.bye("done"))
 
 
+@contextmanager
+def relayed(address: tuple[str, int], passes: Callable[[bytes], bool]) -> Iterator[tuple[str, int]]:
+    """Yield the address of a relay that lets only some packets through."""
+    with closing(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) as relay:
+        relay.bind(("127.0.0.1", 0))
+        relay.settimeout(0.05)
+        over = threading.Event()
+
+        def carry() -> None:
+            loop: tuple[str, int] | None = None
+            while not over.is_set():
+                with suppress(TimeoutError):
+                    data, sender = relay.recvfrom(4096)
+                    if sender != address:
+                        loop = sender
+                    if passes(data) and loop is not None:
+                        relay.sendto(data, address if sender != address else loop)
+
+        thread = threading.Thread(target=carry, daemon=True)
+        thread.start()
+        yield relay.getsockname()
+        over.set()
+        thread.join()
+
+
 def welcomed(bench: socket.socket, welcome: packets.Welcome) -> tuple[Any, Talk]:
     """Welcome the loop that asks at a bench of ours; return where it is, and the bench's side of the run."""
     data, client = bench.recvfrom(4096)
@@ -110,3 +134,9 @@ def next_reading(client: Raw) -> packets.ReadingPacket:
     content = client.heard().content
     assert isinstance(content, packets.ReadingPacket)
     return content
+
+
+def until_tick(toy: Toy, tick: int) -> None:
+    """Wait until the bench has come to a tick of its run."""
+    while toy.tick < tick:
+        threading.Event().wait(0.002)

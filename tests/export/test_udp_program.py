@@ -1,0 +1,335 @@
+"""main_udp.c: a bench that is spoken to by it cannot tell it from the loop in Python, and its runs are logged as any.
+
+Most tests put a controller of a few lines in the exported one's place, whose command tells which reading it answers. No
+time is asserted but the bench's own: a busy computer may be late.
+"""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bench_at_hand import KEY, Toy, relayed, served, until_tick
+from command_line import dpcontrol
+from shadowing_stand_in import LAB, StandIn
+
+import dpcontrol as dp
+from dpcontrol.control.tracking import tracking_controller
+from dpcontrol.loop.loop import ControlLoop, LoopSettings, control_loop, sampled_model
+from dpcontrol.loop.result import Ending, Reading
+from dpcontrol.loop.simulated import SimulatedRig
+from dpcontrol.references.reference import Reference
+from dpcontrol.rig.access import KEY_VARIABLE
+from dpcontrol.rig.bench import BenchRecord, BenchServerSettings, RecordedRig
+from dpcontrol.rig.packets import Kind
+
+TEMPLATES = Path(dp.__file__).parent / "control" / "target"
+STRICT = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off"]
+STUB = """
+#include "dpc_controller.h"
+#include <string.h>
+void dpc_init(dpc_controller *c) { memset(c, 0, sizeof *c); }
+dpc_real dpc_step(dpc_controller *c, const dpc_reading *reading, dpc_report *report)
+{
+    memset(report, 0, sizeof *report);
+    c->tick++;
+    report->command = reading->present[0] ? (dpc_real)(reading->positions[0] + 0.5) : -1;
+    return report->command;
+}
+dpc_real dpc_queued(long k) { return 7 + (dpc_real)k; }
+"""
+NUMBERS = {"REAL": "double", "ARMS": "2", "POSITIONS": "3", "STATES": "6", "MEMORY": "1", "TICKS": "120", "LEAD": "2",
+           "PERIOD": "0.002", "RATE": "500.0", "ITINERARY": "stub"}  # fmt: skip
+KEEPING_TIME = 4  # attempts
+compiled = pytest.mark.skipif(shutil.which("gcc") is None, reason="needs gcc")
+pytestmark = compiled
+
+
+def made(folder: Path, compiler: str = "gcc", *flags: str, **numbers: str) -> Path:
+    """Compile main_udp.c with the stub."""
+    known = {**NUMBERS, **numbers}
+    header = (TEMPLATES / "dpc_controller.h").read_text()
+    (folder / "dpc_controller.h").write_text(re.sub(r"@([A-Z_]+)@", lambda name: known.get(name[1], "0"), header))
+    (folder / "stub.c").write_text(STUB)
+    shutil.copy(TEMPLATES / "main_udp.c", folder)
+    program = folder / "main_udp"
+    subprocess.run(
+        [compiler, *STRICT, *flags, "-o", program, "main_udp.c", "stub.c", "-lm"], cwd=folder, check=True
+    )
+    return program
+
+
+@pytest.fixture(scope="module")
+def program(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made(tmp_path_factory.mktemp("stub"))
+
+
+@contextmanager
+def begun(
+    program: Path, port: int, *arguments: str | Path, key: bytes = b"", host: str = "127.0.0.1"
+) -> Iterator[subprocess.Popen[str]]:
+    environment = {**os.environ, KEY_VARIABLE: key.hex()} if key else None
+    with subprocess.Popen(
+        [program, f"udp://{host}:{port}", *arguments], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+        text=True,
+    ) as process:  # fmt: skip
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+@pytest.mark.slow  # A dozen compilations; all other tests compile it as strictly, once.
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize("flags", [("-O0",), ("-O1",), ("-O3",), ("-O2", "-Wconversion", "-Wshadow")], ids=" ".join)
+def test_it_compiles_without_a_warning_and_takes_no_heap(compiler: str, flags: tuple[str, ...], tmp_path: Path) -> None:
+    if shutil.which(compiler) is None:
+        pytest.skip(f"there is no {compiler} here")
+    subprocess.run(["nm", "-u", made(tmp_path, compiler, *flags)], check=True, stdout=(tmp_path / "symbols").open("w"))
+    assert "alloc" not in (tmp_path / "symbols").read_text()
+    made(tmp_path, compiler, *flags, LEAD="0", ARMS="3", POSITIONS="4", STATES="8", EXTRAS="2", REAL="float")
+
+
+@pytest.mark.parametrize("key", [b"", KEY, bytes(range(100))], ids=["open", "sealed", "long key"])
+def test_every_reading_is_answered_and_deadlines_are_counted(program: Path, key: bytes) -> None:
+    toy = Toy()
+    with served(toy, key=key.hex().encode()) as bench, begun(program, bench.address[1], key=key) as loop:
+        figures, said = loop.communicate(timeout=60)
+    counted, record = json.loads(figures), bench.record
+    assert loop.returncode == 0, said
+    assert counted["ticks"] == 120
+    assert "the run is over: it came to the end of stub" in said
+    assert f"{counted['missed']} of 120 deadlines missed" in said
+    assert record is not None
+    # The STOP at the end may come a tick later.
+    assert record.last >= 119
+    answers = record.commands[np.isfinite(record.commands)]
+    ticks = np.flatnonzero(np.isfinite(record.commands))
+    # A reading that is overdue, as on a busy computer, counts as none.
+    assert (np.isclose(answers, ticks + 0.5) | (answers == -1)).all()
+    assert len(ticks) > 60
+    assert toy.queued == (7.0, 8.0)
+    assert toy.stopped_at is not None
+    assert record.ended.startswith("the run is over")
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_stops_the_cart_and_ends_the_run(program: Path, number: signal.Signals, tmp_path: Path) -> None:
+    toy = Toy()
+    long = made(tmp_path, TICKS="100000")
+    with served(toy) as bench, begun(long, bench.address[1]) as loop:
+        until_tick(toy, 20)
+        loop.send_signal(number)
+        _, said = loop.communicate(timeout=60)
+    assert loop.returncode == 1
+    assert "interrupted at t = " in said
+    assert toy.stopped_at is not None
+    assert bench.record is not None
+    assert "the cart was stopped" in bench.record.ended
+
+
+def test_a_bench_that_falls_silent_ends_the_run_with_a_sentence(tmp_path: Path) -> None:
+    toy, long = Toy(), made(tmp_path, TICKS="100000")
+
+    def passes(data: bytes) -> bool:
+        return data[5] != Kind.READING or toy.tick < 50
+
+    with served(toy) as bench, relayed(bench.address, passes) as at, begun(long, at[1]) as loop:
+        _, said = loop.communicate(timeout=60)
+    assert loop.returncode == 1
+    assert "the bench is gone: nothing came from it for 1" in said
+
+
+def test_a_dead_program_has_its_cart_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("dpcontrol.rig.bench._LEAVING", 0.2)
+    long = made(tmp_path, TICKS="100000")
+    # The watchdog counts ticks of which the bench itself was in time; a busy computer has others in between.
+    for _ in range(KEEPING_TIME):
+        toy = Toy()
+        with served(toy, settings=BenchServerSettings(watchdog=0.03)) as bench:
+            with begun(long, bench.address[1]) as loop:
+                until_tick(toy, 50)
+                loop.kill()
+                loop.wait()
+        assert toy.stopped_at is not None
+        assert bench.record is not None
+        assert "the bench heard nothing from the loop for 0.03 s" in bench.record.ended
+        if (toy.stopped_at - bench.record.last) * toy.period <= 0.05:
+            return
+    pytest.fail("the cart was stopped too late")
+
+
+@pytest.mark.parametrize(
+    ("numbers", "said"),
+    [
+        ({"RATE": "250.0", "PERIOD": "0.004"}, "ticks at 500 Hz, this controller at 250 Hz; export it with --rate 500"),
+        ({"ARMS": "3", "POSITIONS": "4"}, "has 2 arms, this controller is for 3"),
+        ({"TICKS": "501"}, "can run for 500 ticks, this controller takes 501"),
+    ],
+)
+def test_a_bench_that_does_not_fit_is_left_with_a_sentence(numbers: dict[str, str], said: str, tmp_path: Path) -> None:
+    with served(Toy(), ticks=500) as bench, begun(made(tmp_path, **numbers), bench.address[1]) as loop:
+        assert said in loop.communicate(timeout=60)[1]
+    assert loop.returncode == 2
+
+
+def test_bad_arguments_and_keys_are_refused_with_a_sentence(program: Path, tmp_path: Path) -> None:
+    short, key = tmp_path / "short", tmp_path / "key"
+    short.write_text("0123456789\n")
+    key.write_text(f"  {KEY.hex()}\n")
+    for arguments, said in (
+        ([], "give the bench's address"),
+        (["udp://localhost:5"], "must be udp://ADDRESS:PORT with an address in numbers"),
+        (["udp://127.0.0.1:0"], "must be udp://"),
+        (["udp://127.0.0.1:5x"], "must be udp://"),
+        (["udp://127.0.0.1:5", "--fast"], "--fast: not an option"),
+        (["udp://192.0.2.1:5"], "both ends need a shared key"),
+        (["udp://127.0.0.1:5", "--key-file", short], "a key of 10 bytes is too short"),
+        (["udp://127.0.0.1:5", "--key-file", tmp_path / "none"], "No such file"),
+    ):
+        done = subprocess.run([program, *arguments], capture_output=True, text=True, timeout=60, check=False)
+        assert done.returncode == 2
+        assert said in done.stderr
+    with served(Toy(), key=KEY.hex().encode()) as bench:
+        with begun(program, bench.address[1]) as loop:
+            assert "this bench asks for the key" in loop.communicate(timeout=60)[1]
+        assert loop.returncode == 2
+        with begun(program, bench.address[1], "--key-file", key) as loop:
+            loop.communicate(timeout=60)
+    assert loop.returncode == 0
+
+
+def controlled(turn: tuple[StandIn, Reference], ticks: int) -> tuple[ControlLoop, SimulatedRig]:
+    """Return a loop on the beginning of the turn, and a bench for it."""
+    settings, limits = LoopSettings(seed=3, mismatch=0.02, initial_error=0.02), turn[1].limits
+    whole = tracking_controller(turn[1], sampled_model(LAB, settings.rate), settings.controller)
+    short = replace(
+        whole, reference_states=whole.reference_states[: ticks + 1], feedforward=whole.feedforward[:ticks],
+        gains=whole.gains[:ticks],
+    )  # fmt: skip
+    loop = control_loop(LAB, settings, short, limits=limits)
+    draw = settings.draw(LAB, ticks=ticks + 1)
+    return loop, SimulatedRig(draw, settings.bench, limits=limits, start=short.first_state, queued=loop.queued)
+
+
+class Recorded:
+    """A simulated bench that is recorded, while its controller commands a little else than the loop."""
+
+    fault = ""
+
+    def __init__(self, rig: SimulatedRig, ticks: int, other: float) -> None:
+        self.rig, self.other, self.k, self.period = rig, other, -1, rig.period
+        self.record, self.truth, self.acted = BenchRecord(ticks, LAB.count, rig.period), rig.truth, None
+
+    def read(self) -> Reading:
+        reading = self.rig.read()
+        self.k += 1
+        self.truth = self.rig.truth
+        self.record.read(self.k, reading, self.truth, sent=True)
+        return reading
+
+    def command(self, acceleration: float) -> None:
+        sent = acceleration + self.other * np.sin(self.k)
+        self.rig.command(sent)
+        self.record.answered(self.k, sent)
+
+    def stop(self) -> None:
+        self.rig.stop()
+
+
+def test_a_recorded_run_shown_to_the_loop_is_the_run(turn: tuple[StandIn, Reference]) -> None:
+    loop, rig = controlled(turn, 800)
+    recorded = Recorded(rig, 801, other=0.0)
+    ran = loop.run(recorded)
+    again, _ = controlled(turn, 800)
+    shown = RecordedRig(recorded.record, again.ticker.program)
+    result = again.run(shown)
+    assert shown.difference == 0
+    assert (result.ending, result.reason) == (ran.ending, ran.reason)
+    for name in ("measured", "estimates", "references", "truth", "control"):
+        np.testing.assert_array_equal(getattr(result.ticks, name), getattr(ran.ticks, name))
+
+
+def test_what_a_program_commands_otherwise_does_not_drive_its_log_away(turn: tuple[StandIn, Reference]) -> None:
+    loop, rig = controlled(turn, 800)
+    recorded = Recorded(rig, 801, other=1e-3)
+    # What the recorded controller believes in are its own commands too.
+    loop.run(recorded)
+    again, _ = controlled(turn, 800)
+    shown = RecordedRig(recorded.record, again.ticker.program)
+    result = again.run(shown)
+    assert result.ending is Ending.FINISHED
+    errors = np.abs(result.ticks.estimates - recorded.record.truth[:801])[100:]
+    assert errors[:, -2:].max() < 1e-3
+    assert shown.difference < 0.1
+
+
+def test_a_log_ends_where_the_program_did_and_says_when_the_cart_stood(turn: tuple[StandIn, Reference]) -> None:
+    loop, rig = controlled(turn, 400)
+    recorded = Recorded(rig, 401, other=0.0)
+    loop.run(recorded)
+    record = recorded.record
+    record.last, record.ended = 299, "the bench heard nothing from the loop for 0.03 s until t = 0.331 s"
+    record.truth[340:, -1] = 0.0
+    again, _ = controlled(turn, 400)
+    result = again.run(RecordedRig(record, again.ticker.program))
+    assert len(result.ticks.times) == 300
+    assert result.ending is Ending.PLANT_FAILED
+    assert result.reason == (
+        "the controller's last command came at t = 0.299 s: the bench heard nothing from the loop for 0.03 s until "
+        "t = 0.331 s; the cart stood from t = 0.340 s on"
+    )
+
+
+def test_a_program_that_cannot_control_a_run_is_one_sentence(tmp_path: Path) -> None:
+    asked = dpcontrol("run", "outer-turn", "--controller-program", tmp_path / "none")
+    assert asked.code == 2
+    assert "give --rig udp as well" in asked.message
+    asked = dpcontrol("run", "outer-turn", "--rig", "udp", "--controller-program", tmp_path / "none")
+    assert asked.code == 2
+    assert "there is no such program that may be run; compile it first" in asked.message
+
+
+@pytest.mark.slow  # Two runs in real time, and a bench in a process of its own for each.
+def test_a_run_by_the_exported_program_is_logged_and_scored_as_any(tmp_path: Path) -> None:
+    folder, log = tmp_path / "controller", tmp_path / "run.mcap"
+    assert dpcontrol("export", "outer-turn", "--out", folder).code == 0
+    subprocess.run(["make", "-s", "-C", folder, "main_udp"], check=True)
+    run = ("run", "outer-turn", "--rig", "udp", "--real-time", "--force", "--json", "--out")
+    # A computer that stalls for a tenth of a second loses the arms, and must say so.
+    for _ in range(KEEPING_TIME):
+        ended = dpcontrol(*run, log, "--controller-program", folder / "main_udp")
+        shown = ended.document
+        assert ended.code == (0 if shown["completed"] else 1)
+        if shown["completed"]:
+            break
+    else:
+        pytest.fail(shown["reason"])
+    assert shown["ending"] == "finished"
+    assert shown["deadlines"]["ticks"] == shown["deadlines"]["lost"] + 4877
+    assert shown["command_difference"] < 1e-6
+    found = dpcontrol("info", log, "--json").document
+    assert found["metadata"]["deadlines_missed"] == str(shown["deadlines"]["missed"])
+    assert "/truth/joint_states" in json.dumps(found)
+    again = dpcontrol("run", "--from", log)
+    assert again.code == 2
+    assert f"it was made on the rig at {found['metadata']['rig']}" in again.message
+    killed = tmp_path / "killed"
+    killed.write_text(f'#!/bin/sh\nexec timeout -s KILL 1 {folder / "main_udp"} "$1"\n')
+    killed.chmod(0o755)
+    ended = dpcontrol(*run, log, "--controller-program", killed)
+    assert ended.code == 1
+    assert "the controller's last command came at t = " in ended.message
+    assert "the cart stood from t = " in ended.message
+    assert ended.document["deadlines"] is None
+    early = dpcontrol(*run, log, "--controller-program", "/bin/false")
+    assert early.code == 2
+    assert "--controller-program /bin/false ended with 1 before a run began: it said nothing" in early.message
