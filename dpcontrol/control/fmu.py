@@ -1,6 +1,6 @@
 """The exported controller as a co-simulation unit of the Functional Mock-up Interface, which other tools import.
 
-FMI 2.0 (https://fmi-standard.org), because Simulink, OpenModelica and FMPy all import its co-simulation units whole; 3.0
+FMI 2.0 (https://fmi-standard.org), because Simulink, OpenModelica and FMPy all import its co-simulation units; 3.0
 is not everywhere yet, and a unit of scalars and one fixed step gains nothing by it. The unit is the very C that
 `dpcontrol.control.export` writes, behind `target/fmu.c`: in `sources` to be compiled anywhere, and as a binary for this
 platform where a compiler is at hand. A step of one period does one tick with the inputs as set, and its command acts
@@ -100,12 +100,12 @@ def model_description(
     ticks: int,
 ) -> bytes:  # fmt: skip
     """Return modelDescription.xml; delay in periods, as the controller believes."""
-    more = f"; delay the command by {delay - 1:g} periods more" if delay > 1 else ""
+    more = f"; let it act {delay - 1:g} periods later" if delay > 1 else ""
     root = ET.Element("fmiModelDescription", {
         "fmiVersion": "2.0", "modelName": name, "guid": guid, "variableNamingConvention": "flat",
         "generationTool": f"dpcontrol {dpcontrol.__version__}",
-        "description": f"{title}: estimator, control law and supervisor, one tick each step of {period!r} s. The command "
-        f"must act {delay:g} periods after its reading; here it does one after it{more}.",
+        "description": f"{title}: estimator, control law and supervisor, one tick each step of {period!r} s. Commands "
+        f"are to act {delay:g} periods after their readings; a step gives the command after one{more}.",
     })  # fmt: skip
     unit = ET.SubElement(root, "CoSimulation", {"modelIdentifier": identifier})
     files = ET.SubElement(unit, "SourceFiles")

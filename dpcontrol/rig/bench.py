@@ -90,10 +90,10 @@ class BenchServerSettings(Settings, table="bench"):
 
 
 class BenchRecord:
-    """What happened on a bench in a run of K ticks, n arms; a loop is silent, or stops the cart, from some tick on.
+    """What happened on a bench in a run of K ticks, n arms.
 
-    positions (K, n+1) rad and m; sent (K,): whether the reading went out; switch (K,); truth (K, 2n+2), not-a-number where
-    it is not known; commands (K,) m/s²: the one in answer to each tick's reading, not-a-number where none came in time.
+    positions (K, n+1) rad and m; sent (K,): whether the reading went out; switch (K,); truth (K, 2n+2), not-a-number
+    where it is not known; commands (K,) m/s²: in answer to each tick's reading, not-a-number where none came in time.
     last: the newest tick that was answered; fault: the bench's own, from tick `fault_at` on; ended: why the run did.
     """
 
