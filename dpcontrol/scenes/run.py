@@ -414,9 +414,7 @@ def export_unit(
     return source, made.lacks
 
 
-def _exported(
-    plan: Plan, single: bool, progress: Progress
-) -> tuple[ControllerSource, TickProgram, GainSchedule]:
+def _exported(plan: Plan, single: bool, progress: Progress) -> tuple[ControllerSource, TickProgram, GainSchedule]:
     """Return a controller as C, with the readings of a simulated run to replay, and what it was made of."""
     itinerary, reference = plan.itinerary, plan.followed().reference
     arms, loop = itinerary.model.arms, itinerary.loop
@@ -646,9 +644,7 @@ PROGRAM_WATCHDOG = 0.03
 """Seconds of silence after which the example bench stops the cart of a program, which does not stall as Python may."""
 
 
-def run_with_program(
-    plan: Plan, out: Path, program: Path, *, real_time: bool = False, force: bool = False
-) -> RigRun:
+def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = False, force: bool = False) -> RigRun:
     """Run a planned itinerary on an example bench with a program of its own as the controller, log and score the run.
 
     The log is made once the run has ended: the loop is shown the readings that the bench recorded, and says what it

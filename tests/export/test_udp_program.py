@@ -61,9 +61,7 @@ def made(folder: Path, compiler: str = "gcc", *flags: str, **numbers: str) -> Pa
     (folder / "stub.c").write_text(STUB)
     shutil.copy(TEMPLATES / "main_udp.c", folder)
     program = folder / "main_udp"
-    subprocess.run(
-        [compiler, *STRICT, *flags, "-o", program, "main_udp.c", "stub.c", "-lm"], cwd=folder, check=True
-    )
+    subprocess.run([compiler, *STRICT, *flags, "-o", program, "main_udp.c", "stub.c", "-lm"], cwd=folder, check=True)
     return program
 
 

@@ -2,6 +2,7 @@
  *
  *     main_udp udp://ADDRESS:PORT [--key-file FILE] [--insecure] [--real-time]
  *
+ * Speaks version 2 of the packets of dpcontrol's guide to a rig of one's own (dpcontrol/guide/rig.md).
  * The bench has the clock: it sends a reading each period, and uses the newest command that it has. A reading that is
  * lost counts as a tick without any measurement, so that the controller's ticks stay the bench's. The key that both
  * ends share stands in FILE or in the environment's DPCONTROL_RIG_KEY; beyond this computer it is needed, unless
@@ -378,6 +379,7 @@ static int hear(double until, bench_reading *reading)
         }
         sequence = (uint32_t)get(data + 16, 4);
         if (sequence <= rig.newest) {
+            refused++;
             kept.stale += kind == READING;
             continue;
         }
@@ -463,6 +465,7 @@ static int next_reading(long k)
         clock = now();
         if (kind == READING) {
             rig.last_packet = clock;
+            rig.error = 0;
             /* The earliest that any reading came, in units of the bench's clock, which may go a little slower. */
             begin = clock - came.tick * DPC_PERIOD;
             rig.begin = rig.begin + DRIFT * DPC_PERIOD < begin ? rig.begin + DRIFT * DPC_PERIOD : begin;
