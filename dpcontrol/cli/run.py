@@ -267,6 +267,7 @@ def rig_command(
     port: int = option(type=click.IntRange(0, 65535), default=0, group=SERVER, help="Port; 0: any free."),
     runs: int = option(type=click.IntRange(0), default=0, group=SERVER, help="Runs to serve; 0: no end."),
     real_time: bool = option(group=SERVER, help="Ask the system for priority over all ordinary work."),
+    watchdog: float = option(default=0.1, group=SERVER, help="Silence of the loop after which the cart is stopped, s."),
     key_file: Path | None = option(type=FILE, group=SERVER, help=KEY_HELP),
     insecure: bool = option(group=SERVER, help="Let anyone who can reach --host drive the cart, without a key."),
     hanging: bool = option(help="Begin with the arms hanging, as `dpcontrol commission` needs; nothing is planned."),
@@ -288,6 +289,7 @@ def rig_command(
 
     key = shared_key(key_file)
     checked_host(host, port, key=key, insecure=insecure)
+    server = BenchServerSettings(watchdog=watchdog, real_time=real_time)
     scene = load_itinerary(itinerary).with_run(settings, seed=seed)
     faults = checked_faults(fault, scene.model.arms.count)
     if hanging:
@@ -297,7 +299,7 @@ def rig_command(
             plan = make_plan(scene, progress=progress, yes=yes)
         recipe = replace(bench_recipe(plan), faults=faults)
     recipe.rehearse()
-    arms, server = recipe.parameters.count, BenchServerSettings(real_time=real_time)
+    arms = recipe.parameters.count
 
     def report(text: str) -> None:
         say(f"dpcontrol: {text}")
