@@ -666,13 +666,13 @@ def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = 
             deadlines = process.controlled_by(program, *(["--real-time"] if real_time else []))
     except KeyboardInterrupt:
         if process.record is not None:
-            _log_recorded(plan, out, controller, process, deadlines)
+            _log_recorded(plan, out, program, controller, process, deadlines)
         raise
-    return _log_recorded(plan, out, controller, process, deadlines)
+    return _log_recorded(plan, out, program, controller, process, deadlines)
 
 
 def _log_recorded(
-    plan: Plan, out: Path, controller: Controller, process: "BenchProcess", deadlines: "Deadlines | None"
+    plan: Plan, out: Path, program: Path, controller: Controller, process: "BenchProcess", kept: "Deadlines | None"
 ) -> RigRun:
     from dpcontrol.rig.bench import RecordedRig
 
@@ -689,12 +689,12 @@ def _log_recorded(
         if not len(result.ticks.times):
             raise GoalMissed(result.reason)
         result = replace(result, elapsed=float(result.ticks.times[-1]) + rig.period)
-        kept = deadlines.record() if deadlines else {}
         writer.result(
             **_outcome(result), rig=f"udp://{process.address[0]}:{process.address[1]}",
-            command_difference=repr(rig.difference), **kept,
+            controller_program=content_hash(program.read_bytes()), command_difference=repr(rig.difference),
+            **(kept.record() if kept else {}),
         )  # fmt: skip
-    return RigRun(score(read_log(out)), result, deadlines, tuple(process.said), rig.difference)
+    return RigRun(score(read_log(out)), result, kept, tuple(process.said), rig.difference)
 
 
 def _fits(
