@@ -109,7 +109,7 @@ def run_command(
         raise click.UsageError("--controller-library is for runs on the simulated bench; on a rig run main_udp.c")
     if program is not None and address != "udp":
         raise click.UsageError("--controller-program controls the example bench of a run: give --rig udp as well")
-    if program is not None and not os.access(program, os.X_OK):
+    if program is not None and not (program.is_file() and os.access(program, os.X_OK)):
         raise InputError(f"--controller-program {program}: there is no such program that may be run; compile it first")
     key = b""
     if address is not None:
