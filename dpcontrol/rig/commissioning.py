@@ -430,8 +430,11 @@ def _side(switch: int) -> str:
     return "right" if switch > 0 else "left"
 
 
-_SHIFTS = (0.0005, 0.003)
-"""m: the cart's shifts; the second where the first is not seen."""
+_SHIFTS = {0.0005: 0.1, 0.003: 0.7}
+"""m: the cart's shifts, the second where the first is not clearly seen; with the share of what its opposite would leave
+unexplained that it may: where a cart drifts, a small shift looks like its opposite at another time.
+"""
+_LARGEST_SHIFT = max(_SHIFTS)
 _SHIFT_SECONDS, _AFTER_SHIFT = 0.16, 0.1
 _SEEN, _CLEARLY_SEEN = 0.0002, 5.0
 """m, and in terms of how far the cart wanders by itself: a shift that is seen well enough."""
@@ -445,20 +448,21 @@ def _shift(session: _Session, arms: ArmChainParameters) -> None:
     before = session.carts()[-(len(pattern) + after) :]
     wander = float(np.std(before - _drift(before)))
     seen = 0.0
-    for size in _SHIFTS:
-        if size < _SHIFTS[-1] and _CLEARLY_SEEN * wander > size / 3:
+    for size, share in _SHIFTS.items():
+        if size < _LARGEST_SHIFT and _CLEARLY_SEEN * wander > size / 3:
             continue
         first = session.tick
         for value in (*(pattern * size), *np.zeros(after)):
             session.advance(float(value))
         carts = session.carts(first)
         wanted = _response(np.array([*session.commands[first:], 0.0]), session.period, 0.0)[:, 0]
-        # The drive's delay is not known yet: what it explains best.
-        delays = range(0, len(carts) - 2 * quarter, max(1, quarter // 8))
+        # The drive's delay is not known yet: what explains most. All of the shift must be in sight.
+        delays = range(0, after + 1, max(1, quarter // 8))
         fits = [_slope(wanted[: len(wanted) - k], carts[k:]) for k in delays]
-        gain, explained = max(fits, key=lambda fit: fit[1])
+        gain, left = min(fits, key=lambda fit: fit[1])
+        opposite = min((other for slope, other in fits if slope * gain <= 0), default=1.0)
         seen = abs(gain) * size
-        if seen > _SEEN and abs(gain) * np.std(wanted) > _CLEARLY_SEEN * wander and explained > 0.5:
+        if seen > _SEEN and abs(gain) * np.std(wanted) > _CLEARLY_SEEN * wander and left < share * opposite:
             session.gain = gain
             return
     _no_shift(session, arms, seen)
@@ -476,27 +480,34 @@ def _solved(design: Array, values: Array) -> Array:
 
 
 def _slope(wanted: Array, seen: Array) -> tuple[float, float]:
-    """Return how much of `wanted` is in `seen`, apart from drifts, and the share of the variance that it explains."""
+    """Return how much of `wanted` is in `seen`, apart from drifts, and the share of the variance that is left then."""
     wanted, seen = wanted - _drift(wanted), seen - _drift(seen)
     size = float(wanted @ wanted)
     slope = float(wanted @ seen) / size
-    return slope, slope**2 * size / max(float(seen @ seen), 1e-30)
+    return slope, 1 - slope**2 * size / max(float(seen @ seen), 1e-30)
 
 
 def _no_shift(session: _Session, arms: ArmChainParameters, seen: float) -> None:
-    """Say why no shift was seen: the arms tell whether the cart moved."""
+    """Say why no shift was seen: the arms show whether the cart moved."""
+    wandered = float(np.ptp(session.carts()))
+    if wandered > _SEEN:
+        raise session.halted(
+            f"the cart wanders by {1e3 * wandered:.2g} mm, in which a commanded shift of {1e3 * _LARGEST_SHIFT:g} mm "
+            "and back is not seen",
+            "check whether the drive holds the cart where zero is commanded, and obeys accelerations in m/s²",
+        )
     for _ in range(round(1.0 / session.period)):
         session.advance(0.0)
     commanded = _response(np.array([*session.commands, 0.0]), session.period, 0.0)[:, 0]
     wiring = read_wiring(fit_swing(session.angles(), commanded, session.period, arms), arms)
     if float(np.abs(wiring.factors).max()) > 0.3:
         raise session.halted(
-            f"the arms began to swing when the cart was to shift by {1e3 * _SHIFTS[-1]:g} mm and back, but its reading "
-            "did not change: the cart's scale does not count",
+            f"the arms began to swing when the cart was to shift by {1e3 * _LARGEST_SHIFT:g} mm and back, but its "
+            "reading did not change: the cart's scale does not count",
             "check whether the cart's scale is plugged in, and its reading is the last position sent, in metres",
         )
     raise session.halted(
-        f"the cart does not move: commanded to shift by {1e3 * _SHIFTS[-1]:g} mm and back, its reading shows "
+        f"the cart does not move: commanded to shift by {1e3 * _LARGEST_SHIFT:g} mm and back, its reading shows "
         f"{1e3 * seen:.2g} mm of it and the arms do not swing",
         "check whether the motor is on, its brake released and the emergency stop pulled out, and commands reach the "
         "drive as accelerations in m/s²",
@@ -647,10 +658,12 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
         errors[free] = _sandwich(slopes(values)[:, free], left, 1 / np.sqrt(1 + (left / scale) ** 2))
         return values, errors
 
-    values, errors = fitted(np.array([total, lag**2, rough(total, lag)[1]]) / unit, [0, 1, 2])
+    # From within its bounds, at which the search would stay.
+    values, errors = fitted(np.array([total, max(lag, 5e-4) ** 2, rough(total, lag)[1]]) / unit, [0, 1, 2])
     lag_error = _error_of_root(values[1] * unit[1], errors[1] * unit[1])
     if values[1] < 3 * errors[1] or values[1] * unit[1] < _NO_LAG**2:
         # Then it is none, and need not make the delay unsure.
+        lag_error = math.sqrt((values[1] + errors[1]) * unit[1])
         values[1] = 0.0
         values, errors = fitted(values, [0, 2])
     total, square, gain = (values * unit).tolist()

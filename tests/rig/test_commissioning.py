@@ -12,6 +12,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import Reading, Rig
 from dpcontrol.references.problem import Limits
+from dpcontrol.rig import commissioning
 from dpcontrol.rig.bench import BenchRecipe
 from dpcontrol.rig.commissioning import (
     REACH,
@@ -117,7 +118,7 @@ ROUGH = {"sensors": {"counts": 2000, "noise": 0.001}, "drive": {"command_noise":
 
 
 @pytest.mark.parametrize("fault", WIRED_WRONGLY)
-@pytest.mark.parametrize("trouble", [{}, ROUGH])
+@pytest.mark.parametrize("trouble", [{}, pytest.param(ROUGH, marks=pytest.mark.slow)])
 def test_what_is_wired_wrongly_is_found_and_nothing_measured_is_kept(fault: str, trouble: dict[str, Any]) -> None:
     rig = bench(fault, seed=3, **trouble)
     # What is said of the counts is not at issue here.
@@ -214,6 +215,11 @@ def times(*factors: float) -> Callable[[Reading], Reading]:
     return lambda reading: reading._replace(positions=reading.positions * np.array(factors))
 
 
+def noisy_cart(reading: Reading) -> Reading:
+    noise = np.random.default_rng(round(1e4 * reading.time)).normal(0.0, 0.001)
+    return reading._replace(positions=np.array([0.0, 0.0, noise]))
+
+
 @pytest.mark.parametrize(
     ("spoil", "step", "told"),
     [
@@ -223,6 +229,7 @@ def times(*factors: float) -> Callable[[Reading], Reading]:
         (times(1, -1, 1), "encoders", "the absolute encoder of arm 2 counts backwards"),
         (times(-1, -1, -1), "drive", "seen to go to the right first, reverse the cart's scale and all"),
         (times(0, 0, 0), "drive", "whether the motor is on"),
+        (noisy_cart, "drive", "whether the drive holds the cart"),
         (lambda r: r._replace(positions=r.positions + 0.2), "still", "bring it to the centre"),
         (lambda r: r._replace(positions=np.degrees(r.positions) * [1, 1, np.pi / 180]), "still", "not in radians"),
     ],
@@ -258,6 +265,27 @@ def test_noise_on_the_command_is_held_within_the_reach_and_told_in_the_errors() 
     assert rig.farthest < REACH
     assert delay["delay_error"] > 0.005
     assert abs(delay["delay"] + delay["lag"] * RATE - 2.0) < 0.3
+
+
+@pytest.mark.slow  # Several seconds: many benches, to see the rare ones.
+def test_direction_and_gain_of_a_shift_are_right_whatever_the_delay_and_noise() -> None:
+    random, refused = np.random.default_rng(1), 0
+    for seed in range(100):
+        noise, lag = random.choice([0.0, 0.03, 0.1, 0.2]), random.choice([0.0, 0.005, 0.02])
+        gain = random.choice([0.5, 2.0])
+        drive = {"command_noise": noise, "delay": random.uniform(0, 10), "lag": lag, "response": gain}
+        faults = ["drive-reversed"] * random.integers(2)
+        rig = bench(*faults, seed=seed, drive=drive)
+        session = commissioning._Session(rig, LAB.count, LIMITS, ())
+        commissioning._look(session, QUICK)
+        try:
+            commissioning._shift(session, LAB)
+        except commissioning._Halted as halted:
+            assert "wanders" in str(halted)
+            refused += 1
+            continue
+        assert session.gain / gain * (-1) ** len(faults) == pytest.approx(1, abs=0.6)
+    assert refused <= 5
 
 
 def with_switches(*faults: str, track: float = 0.5) -> Watched:
