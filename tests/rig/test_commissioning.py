@@ -280,8 +280,7 @@ def test_direction_and_gain_of_a_shift_are_right_whatever_the_delay_and_noise() 
         commissioning._look(session, QUICK)
         try:
             commissioning._shift(session, LAB)
-        except commissioning._Halted as halted:
-            assert "wanders" in str(halted)
+        except commissioning._Halted:
             refused += 1
             continue
         assert session.gain / gain * (-1) ** len(faults) == pytest.approx(1, abs=0.6)
