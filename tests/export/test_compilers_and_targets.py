@@ -1,0 +1,106 @@
+"""What is exported by every compiler and level at hand, under sanitizers and valgrind, on a Cortex-M4 under qemu, and
+for every itinerary that is shipped. Minutes of compiling, hence slow.
+"""
+
+from itertools import product
+from pathlib import Path
+
+import pytest
+from c_compilers import SOURCES, WARNINGS, compiled, needed, ran
+
+from dpcontrol.control import export
+from dpcontrol.control.export import ControllerSource
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.scenes import run
+from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.plan import make_plan
+
+pytestmark = pytest.mark.slow
+
+REPLAY = [*SOURCES, "main_replay.c"]
+CORTEX_M4 = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"]
+TARGET = Path(__file__).with_name("cortex_m")
+ITINERARIES = sorted(file.stem for file in (Path(__file__).parents[2] / "itineraries").glob("*.toml"))
+
+Exported = tuple[Path, ControllerSource]
+
+
+@pytest.mark.parametrize("level", ["-O0", "-O1", "-O2", "-O3"])
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_every_compiler_and_level_gives_the_loops_commands(exported: Exported, compiler: str, level: str) -> None:
+    program = compiled(compiler, level, folder=exported[0], out="by_level", sources=REPLAY)
+    done = ran(program, "readings.csv", folder=exported[0])
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_sanitizers_find_nothing(exported: Exported, compiler: str) -> None:
+    options = ["-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    program = compiled(compiler, *options, folder=exported[0], out="sanitized", sources=REPLAY)
+    done = ran(program, "readings.csv", folder=exported[0])
+    assert done.returncode == 0, done.stderr
+
+
+def test_valgrind_finds_nothing(exported: Exported) -> None:
+    program = compiled("gcc", "-g", "-O1", folder=exported[0], out="watched", sources=REPLAY)
+    options = ["--quiet", "--error-exitcode=9", "--leak-check=full"]
+    done = ran(needed("valgrind"), *options, program, "readings.csv", folder=exported[0])
+    assert done.returncode == 0, done.stderr
+
+
+def test_make_and_cmake_build_and_check_it(exported: Exported) -> None:
+    folder = exported[0]
+    done = ran(needed("make"), "-s", "all", "check", "CC=cc", folder=folder)
+    assert done.returncode == 0, done.stderr
+    for command in (["-S", ".", "-B", "build"], ["--build", "build"]):
+        done = ran(needed("cmake"), *command, folder=folder)
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert ran("ctest", "--test-dir", "build", folder=folder).returncode == 0
+
+
+def test_a_cortex_m4_gives_the_loops_commands(single: Exported) -> None:
+    folder = single[0]
+    lines = (folder / "readings.csv").read_text().splitlines(keepends=True)
+    few = folder / "few"
+    few.mkdir()
+    (few / "readings.csv").write_text("".join(lines[:1500]))
+    more = ["-Wdouble-promotion"]
+    for source in SOURCES:
+        done = ran(
+            needed("arm-none-eabi-gcc"), *WARNINGS, *more, *CORTEX_M4, "-O2", "-c", "-o", few / f"{source}.o", source,
+            folder=folder,
+        )  # fmt: skip
+        assert (done.returncode, done.stderr) == (0, "")
+    size = ran(needed("arm-none-eabi-size"), few / "dpc_controller.c.o", folder=folder).stdout.splitlines()[1].split()
+    assert int(size[0]) < 64 * 1024
+    assert size[1:3] == ["0", "0"], "it has variables"
+    done = ran(
+        "arm-none-eabi-gcc", "-std=c99", "-O2", *CORTEX_M4, "-ffp-contract=off", "--specs=rdimon.specs",
+        "-nostartfiles", "-T", TARGET / "memory.ld", "-o", few / "replay.elf", TARGET / "start.c", *REPLAY, "-lm",
+        folder=folder,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    done = ran(
+        needed("qemu-system-arm"), "-M", "netduinoplus2", "-nographic", "-monitor", "none", "-serial", "none",
+        "-semihosting-config", "enable=on,target=native", "-kernel", "replay.elf", folder=few,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "1499 ticks, commands differ by" in done.stderr
+
+
+@pytest.mark.parametrize(("name", "precise"), list(product(ITINERARIES, ["double", "single"])))
+def test_every_shipped_itinerary_leaves_as_c_or_says_why_not(
+    name: str, precise: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(export, "_measured", lambda files: (None, None))
+    # Whole runs are replayed, not their first seconds.
+    monkeypatch.setattr(run, "_CHECKED_TICKS", 1_000_000)
+    scene, folder = load_itinerary(name), tmp_path / "controller"
+    if name.startswith("keep-") or name == "linger":
+        with pytest.raises(InputError, match="keeps a clock of its own"):
+            run.check_exportable(scene)
+        return
+    run.export_plan(make_plan(scene), folder, single=precise == "single")
+    program = compiled("gcc", "-O2", folder=folder, out="replay", sources=REPLAY)
+    done = ran(program, "readings.csv", folder=folder)
+    assert done.returncode == 0, done.stderr
