@@ -29,7 +29,7 @@ from dpcontrol.control.interface import Controller, GainSchedule
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
 from dpcontrol.control.tick import TickProgram, whole_periods
 from dpcontrol.foundation.cache import commit
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.files import (
     checked_other_file,
     checked_source,
@@ -419,6 +419,11 @@ def _exported(plan: Plan, single: bool, progress: Progress) -> tuple[ControllerS
     itinerary, reference = plan.itinerary, plan.followed().reference
     arms, loop = itinerary.model.arms, itinerary.loop
     check_exportable(itinerary)
+    if any(itinerary.zeros):
+        remark(
+            f"{itinerary.path}: [run] zeros = {list(itinerary.zeros)} is not in the exported program, which takes "
+            "readings as they come; set the encoders to zero, or take the zeros off before a step"
+        )
     controller = loop_controller(reference, arms, loop)
     limits, delay = loop.limits(reference), loop.drive.delay
     lead = whole_periods(delay)[1]
@@ -660,7 +665,8 @@ def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = 
     check_replaced(out, {**_metadata(plan.itinerary), "rig": OWN_BENCH}, force=force)
     controller = loop_controller(plan.followed().reference, plan.itinerary.model.arms, plan.itinerary.loop)
     settings = BenchServerSettings(real_time=real_time, watchdog=PROGRAM_WATCHDOG)
-    process, deadlines = BenchProcess(bench_recipe(plan, controller), settings), None
+    # A program takes no zeros off its readings.
+    process, deadlines = BenchProcess(replace(bench_recipe(plan, controller), zeros=()), settings), None
     try:
         with process:
             deadlines = process.controlled_by(program, *(["--real-time"] if real_time else []))

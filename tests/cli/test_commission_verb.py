@@ -140,3 +140,13 @@ def test_a_bench_in_another_process_is_commissioned_over_udp(tmp_path: Path) -> 
     if late["verdict"] != "wrong":
         (wrong,) = [f for f in document["findings"] if f["verdict"] == "wrong"]
         assert "the drive is reversed" in wrong["sentence"]
+
+
+@pytest.mark.slow  # A whole run is exported.
+def test_an_exported_program_is_remarked_to_take_no_zeros_off(scene: Path) -> None:
+    hold = scene.with_name("hold.toml")
+    text = (ROOT / "itineraries" / "hold-down-down.toml").read_text()
+    hold.write_text(f"{text}zeros = [0.03, -0.02]\n")
+    ended = dpcontrol("export", hold, "--out", scene.with_name("controller"))
+    assert ended.code == 0
+    assert "[run] zeros = [0.03, -0.02] is not in the exported program" in ended.stderr
