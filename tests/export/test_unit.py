@@ -250,6 +250,21 @@ def test_the_same_controller_gives_the_same_bytes(exported: Exported) -> None:
     assert again.archive == exported.made.archive
 
 
+@pytest.mark.slow  # Two exports, of a few seconds each.
+def test_the_verb_writes_a_unit_and_replaces_nothing_else(tmp_path: Path) -> None:
+    file = tmp_path / "hold.fmu"
+    asked = ("export", "hold-up-up", "--fmu", "--out", file, "--json")
+    ended = dpcontrol(*asked)
+    assert ended.code == 0
+    assert ended.document["unit"] == str(file)
+    assert validation.validate_fmu(str(file)) == []
+    written = file.read_bytes()
+    other = dpcontrol(*asked, "--float")
+    assert other.code == 2
+    assert "is there already and holds something else" in other.message
+    assert file.read_bytes() == written
+
+
 def test_a_unit_under_another_ending_is_refused(tmp_path: Path) -> None:
     ended = dpcontrol("export", "outer-turn", "--fmu", "--out", tmp_path / "controller")
     assert ended.code == 2

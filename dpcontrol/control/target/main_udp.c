@@ -383,7 +383,7 @@ static int hear(double until, bench_reading *reading)
             kept.stale += kind == READING;
             continue;
         }
-        if (kind == WELCOME && body_size == 20) {
+        if (kind == WELCOME && body_size == 20 && rig.session == rig.asked) {
             rig.arms = count;
             rig.period = get_double(body);
             rig.ticks = (uint32_t)get(body + 8, 4);
