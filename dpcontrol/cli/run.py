@@ -188,6 +188,9 @@ def export_command(
     *,
     itinerary: str = argument(),
     single: bool = option("--float", help="In single precision."),
+    clock: float | None = option(
+        type=click.FloatRange(min=1, max=100_000), help="Clock of a Cortex-M4, MHz: refuse a rate that it cannot keep."
+    ),
     unit: bool = option("--fmu", help="Write a co-simulation unit (FMI 2.0) for Simulink, Modelica tools, FMPy."),
     settings: RunOptions = run_settings(),
     out: Path = option(type=click.Path(path_type=Path), group=OUTPUT, help="Folder to write; with --fmu NAME.fmu."),
@@ -207,6 +210,8 @@ def export_command(
 
     if unit and out.suffix != ".fmu":
         raise click.UsageError(f"--out {out}: a co-simulation unit is a file whose name ends in .fmu")
+    if unit and clock is not None:
+        raise click.UsageError("--clock is for the C of a target; a co-simulation unit keeps its tool's time")
     scene = load_itinerary(itinerary).with_run(settings)
     check_exportable(scene)
     with progress_bar("export") as progress:
@@ -214,7 +219,7 @@ def export_command(
         if unit:
             source, lacks = export_unit(plan, out, single=single, force=force)
         else:
-            source, lacks = export_plan(plan, out, single=single, force=force), ""
+            source, lacks = export_plan(plan, out, single=single, clock=clock, force=force), ""
     if lacks:
         say(lacks)
     figures, rate = source.figures, scene.loop.rate
@@ -231,6 +236,9 @@ def export_command(
         f"  tables  {kibibytes(figures.tables)}, {kibibytes(figures.tables_per_second)} for each second; {halves}, "
         f"{coarser} (wrong by {figures.coarser_error:.1%} at most)",
     ]
+    if figures.seconds_a_tick is not None:
+        took, share = f"{1e3 * figures.seconds_a_tick:.2g} ms", figures.seconds_a_tick * rate
+        lines.append(f"  time    some {took} a tick on a Cortex-M4 at {clock:g} MHz, {share:.0%} of a period")
     return Answer(document, lines)
 
 

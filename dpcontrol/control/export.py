@@ -45,7 +45,8 @@ class Figures(NamedTuple):
 
     code: of the controller, with its constants; stack: of a step; memory: the caller's, kept from tick to tick. tables:
     in all, tables_per_second: of reference; coarser_per_second: with gains at every `COARSER`-th tick only and lines
-    between them, each wrong by a share `coarser_error` of its largest at most.
+    between them, each wrong by a share `coarser_error` of its largest at most. seconds_a_tick: by operations, on the
+    target whose clock is given.
     """
 
     operations: int
@@ -56,9 +57,12 @@ class Figures(NamedTuple):
     tables_per_second: float
     coarser_per_second: float
     coarser_error: float
+    seconds_a_tick: float | None
 
 
 COARSER = 10
+CYCLES = {True: 5.0, False: 60.0}
+"""Of a Cortex-M4 for an operation in single precision, by its instructions, and in double, which it has no unit for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,13 +253,15 @@ def controller_source(
     title: str,
     single: bool,
     readings: str,
+    clock: float | None = None,
 ) -> ControllerSource:
     """Return the C of a program that has begun and of its schedule; see `checked_exportable`.
 
     single: in single precision. readings: of a simulated run and what was commanded, as main_replay.c reads them.
+    clock MHz: of a Cortex-M4 that is to keep the rate.
 
     Raises:
-        InputError: the tables would be too long for compilers.
+        InputError: the tables would be too long for compilers, or a tick for its period at that clock.
     """
     equations = _for_precision(program.equations, single=single)
     tables = _tables(equations, schedule)
@@ -266,6 +272,13 @@ def controller_source(
             "shorter itinerary"
         )
     function = _function(program, tables, single=single)
+    takes = None if clock is None else function.n_instructions() * CYCLES[single] / (1e6 * clock)
+    if takes is not None and not takes <= program.period / 2:
+        raise InputError(
+            f"export: --clock {clock:g}: in {'single' if single else 'double'} precision a tick takes some "
+            f"{1e3 * takes:.2g} ms at {clock:g} MHz and must leave half of its period of {1e3 * program.period:g} ms: "
+            f"{'' if single else 'use --float, '}lower --rate, or choose a quicker target"
+        )
     known = {
         "TITLE": _comment(f"{itinerary}: {title}"), "ITINERARY_COMMENT": _comment(itinerary),
         "ITINERARY": _string(itinerary), "LAW": _string(controller.kind),
@@ -287,7 +300,7 @@ def controller_source(
         memory=width * equations.memory.size + ctypes.sizeof(ctypes.c_long),
         tables=width * count, tables_per_second=width * count / seconds,
         coarser_per_second=width * (tables.law.size / COARSER + tables.states.size) / seconds,
-        coarser_error=_error_between(tables.law),
+        coarser_error=_error_between(tables.law), seconds_a_tick=takes,
     )  # fmt: skip
     shown = figures._asdict()
     known |= {f"BYTES_{name.upper()}": kibibytes(shown[name]) for name in _SHOWN}

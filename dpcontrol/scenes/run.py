@@ -377,18 +377,21 @@ def export_plan(
     out: Path | None = None,
     *,
     single: bool = False,
+    clock: float | None = None,
     force: bool = False,
     progress: Progress = no_progress,
 ) -> ControllerSource:
     """Return the controller of a planned itinerary as C, and write it to a folder if one is given, whole or not at all.
 
-    single: in single precision. force: replace what is in the folder under the same names.
+    single: in single precision. clock MHz: of a Cortex-M4 that is to keep the rate. force: replace what is in the
+    folder under the same names.
 
     Raises:
-        InputError: its law or estimator cannot leave as C, or the folder holds something else.
+        InputError: its law or estimator cannot leave as C, the target cannot keep the rate, or the folder holds
+            something else.
         GoalMissed: the plan did not converge, or no controller can be made for it.
     """
-    source, _, _ = _exported(plan, single, progress)
+    source, _, _ = _exported(plan, single, progress, clock=clock)
     if out is not None:
         write_folder(out, source.files, force=force)
     return source
@@ -414,7 +417,9 @@ def export_unit(
     return source, made.lacks
 
 
-def _exported(plan: Plan, single: bool, progress: Progress) -> tuple[ControllerSource, TickProgram, GainSchedule]:
+def _exported(
+    plan: Plan, single: bool, progress: Progress, *, clock: float | None = None
+) -> tuple[ControllerSource, TickProgram, GainSchedule]:
     """Return a controller as C, with the readings of a simulated run to replay, and what it was made of."""
     itinerary, reference = plan.itinerary, plan.followed().reference
     arms, loop = itinerary.model.arms, itinerary.loop
@@ -438,7 +443,7 @@ def _exported(plan: Plan, single: bool, progress: Progress) -> tuple[ControllerS
     readings = "".join(f"{','.join(map(repr, row))}\n" for row in rows)
     source = controller_source(
         ticker.program, controller, schedule, itinerary=itinerary.name, title=itinerary.title, single=single,
-        readings=f"{','.join([*names, 'control.command'])}\n{readings}",
+        clock=clock, readings=f"{','.join([*names, 'control.command'])}\n{readings}",
     )  # fmt: skip
     return source, ticker.program, schedule
 

@@ -272,6 +272,9 @@ def test_what_is_no_library_is_refused(tmp_path: Path, double: Exported) -> None
         ("outer-turn", ["--delay", "9"], "8 ahead"),
         ("outer-turn", ["--rate", "20000"], "rate"),
         ("outer-turn", ["--rate", "0"], "rate"),
+        ("outer-turn", ["--clock", "168"], "use --float"),
+        ("outer-turn", ["--clock", "8", "--float"], "choose a quicker target"),
+        ("outer-turn", ["--clock", "nan"], "clock"),
         ("no-such-itinerary", [], "no-such-itinerary"),
     ],
 )
@@ -334,8 +337,10 @@ def test_a_title_of_any_signs_stays_within_its_comment(
 
 def test_columns_that_never_change_stand_in_the_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(export, "_measured", lambda files: (None, None))
-    ended = dpcontrol("export", "hold-up-up", "--float", "--out", tmp_path / "hold", "--json")
+    ended = dpcontrol("export", "hold-up-up", "--float", "--clock", "168", "--out", tmp_path / "hold", "--json")
     assert ended.code == 0, ended.message
+    # By the instructions that gcc makes of it, 17,000 cycles.
+    assert ended.document["seconds_a_tick"] == pytest.approx(1e-4, rel=0.3)
     # An equilibrium and its gain: a row of the reference, whatever it is held for.
     assert ended.document["tables"] <= 7 * 4
     assert ended.document["precision"] == "single"
