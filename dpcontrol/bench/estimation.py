@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from dpcontrol.bench.chart import Panel, PrecisionChart
 from dpcontrol.bench.measure import Alternative, Judged, compare
-from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import (
     EkfSettings,
     EstimatorSettings,
@@ -29,6 +28,7 @@ from dpcontrol.control.interface import Estimate, Estimator, SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.loop.bench import SensorSettings
+from dpcontrol.loop.controllers import make_estimator
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
 from dpcontrol.scenes.model import load_model
 

@@ -33,7 +33,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.estimation import ESTIMATORS, make_estimator
 from dpcontrol.control.estimator_settings import EstimatorSettings, NisMeans, chi_square_band, nis_means
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
@@ -43,6 +42,7 @@ from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting, suggest
 from dpcontrol.loop.bench import SensorSettings
+from dpcontrol.loop.controllers import ESTIMATORS, make_estimator
 from dpcontrol.recordings.recording import (
     REPLAYED,
     SUMMARY,

@@ -1,4 +1,4 @@
-"""From a reference and settings to the controller of a run, whatever its kind.
+"""From a reference and settings to the controller and the estimator of a run, whatever their kinds.
 
 A reference that stays on one orbit or at one equilibrium says so in its notes (`stay`): kinds that hold orbits or
 equilibria need one, and kinds that track take it as any other.
@@ -12,10 +12,18 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from dpcontrol.control.estimator_settings import FilterSettings
+from dpcontrol.control.ekf import CompiledEkf
+from dpcontrol.control.estimator_settings import (
+    EkfSettings,
+    EstimatorSettings,
+    FilterpyEkfSettings,
+    FilterSettings,
+    UkfSettings,
+)
 from dpcontrol.control.handover import Fly, Keep, Keeper, NearestKeeper, Program, Segment, program
-from dpcontrol.control.interface import Controller, SampledModel
+from dpcontrol.control.interface import Controller, Estimator, SampledModel
 from dpcontrol.control.lqr import HoldSettings, hold_controller
 from dpcontrol.control.ogy import ClassicOgySettings, OgyController, OgySettings, ogy_controller
 from dpcontrol.control.periodic import OrbitController, orbit_controller
@@ -33,6 +41,30 @@ from dpcontrol.references.reference import Reference, plan_notes
 
 if TYPE_CHECKING:
     from dpcontrol.references.sustained import SustainedOrbit
+
+Array = NDArray[np.float64]
+
+ESTIMATORS: dict[str, type[EstimatorSettings]] = {
+    settings.kind: settings for settings in (EkfSettings, UkfSettings, FilterpyEkfSettings)
+}
+"""The settings of each kind of estimator, by its name in an itinerary."""
+
+
+def make_estimator(settings: EstimatorSettings, model: SampledModel, *, noise: Array) -> Estimator:
+    """Return the estimator of `settings` for `model`; noise (n+1, n+1): of the measured positions.
+
+    Raises:
+        InputError: the noise has the wrong shape or is no covariance.
+    """
+    if isinstance(settings, EkfSettings):
+        return CompiledEkf(model, settings, noise=noise)
+    # filterpy takes a second to import.
+    from dpcontrol.control.ukf import FilterpyEkf, Ukf
+
+    if isinstance(settings, UkfSettings):
+        return Ukf(model, settings, noise=noise)
+    return FilterpyEkf(model, settings, noise=noise)
+
 
 KEEPERS = ("none", "ogy", "ogy-classic", "tvlqr")
 """What may keep the stops of a walk; with none the whole reference is followed in one piece."""

@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings
 from dpcontrol.control.interface import MANY, Controller, Mode, SampledModel
 from dpcontrol.control.tick import Outcome, TickProgram, whole_periods
@@ -36,10 +35,22 @@ from dpcontrol.loop.bench import (
     SensorSettings,
     draw_bench,
 )
-from dpcontrol.loop.controllers import KEEPERS, ControllerSettings, make_controller, nearest_keeper
-from dpcontrol.loop.result import BatchRun, Ending, JudgedTicks, LoopResult, LoopSink, NoSink, Rig, Ticks
+from dpcontrol.loop.controllers import KEEPERS, ControllerSettings, make_controller, make_estimator, nearest_keeper
+from dpcontrol.loop.result import (
+    EVENTS,
+    BatchRun,
+    Ending,
+    JudgedTicks,
+    LoopResult,
+    LoopSink,
+    NoSink,
+    Rig,
+    SupervisorSettings,
+    Ticks,
+    ending,
+    explained,
+)
 from dpcontrol.loop.simulated import BatchBench, SimulatedRig
-from dpcontrol.loop.supervisor import EVENTS, SupervisorSettings, ending, explained
 from dpcontrol.loop.ticker import Fallback, Ticker, schedule_of
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference

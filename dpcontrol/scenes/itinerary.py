@@ -17,7 +17,6 @@ from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
-from dpcontrol.control.estimation import ESTIMATORS
 from dpcontrol.control.estimator_settings import (
     AdaptiveEkfSettings,
     Augment,
@@ -30,9 +29,9 @@ from dpcontrol.dynamics.chain import Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Table, parse_toml, read_toml, suggest
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings
-from dpcontrol.loop.controllers import KEEPERS, ControllerSettings
+from dpcontrol.loop.controllers import ESTIMATORS, KEEPERS, ControllerSettings
 from dpcontrol.loop.loop import LoopSettings
-from dpcontrol.loop.supervisor import SupervisorSettings
+from dpcontrol.loop.result import SupervisorSettings
 from dpcontrol.orbits.symmetric_shooting import equilibria
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings

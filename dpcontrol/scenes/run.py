@@ -22,7 +22,6 @@ from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 import numpy as np
 
 import dpcontrol
-from dpcontrol.control.estimation import ESTIMATORS
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.export import LEAVING, ControllerSource, checked_exportable, controller_source
 from dpcontrol.control.interface import Controller, GainSchedule
@@ -52,6 +51,7 @@ from dpcontrol.logs import (
     joint_names,
     read_log,
 )
+from dpcontrol.loop.controllers import ESTIMATORS
 from dpcontrol.loop.loop import LoopSettings, control_loop, loop_controller, loop_fallback, make_ticker, run_loop
 from dpcontrol.loop.result import LogSink, LoopResult, NoSink, Rig
 from dpcontrol.references.problem import Limits

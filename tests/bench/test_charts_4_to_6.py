@@ -15,10 +15,10 @@ from log_recording import RATE, hand_over, recording
 from dpcontrol.bench.control import ControlTask, held, measured
 from dpcontrol.bench.estimation import PERIOD, derivative_trial, differences, estimator_trial, noise_of, swing
 from dpcontrol.bench.logging import Arrays, Blocks, ByMessage, Lines, RowGroups, losses
-from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.ogy import OgySettings, ogy_controller
 from dpcontrol.logs.container import messages_of, ticks_left
+from dpcontrol.loop.controllers import make_estimator
 from dpcontrol.loop.loop import sampled_model
 from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.orbits.lyapunov import lyapunov_orbit

@@ -16,9 +16,9 @@ from estimator_runs import COUNT, MODEL, NOISE, SWING, estimated, run
 from simulated_consistency import simulated_consistency
 
 from dpcontrol.control.ekf import CompiledEkf, EkfProgram
-from dpcontrol.control.estimation import make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, FilterpyEkfSettings, UkfSettings
 from dpcontrol.loop.bench import SensorSettings
+from dpcontrol.loop.controllers import make_estimator
 
 pytestmark = pytest.mark.benchmark
 

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from estimator_runs import MODEL, NOISE, SWING, estimated, run
 
-from dpcontrol.control.estimation import ESTIMATORS, make_estimator
 from dpcontrol.control.estimator_settings import EkfSettings, FilterpyEkfSettings, UkfSettings
 from dpcontrol.control.interface import Estimate, Estimator
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.loop.controllers import ESTIMATORS, make_estimator
 
 ROUNDING = 1e-7  # Of a filter's standard deviations; zeros that are hardly known amplify rounding.
 NEAR = 0.2  # Of a standard deviation: what linearisation errs by, at most, in a swing.

@@ -11,8 +11,7 @@ from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings
 from dpcontrol.loop.loop import LoopSettings, can_batch, loop_controller, run_batch, run_loop
-from dpcontrol.loop.result import BatchRun, Ending
-from dpcontrol.loop.supervisor import SupervisorSettings
+from dpcontrol.loop.result import BatchRun, Ending, SupervisorSettings
 from dpcontrol.references.reference import Reference
 
 BY_ITSELF = 1e-9

@@ -9,8 +9,7 @@ from command_line import Ended, dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog, read_log
 from dpcontrol.loop.loop import loop_fallback
-from dpcontrol.loop.result import Ending
-from dpcontrol.loop.supervisor import SupervisorSettings
+from dpcontrol.loop.result import Ending, SupervisorSettings
 from dpcontrol.review.score import plan_of
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan

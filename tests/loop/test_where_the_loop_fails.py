@@ -15,9 +15,8 @@ from dpcontrol.control.interface import Action, Mode
 from dpcontrol.control.tracking import TrackingController, tracking_controller
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings, draw_bench
 from dpcontrol.loop.loop import LoopSettings, control_loop, sampled_model
-from dpcontrol.loop.result import Ending, LoopResult, Ticks
+from dpcontrol.loop.result import Ending, LoopResult, SupervisorSettings, Ticks
 from dpcontrol.loop.simulated import SimulatedRig
-from dpcontrol.loop.supervisor import SupervisorSettings
 from dpcontrol.references.reference import Reference
 
 AFTER = 1000  # Ticks for which the bench goes on when the loop has ended.
