@@ -473,8 +473,10 @@ class CompiledEkf(KalmanFilter):
                 "the filter's covariance is no longer positive, or its state no longer finite; begin again from the "
                 "measured positions, or assume more noise"
             )
-        parts = (out[program.out[name]] for name in ("state", "extra", "sigmas", "innovation"))
-        return Estimate(*parts, nis, int(used), out[program.out["memory"]])
+        at = program.out
+        return Estimate(
+            out[at["state"]], out[at["extra"]], out[at["sigmas"]], out[at["innovation"]], nis, int(used), out[at["memory"]]
+        )
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
         """Return the state (N,) after the commands on their way, one per period, with the extras' effect.

@@ -1,8 +1,8 @@
 """What stands at the loop's ends: the rig that it runs on, the sink that takes its ticks, how a run ended, and why.
 
 The supervisor's outcomes: go on; restart the estimator; re-synchronise the reference's clock; hold the nearest orbit;
-stop the cart in time. The tick itself decides (`dpcontrol.control.tick`); here are its settings, and the words for it. A
-run that cannot be saved ends with the cart at rest inside its limits.
+stop the cart in time. The tick itself decides (`dpcontrol.control.tick`); here are its settings, and the words for it.
+A run that cannot be saved ends with the cart at rest inside its limits.
 """
 
 import math
