@@ -473,10 +473,10 @@ class CompiledEkf(KalmanFilter):
                 "the filter's covariance is no longer positive, or its state no longer finite; begin again from the "
                 "measured positions, or assume more noise"
             )
-        at = program.out
-        return Estimate(
-            out[at["state"]], out[at["extra"]], out[at["sigmas"]], out[at["innovation"]], nis, int(used), out[at["memory"]]
+        state, extra, sigmas, innovation, memory = (
+            out[program.out[name]] for name in ("state", "extra", "sigmas", "innovation", "memory")
         )
+        return Estimate(state, extra, sigmas, innovation, nis, int(used), memory)
 
     def ahead(self, estimate: Estimate, commands: Sequence[float]) -> Array:
         """Return the state (N,) after the commands on their way, one per period, with the extras' effect.
