@@ -50,6 +50,8 @@ Tell = Callable[[str], None]
 
 REACH = 0.010
 """m: how far the cart goes from where it stands, switches apart."""
+_LONGEST_PERIOD = 0.05
+"""s."""
 _SWITCHES = Bounds(least=2 * REACH, most=100, unit="m")
 
 
@@ -300,11 +302,16 @@ def commission(
     whatever happens.
 
     Raises:
-        InputError: an impossible way to the switches.
+        InputError: an impossible way to the switches, or a rig that ticks too slowly to be held.
     """
     options = options or CommissioningSettings()
     if switches and (complaint := _SWITCHES.complaint(switches)):
         raise InputError(f"switches = {switches!r}: {complaint}")
+    if rig.period > _LONGEST_PERIOD:
+        raise InputError(
+            f"the rig ticks at {1 / rig.period:.3g} Hz: to hold the cart within {1e3 * REACH:.0f} mm takes at least "
+            f"{1 / _LONGEST_PERIOD:g} Hz; raise its rate"
+        )
     findings: list[Finding] = []
     changes: dict[str, Any] = {}
     halt, session, motion = None, None, _Motion()

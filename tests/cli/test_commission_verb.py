@@ -104,6 +104,7 @@ def commissioning_error() -> Exception:
         (("--rig", "tcp://x:1"), "must be udp://HOST:PORT"),
         (("--fault", "encoder-2-reversd"), "did you mean 'encoder-2-reversed'?"),
         (("--switches", "nan"), "switches = nan: must be 0.02 to 100 m"),
+        (("--rate", "10"), "takes at least 20 Hz; raise its rate"),
         (("--switches", "0.001"), "switches = 0.001: must be 0.02 to 100 m"),
     ],
 )
