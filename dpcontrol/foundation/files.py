@@ -192,8 +192,9 @@ def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -
             if all((path / name).is_file() and (path / name).read_text() == text for name, text in files.items()):
                 return
             raise in_the_way(path, "holds something else")
-        path.absolute().parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(prefix=f".{path.name[:40]}.", dir=path.absolute().parent) as name:
+        beside = path if there else path.absolute().parent
+        beside.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(prefix=f".{path.name[:40]}.", dir=beside) as name:
             whole = Path(name) / "whole"
             whole.mkdir()
             for file, text in files.items():
