@@ -113,8 +113,8 @@ def run_command(
         raise InputError(f"--controller-program {program}: there is no such program that may be run; compile it first")
     key = b""
     if address is not None:
-        from dpcontrol.rig.access import shared_key
         from dpcontrol.rig.client import parse_address
+        from dpcontrol.rig.packets import shared_key
         from dpcontrol.scenes.run import OWN_BENCH
 
         # Before the plan, which can take minutes.
@@ -289,8 +289,8 @@ def rig_command(
     The arms start where the itinerary does. The packets are described in dpcontrol/guide/rig.md. Where --host can be
     reached from other computers, loops need the bench's key.
     """
-    from dpcontrol.rig.access import checked_host, shared_key
     from dpcontrol.rig.bench import BenchServerSettings, UdpBench, checked_faults
+    from dpcontrol.rig.packets import checked_host, shared_key
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.plan import make_plan
     from dpcontrol.scenes.run import bench_recipe, hanging_recipe
@@ -358,8 +358,8 @@ def commission_command(
     move. Ctrl-C brakes the cart. Exits with 1 where something is wrong. Settings and faults are the example bench's.
     More is in dpcontrol/guide/rig.md.
     """
-    from dpcontrol.rig.access import shared_key
     from dpcontrol.rig.client import parse_address
+    from dpcontrol.rig.packets import shared_key
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.run import OWN_BENCH, commission_rig, measured_text
 

@@ -45,9 +45,9 @@ from dpcontrol.loop.result import Reading, Rig
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.problem import Limits
 from dpcontrol.rig import packets as packets
-from dpcontrol.rig.access import KEY_VARIABLE, checked_host
 from dpcontrol.rig.client import Deadlines, real_time_priority, without_collecting
 from dpcontrol.rig.packets import (
+    KEY_VARIABLE,
     LARGEST,
     CommandPacket,
     Condition,
@@ -61,6 +61,7 @@ from dpcontrol.rig.packets import (
     Talk,
     Unsealed,
     Welcome,
+    checked_host,
 )
 
 Array = NDArray[np.float64]

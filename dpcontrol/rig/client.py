@@ -28,8 +28,19 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.loop.result import Reading
 from dpcontrol.rig import packets as packets
-from dpcontrol.rig.access import check_access, resolved
-from dpcontrol.rig.packets import LARGEST, Condition, Heard, Kind, Packet, ReadingPacket, Role, Talk, Welcome
+from dpcontrol.rig.packets import (
+    LARGEST,
+    Condition,
+    Heard,
+    Kind,
+    Packet,
+    ReadingPacket,
+    Role,
+    Talk,
+    Welcome,
+    check_access,
+    resolved,
+)
 
 
 @contextmanager

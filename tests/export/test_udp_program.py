@@ -27,9 +27,8 @@ from dpcontrol.loop.loop import ControlLoop, LoopSettings, control_loop, sampled
 from dpcontrol.loop.result import Ending, Reading
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.reference import Reference
-from dpcontrol.rig.access import KEY_VARIABLE
 from dpcontrol.rig.bench import BenchRecord, BenchServerSettings, RecordedRig
-from dpcontrol.rig.packets import Kind
+from dpcontrol.rig.packets import KEY_VARIABLE, Kind
 
 TEMPLATES = Path(dp.__file__).parent / "control" / "target"
 STRICT = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror", "-ffp-contract=off"]

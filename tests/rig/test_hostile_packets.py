@@ -22,10 +22,9 @@ from command_line import PROGRAM, dpcontrol, dpcontrol_program
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import read_log
 from dpcontrol.rig import packets as packets
-from dpcontrol.rig.access import KEY_VARIABLE, shared_key
 from dpcontrol.rig.bench import BenchServerSettings, UdpBench
 from dpcontrol.rig.client import Deadlines, LinkSettings, UdpRig, parse_address
-from dpcontrol.rig.packets import Condition, Kind, Role, Talk
+from dpcontrol.rig.packets import KEY_VARIABLE, Condition, Kind, Role, Talk, shared_key
 
 FEW, MANY = 200, 100_000  # Few enough that a socket holds them all, should the bench stall.
 FORGED = 1e6
