@@ -170,6 +170,10 @@ _FOUND = ("max_error_between_nodes", "constraint_violation", "iterations", "solv
 _CART = ("max_cart_position", "max_cart_velocity", "max_cart_acceleration", "rms_cart_acceleration")
 
 
+_LARGEST = 1e9
+"""s, rad, rad/s, m, m/s and m/s²: their squares are still numbers."""
+
+
 def save_reference(path: Path | BytesIO, reference: Reference) -> None:
     """Write `reference` to `path` (whole, or not at all) in the layout above; path: or a file in memory.
 
@@ -206,8 +210,11 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
         raise ValueError("its mesh does not rise")
     if states.shape[:2] != (intervals, count + 1) or inputs.shape[:2] != (intervals, count):
         raise ValueError(f"states {states.shape} and inputs {inputs.shape} do not fit its mesh")
-    if states.ndim != 3 or inputs.ndim != 3 or not (np.isfinite(states).all() and np.isfinite(inputs).all()):
-        raise ValueError("its states or inputs are not finite")
+    if states.ndim != 3 or inputs.ndim != 3:
+        raise ValueError(f"states {states.shape} and inputs {inputs.shape} must have three dimensions")
+    # Not a number fails too.
+    if not all(np.abs(values).max(initial=0.0) <= _LARGEST for values in (mesh, states, inputs)):
+        raise ValueError("its mesh, states or inputs are not finite, or beyond all measure")
     found: dict[str, Any] = {k: np.inf if header["numbers"][k] is None else header["numbers"][k] for k in _FOUND}
     return Reference(
         method, mesh, states, inputs, Limits(**header["limits"]),

@@ -1,6 +1,7 @@
 """What the fuzz tests found, each as the call that showed it."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -11,6 +12,7 @@ from command_line import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.identification.replay import filter_settings
 from dpcontrol.logs import LogWriter, read_log
+from dpcontrol.references.reference import load_reference, save_reference
 from dpcontrol.review.page import new_figure, save_figure
 from dpcontrol.review.score import score
 
@@ -197,3 +199,16 @@ def test_a_picture_that_cannot_be_written_is_refused_before_the_model_is(picture
     ended = dpcontrol("identify", "run.mcap", "--picture", picture)
     assert ended.code == 2
     assert f"cannot use {picture}" in ended.message
+
+
+@pytest.mark.parametrize(("part", "value"), [("mesh", np.inf), ("inputs", 1e300), ("states", np.nan)])
+def test_a_reference_beyond_all_measure_is_refused_without_a_warning(part: str, value: float) -> None:
+    assert dpcontrol("plan", "rest.toml", "--out", "reference.npz").code == 0
+    reference = load_reference(Path("reference.npz"))
+    changed = getattr(reference, part).copy()
+    changed[-1] = value
+    save_reference(Path("far.npz"), replace(reference, **{part: changed}))
+    ended = dpcontrol("reference", "far.npz")
+    assert ended.code == 2
+    assert "beyond all measure" in ended.message
+    assert "Warning" not in ended.message
