@@ -51,7 +51,6 @@ _UNARY = {
     ca.OP_COSH: hy.cosh,
     ca.OP_TANH: hy.tanh,
     ca.OP_FABS: lambda a: hy.select(hy.gte(a, _ZERO), a, -a),
-    ca.OP_NOT: lambda a: hy.eq(a, _ZERO),
 }
 _BINARY = {
     ca.OP_ADD: lambda a, b: a + b,
@@ -61,6 +60,11 @@ _BINARY = {
     ca.OP_POW: lambda a, b: a**b,
     ca.OP_CONSTPOW: lambda a, b: a**b,
     ca.OP_ATAN2: hy.atan2,
+}
+
+
+_SWITCHES = {
+    ca.OP_NOT: lambda a: hy.eq(a, _ZERO),
     ca.OP_LT: hy.lt,
     ca.OP_LE: hy.lte,
     ca.OP_EQ: hy.eq,
@@ -71,10 +75,15 @@ _BINARY = {
     ca.OP_FMAX: lambda a, b: hy.select(hy.gt(a, b), a, b),
     ca.OP_IF_ELSE_ZERO: lambda a, b: hy.select(a, b, _ZERO),
 }
+"""What has kinks and jumps: of decisions, not of a motion, whose Taylor series they would end."""
 
 
-def to_heyoka(function: ca.Function, arguments: Sequence[Sequence[hy.expression]]) -> list[hy.expression]:
+def to_heyoka(
+    function: ca.Function, arguments: Sequence[Sequence[hy.expression]], *, switches: bool = False
+) -> list[hy.expression]:
     """Return the entries of the function's only output, with `arguments[i][k]` for entry k of input i.
+
+    switches: whether it may hold comparisons, and what they choose.
 
     Raises:
         NotImplementedError: the graph holds an operation that has no counterpart here; names it.
@@ -97,6 +106,8 @@ def to_heyoka(function: ca.Function, arguments: Sequence[Sequence[hy.expression]
             work[into[0]] = _UNARY[operation](work[source[0]])
         elif operation in _BINARY:
             work[into[0]] = _BINARY[operation](work[source[0]], work[source[1]])
+        elif switches and operation in _SWITCHES:
+            work[into[0]] = _SWITCHES[operation](*(work[i] for i in source))
         else:
             raise NotImplementedError(
                 f"casadi operation {operation} in {function.name()} has no heyoka counterpart; add it to "
@@ -144,7 +155,8 @@ class Compiled:
             with suppress(Exception):
                 return pickle.loads(content)
         variables = [hy.expression(f"v{i}") for i in range(self.size_in)]
-        outputs = to_heyoka(self._function, [variables[where] for where in self.slices.values()])
+        arguments = [variables[where] for where in self.slices.values()]
+        outputs = to_heyoka(self._function, arguments, switches=True)
         machine = hy.cfunc(outputs, variables, compact_mode=False, batch_size=VECTOR, force_avx512=True)
         if file is not None:
             keep(file, pickle.dumps(machine))
