@@ -189,8 +189,9 @@ def _largest(values: Sequence[ca.SX]) -> ca.SX:
 class TickEquations:
     """The tick of one filter, delay and law.
 
-    whole, lead: the delay's whole periods, and for how many the command is computed ahead. shares (E,): which extras
-    are relative errors that the law trusts only so far; None for a law without gains on them.
+    whole, lead: the delay's whole periods, and for how many the command is computed ahead; None where whoever keeps the
+    memory keeps the commands on their way, too, of delays too long to unroll. shares (E,): which extras are relative
+    errors that the law trusts only so far; None for a law without gains on them.
 
     For coarser arithmetic: same rad and m, how near to each other readings of a joint and of the cart are the same
     count; split, whether the filter's positions are kept as a sum of two numbers: single precision rounds an angle of
@@ -198,8 +199,8 @@ class TickEquations:
     """
 
     filter: FilterEquations
-    whole: int
-    lead: int
+    whole: int | None
+    lead: int | None
     shares: tuple[bool, ...] | None = None
     same: tuple[float, float] = (SAME, SAME)
     split: bool = False
@@ -218,8 +219,9 @@ class TickEquations:
         the positions in z are relative to; whoever keeps the memory may move from one to the other.
         """
         size, m = self.filter.dimension, self.filter.arms + 1
+        sent = {} if self.whole is None else {"sent": self.whole + 2}
         return Layout(
-            z=size, covariance=size * (size + 1) // 2, sent=self.whole + 2, velocity=1, error=1, nis=1, silent=1,
+            z=size, covariance=size * (size + 1) // 2, **sent, velocity=1, error=1, nis=1, silent=1,
             restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, cut=1, doubts=1, last=m, step=m, same=m,
             begin=m, away=m, travelled=1, **({"origin": m} if self.split else {}),
         )  # fmt: skip
@@ -348,12 +350,6 @@ class TickEquations:
         period, fastest = self.filter.period, c["velocity"]
         return _clip(command, (-fastest - velocity) / period, (fastest - velocity) / period)
 
-    def on_their_way(self, sent: Any, share: Any) -> list[Any]:
-        """Return what will act in each of the `lead` periods from now on, m/s²."""
-        # The next to act is one place newer than what acted last.
-        last = self.whole + 1
-        return [share * sent[k] + (1 - share) * sent[min(k + 1, last)] for k in range(1, self.lead + 1)]
-
     def law(self, row: Mapping[str, Any], ahead: Any, extra: Any, trust: Any) -> tuple[Any, Any]:
         """Return the feedback in m/s², and the number of the last extra that is trusted no further, from 1, else 0."""
         feedback, doubted = 0.0, 0.0
@@ -419,10 +415,11 @@ class TickEquations:
         e: Mapping[str, ca.SX],
         ahead: ca.SX,
         back: ca.SX,
+        coming: ca.SX | None = None,
         *,
         predicts: bool,
     ) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
-        """All after the estimate: memory and report. back m/s²: feedback besides the row's."""
+        """All after the estimate: memory and report. back m/s²: feedback besides the row's; coming m/s²: what will act."""
         n, size, period = self.filter.arms, self.filter.equations.dimension, self.filter.period
         forward = row["feedforward"]
         by_row, doubted = self.law(row, ahead, e["z"][size:], c["trust"])
@@ -479,13 +476,14 @@ class TickEquations:
         feedback = ca.if_else(stop, _within(-sent / period, BRAKING * most), feedback)
         wish = forward + feedback
         command = _within(wish, most)
-        queue = ca.vertcat(m["sent"][1:], command)
+        queue = {} if coming is not None else {"sent": ca.vertcat(m["sent"][1:], command)}
         velocity = _within(sent + command * period, fastest)
         # Braking to rest leaves what rounding leaves.
         velocity = ca.if_else(ca.fabs(velocity) > AT_REST, velocity, 0)
         still = ca.if_else(_all(was, ca.logic_not(ca.fabs(sent) > 0)), m["still"] + period, 0)
-        mean = c["share"] * queue[0] + (1 - c["share"]) * queue[1]
-        acting = self._acting(mean, e["z"][size - 1], c)
+        if coming is None:
+            coming = c["share"] * queue["sent"][0] + (1 - c["share"]) * queue["sent"][1]
+        acting = self._acting(coming, e["z"][size - 1], c)
         saturated = ca.logic_or(ca.fabs(wish) > most, ca.fabs(velocity) >= fastest)
         newly_cut = ca.logic_and(saturated, ca.logic_not(m["cut"]))
         newly_doubted = ca.if_else(m["doubts"], 0, doubted)
@@ -495,7 +493,7 @@ class TickEquations:
         mode = ca.if_else(stop, int(Mode.ABORTED), ca.if_else(saturated, int(Mode.SATURATED), c["mode"]))
 
         memory = {
-            "sent": queue, "velocity": velocity, "error": ca.if_else(falls, 0, error), "nis": ca.if_else(again, 0, nis),
+            **queue, "velocity": velocity, "error": ca.if_else(falls, 0, error), "nis": ca.if_else(again, 0, nis),
             "silent": silent, "restarts": m["restarts"] + again, "held": ca.if_else(falls, 1, m["held"]),
             "moved": ca.if_else(moved, 0, m["moved"] + period), "restart": again, "stopped": stopped, "still": still,
             "cut": saturated, "doubts": ca.logic_or(m["doubts"], doubted > 0), **watch,
@@ -535,7 +533,9 @@ class TickEquations:
         (memory, m), (reading, r), (row, t), (numbers, c) = self._symbols()
         e = self._sense(m, r, c)
         z = e["z"]
-        for command in self.on_their_way(m["sent"], c["share"]):
+        assert self.whole is not None
+        assert self.lead is not None
+        for command in on_their_way(m["sent"], c["share"], whole=self.whole, lead=self.lead):
             z = self._moved(z, command, c)
         after, report = self._finish(m, r, t, c, e, self._seen(z, r), ca.SX(0), predicts=True)
         out = ca.vertcat(self.memory.joined(after), self.report.joined(report))
@@ -556,15 +556,18 @@ class TickEquations:
     def finish(self, *, predicts: bool) -> ca.Function:
         """Return the second part: (memory, reading, row, numbers, sensed, ahead, back) -> memory and report.
 
-        back m/s²: feedback besides the row's; without `predicts` the filter's memory stays as it is.
+        back m/s²: feedback besides the row's; without `predicts` the filter's memory stays as it is. A last input,
+        coming m/s², is what will act in the coming period, where the memory does not hold the commands on their way.
         """
         (memory, m), (reading, r), (row, t), (numbers, c) = self._symbols()
         sensed, e = self.sensed.symbols("sensed")
         ahead, back = ca.SX.sym("ahead", self.filter.equations.dimension), ca.SX.sym("back")
-        after, report = self._finish(m, r, t, c, e, ahead, back, predicts=predicts)
+        coming = ca.SX.sym("coming") if self.whole is None else None
+        after, report = self._finish(m, r, t, c, e, ahead, back, coming, predicts=predicts)
         out = ca.vertcat(self.memory.joined(after), self.report.joined(report))
         inputs = {"memory": memory, "reading": reading, "row": row, "numbers": numbers, "sensed": sensed}
-        return _function("finish", {**inputs, "ahead": ahead, "back": back}, out)
+        inputs |= {"ahead": ahead, "back": back, **({} if coming is None else {"coming": coming})}
+        return _function("finish", inputs, out)
 
     def _symbols(self) -> list[tuple[ca.SX, dict[str, ca.SX]]]:
         layouts = {"memory": self.memory, "reading": self.reading, "row": self.row, "numbers": self.numbers}
@@ -581,13 +584,19 @@ class TickEquations:
         return ca.vertcat(*(z[i] + (r["rate_error"][i - n] if n <= i < 2 * n else 0) for i in range(size)))
 
 
+def on_their_way(sent: Any, share: Any, *, whole: int, lead: int) -> list[Any]:
+    """Return what will act in each of the `lead` periods from now on, m/s², of the commands `sent`, oldest first."""
+    # The next to act is one place newer than what acted last.
+    return [share * sent[k] + (1 - share) * sent[min(k + 1, whole + 1)] for k in range(1, lead + 1)]
+
+
 def _function(name: str, inputs: Mapping[str, ca.SX], out: ca.SX) -> ca.Function:
     return ca.Function(name, [*inputs.values()], [ca.cse(ca.densify(out))], [*inputs], ["out"], {"cse": True})
 
 
 @lru_cache(maxsize=32)
 def _tick_equations(
-    equations: Equations, period: float, augments: tuple[Augment, ...], path: tuple[int, int],
+    equations: Equations, period: float, augments: tuple[Augment, ...], path: tuple[int | None, int | None],
     shares: tuple[bool, ...] | None,
 ) -> tuple[TickEquations, dict[str, Compiled]]:  # fmt: skip
     """Return a tick's equations and the machine code made of them so far: once for all runs of a process."""
@@ -626,13 +635,14 @@ class TickProgram:
         shares: tuple[bool, ...] | None = None,
         runs: int = 1,
     ) -> None:
-        whole, lead = whole_periods(delay)
-        self.equations, self._made = _tick_equations(
-            model.equations, model.period, settings.augments, (whole, lead), shares
-        )
+        self._delay = whole, self.lead = whole_periods(delay)
+        unrolls = self.lead <= UNROLLED
+        # Code for all delays that are too long to unroll: the commands on their way are kept here.
+        path = self._delay if unrolls else (None, None)
+        self.equations, self._made = _tick_equations(model.equations, model.period, settings.augments, path, shares)
         self.model, self.settings, self.runs = model, settings, runs
         equations, arms = self.equations, model.arms
-        self.lead, self.period = equations.lead, model.period
+        self.period = model.period
         self.lanes = runs + -runs % VECTOR
         again = settings.first_sigmas(arms)
         again[arms : 2 * arms], again[2 * arms + 1] = RESTART_RATE, RESTART_VELOCITY
@@ -657,6 +667,8 @@ class TickProgram:
         self._present[:] = 1.0
         self._all, self._switched = True, 0
         self._out = np.empty((equations.memory.size + equations.report.size, self.lanes))
+        queue = np.zeros((whole + 2, self.lanes))
+        self._sent: Array = self.memory[equations.memory.slices["sent"]] if unrolls else queue
         self._kept, self.report = self._out[: equations.memory.size], self._out[equations.memory.size :]
         """report: of the last tick, (size, lanes); overwritten at the next."""
         self.at = {name: where.start for name, where in equations.report.slices.items()}
@@ -679,7 +691,7 @@ class TickProgram:
         velocity m/s: the cart's.
         """
         most, fastest = (self._numbers[self.equations.numbers.slices[name], 0] for name in ("acceleration", "velocity"))
-        sent = np.zeros((self.equations.whole + 2, self.lanes))
+        sent = np.zeros(self._sent.shape)
         speed = np.full(self.lanes, velocity)
         for command in np.clip(self.spread(queued), -most, most):
             sent = np.concatenate([sent[1:], command[None]])
@@ -688,9 +700,10 @@ class TickProgram:
         start = {
             "z": np.concatenate([first, np.zeros(self.equations.filter.dimension - len(first))]),
             "covariance": packed(t @ np.diag(self.settings.first_sigmas(self.model.arms) ** 2) @ t.T),
-            "sent": sent, "velocity": speed[None], "moved": np.inf, "last": np.inf, "step": np.inf,
+            "velocity": speed[None], "moved": np.inf, "last": np.inf, "step": np.inf,
         }  # fmt: skip
         self.memory[:] = self.equations.memory.filled(start, self.lanes)
+        self._sent[:] = sent
 
     def spread(self, values: Array) -> Array:
         """Return values (…, runs) or (…, 1) for all lanes, (…, lanes): the last run's fill up."""
@@ -747,8 +760,8 @@ class TickProgram:
 
     def on_their_way(self) -> list[Array]:
         """Return the commands (lanes,) of each of the `lead` periods from now on, m/s²."""
-        sent = self.memory[self.equations.memory.slices["sent"]]
-        return self.equations.on_their_way(sent, self._numbers[self.equations.numbers.slices["share"]][0])
+        share = self._numbers[self.equations.numbers.slices["share"]][0]
+        return on_their_way(self._sent, share, whole=self._delay[0], lead=self.lead)
 
     def look_ahead(self, z: Array) -> Array:
         """Return the states (N, lanes) for which commands are computed, from estimates z (N+E, lanes)."""
@@ -770,7 +783,12 @@ class TickProgram:
 
     def finish(self, sensed: Array, ahead: Array, back: Array | float, *, predicts: bool = True) -> None:
         """Do the rest of a tick with the row that was put into `row`; back (lanes,) m/s²: feedback besides it."""
-        back = np.broadcast_to(back, (1, self.lanes))
         made = self.machine("finish" if predicts else "judge")
-        made.machine(np.concatenate([self._inputs, sensed, ahead, back]), self._out)
+        parts = [self._inputs, sensed, ahead, np.broadcast_to(back, (1, self.lanes))]
+        if self.equations.whole is None:
+            parts.append(self.on_their_way()[0][None])
+        made.machine(np.concatenate(parts), self._out)
         self.memory[:] = self._kept
+        if self.equations.whole is None:
+            self._sent[:-1] = self._sent[1:]
+            self._sent[-1] = self.report[self.at["command"]]

@@ -1,4 +1,5 @@
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import casadi as ca
 import numpy as np
@@ -109,14 +110,27 @@ def test_on_the_state_it_has_the_gains_of_tvlqr_with_the_same_weights(
     assert np.array_equal(adaptive.feedforward, plain.feedforward)
 
 
+@cache
+def laws_expression() -> ca.Function:
+    filters = FilterEquations(arm_chain_equations(2, Level.CART), PERIOD, ESTIMATOR.augments)
+    shares = tuple(name.startswith(("M", "S")) for name in filters.extra_names)
+    tick = TickEquations(filters, 0, 0, shares)
+    sizes = {"row": tick.row.size, "state": 6, "extra": 7, "trust": 1}
+    row, state, extra, trust = (ca.SX.sym(name, size) for name, size in sizes.items())
+    law = tick.law({name: row[where] for name, where in tick.row.slices.items()}, state, extra, trust)
+    return ca.Function("law", [row, state, extra, trust], list(law))
+
+
 def asked(law: AdaptiveController, k: int, state: np.ndarray, extra: np.ndarray) -> tuple[float, float]:
     """Return the feedback at tick k in m/s², and which extra is trusted no further, by the tick's own expression."""
-    schedule = law.schedule(0)
-    filters = FilterEquations(arm_chain_equations(2, Level.CART), PERIOD, ESTIMATOR.augments)
-    tick = TickEquations(filters, 0, 0, schedule.shares)
-    row = {name: ca.DM(schedule.rows[k, where]) for name, where in tick.row.slices.items()}
-    feedback, doubted = tick.law(row, ca.DM(state), ca.DM(extra), law.trust)
+    expression = laws_expression()
+    feedback, doubted = expression(rows_of(law)[k], state, extra, law.trust)
     return float(feedback), float(doubted)
+
+
+@cache
+def rows_of(law: AdaptiveController) -> np.ndarray:
+    return law.schedule(0).rows
 
 
 def _deviation(law: AdaptiveController, model: SampledModel, shares: np.ndarray) -> np.ndarray:
