@@ -189,9 +189,9 @@ def _largest(values: Sequence[ca.SX]) -> ca.SX:
 class TickEquations:
     """The tick of one filter, delay and law.
 
-    whole, lead: the delay's whole periods, and for how many the command is computed ahead; None where whoever keeps the
-    memory keeps the commands on their way, too, of delays too long to unroll. shares (E,): which extras are relative
-    errors that the law trusts only so far; None for a law without gains on them.
+    whole, lead: the delay's whole periods, and for how many the command is computed ahead. shares (E,): which extras
+    are relative errors that the law trusts only so far; None for a law without gains on them. unrolled: whether the
+    memory holds the commands on their way; else whoever keeps it keeps them, too, for delays of any length.
 
     For coarser arithmetic: same rad and m, how near to each other readings of a joint and of the cart are the same
     count; split, whether the filter's positions are kept as a sum of two numbers: single precision rounds an angle of
@@ -199,9 +199,10 @@ class TickEquations:
     """
 
     filter: FilterEquations
-    whole: int | None
-    lead: int | None
+    whole: int
+    lead: int
     shares: tuple[bool, ...] | None = None
+    unrolled: bool = True
     same: tuple[float, float] = (SAME, SAME)
     split: bool = False
 
@@ -219,7 +220,7 @@ class TickEquations:
         the positions in z are relative to; whoever keeps the memory may move from one to the other.
         """
         size, m = self.filter.dimension, self.filter.arms + 1
-        sent = {} if self.whole is None else {"sent": self.whole + 2}
+        sent = {"sent": self.whole + 2} if self.unrolled else {}
         return Layout(
             z=size, covariance=size * (size + 1) // 2, **sent, velocity=1, error=1, nis=1, silent=1,
             restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, cut=1, doubts=1, last=m, step=m, same=m,
@@ -419,7 +420,10 @@ class TickEquations:
         *,
         predicts: bool,
     ) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
-        """All after the estimate: memory and report. back m/s²: feedback besides the row's; coming m/s²: what will act."""
+        """All after the estimate: memory and report.
+
+        back m/s²: feedback besides the row's. coming m/s²: what will act in the coming period, if it is known already.
+        """
         n, size, period = self.filter.arms, self.filter.equations.dimension, self.filter.period
         forward = row["feedforward"]
         by_row, doubted = self.law(row, ahead, e["z"][size:], c["trust"])
@@ -533,8 +537,6 @@ class TickEquations:
         (memory, m), (reading, r), (row, t), (numbers, c) = self._symbols()
         e = self._sense(m, r, c)
         z = e["z"]
-        assert self.whole is not None
-        assert self.lead is not None
         for command in on_their_way(m["sent"], c["share"], whole=self.whole, lead=self.lead):
             z = self._moved(z, command, c)
         after, report = self._finish(m, r, t, c, e, self._seen(z, r), ca.SX(0), predicts=True)
@@ -562,7 +564,7 @@ class TickEquations:
         (memory, m), (reading, r), (row, t), (numbers, c) = self._symbols()
         sensed, e = self.sensed.symbols("sensed")
         ahead, back = ca.SX.sym("ahead", self.filter.equations.dimension), ca.SX.sym("back")
-        coming = ca.SX.sym("coming") if self.whole is None else None
+        coming = None if self.unrolled else ca.SX.sym("coming")
         after, report = self._finish(m, r, t, c, e, ahead, back, coming, predicts=predicts)
         out = ca.vertcat(self.memory.joined(after), self.report.joined(report))
         inputs = {"memory": memory, "reading": reading, "row": row, "numbers": numbers, "sensed": sensed}
@@ -596,11 +598,13 @@ def _function(name: str, inputs: Mapping[str, ca.SX], out: ca.SX) -> ca.Function
 
 @lru_cache(maxsize=32)
 def _tick_equations(
-    equations: Equations, period: float, augments: tuple[Augment, ...], path: tuple[int | None, int | None],
+    equations: Equations, period: float, augments: tuple[Augment, ...], path: tuple[int, int] | None,
     shares: tuple[bool, ...] | None,
 ) -> tuple[TickEquations, dict[str, Compiled]]:  # fmt: skip
     """Return a tick's equations and the machine code made of them so far: once for all runs of a process."""
-    return TickEquations(FilterEquations(equations, period, augments, as_measured=True), *path, shares), {}
+    filters = FilterEquations(equations, period, augments, as_measured=True)
+    whole, lead = path or (0, 0)
+    return TickEquations(filters, whole, lead, shares, unrolled=path is not None), {}
 
 
 def whole_periods(delay: float) -> tuple[int, int]:
@@ -638,7 +642,7 @@ class TickProgram:
         self._delay = whole, self.lead = whole_periods(delay)
         unrolls = self.lead <= UNROLLED
         # Code for all delays that are too long to unroll: the commands on their way are kept here.
-        path = self._delay if unrolls else (None, None)
+        path = self._delay if unrolls else None
         self.equations, self._made = _tick_equations(model.equations, model.period, settings.augments, path, shares)
         self.model, self.settings, self.runs = model, settings, runs
         equations, arms = self.equations, model.arms
@@ -785,10 +789,10 @@ class TickProgram:
         """Do the rest of a tick with the row that was put into `row`; back (lanes,) m/s²: feedback besides it."""
         made = self.machine("finish" if predicts else "judge")
         parts = [self._inputs, sensed, ahead, np.broadcast_to(back, (1, self.lanes))]
-        if self.equations.whole is None:
+        if not self.equations.unrolled:
             parts.append(self.on_their_way()[0][None])
         made.machine(np.concatenate(parts), self._out)
         self.memory[:] = self._kept
-        if self.equations.whole is None:
+        if not self.equations.unrolled:
             self._sent[:-1] = self._sent[1:]
             self._sent[-1] = self.report[self.at["command"]]
