@@ -215,7 +215,12 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
     # Not a number fails too.
     if not all(np.abs(values).max(initial=0.0) <= _LARGEST for values in (mesh, states, inputs)):
         raise ValueError("its mesh, states or inputs are not finite, or beyond all measure")
-    found: dict[str, Any] = {k: np.inf if header["numbers"][k] is None else header["numbers"][k] for k in _FOUND}
+    found: dict[str, Any] = {}
+    for k in _FOUND:
+        found[k] = value = np.inf if header["numbers"][k] is None else header["numbers"][k]
+        # JSON has integers of any length.
+        if not isinstance(value, int | float) or not (abs(value) <= _LONGEST or value == np.inf):
+            raise ValueError(f"its {k} is no number")
     return Reference(
         method, mesh, states, inputs, Limits(**header["limits"]),
         status=str(header["status"]), converged=bool(header["converged"]), **found,

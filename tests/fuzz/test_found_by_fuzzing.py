@@ -212,3 +212,14 @@ def test_a_reference_beyond_all_measure_is_refused_without_a_warning(part: str, 
     assert ended.code == 2
     assert "beyond all measure" in ended.message
     assert "Warning" not in ended.message
+
+
+@pytest.mark.parametrize("value", ["small", [1e-9], 10**400])
+def test_a_reference_whose_figures_are_no_numbers_is_refused(value: object) -> None:
+    assert dpcontrol("plan", "rest.toml", "--out", "reference.npz").code == 0
+    reference = load_reference(Path("reference.npz"))
+    save_reference(Path("odd.npz"), replace(reference, max_error_between_nodes=value))
+    for call in ("reference odd.npz", "review odd.npz --save new.rrd"):
+        ended = dpcontrol(*call.split())
+        assert ended.code == 2
+        assert "its max_error_between_nodes is no number" in ended.message
