@@ -31,6 +31,7 @@ def single(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     return folder, export_plan(plan, folder, single=True)
 
 
-@pytest.fixture(scope="session", params=["double", "single"])
+# Slow in single precision: the same tests, after seconds of gcc.
+@pytest.fixture(scope="session", params=["double", pytest.param("single", marks=pytest.mark.slow)])
 def exported(request: pytest.FixtureRequest) -> tuple[Path, ControllerSource]:
     return request.getfixturevalue(request.param)

@@ -27,6 +27,9 @@ validation = pytest.importorskip("fmpy.validation", reason=NEEDED)
 if shutil.which("gcc") is None:
     pytest.skip("needs gcc", allow_module_level=True)
 
+# A unit holds a binary: gcc takes seconds for it.
+pytestmark = pytest.mark.slow
+
 TICKS = 600
 SETTINGS = LoopSettings(seed=3, mismatch=0.02, initial_error=0.02)
 JOINTS = ("arm_1", "arm_2", "cart")

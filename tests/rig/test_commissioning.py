@@ -248,6 +248,8 @@ def test_a_sensor_that_gives_no_numbers_is_named() -> None:
     assert found.wrong[0].sentence == "the encoder of arm 2 gave no number for 0.1 s, so the cart was stopped"
 
 
+# Slow: three rigs; its kin above are as much of the same.
+@pytest.mark.slow
 def test_friction_is_remarked_on_and_hides_no_wiring() -> None:
     rusty = replace(LAB, coulomb=(5e-4, 5e-4))
     found = commissioned(bench(plant=rusty))
@@ -306,7 +308,9 @@ def test_both_switches_are_found_by_creeping_and_the_cart_comes_back() -> None:
     ("faults", "track", "sentence", "remedy"),
     [
         (("switch-dead",), 0.5, "no switch answers at the right up to +0.48", "press that switch by hand"),
-        (("switches-swapped",), 0.5, "the switch of the other side answers", "swap the plugs"),
+        pytest.param(
+            ("switches-swapped",), 0.5, "the switch of the other side answers", "swap the plugs", marks=pytest.mark.slow
+        ),
         ((), 0.4, "within the ±0.4 m that [limits] allows", "set position below 0.35"),
     ],
 )
@@ -366,7 +370,9 @@ def one_arm() -> ArmChainParameters:
     return replace(LAB, **{name: getattr(LAB, name)[:1] for name in columns})
 
 
-@pytest.mark.parametrize("arms", [one_arm(), three_arms()], ids=["one", "three"])
+@pytest.mark.parametrize(
+    "arms", [pytest.param(one_arm(), id="one"), pytest.param(three_arms(), id="three", marks=pytest.mark.slow)]
+)
 def test_other_numbers_of_arms_are_commissioned_as_well(arms: ArmChainParameters) -> None:
     assert not commissioned(bench(arms=arms), arms=arms).wrong
     told = only_wrong(commissioned(bench("encoder-1-reversed", arms=arms), arms=arms), "encoders")

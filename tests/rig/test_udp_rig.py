@@ -288,6 +288,8 @@ def test_impossible_waits_are_refused(wrong: dict[str, float]) -> None:
         BenchServerSettings(spin=-1.0)
 
 
+# Slow: it lasts as long as the run.
+@pytest.mark.slow
 def test_the_loop_follows_its_reference_on_a_bench_in_a_process_of_its_own(turn: tuple[StandIn, Reference]) -> None:
     settings = LoopSettings(seed=0, mismatch=0.02, initial_error=0.02)
     whole = tracking_controller(turn[1], sampled_model(LAB, settings.rate), settings.controller)
