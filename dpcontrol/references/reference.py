@@ -221,6 +221,8 @@ def _checked(header: Any, arrays: dict[str, Array]) -> Reference:
         # JSON has integers of any length.
         if not isinstance(value, int | float) or not (abs(value) <= 1e300 or value == np.inf):
             raise ValueError(f"its {k} is no number")
+    if not all(isinstance(bound, int | float) for bound in header["limits"].values()):
+        raise ValueError("its limits are no numbers")
     return Reference(
         method, mesh, states, inputs, Limits(**header["limits"]),
         status=str(header["status"]), converged=bool(header["converged"]), **found,

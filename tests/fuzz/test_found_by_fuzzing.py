@@ -223,3 +223,13 @@ def test_a_reference_whose_figures_are_no_numbers_is_refused(value: object) -> N
         ended = dpcontrol(*call.split())
         assert ended.code == 2
         assert "its max_error_between_nodes is no number" in ended.message
+
+
+def test_a_reference_whose_limits_are_no_numbers_is_refused() -> None:
+    assert dpcontrol("plan", "rest.toml", "--out", "reference.npz").code == 0
+    reference = load_reference(Path("reference.npz"))
+    save_reference(Path("odd.npz"), replace(reference, limits=SimpleNamespace(named=lambda: {"position": [0.4]})))
+    for call in ("reference odd.npz", "review odd.npz --save new.rrd"):
+        ended = dpcontrol(*call.split())
+        assert ended.code == 2
+        assert "its limits are no numbers" in ended.message
