@@ -432,6 +432,10 @@ def gathered(data: bytes, offsets: list[int], kind: np.dtype) -> NDArray:
     return everywhere[np.array(offsets)].view(kind)
 
 
+_SLOWEST, _FASTEST = 1e-6, 1e9
+"""Hz: beyond all that is recorded, and no sample lasts for ages."""
+
+
 def described_layout(path: Path, described: Mapping[str, str]) -> TickLayout:
     """Return what a tick holds by a metadata record that describes it; errors as in `VerifiedFile.tick`."""
     if described.get("format") != layout.FORMAT:
@@ -442,6 +446,8 @@ def described_layout(path: Path, described: Mapping[str, str]) -> TickLayout:
     parts = frozenset(described["parts"].split())
     if not parts <= set(layout.PARTS):
         raise ValueError(f"unknown parts {sorted(parts)}")
+    if not _SLOWEST <= float(described["rate_hz"]) <= _FASTEST:
+        raise ValueError(f"its ticks are said to come at {described['rate_hz']} Hz")
     return TickLayout(len(described["arm_lengths"].split()), described["has_cart"] == "1", parts)
 
 

@@ -236,3 +236,12 @@ def test_a_reference_whose_limits_are_no_numbers_is_refused() -> None:
         ended = dpcontrol(*call.split())
         assert ended.code == 2
         assert "its limits are no numbers" in ended.message
+
+
+def test_a_log_whose_samples_last_for_ages_is_refused() -> None:
+    with LogWriter("slow.mcap", arm_lengths=(0.2, 0.2), rate_hz=1e-9, has_cart=False) as log:
+        log.ticks(np.zeros(1), measured=np.zeros((1, 2)))
+    for verb in ("info", "replay", "recover"):
+        ended = dpcontrol(verb, "slow.mcap")
+        assert ended.code == 2
+        assert "its ticks are said to come at 1e-09 Hz" in ended.message
