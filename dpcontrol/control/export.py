@@ -31,7 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dpcontrol
-from dpcontrol.control.interface import Controller, GainSchedule
+from dpcontrol.control.interface import Controller, GainSchedule, schedule_of
 from dpcontrol.control.tick import SETTLING, UNROLLED, TickEquations, TickProgram
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_source, content_hash
@@ -99,12 +99,12 @@ def checked_exportable(controller: Controller, *, lead: int) -> GainSchedule:
             f"drive: delay = {lead} periods or so, and C looks {UNROLLED} ahead at most; lower the rate, so that the "
             "same delay has fewer periods"
         )
-    made = getattr(controller, "schedule", None)
+    made = schedule_of(controller, lead)
     if made is None:
         raise InputError(
             f'controller: kind = "{controller.kind}" keeps a clock of its own and cannot leave as C; {LEAVING}'
         )
-    return made(lead)
+    return made
 
 
 def identity(program: TickProgram, schedule: GainSchedule) -> str:

@@ -259,6 +259,12 @@ class Controller(Protocol):
         ...
 
 
+def schedule_of(controller: Controller, lead: int) -> GainSchedule | None:
+    """Return the gains of a law by the loop's clock, for commands computed `lead` ticks ahead; None for any other."""
+    made = getattr(controller, "schedule", None)
+    return None if made is None else made(lead)
+
+
 class SampledModel:
     """The equations of the cart level over `period` s, with base parameters (p,).
 

@@ -454,20 +454,21 @@ class TickEquations:
         for condition, code in (
             (r["switch"], Outcome.SWITCH),
             (moves, Outcome.RESYNCHRONISE),
-            (astray, Outcome.TRACKING_LOST),
             (holds, Outcome.HOLD),
+            # A restart does not help against a stuck sensor, nor does holding on.
+            (restarts, Outcome.RESTART),
+            (sensor, Outcome.STUCK),
+            *(
+                (ca.logic_and(condition, ca.logic_not(restarts)), code)
+                for condition, code in (
+                    (ca.logic_and(astray, ca.logic_not(holds)), Outcome.TRACKING_LOST),
+                    (farthest >= c["travel"], Outcome.CART),
+                    (silent > c["missing"], Outcome.SILENT),
+                    (lost, Outcome.ESTIMATE_LOST),
+                )
+            ),
         ):
             outcome = ca.if_else(condition, int(code), outcome)
-        # A restart does not help against a stuck sensor, nor does holding on.
-        outcome = ca.if_else(restarts, int(Outcome.RESTART), outcome)
-        outcome = ca.if_else(sensor, int(Outcome.STUCK), outcome)
-        for condition, code in (
-            (ca.logic_and(astray, ca.logic_not(holds)), Outcome.TRACKING_LOST),
-            (farthest >= c["travel"], Outcome.CART),
-            (silent > c["missing"], Outcome.SILENT),
-            (ca.logic_and(lost, ca.logic_not(restarts)), Outcome.ESTIMATE_LOST),
-        ):
-            outcome = ca.if_else(ca.logic_and(condition, ca.logic_not(restarts)), int(code), outcome)
         outcome = ca.if_else(was, int(Outcome.GO_ON), outcome)
         stopped = ca.if_else(outcome >= int(Outcome.ESTIMATE_LOST), outcome, m["stopped"])
         stop, again = stopped > 0, ca.eq(outcome, int(Outcome.RESTART))

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings
-from dpcontrol.control.interface import MANY, Controller, Mode, SampledModel
+from dpcontrol.control.interface import MANY, Controller, Mode, SampledModel, schedule_of
 from dpcontrol.control.tick import Outcome, TickProgram, whole_periods
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, Uncertainty, arm_chain_equations
@@ -51,7 +51,7 @@ from dpcontrol.loop.result import (
     explained,
 )
 from dpcontrol.loop.simulated import BatchBench, SimulatedRig
-from dpcontrol.loop.ticker import Fallback, Ticker, schedule_of
+from dpcontrol.loop.ticker import Fallback, Ticker
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
 
@@ -221,7 +221,7 @@ class LoopSettings(Settings, table="run"):
     """A run: rate Hz; initial_error rad, uniform ± on each angle of the true first state; mismatch of the plant's
     parameters (share); model_uncertainty: factor on the standard errors that the model's file gives, by which the plant
     is drawn besides; seed of all that is random. travel m: the cart's greatest distance from the centre, zero for the
-    reference's own limit. keep: what keeps the stops of a walk planned so (`programs.KEEPERS`), while TVLQR flies.
+    reference's own limit. keep: what keeps the stops of a walk planned so (`KEEPERS`), while TVLQR flies.
     """
 
     seed: int = setting(least=0)

@@ -27,12 +27,6 @@ class Fallback(Protocol):
         ...
 
 
-def schedule_of(controller: Controller, lead: int) -> GainSchedule | None:
-    """Return the gains of a law by the loop's clock, for commands computed `lead` ticks ahead; None for any other."""
-    made = getattr(controller, "schedule", None)
-    return None if made is None else made(lead)
-
-
 class Ticker:
     """The ticks of one run, or of as many in lockstep as the program has runs.
 
@@ -54,7 +48,6 @@ class Ticker:
         self.program, self.controller, self.estimator = program, controller, estimator
         self.kind, self.estimator_kind = controller.kind, estimator_kind
         self.lead, self.at = program.lead, program.at
-        self.extra_names = program.equations.filter.extra_names
         self._arms, self._n = program.model.arms, program.model.dimension
         if len(controller.first_state) != self._n:
             raise InputError(

@@ -178,7 +178,8 @@ def _rows(job: Job) -> list[Row]:
     )  # fmt: skip
     rows = [_row(job, reference, seed, run, path="compiled") for seed, run in zip(job.seeds, runs, strict=True)]
     for row in [row for row in rows if not row["completed"]][: job.replayed]:
-        # What is listed as a failure should be one when its seed is run alone; round-off decides a few.
+        # What is listed as a failure should be one when its seed is run alone; where a law keeps a clock of its own,
+        # round-off decides a few.
         row["replays"] = not tick_by_tick(row["seed"])["completed"]
     return rows
 

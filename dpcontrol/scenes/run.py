@@ -555,7 +555,7 @@ def commission_rig(
                 process = stack.enter_context(BenchProcess(recipe, BenchServerSettings(real_time=real_time)))
                 where, key = process.address, process.key
             rig = stack.enter_context(UdpRig(where, key=key, insecure=insecure))
-            ticks = round((options.seconds + 2 * switches / options.creep * 2) * itinerary.loop.rate)
+            ticks = round((options.seconds + 4 * switches / options.creep) * itinerary.loop.rate)
             _fits(
                 rig, arms=arms.count, rate=itinerary.loop.rate, ticks=ticks, what="commissioning",
                 remedy="set rate = {0:g} in [run]", longer="; start the example bench with --hanging",
