@@ -43,8 +43,9 @@ LONG = [title for title, shown in SECTIONS.items() if "dpcontrol bench" in str(s
     "The atlas of an energy",
     "Write an itinerary",
     "The bench, and what controls it",
+    "Recordings from a rig",
 ]
-"""Sections that take longest: they draw a chart, search an interval of energies, or fly several itineraries."""
+"""Sections that take longest: they draw a chart, search many energies, fly several itineraries, or fit a model."""
 
 
 def makers(text: str) -> list[str]:

@@ -62,6 +62,7 @@ def test_the_linear_loop_without_mismatch_has_the_regulators_multipliers_at_any_
         assert np.sort(np.abs(values))[:delay] == pytest.approx(np.zeros(delay), abs=0.02)
 
 
+@pytest.mark.slow
 def test_mismatch_ends_where_the_eigenvalue_leaves_the_circle():
     found = held_mismatch_border(0.14, ratio=1.15)
     assert found.off is not None
@@ -69,6 +70,7 @@ def test_mismatch_ends_where_the_eigenvalue_leaves_the_circle():
     assert found.says
 
 
+@pytest.mark.slow
 def test_a_slow_loop_has_the_border_of_a_fast_one():
     slow, fast = (held_delay_border(rate, ratio=1.2) for rate in (40.0, 80.0))
     for found in (slow, fast):

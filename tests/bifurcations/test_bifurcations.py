@@ -177,6 +177,7 @@ def test_energies_of_other_parameters_repeat_as_well(energies, kind):
     assert abs(once.energy - again.energy) < REPEATABLE
 
 
+@pytest.mark.slow
 def test_every_change_of_a_small_sweep_has_a_cause(system):
     found = located(system, (-0.15, -0.09), samples=4)
     assert found.complete

@@ -26,6 +26,7 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return file
 
 
+@pytest.mark.slow
 def test_what_was_measured_is_written_once_and_is_then_as_the_scene_says(scene: Path) -> None:
     before = scene.read_text().splitlines()
     bench = ("--fault", "zeros-off", "--delay", "2.5", "--lag", "0.008", "--counts", "2000")

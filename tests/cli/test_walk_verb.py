@@ -151,6 +151,7 @@ def test_what_out_writes_reads_with_numpy_alone_and_obeys_the_equations(tmp_path
         assert abs(np.angle(np.exp(1j * node[1]))) < BETWEEN_NODES
 
 
+@pytest.mark.slow
 def test_extended_precision_gives_digits_that_agree_with_double(tmp_path: Path) -> None:
     asked = ("--solve", "--precision", "extended", "--out", tmp_path)
     ended = dpcontrol(*LOW, *TURN, *BACK, "--wraps", "1", *asked, "--json")
@@ -184,6 +185,7 @@ def test_extended_precision_gives_people_the_period_of_a_closed_walk() -> None:
     assert all(len(words[-1]) > 30 for words in said)
 
 
+@pytest.mark.slow
 def test_a_walk_may_name_grown_edges_and_rotating_orbits() -> None:
     ended = dpcontrol(*LOW, "-s", "(down-up +)·1·(down-up -)", *TURN, "--wraps", "2", "--solve", "--json")
     plain = dpcontrol(*LOW, *TURN, *BACK, *TURN, "--wraps", "1,2", "--solve", "--json")

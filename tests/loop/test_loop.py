@@ -122,6 +122,7 @@ def test_a_command_acts_after_the_delay_and_not_before(turn: tuple[StandIn, Refe
     assert np.diff(truth[:, 5])[first_known:] / 1e-3 == pytest.approx(applied[first_known:-1], abs=1e-9)
 
 
+@pytest.mark.slow
 def test_a_late_command_that_nobody_expects_is_worse(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:

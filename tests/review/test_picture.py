@@ -86,6 +86,7 @@ def test_the_viewer_renders_without_a_screen(run: RunView, tmp_path: Path) -> No
     assert _share_set(made.path) > PIXELS_SET
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(viewer.missing_renderer() is not None, reason="no renderer for the viewer")
 def test_a_viewer_out_of_time_is_ended_with_its_children(
     run: RunView, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -53,11 +53,13 @@ def test_a_run_is_shown_without_complaint(good: bool, tmp_path: Path) -> None:
     shown(lambda file: write_recording(view, file), tmp_path)
 
 
+@pytest.mark.slow
 def test_a_pair_is_shown_without_complaint(tmp_path: Path) -> None:
     pair = [logged(tmp_path, name, good=name == "good") for name in ("good", "bad")]
     shown(lambda file: write_comparison_recording(compare(pair), file), tmp_path)
 
 
+@pytest.mark.slow
 def test_a_recording_from_the_bench_is_shown_without_complaint(tmp_path: Path) -> None:
     time = np.arange(1000) / 1000
     with LogWriter(tmp_path / "bench.mcap", arm_lengths=ARM_LENGTHS, rate_hz=1000.0, has_cart=False) as log:
@@ -66,11 +68,13 @@ def test_a_recording_from_the_bench_is_shown_without_complaint(tmp_path: Path) -
     shown(lambda file: write_recording(run_view(run), file), tmp_path)
 
 
+@pytest.mark.slow
 def test_a_reference_is_shown_without_complaint(turn: tuple[object, Reference], tmp_path: Path) -> None:
     view = reference_view(summarised(turn[1]), tmp_path / "turn.npz")
     shown(lambda file: write_recording(view, file), tmp_path)
 
 
+@pytest.mark.slow
 def test_an_atlas_is_shown_without_complaint(tmp_path: Path) -> None:
     atlas: Atlas = make_atlas(load_model("lab"), -0.07, settings=AtlasSettings(hits=(1, 1))).atlas
     shown(lambda file: write_atlas_recording(atlas, file), tmp_path)

@@ -189,6 +189,7 @@ def test_walks_of_any_length_are_drawn(length: int, tmp_path: Path) -> None:
     assert len(content) > LEAST_BYTES
 
 
+@pytest.mark.slow
 def test_a_system_without_arms_is_drawn_in_its_plane(tmp_path: Path) -> None:
     model = load_model("three-body")
     found = find_edges(model.system, -1.5175, pairs=[("L1", "L1")])

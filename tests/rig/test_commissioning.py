@@ -134,6 +134,7 @@ def test_what_is_wired_wrongly_is_found_and_nothing_measured_is_kept(fault: str,
     assert rig.strongest <= LIMITS.acceleration
 
 
+@pytest.mark.slow
 def test_two_mistakes_that_the_mirror_image_shares_are_both_named() -> None:
     for faults in (("drive-reversed", "cart-reversed"), ("encoder-1-reversed", "encoder-2-reversed")):
         told = only_wrong(commissioned(bench(*faults)), "drive")
@@ -142,6 +143,7 @@ def test_two_mistakes_that_the_mirror_image_shares_are_both_named() -> None:
         assert "look which way" in told
 
 
+@pytest.mark.slow
 def test_zeros_are_measured_though_the_arms_swing_and_then_taken_off() -> None:
     said = LoopSettings(seed=0, rate=RATE)
     rig = bench("zeros-off", bent=0.03)
@@ -153,6 +155,7 @@ def test_zeros_are_measured_though_the_arms_swing_and_then_taken_off() -> None:
     assert again.changes["zeros"] == pytest.approx([0.03, -0.02], abs=1e-3)
 
 
+@pytest.mark.slow
 def test_a_tilted_track_is_named_beside_zeros_and_half_a_turn_is_no_zero() -> None:
     assert "level the track" in only_wrong(commissioned(bench(disturbances={"tilt": 0.02})), "still")
     found = commissioned(bench(zeros=(np.pi, np.pi)))
@@ -324,6 +327,7 @@ def test_a_switch_that_is_dead_exchanged_or_in_the_way_is_found(
     assert not found.changes
 
 
+@pytest.mark.slow
 def test_a_hard_stop_in_the_way_to_a_switch_ends_it_by_name() -> None:
     told = only_wrong(commissioned(bench(), switches=0.48), "switches")
     assert "cart hit its hard stop" in told

@@ -115,6 +115,7 @@ def test_zeros_are_taken_off_the_arms_readings() -> None:
         assert rig.read().positions == pytest.approx([0.75, 1.5, 1.0])
 
 
+@pytest.mark.slow
 def test_lost_packets_are_counted_and_the_ticks_stay_the_benchs() -> None:
     toy, random = Toy(), np.random.default_rng(0)
     dropped = {Kind.READING: 0, Kind.COMMAND: 0}

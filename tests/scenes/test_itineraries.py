@@ -113,6 +113,7 @@ def test_a_repeat_that_makes_no_sense_is_refused_in_one_sentence(
         assert part in message
 
 
+@pytest.mark.slow
 def test_a_repeated_walk_is_planned_run_and_scored_as_all_its_rounds(tmp_path: Path) -> None:
     plan = make_plan(load_itinerary(str(scene(tmp_path, wraps="[0, 0]", repeat="2", lead_in="1", lead_out="1"))))
     assert plan.reference.converged

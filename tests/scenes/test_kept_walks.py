@@ -153,6 +153,7 @@ def test_ogy_hands_over_to_tvlqr_and_back_with_a_plant_five_per_cent_off(
     assert judged.wraps == (8, 6)
 
 
+@pytest.mark.slow
 def test_a_run_is_repeated_from_its_log_message_for_message(scene: Writer, tmp_path: Path) -> None:
     log = tmp_path / "first.mcap"
     done = dpcontrol("run", scene(), "--mismatch", "0.03", "--seed", "4", "--hold", "nearest", "--out", log)

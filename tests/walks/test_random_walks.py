@@ -65,6 +65,7 @@ def test_forty_wraps_are_tiled_and_do_not_wander_off(edges, classifier, solver):
         assert classifier.complaints(orbit) == []
 
 
+@pytest.mark.slow
 def test_a_walk_of_128_symbols_is_as_good_as_a_short_one(edges, classifier, solver):
     orbit = solver.solve(random_walk(edges, 128, np.random.default_rng(SEED)), [1] * 127)
     assert orbit.converged, orbit.status
