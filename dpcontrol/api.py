@@ -300,6 +300,7 @@ def run(
     planned: "Plan | str",
     *,
     mismatch: float | None = None,
+    plant: Place | None = None,
     seed: int = 0,
     options: RunOptions | None = None,
     log: Place | None = None,
@@ -309,9 +310,9 @@ def run(
 ) -> "Run":
     """Run the closed loop of a plan, or of an itinerary by name, on the simulated bench.
 
-    mismatch: share by which the plant's parameters may be off; options: other settings that take the place of the
-    scene's. seed: of all that is random. log: where to write the run's log, if anywhere; force: also where there
-    is that of another run. yes: however long its plan takes.
+    mismatch: share by which the plant's parameters may be off; plant: model file or name of arms of its own; options:
+    other settings that take the place of the scene's. seed: of all that is random. log: where to write the run's log,
+    if anywhere; force: also where there is that of another run. yes: however long its plan takes.
 
     >>> dp.run("outer-turn", mismatch=0.02, seed=3).converged
     True
@@ -324,7 +325,7 @@ def run(
 
     with _reporting(progress, "run") as report:
         planned = plan(planned, yes=yes, progress=part_of(report, 0.0, 0.5)) if isinstance(planned, str) else planned
-        scene = planned.itinerary.with_run(_options(options, mismatch), seed=seed)
+        scene = planned.itinerary.with_run(_options(options, mismatch, plant), seed=seed)
         out = None if log is None else Path(log)
         return run_plan(replace(planned, itinerary=scene), out, force=force, progress=part_of(report, 0.5, 1.0))
 
@@ -355,7 +356,7 @@ def export(
 
     with _reporting(progress, "export") as report:
         planned = plan(planned, yes=yes, progress=part_of(report, 0.0, 0.5)) if isinstance(planned, str) else planned
-        scene = planned.itinerary.with_run(_options(options, None))
+        scene = planned.itinerary.with_run(_options(options))
         check_exportable(scene)
         out, rest = None if folder is None else Path(folder), part_of(report, 0.5, 1.0)
         return export_plan(replace(planned, itinerary=scene), out, single=single, force=force, progress=rest)
@@ -366,6 +367,7 @@ def campaign(
     *,
     runs: int = 100,
     mismatch: float | None = None,
+    plant: Place | None = None,
     options: RunOptions | None = None,
     over: Mapping[str, Sequence[float | int | str]] | None = None,
     first_seed: int = 0,
@@ -377,9 +379,9 @@ def campaign(
 ) -> "Campaign":
     """Run a plan, or an itinerary by name, with many seeds, and count how often it is completed.
 
-    over: values of options that are varied by name, each combination a case of `runs` seeds from `first_seed` on.
-    workers: processes, 0 for one on each processor. out: the Parquet file to write the rows to, if any; force: also
-    where there is that of another campaign. yes: however long it takes.
+    mismatch, plant, options: see `run`; over: values of options that are varied by name, each combination a case of
+    `runs` seeds from `first_seed` on. workers: processes, 0 for one on each processor. out: the Parquet file to write
+    the rows to, if any; force: also where there is that of another campaign. yes: however long it takes.
 
     >>> dp.campaign("outer-turn", runs=4, mismatch=0.02).completed.rate
     1.0
@@ -392,7 +394,7 @@ def campaign(
 
     with _reporting(progress, "campaign") as report:
         planned = plan(planned, yes=yes, progress=part_of(report, 0.0, 0.1)) if isinstance(planned, str) else planned
-        cases = cases_of(planned.itinerary, fixed=_options(options, mismatch), over=over or {})
+        cases = cases_of(planned.itinerary, fixed=_options(options, mismatch, plant), over=over or {})
         settings = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers)
         file = None if out is None else Path(out)
         return run_campaign(
@@ -602,9 +604,9 @@ def _edges(searches: "Sequence[ConnectionSearch]") -> "Edges":
     )
 
 
-def _options(options: RunOptions | None, mismatch: float | None) -> RunOptions:
-    chosen = options or RunOptions()
-    return chosen if mismatch is None else replace(chosen, mismatch=mismatch)
+def _options(options: RunOptions | None, mismatch: float | None = None, plant: Place | None = None) -> RunOptions:
+    given = {"mismatch": mismatch, "plant": None if plant is None else str(plant)}
+    return (options or RunOptions()).over({name: value for name, value in given.items() if value is not None})
 
 
 @contextmanager

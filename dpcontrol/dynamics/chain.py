@@ -157,6 +157,10 @@ class ArmChainParameters(Settings):
         """Return the same arms with no law of friction besides the viscous one."""
         return replace(self, coulomb=(), quadratic=())
 
+    def with_friction(self, factor: float) -> "ArmChainParameters":
+        """Return the same arms with every coefficient of friction times `factor`."""
+        return replace(self, **{name: tuple(factor * v for v in getattr(self, name)) for name in _FRICTION})
+
     def mismatched(self, fraction: float, random: np.random.Generator) -> "ArmChainParameters":
         """Return a chain whose parameters differ from these: what the plant may be when this is the model.
 

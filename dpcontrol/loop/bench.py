@@ -265,13 +265,15 @@ def draw_bench(
     model_uncertainty: float = 0.0,
     uncertainty: Uncertainty | None = None,
     initial_error: float = 0.0,
+    friction: float = 1.0,
     plant: ArmChainParameters | None = None,
 ) -> BenchDraw:
     """Draw a run of `ticks` ticks, `period` s each, of the bench with these arms as the model.
 
     mismatch: share by which the plant's parameters differ; model_uncertainty: factor on the standard errors of the
     model's `uncertainty`, by which they differ besides, zero for none. initial_error rad: uniform ± on each angle of
-    the first state. plant: the arms to simulate in place of drawn ones.
+    the first state. friction: factor on that of the plant drawn. plant: arms of its own, about which it is drawn in
+    place of the model's.
 
     Raises:
         InputError: settings that do not fit these arms or this period; an uncertainty is asked for and not known.
@@ -307,10 +309,12 @@ def draw_bench(
             f"run: model_uncertainty = {model_uncertainty!r}: the model has no [uncertainty] to draw from; identify it "
             "from recordings, or use a mismatch"
         )
-    likely = arms
-    if model_uncertainty and uncertainty is not None and plant is None:
+    likely = plant or arms
+    if model_uncertainty and uncertainty is not None:
         likely = uncertainty.drawn(arms, random("model"), scale=model_uncertainty)
-    true_arms = plant or likely.mismatched(mismatch, random("plant"))
+    true_arms = likely.mismatched(mismatch, random("plant"))
+    if friction != 1.0:
+        true_arms = true_arms.with_friction(friction)
     strokes = shares("pushes", blows.pushes, 3), shares("knocks", blows.knocks, 2)
     return BenchDraw(
         seed=seed, ticks=ticks, period=period, plant=settings.plant(true_arms),

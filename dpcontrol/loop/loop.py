@@ -220,8 +220,10 @@ class ControlLoop:
 class LoopSettings(Settings, table="run"):
     """A run: rate Hz; initial_error rad, uniform ± on each angle of the true first state; mismatch of the plant's
     parameters (share); model_uncertainty: factor on the standard errors that the model's file gives, by which the plant
-    is drawn besides; seed of all that is random. travel m: the cart's greatest distance from the centre, zero for the
-    reference's own limit. keep: what keeps the stops of a walk planned so (`KEEPERS`), while TVLQR flies.
+    is drawn besides; friction: factor on that of the plant drawn; plant: its arms where they are others than the
+    model's, mismatch and friction about these. seed of all that is random. travel m: the cart's greatest distance from
+    the centre, zero for the reference's own limit. keep: what keeps the stops of a walk planned so (`KEEPERS`), while
+    TVLQR flies.
     """
 
     seed: int = setting(least=0)
@@ -229,6 +231,8 @@ class LoopSettings(Settings, table="run"):
     initial_error: float = setting(0.0, least=0, most=np.pi, unit="rad")
     mismatch: float = setting(0.0, least=0, most=0.9)
     model_uncertainty: float = setting(0.0, least=0, most=100)
+    friction: float = setting(1.0, least=0, most=1000)
+    plant: ArmChainParameters | None = None
     travel: float = setting(0.0, least=0, most=1000, unit="m")
     keep: str = setting("none", choices=KEEPERS)
     controller: ControllerSettings = field(default_factory=TvlqrSettings)
@@ -239,12 +243,16 @@ class LoopSettings(Settings, table="run"):
     supervisor: SupervisorSettings = field(default_factory=SupervisorSettings)
 
     def __post_init__(self) -> None:
-        """Check the bounds, and that what keeps the stops goes with the controller.
+        """Check the bounds, that what keeps the stops goes with the controller, and that a plant is drawn in one way.
 
         Raises:
             InputError: names the setting, its value and what is allowed.
         """
         super().__post_init__()
+        if self.plant is not None and self.model_uncertainty:
+            raise self.refusal(
+                "model_uncertainty", "the plant has arms of its own, not those near the model's; use a mismatch"
+            )
         if self.keep != "none" and not isinstance(self.controller, TvlqrSettings):
             raise self.refusal("keep", f'what flies between the stops is "tvlqr", not "{self.controller.kind}"')
 
@@ -259,7 +267,6 @@ class LoopSettings(Settings, table="run"):
         *,
         ticks: int,
         uncertainty: Uncertainty | None = None,
-        plant: ArmChainParameters | None = None,
         **instead: Any,
     ) -> BenchDraw:
         """Return what is drawn for a run of `ticks` ticks with these arms as the model; see `draw_bench`.
@@ -269,7 +276,8 @@ class LoopSettings(Settings, table="run"):
         given = {"seed": self.seed, "mismatch": self.mismatch, **instead}
         return draw_bench(
             arms, self.bench, ticks=ticks, period=1 / self.rate, model_uncertainty=self.model_uncertainty,
-            uncertainty=uncertainty, initial_error=self.initial_error, plant=plant, **given,
+            uncertainty=uncertainty, initial_error=self.initial_error, friction=self.friction, plant=self.plant,
+            **given,
         )  # fmt: skip
 
     def limits(self, reference: Reference) -> Limits:
@@ -400,7 +408,6 @@ def run_loop(
     *,
     settings: LoopSettings,
     controller: Controller | None = None,
-    plant: ArmChainParameters | None = None,
     uncertainty: Uncertainty | None = None,
     sink: LoopSink | None = None,
     fallback: Fallback | None = None,
@@ -410,8 +417,8 @@ def run_loop(
     """Track `reference` on a simulated bench, with `parameters` as the model of controller and estimator.
 
     controller, fallback: made before, by `loop_controller` and `loop_fallback` with the same settings, to spare making
-    them for each of many seeds. plant: the arms to simulate; without it the model's, drawn from its `uncertainty` and
-    mismatched by the settings. library: see `make_ticker`.
+    them for each of many seeds. uncertainty: of the model, for settings that draw the plant from it. library: see
+    `make_ticker`.
 
     Raises:
         InputError: the reference did not converge, or is not one of these arms; an uncertainty is asked for and not
@@ -423,7 +430,7 @@ def run_loop(
     if fallback is None:
         fallback = loop_fallback(reference, parameters, settings)
     limits, first = settings.limits(reference), controller.first_state
-    draw = settings.draw(parameters, ticks=controller.ticks + 1, uncertainty=uncertainty, plant=plant)
+    draw = settings.draw(parameters, ticks=controller.ticks + 1, uncertainty=uncertainty)
     loop = control_loop(
         parameters, settings, controller, limits=limits, rate_noise=draw.rate_noise, sink=sink, fallback=fallback,
         library=library, progress=progress,

@@ -7,8 +7,9 @@ Either the file's top level gives one part's keys, or [[parts]] lists several:
     orbit = "down-up", energy = -0.07, seconds = 60     a stay on a periodic orbit; the only part of its itinerary
 
 In [run] the keys of sensors, drive and disturbances stand side by side, as a user thinks of one bench; [[run.blows]]
-lists blows at given times. `RunOptions` has the same names: `mismatch = 0.05` in the file is `--mismatch 0.05`. zeros
-are of the rig that a run takes place on: what its hanging arms read, rad, as `dpcontrol commission` measures it.
+lists blows at given times; plant names the model file of a plant of its own. `RunOptions` has the same names:
+`mismatch = 0.05` in the file is `--mismatch 0.05`. zeros are of the rig that a run takes place on: what its hanging
+arms read, rad, as `dpcontrol commission` measures it.
 [controller], [estimator] and [supervisor] have the rest of a run's settings.
 """
 
@@ -25,7 +26,7 @@ from dpcontrol.control.estimator_settings import (
 from dpcontrol.control.lqr import HoldSettings
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
 from dpcontrol.control.tracking import AdaptiveSettings, FeedforwardSettings, TvlqrSettings
-from dpcontrol.dynamics.chain import Uncertainty
+from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Table, parse_toml, read_toml, suggest
 from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, SensorSettings
@@ -176,15 +177,19 @@ _HOMES = {f.name: part for part, kind in _PARTS.items() for f in fields(kind) if
 """Which part of the loop's settings has a key of [run]; those of none are the loop's own."""
 
 
-def read_run_settings(run: Table, *, controller: Table, estimator: Table, supervisor: Table) -> LoopSettings:
-    """Return the settings of a scene's runs, with seed 0.
+def read_run_settings(
+    run: Table, *, controller: Table, estimator: Table, supervisor: Table, plant: ArmChainParameters | None = None
+) -> LoopSettings:
+    """Return the settings of a scene's runs, with seed 0; plant: its arms where they are others than the model's.
 
     Raises:
         InputError: an unknown key or an impossible value; names file, table, key, value and what is allowed.
     """
     blows = [table.settings(Push) for table in run.tables("blows")]
     values = run.remaining()
-    known = ("rate", "initial_error", "mismatch", "model_uncertainty", "travel", "zeros", *_HOMES)
+    known = (
+        "rate", "initial_error", "mismatch", "model_uncertainty", "friction", "plant", "travel", "zeros", *_HOMES,
+    )  # fmt: skip
     parts = {}
     for part, kind in _PARTS.items():
         own = {k: v for k, v in values.items() if _HOMES.get(k) == part}
@@ -199,8 +204,8 @@ def read_run_settings(run: Table, *, controller: Table, estimator: Table, superv
         )
     filters = {**ESTIMATORS, "ekf": AdaptiveEkfSettings} if isinstance(law, AdaptiveSettings) else ESTIMATORS
     return rest.settings(
-        LoopSettings, also=known, seed=0, keep=keep, controller=law, estimator=_kind(estimator, filters, "ekf"),
-        supervisor=supervisor.settings(SupervisorSettings), **parts,
+        LoopSettings, also=known, seed=0, keep=keep, plant=plant, controller=law,
+        estimator=_kind(estimator, filters, "ekf"), supervisor=supervisor.settings(SupervisorSettings), **parts,
     )  # fmt: skip
 
 
@@ -211,7 +216,8 @@ def _kind(table: Table, kinds: Mapping[str, type], default: str) -> Any:
 def overridden(loop: LoopSettings, options: RunOptions) -> LoopSettings:
     """Return the settings with those that are given replaced. A controller or estimator is named by its kind.
 
-    A controller that cannot hand over to what keeps the stops follows the whole reference itself.
+    The plant, which is a file, stays as it is: see `Itinerary.with_run`. A controller that cannot hand over to what
+    keeps the stops follows the whole reference itself.
 
     Raises:
         InputError: an unknown kind, or an impossible value.
@@ -221,6 +227,8 @@ def overridden(loop: LoopSettings, options: RunOptions) -> LoopSettings:
     changes: dict[str, dict[str, Any]] = {}
     own: dict[str, Any] = {}
     for name, value in options.given().items():
+        if name == "plant":
+            continue
         if name in homes:
             changes.setdefault(homes[name], {})[name] = value
         elif name not in kinds:
@@ -305,10 +313,13 @@ class Itinerary:
         """Return the scene with run settings replaced, such as mismatch or controller, and the seed where it is given.
 
         Raises:
-            InputError: an unknown kind or an impossible value; an uncertainty to draw the plant from that the model's
-                file does not give.
+            InputError: an unknown kind or an impossible value; a plant whose file is missing or faulty or that has
+                other arms; an uncertainty to draw the plant from that the model's file does not give.
         """
-        loop = overridden(self.loop, options)
+        loop = self.loop
+        if options.plant is not None:
+            loop = replace(loop, plant=own_plant(options.plant, self.model.arms, where="plant"))
+        loop = overridden(loop, options)
         scene = replace(self, loop=loop if seed is None else replace(loop, seed=seed))
         _ = scene.uncertainty
         return scene
@@ -394,8 +405,10 @@ def _itinerary(table: Table, text: str, path: Path, model: Model | None) -> Itin
     zeros = run.numbers("zeros", ())
     if zeros and len(zeros) != model.arms.count:
         raise InputError(f"{run.where('zeros')} has {len(zeros)} values; give one for each of {model.arms.count} arms")
+    own = run.text("plant", "")
+    plant = own_plant(own, model.arms, where=run.where("plant"), beside=path.parent) if own else None
     loop = read_run_settings(
-        run, controller=table.table("controller"), estimator=table.table("estimator"),
+        run, plant=plant, controller=table.table("controller"), estimator=table.table("estimator"),
         supervisor=table.table("supervisor"),
     )  # fmt: skip
     keeps = loop.keep != "none"
@@ -417,11 +430,31 @@ def _model(table: Table, path: Path, given: Model | None) -> Model:
     name = table.text("model", "lab")
     if given is not None:
         return given
-    beside = path.parent / name
+    return _named_model(name, where=table.where("model"), beside=path.parent)
+
+
+def _named_model(name: str, *, where: str, beside: Path | None) -> Model:
+    """Return a model by name or path, which is taken from the folder `beside` where it is there."""
+    own = None if beside is None else beside / name
     try:
-        return load_model(str(beside) if name.endswith(".toml") and beside.is_file() else name)
+        return load_model(str(own) if own is not None and name.endswith(".toml") and own.is_file() else name)
     except InputError as error:
-        raise InputError(f"{table.where('model')} = {name!r}: {error}") from error
+        raise InputError(f"{where} = {name!r}: {error}") from error
+
+
+def own_plant(name: str, arms: ArmChainParameters, *, where: str, beside: Path | None = None) -> ArmChainParameters:
+    """Return the arms of a plant's own model file, given by name or path, in the place of the model's `arms`.
+
+    Raises:
+        InputError: no such file, a mistake in it, or another number of arms; begins with `where`.
+    """
+    own = _named_model(name, where=where, beside=beside)
+    if own.arms.count != arms.count:
+        raise InputError(
+            f"{where} = {name!r}: the plant has {own.arms.count} arms, the itinerary's model {arms.count}; give "
+            "a plant of as many arms"
+        )
+    return own.arms
 
 
 def _reference(table: Table) -> ReferenceSettings:

@@ -27,6 +27,10 @@ class RunOptions:
     model_uncertainty: float | None = _option(
         PLANT, "Draw the plant from an identified model's uncertainty, its errors times this."
     )
+    plant: str | None = _option(
+        PLANT, "Model file or name of the plant's own arms and friction; the mismatch is drawn about them."
+    )
+    friction: float | None = _option(PLANT, "Factor on the plant's friction, unknown to the model.")
     initial_error: float | None = _option(PLANT, "Largest error of each arm's first angle, rad.")
     cart_mass: float | None = _option(PLANT, "Mass of the cart, kg; the arms then push it about.")
     tilt: float | None = _option(PLANT, "Tilt of the track, rad, positive with the right end down.")

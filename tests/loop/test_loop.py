@@ -218,8 +218,8 @@ def test_arms_of_another_kind_lose_the_estimate_by_name(
 ) -> None:
     other = replace(LAB, gravity=3 * LAB.gravity)
     strict = replace(REAL.estimator, parameter_error=0.0, rate_noise=1e-4)
-    settings = replace(REAL, estimator=strict)
-    result = run_loop(turn[1], LAB, settings=settings, controller=controller, plant=other)
+    settings = replace(REAL, estimator=strict, plant=other, mismatch=0.0)
+    result = run_loop(turn[1], LAB, settings=settings, controller=controller)
     assert result.ending is Ending.ESTIMATE_LOST
     assert "NIS" in result.reason
 
