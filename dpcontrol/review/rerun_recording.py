@@ -445,17 +445,14 @@ def recording_to(path: Path, name: str, view: rrb.Blueprint, summary: str) -> It
     """
     with whole_file(Path(path), suffix=".rrd") as temporary:
         recording = rr.RecordingStream(_APPLICATION, send_properties=True)
-        recording.save(temporary, default_blueprint=view)
+        # Kept in memory until it is whole: where a disk fills up, the viewer's own writer may wait for ever.
+        kept = recording.memory_recording()
+        recording.send_blueprint(view, make_active=False)
         recording.send_recording_name(name)
         recording.log(SUMMARY, rr.TextDocument(summary, media_type="text/markdown"), static=True)
         yield recording
-        try:
-            recording.flush()
-        except RuntimeError as error:
-            # The thread that writes has given up; it has said why on stderr, and only there.
-            remedy = "see above, or free some space on the disk, or choose another folder"
-            raise InputError(f"cannot write {path}: the recording could not be written whole; {remedy}") from error
-        recording.disconnect()
+        recording.flush()
+        temporary.write_bytes(kept.drain_as_bytes())
 
 
 def _events(recording: rr.RecordingStream, view: RunView) -> None:
