@@ -111,7 +111,8 @@ def test_help_of_a_run_setting_names_the_unit_of_its_bounds_and_every_choice() -
 
     kinds = (LoopSettings, SensorSettings, DriveSettings, DisturbanceSettings, SupervisorSettings)
     bounds = {name: one for kind in kinds for name, one in bounds_of(kind).items()}
-    bounds |= {"controller": Bounds(choices=tuple(CONTROLLERS)), "estimator": Bounds(choices=tuple(ESTIMATORS))}
+    named = {"plant": (), "controller": CONTROLLERS, "estimator": ESTIMATORS}
+    bounds |= {name: Bounds(choices=tuple(kinds)) for name, kinds in named.items()}
     for setting in fields(RunOptions):
         text, own = setting.metadata["help"], bounds[setting.name]
         assert own.unit in text, setting.name
