@@ -68,7 +68,7 @@ def test_a_run_in_memory_is_the_one_that_is_logged(example: dict[str, Any]) -> N
     """The same figures to rounding: a log keeps its times in whole nanoseconds."""
     memory, logged = example["run"].document(), example["logged"].document()
     apart = {key for key, value in memory.items() if logged[key] != value}
-    assert apart <= {"log", "real_time_factor"}
+    assert apart <= {"log", "real_time_factor", "thinking"}
     assert example["logged"].frame().shape == example["run"].frame().shape
 
 
@@ -80,10 +80,10 @@ def test_a_plan_of_a_walk_is_that_of_the_file_it_writes(example: dict[str, Any])
     # Another process may have solved the same plan meanwhile, and kept it in the same place.
     timeless = [{**p.document()["reference"], "solve_seconds": None} for p in (again, plan)]
     assert timeless[0] == timeless[1]
-    assert dp.run(again, mismatch=0.02, seed=3).document() == {
-        **example["run"].document(),
-        "real_time_factor": pytest.approx(0, abs=1e6),
-    }
+    figures = [run.document() for run in (dp.run(again, mismatch=0.02, seed=3), example["run"])]
+    for shown in figures:
+        del shown["real_time_factor"], shown["thinking"]
+    assert figures[0] == figures[1]
 
 
 def test_runs_plans_and_atlases_draw_themselves(example: dict[str, Any], atlas_file: Path, tmp_path: Path) -> None:

@@ -47,6 +47,9 @@ def score_text(verdict: "Score") -> Iterator[str]:
     )
     if verdict.nis_means is not None:
         yield f"  NIS      {verdict.nis_means.sentence}"
+    if verdict.thinking is not None:
+        median, most = 1e6 * verdict.thinking.median, 1e6 * verdict.thinking.within_99
+        yield f"  thinking {median:.3g} µs a tick in the median, 99 % within {most:.3g} µs"
 
 
 def shortfall(verdict: "Score") -> str:

@@ -6,6 +6,7 @@ from dpcontrol.logs.layout import LEVELS, control_fields, joint_names
 from dpcontrol.logs.reader import (
     Comparison,
     Event,
+    Extras,
     LogSummary,
     RunLog,
     check_replaced,
@@ -14,12 +15,13 @@ from dpcontrol.logs.reader import (
     summarise,
 )
 from dpcontrol.logs.recovery import Recovery, recover
-from dpcontrol.logs.writer import LogWriter
+from dpcontrol.logs.writer import LogWriter, slow_numbers
 
 __all__ = [
     "LEVELS",
     "Comparison",
     "Event",
+    "Extras",
     "LogSummary",
     "LogWriter",
     "Mode",
@@ -32,5 +34,6 @@ __all__ = [
     "partials_of",
     "read_log",
     "recover",
+    "slow_numbers",
     "summarise",
 ]

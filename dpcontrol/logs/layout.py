@@ -181,6 +181,7 @@ TF_MESSAGE = (
     ),
 )  # fmt: skip
 CONTROL_NAME = "dpcontrol_msgs/msg/Control"
+EXTRAS_NAME = "dpcontrol_msgs/msg/Extras"
 STRING = ("std_msgs/msg/String", b"string data\n")
 LOG = ("rcl_interfaces/msg/Log", _with_parts(_LOG, "builtin_interfaces/Time"))
 
@@ -190,6 +191,7 @@ ESTIMATE = "/estimate/joint_states"
 REFERENCE = "/reference/joint_states"
 TRUTH = "/truth/joint_states"
 CONTROL = "/control"
+EXTRAS = "/estimate/extras"
 TRANSFORMS = "/tf"
 ROBOT = "/robot_description"
 GHOST = "/reference/robot_description"
@@ -199,12 +201,13 @@ MEASURED_CHANNEL = 1
 LATCHED = frozenset({ROBOT, GHOST})
 """Topics with one message at the start, for everyone who comes later."""
 
-TRANSFORM_RATE = 50.0
-"""Rate of /tf in Hz: enough for the eye, a twentieth of the loop's."""
+SLOW_RATE = 50.0
+"""Rate of /tf and of /estimate/extras in Hz: enough for the eye, a twentieth of the loop's."""
 
 UNITS = {
     **dict.fromkeys((MEASURED, ESTIMATE, REFERENCE, TRUTH), "rad, rad/s; cart m, m/s"),
     CONTROL: "m/s²; σ in rad, rad/s, m, m/s",
+    EXTRAS: "rad, rad/s², m/s², shares",
     TRANSFORMS: "m, quaternions",
     **dict.fromkeys((ROBOT, GHOST), "URDF"),
     EVENTS: "text",
@@ -224,6 +227,8 @@ RECOVERY_RECORD = "dpcontrol.recovery"
 """Names of the metadata records: the layout (ours), what the caller passed, how the run went (at the end), and what a
 recovered log has lost."""
 
+EXTRAS_KEY = "extras"
+"""In the layout: the names of the extras, where the log has some."""
 TICKS = "ticks"
 """In the result: how many ticks the run had."""
 LOST = "lost"
@@ -279,11 +284,13 @@ class TickLayout:
         arms: number of arms.
         has_cart: whether the pivot is on a cart.
         parts: those of `PARTS` that the log has.
+        extras: names of what is estimated besides the state, in the estimator's order.
     """
 
     arms: int
     has_cart: bool
     parts: frozenset[str]
+    extras: tuple[str, ...] = ()
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -297,10 +304,11 @@ class TickLayout:
 
     @cached_property
     def widths(self) -> dict[str, int]:
-        """Numbers in a row of the measured positions and of each part, in the order of `PARTS`."""
+        """Numbers in a row of the measured positions, of each part, in the order of `PARTS`, and of extras."""
         joints = len(self.names)
         widths = dict.fromkeys(("measured", *PARTS), 2 * joints)
-        return widths | {"measured": joints, "rates": joints, "control": len(self.fields)}
+        widths |= {"measured": joints, "rates": joints, "control": len(self.fields)}
+        return widths | ({"extras": 2 * len(self.extras)} if self.extras else {})
 
     @cached_property
     def rooms(self) -> tuple[tuple[str, str, slice, str, slice], ...]:
@@ -335,6 +343,13 @@ class TickLayout:
         return found
 
     @cached_property
+    def extras_message(self) -> Message:
+        """The message of /estimate/extras, as field "row": the standard deviation of each, then its value."""
+        message = Message()
+        message.doubles(2 * len(self.extras), name="row")
+        return message
+
+    @cached_property
     def schemas(self) -> dict[str, tuple[str, bytes]]:
         """Name and definition of each topic's message, in the order of the channels."""
         found: dict[str, tuple[str, bytes]] = dict.fromkeys(self.messages, JOINT_STATE)
@@ -343,6 +358,10 @@ class TickLayout:
         found |= {TRANSFORMS: TF_MESSAGE, EVENTS: LOG, ROBOT: STRING}
         if "reference" in self.parts:
             found[GHOST] = STRING
+        if self.extras:
+            # Fields of ROS 2 are in lower case.
+            fields = (f"float64 {of}{name.lower()}\n" for of in ("sigma_", "") for name in self.extras)
+            found[EXTRAS] = (EXTRAS_NAME, "".join(fields).encode())
         return found
 
     @cached_property

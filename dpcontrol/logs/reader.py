@@ -396,6 +396,18 @@ class Batch:
         if place != whole:
             raise ValueError("a record runs over the end of its chunk")
 
+    def extras(self, tick: TickLayout) -> Array:
+        """Return what the messages of the extras hold: their times (M, 1) in s, standard deviations and values.
+
+        Raises:
+            ValueError: a message is not that of the layout.
+        """
+        kind = layout.record_type(tick.extras_message)
+        found = gathered(self.data, self.others.get(tick.channels[layout.EXTRAS], []), kind)
+        if (found["length"] != kind.itemsize - layout.LENGTH_FROM).any():
+            raise ValueError(f"a message of {layout.EXTRAS} has another length")
+        return np.column_stack([found["log_time"] / 1e9, found["row"]])
+
     def rows(self, tick: TickLayout) -> dict[str, Array]:
         """Return the ticks' times (K,) in s, and the rows (K, width) of each part, by name.
 
@@ -448,7 +460,8 @@ def described_layout(path: Path, described: Mapping[str, str]) -> TickLayout:
         raise ValueError(f"unknown parts {sorted(parts)}")
     if not _SLOWEST <= float(described["rate_hz"]) <= _FASTEST:
         raise ValueError(f"its ticks are said to come at {described['rate_hz']} Hz")
-    return TickLayout(len(described["arm_lengths"].split()), described["has_cart"] == "1", parts)
+    extras = tuple(described.get(layout.EXTRAS_KEY, "").split())
+    return TickLayout(len(described["arm_lengths"].split()), described["has_cart"] == "1", parts, extras)
 
 
 _LEVEL_NAMES = {number: name for name, number in layout.LEVELS.items()}
@@ -463,6 +476,18 @@ class Event(NamedTuple):
     text: str
 
 
+@dataclass(frozen=True, eq=False)
+class Extras:
+    """What an estimator found besides the state: times (M,) in s, and for each of E names a value and its standard
+    deviation, both (M, E); zeros in rad, disturbances in rad/s², the drive's error in m/s², all others shares.
+    """
+
+    names: tuple[str, ...]
+    time: Array
+    values: Array
+    sigmas: Array
+
+
 @dataclass(frozen=True)
 class RunLog:
     """A log in memory; arrays are read-only.
@@ -475,6 +500,7 @@ class RunLog:
         states: (N, 2n+2) in state order, rad, rad/s, m, m/s (2n entries without a cart), for each of "estimate",
             "reference" and "truth" that the log has.
         controls: (N,) for each name of `control_fields`; empty where no controller ran.
+        extras: what was estimated besides the state, at 50 Hz; or None.
         events: in the order in which they were logged.
         metadata: what the writer's caller passed at the start and at the end, and `program`, which wrote it.
         attachments: content by name.
@@ -501,6 +527,7 @@ class RunLog:
     rate_hz: float
     limits: tuple[float, float, float] | None
     recovered: str | None = None
+    extras: Extras | None = None
 
     @property
     def parts(self) -> frozenset[str]:
@@ -554,7 +581,8 @@ class RunLog:
         """Return a pandas table: one row for each tick, indexed by `time` in s.
 
         Columns: `measured.arm_1` …, `rates.arm_1` …, `estimate.angle_1`, `estimate.rate_1`, `estimate.cart_position`,
-        `estimate.cart_velocity`, likewise `reference` and `truth`, and `control.command` …; those that the log has.
+        `estimate.cart_velocity`, likewise `reference` and `truth`, `control.command` …, and `extra.zero_1`,
+        `sigma.zero_1` … as they were logged last; those that the log has.
 
         Raises:
             InputError: pandas is not installed.
@@ -570,6 +598,11 @@ class RunLog:
         for part, values in self.states.items():
             columns |= {f"{part}.{name}": values[:, i] for i, name in enumerate(names)}
         columns |= {f"control.{name}": values for name, values in self.controls.items()}
+        if self.extras is not None:
+            last = np.searchsorted(self.extras.time, self.time, side="right") - 1
+            for of, values in (("extra", self.extras.values), ("sigma", self.extras.sigmas)):
+                held = np.where((last >= 0)[:, None], values[last], np.nan)
+                columns |= {f"{of}.{name}": held[:, i] for i, name in enumerate(self.extras.names)}
         return DataFrame(columns, index=Index(self.time, name="time"))
 
 
@@ -619,10 +652,13 @@ def check_replaced(
 def _decode(file: VerifiedFile) -> RunLog:
     tick = file.tick
     events: list[Event] = []
+    extras: list[Array] = []
     rows: dict[str, list[Array]] = {name: [] for name in ("time", "measured", *tick.parts)}
     for batch in file.batches():
         for name, values in batch.rows(tick).items():
             rows[name].append(values)
+        if tick.extras:
+            extras.append(batch.extras(tick))
         events += [_event(batch.data, offset) for offset in batch.others.get(tick.channels[layout.EVENTS], ())]
     if not file.has_checksum:
         raise InputError(f"{file.path} carries no checksum of its data, so nothing vouches for it; {_AGAIN}")
@@ -630,7 +666,15 @@ def _decode(file: VerifiedFile) -> RunLog:
         raise InputError(f"{file.path} holds no ticks: the run ended before its first; {_AGAIN}")
     # Taken out of the mapping as they are joined: a long log is held once, not twice.
     whole = {name: _frozen(np.concatenate(rows.pop(name))) for name in list(rows)}
-    return _run_log(file, rows=whole, events=events)
+    return _run_log(file, rows=whole, events=events, extras=_extras(tick.extras, extras))
+
+
+def _extras(names: tuple[str, ...], rows: list[Array]) -> Extras | None:
+    """Return the extras of rows (time, standard deviations, values); None of a log without any."""
+    if not sum(map(len, rows)):
+        return None
+    whole = _frozen(np.concatenate(rows))
+    return Extras(names, whole[:, 0], whole[:, 1 + len(names) :], whole[:, 1 : 1 + len(names)])
 
 
 def _event(data: bytes, offset: int) -> Event:
@@ -640,7 +684,7 @@ def _event(data: bytes, offset: int) -> Event:
     return Event(int(head["log_time"]) / 1e9, _LEVEL_NAMES.get(level, "info"), name, text)
 
 
-def _run_log(file: VerifiedFile, *, rows: dict[str, Array], events: list[Event]) -> RunLog:
+def _run_log(file: VerifiedFile, *, rows: dict[str, Array], events: list[Event], extras: Extras | None) -> RunLog:
     tick, described = file.tick, file.metadata[layout.LAYOUT_RECORD]
     limits = tuple(float(text) for text in described["limits"].split())
     columns = _frozen(np.ascontiguousarray(rows.pop("control").T)) if "control" in rows else ()
@@ -665,6 +709,7 @@ def _run_log(file: VerifiedFile, *, rows: dict[str, Array], events: list[Event])
         rate_hz=float(described["rate_hz"]),
         limits=(limits[0], limits[1], limits[2]) if limits else None,
         recovered=file.values(layout.RECOVERY_RECORD).get(layout.LOST) or None,
+        extras=extras,
     )
 
 

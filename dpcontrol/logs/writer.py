@@ -88,7 +88,7 @@ class ChunkEncoder:
         pose_starts = [message.fields[f"{i}.pose"][1] for i in range(len(frames))]
         self._stamp_bytes = np.add.outer(stamp_starts, np.arange(_STAMP.itemsize))
         self._pose_bytes = np.add.outer(pose_starts, np.arange(7 * 8))
-        self._last_transform = -1
+        self._last_due = -1
 
     def encode(
         self, times: NDArray[np.int64], rows: Mapping[str, Row], notes: Sequence[Note]
@@ -99,7 +99,9 @@ class ChunkEncoder:
         """
         count, channels = len(times), self.tick.channels
         block = self._fill(times, rows)
-        marks = sorted([*notes, *self._transform_notes(times, rows)], key=lambda note: note.row)
+        due = self._due(times)
+        slow = [*self._transform_notes(due, times, rows), *self._extra_notes(due, times, rows)]
+        marks = sorted([*notes, *slow], key=lambda note: note.row)
         pieces, done, length, before = [], 0, 0, np.zeros(count, np.int64)
         single: dict[str, list[tuple[int, int]]] = {}
         for note in marks:
@@ -149,13 +151,24 @@ class ChunkEncoder:
         states[:, 2 * arms : 2 * arms + 1] = measured[:, arms:]
         return states
 
-    def _transform_notes(self, times: NDArray[np.int64], rows: Mapping[str, Row]) -> list[Note]:
-        number = np.floor(times * (layout.TRANSFORM_RATE / _SECOND) + 1e-6).astype(np.int64)
+    def _due(self, times: NDArray[np.int64]) -> list[int]:
+        """Return the rows at which messages of the slow rate are due."""
         chosen: list[int] = []
-        for row, due in enumerate(number.tolist()):
-            if due > self._last_transform:
+        for row, due in enumerate(slow_numbers(times).tolist()):
+            if due > self._last_due:
                 chosen.append(row)
-            self._last_transform = due
+            self._last_due = due
+        return chosen
+
+    def _extra_notes(self, chosen: list[int], times: NDArray[np.int64], rows: Mapping[str, Row]) -> list[Note]:
+        if not self.tick.extras:
+            return []
+        numbers = rows["extras"].astype("<f8", copy=False)
+        return [
+            Note(row, layout.EXTRAS, int(times[row]), layout.ENCAPSULATION + numbers[row].tobytes()) for row in chosen
+        ]
+
+    def _transform_notes(self, chosen: list[int], times: NDArray[np.int64], rows: Mapping[str, Row]) -> list[Note]:
         if not chosen:
             return []
         robots = [self._robot(rows)] + ([rows["reference"]] if "reference" in rows else [])
@@ -186,6 +199,11 @@ class ChunkEncoder:
         return _HEAD.pack(layout.MESSAGE_OPCODE, length, channel, number, note.time_ns, note.time_ns) + note.content
 
 
+def slow_numbers(times: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return for ticks at times (K,) in ns which message of the slow rate is the last that is due, from 0."""
+    return np.floor(times * (layout.SLOW_RATE / _SECOND) + 1e-6).astype(np.int64)
+
+
 class TickBuffer:
     """Room for `size` ticks of a layout with all its parts; which of them a log has, its first tick decides."""
 
@@ -208,7 +226,7 @@ class TickBuffer:
                 raise ValueError(f"{name}: expected rows of shape {expected}, got {np.shape(values)}")
         if len(times) and not (times[0] >= self.last and (np.diff(times) >= 0).all()):
             raise ValueError("the times of ticks must not decrease")
-        parts = frozenset(rows) - {"measured"}
+        parts = frozenset(rows) - {"measured", "extras"}
         if self.parts is not None and parts != self.parts:
             names = (part for part in layout.PARTS if part in parts ^ self.parts)
             raise ValueError(f"{', '.join(names)} must be given in every tick of a run or in none")
@@ -228,7 +246,7 @@ class TickBuffer:
 
     def ticks(self) -> tuple[NDArray[np.int64], dict[str, Row]]:
         """Return the times (K,) in ns and the rows of the log's parts; views, good until the next tick comes."""
-        names = {"measured"} | (self.parts or frozenset())
+        names = {"measured", *({"extras"} & self._rooms.keys())} | (self.parts or frozenset())
         times = np.rint(self._time[: self.filled] * 1e9).astype(np.int64)
         return times, {name: self._rooms[name][: self.filled] for name in names}
 
@@ -249,6 +267,7 @@ class LogWriter:
         rate_hz: rate of the loop in Hz.
         has_cart: whether the pivot is on a cart; without one, states have 2n and measurements n entries.
         limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s².
+        extras: names of what is estimated besides the state, where `ticks` is given that.
         metadata: text by name: version, commit, seed, hashes, whatever tells this run from others.
         attachments: content by file name: scene, model, reference.
         chunk_seconds, compression: length of a chunk in s, on whose default `recover` counts, and zstd's level.
@@ -265,6 +284,7 @@ class LogWriter:
         rate_hz: float,
         has_cart: bool = True,
         limits: tuple[float, float, float] | None = None,
+        extras: Sequence[str] = (),
         metadata: Mapping[str, str] | None = None,
         attachments: Mapping[str, bytes] | None = None,
         chunk_seconds: float = CHUNK_SECONDS,
@@ -281,7 +301,8 @@ class LogWriter:
         self._compression = compression
         if not self._lengths or not self._rate > 0:
             raise ValueError(f"a log needs arms and a positive rate; got {len(self._lengths)} arms at {rate_hz} Hz")
-        tick = TickLayout(len(self._lengths), has_cart, frozenset(layout.PARTS))
+        self.extras = tuple(extras)
+        tick = TickLayout(len(self._lengths), has_cart, frozenset(layout.PARTS), self.extras)
         self._buffer = TickBuffer(tick, size=max(1, round(chunk_seconds * self._rate)))
         self._ticks = 0
         self._notes: list[Note] = []
@@ -363,6 +384,7 @@ class LogWriter:
         reference: Row | None = None,
         truth: Row | None = None,
         control: Row | None = None,
+        extras: Row | None = None,
     ) -> None:
         """Log K periods of the loop; all but `measured` in every tick of a log or in none.
 
@@ -374,16 +396,19 @@ class LogWriter:
             reference: (K, 2n+2) likewise.
             truth: (K, 2n+2) likewise, the plant's own states.
             control: (K, 13) for a double pendulum on a cart: rows of `layout.control_fields`.
+            extras: (K, 2E) the standard deviations of the E extras that the log was opened with, then their values.
 
         Raises:
             ValueError: rows of another shape, times that decrease, or a part in some ticks only.
             InputError: the file cannot be written.
         """
         times = np.asarray(time_s, float)
+        if (extras is None) == bool(self.extras):
+            raise ValueError(f"extras: the log was opened for {list(self.extras)}, and every tick has them or none")
         rows = self._buffer.checked(
             times,
             {"measured": measured, "rates": rates, "estimate": estimate, "reference": reference, "truth": truth,
-             "control": control},
+             "control": control, "extras": extras},
         )  # fmt: skip
         done = 0
         while done < len(times):
@@ -410,7 +435,7 @@ class LogWriter:
 
     def _prepare(self, file: McapFile) -> ChunkEncoder:
         # Done with the first chunk: only then is it known what a tick holds.
-        tick = TickLayout(len(self._lengths), self._has_cart, self._buffer.parts or frozenset())
+        tick = TickLayout(len(self._lengths), self._has_cart, self._buffer.parts or frozenset(), self.extras)
         described = {
             "format": layout.FORMAT,
             "arm_lengths": " ".join(repr(length) for length in self._lengths),
@@ -420,6 +445,7 @@ class LogWriter:
             "parts": " ".join(part for part in layout.PARTS if part in tick.parts),
             "attachments": json.dumps(list(self._attachments)),
             "program": f"dpcontrol {dpcontrol.__version__}",
+            **({layout.EXTRAS_KEY: " ".join(tick.extras)} if tick.extras else {}),
         }
         file.add_metadata(layout.LAYOUT_RECORD, sealed(layout.LAYOUT_RECORD, described))
         file.add_channels(tick.schemas, latched=layout.LATCHED)

@@ -118,21 +118,27 @@ class ControlLoop:
 
     def _run(self, rig: Rig) -> LoopResult:
         ticker, period = self.ticker, self._period
-        self._rows = rows = Ticks.empty(self.count, self._arms, has_truth=rig.truth is not None, period=period)
+        self._rows = rows = Ticks.empty(
+            self.count, self._arms, has_truth=rig.truth is not None, period=period, extras=len(ticker.extra_names)
+        )
         ticks = f"{self.count - 1} ticks at {1 / period:g} Hz"
         self._event(0.0, "info", "start", f"{ticker.kind}, {ticker.estimator_kind}, {ticks}")
         late, quiet_until = 0, 0.0
         at, take = ticker.at, rows.take
         command, notable, news, done_at = at["command"], at["notable"], at["news"], at["done"]
         noise = None if self._rate_noise is None else self._rate_noise[:, :, None]
-        began = time.perf_counter()
+        clock, thinking = time.perf_counter, list[float]()
+        thought = thinking.append
+        began = clock()
         for k in range(self.count):
             try:
                 reading = rig.read()
             except ArithmeticError as failure:
                 self.ending, self.reason = Ending.PLANT_FAILED, str(failure)
                 break
+            asked = clock()
             report = ticker(k, reading, None if noise is None else noise[k])
+            thought(clock() - asked)
             rig.command(report.item(command, 0))
             take(k, reading, report, rig.truth)
             self._done = done = k + 1
@@ -157,13 +163,13 @@ class ControlLoop:
                 self._flush(done)
                 if not done % _PROGRESS_EVERY:
                     self.progress("run", done / self.count)
-        elapsed, done = time.perf_counter() - began, self._done
+        elapsed, done = clock() - began, self._done
         rig.stop()
         self._flush(done)
         fine = self.ending is Ending.FINISHED
         self._event(max(done - 1, 0) * period, "info" if fine else "error", self.ending.value, self.reason)
         self.progress("run", 1.0)
-        return LoopResult(rows.between(0, done), self.ending, self.reason, late, elapsed)
+        return LoopResult(rows.between(0, done), self.ending, self.reason, late, elapsed, np.array(thinking))
 
     def _heed(self, k: int, rig: Rig) -> None:
         """Do what the outcome of tick k asks for."""

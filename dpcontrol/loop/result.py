@@ -183,7 +183,8 @@ class Ticks:
 
     times (K,) s; measured (K, n+1), not-a-number where an encoder gave nothing; estimates, references (K, 2n+2) in
     state order; truth the same, or None where it is not known; control (K, 9+2n) with the columns of
-    `dpcontrol.logs.layout.control_fields`. told: estimates and control in one, while they are written.
+    `dpcontrol.logs.layout.control_fields`. told: estimates, control and extras in one, while they are written.
+    extras (K, 2E): standard deviations of what is estimated besides the state, then the values.
     """
 
     times: Array
@@ -193,18 +194,21 @@ class Ticks:
     truth: Array | None
     control: Array
     told: Array | None = None
+    extras: Array | None = None
 
     @classmethod
-    def empty(cls, count: int, arms: int, *, has_truth: bool, period: float) -> "Ticks":
-        """Return room for `count` ticks, `period` s apart."""
+    def empty(cls, count: int, arms: int, *, has_truth: bool, period: float, extras: int = 0) -> "Ticks":
+        """Return room for `count` ticks, `period` s apart; extras: how many the estimator has."""
         n = 2 * arms + 2
         # What a report begins with stands together.
-        told = np.empty((count, n + CONTROL_HEAD + n))
+        end = n + CONTROL_HEAD + n
+        told = np.empty((count, end + 2 * extras))
         times = np.asarray(np.arange(count) * period, dtype=np.float64)
         measured, references = np.empty((count, arms + 1)), np.empty((count, n))
         return cls(
-            times, measured, told[:, :n], references, np.empty((count, n)) if has_truth else None, told[:, n:], told
-        )
+            times, measured, told[:, :n], references, np.empty((count, n)) if has_truth else None, told[:, n:end], told,
+            told[:, end:],
+        )  # fmt: skip
 
     def take(self, k: int, reading: Reading, report: Array, truth: Array | None) -> None:
         """Write tick k, but for its reference; report: see `TickEquations.report`."""
@@ -227,7 +231,7 @@ class Ticks:
         truth = None if self.truth is None else self.truth[rows]
         return Ticks(
             self.times[rows], self.measured[rows], self.estimates[rows], self.references[rows], truth,
-            self.control[rows],
+            self.control[rows], extras=None if self.extras is None else self.extras[rows],
         )  # fmt: skip
 
 
@@ -257,8 +261,8 @@ class NoSink:
 class LoopResult:
     """A run of K ticks, n arms.
 
-    ticks: its rows. ending, and reason, a sentence. late: ticks that began too late; elapsed s. plant: the parameters
-    that were simulated, if any.
+    ticks: its rows. ending, and reason, a sentence. late: ticks that began too late; elapsed s. thinking (K,) s: what
+    each tick of controller and estimator took. plant: the parameters that were simulated, if any.
     """
 
     ticks: Ticks
@@ -266,6 +270,7 @@ class LoopResult:
     reason: str
     late: int
     elapsed: float
+    thinking: Array
     plant: ArmChainParameters | None = None
 
     @property
@@ -413,7 +418,7 @@ class LogSink:
         """Write the next ticks."""
         self._writer.ticks(
             rows.times, measured=rows.measured, estimate=rows.estimates, reference=rows.references,
-            truth=rows.truth, control=rows.control,
+            truth=rows.truth, control=rows.control, extras=rows.extras if self._writer.extras else None,
         )  # fmt: skip
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:

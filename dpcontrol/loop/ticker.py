@@ -65,6 +65,11 @@ class Ticker:
         """What the law decided in the last tick, a sentence for the log, or empty."""
         self.begin()
 
+    @property
+    def extra_names(self) -> tuple[str, ...]:
+        """Names of what is estimated besides the state."""
+        return self.program.equations.filter.extra_names
+
     def begin(self) -> None:
         """Begin a run."""
         program, first = self.program, self.controller.first_state

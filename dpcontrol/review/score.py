@@ -226,6 +226,18 @@ def _leaves(orbit: Array, angles: Array, *, ticks: float) -> float:
 REFERENCE_ATTACHMENT = "reference.npz"
 MODEL_METADATA = "model_parameters"
 """Metadata that holds the arms' parameters as JSON."""
+PLANT_METADATA, DRAWN_METADATA = "plant_parameters", "drawn"
+"""Metadata of a simulated run, as JSON: the plant's own parameters, and what else was drawn once for the run."""
+THINKING_METADATA = ("thinking_median", "thinking_99")
+"""Metadata of a run: s of a tick of controller and estimator."""
+
+
+@dataclass(frozen=True)
+class Thinking:
+    """What a tick of controller and estimator took, s: the median, and what 99 % were within."""
+
+    median: float
+    within_99: float
 
 
 @dataclass(frozen=True)
@@ -234,8 +246,8 @@ class Score:
 
     completed: None where the true state is not known. wraps: at each interior stop that was reached, None beside a
     transfer. rms_tracking_error rad, over the angles; max_cart_position m; rms_cart_acceleration m/s²; nis_inside_95:
-    share of ticks; nis_means: of its means, None of a run too short for one. real_time_factor: None where the log does
-    not say. reason: a sentence.
+    share of ticks; nis_means: of its means, None of a run too short for one. real_time_factor, thinking: None where the
+    log does not say. reason: a sentence.
     """
 
     log: str
@@ -251,6 +263,7 @@ class Score:
     real_time_factor: float | None
     reason: str
     nis_means: NisMeans | None = None
+    thinking: Thinking | None = None
 
     @property
     def sentence(self) -> str:
@@ -400,7 +413,14 @@ def score(log: RunLog) -> Score:
         real_time_factor=factor,
         reason=reason,
         nis_means=nis_means(log.control["nis"], log.measured.shape[1]),
+        thinking=_thinking(log),
     )
+
+
+def _thinking(log: RunLog) -> Thinking | None:
+    """Return what a tick took, None where the log does not say."""
+    found = [_noted(log, name, float) for name in THINKING_METADATA]
+    return None if None in found else Thinking(*(value for value in found if value is not None))
 
 
 def _noted(log: RunLog, name: str, kind: Callable[[str], Number]) -> Number | None:

@@ -22,11 +22,12 @@ from typing import TYPE_CHECKING, Any, get_args, get_origin, get_type_hints
 import numpy as np
 
 import dpcontrol
-from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.estimator_settings import EkfSettings, extra_names
 from dpcontrol.control.export import LEAVING, ControllerSource, checked_exportable, controller_source
 from dpcontrol.control.interface import Controller, GainSchedule
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
 from dpcontrol.control.tick import TickProgram, whole_periods
+from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.files import (
@@ -43,6 +44,7 @@ from dpcontrol.foundation.settings import with_values
 from dpcontrol.logs import (
     Comparison,
     Event,
+    Extras,
     LogWriter,
     RunLog,
     check_replaced,
@@ -50,13 +52,22 @@ from dpcontrol.logs import (
     control_fields,
     joint_names,
     read_log,
+    slow_numbers,
 )
 from dpcontrol.loop.controllers import ESTIMATORS
 from dpcontrol.loop.loop import LoopSettings, control_loop, loop_controller, loop_fallback, make_ticker, run_loop
-from dpcontrol.loop.result import LogSink, LoopResult, NoSink, Rig
+from dpcontrol.loop.result import LogSink, LoopResult, NoSink, Rig, Ticks
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import load_reference
-from dpcontrol.review.score import MODEL_METADATA, REFERENCE_ATTACHMENT, Score, score
+from dpcontrol.review.score import (
+    DRAWN_METADATA,
+    MODEL_METADATA,
+    PLANT_METADATA,
+    REFERENCE_ATTACHMENT,
+    THINKING_METADATA,
+    Score,
+    score,
+)
 from dpcontrol.scenes.itinerary import CONTROLLERS, Itinerary, itinerary_from
 from dpcontrol.scenes.model import folders, model_from
 from dpcontrol.scenes.plan import Plan, plan_key
@@ -122,6 +133,19 @@ class Run:
         """
         return self._score.document()
 
+    @property
+    def plant(self) -> ArmChainParameters | None:
+        """The arms that were simulated, as drawn for this run; None of a rig's log, and of older ones.
+
+        Raises:
+            InputError: the log is damaged there.
+        """
+        text = self.log.metadata.get(PLANT_METADATA)
+        try:
+            return None if text is None else _settings(ArmChainParameters, json.loads(text))
+        except (TypeError, ValueError, AttributeError) as error:
+            raise InputError(f"{self.log.path}: its {PLANT_METADATA} do not read: {error}; run it again") from error
+
     def frame(self) -> "DataFrame":
         """Return a pandas table, one row for each tick; see `RunLog.frame`.
 
@@ -163,7 +187,7 @@ def run_plan(
     )  # fmt: skip
     if out is None:
         return Run(_log_in_memory(plan, run(sink=sink), sink))
-    made_by: dict[str, str] = {}
+    made_by = _drawn(scene)
     if library is not None:
         check_exportable(scene)
         made_by[_LIBRARY] = content_hash(checked_source(library).read_bytes()) if library.is_file() else str(library)
@@ -174,7 +198,18 @@ def run_plan(
 
 
 def _outcome(result: LoopResult) -> dict[str, str]:
-    return {"real_time_factor": repr(result.real_time_factor), "ending": result.ending.value}
+    noted = {"real_time_factor": repr(result.real_time_factor), "ending": result.ending.value}
+    if len(result.thinking):
+        quantiles = np.quantile(result.thinking, [0.5, 0.99]).tolist()
+        noted |= {name: repr(value) for name, value in zip(THINKING_METADATA, quantiles, strict=True)}
+    return noted
+
+
+def _drawn(itinerary: Itinerary) -> dict[str, str]:
+    """Return what a log says of the plant that is simulated, and of what else is drawn once for a run."""
+    draw = itinerary.loop.draw(itinerary.model.arms, ticks=1, uncertainty=itinerary.uncertainty)
+    once = {"initial_error": draw.initial_error.tolist(), "zeros": draw.zeros.tolist()}
+    return {PLANT_METADATA: json.dumps(asdict(draw.plant.arms), sort_keys=True), DRAWN_METADATA: json.dumps(once)}
 
 
 class _Events(NoSink):
@@ -201,14 +236,25 @@ def _log_in_memory(plan: Plan, result: LoopResult, events: _Events) -> RunLog:
         states=states if ticks.truth is None else {**states, "truth": ticks.truth},
         controls=dict(zip(control_fields(len(lengths), has_cart=True), ticks.control.T, strict=True)),
         events=tuple(events.kept),
-        metadata={**_metadata(scene), **_outcome(result)},
+        metadata={**_metadata(scene), **_drawn(scene), **_outcome(result)},
         attachments=_attachments(plan),
         joint_names=joint_names(len(lengths), has_cart=True),
         arm_lengths=lengths,
         has_cart=True,
         rate_hz=scene.loop.rate,
         limits=(limits.position, limits.velocity, limits.acceleration),
+        extras=_extras(ticks, extra_names(len(lengths), scene.loop.estimator.augments)),
     )
+
+
+def _extras(ticks: Ticks, names: tuple[str, ...]) -> Extras | None:
+    """Return the extras of those ticks at which a log has them."""
+    if ticks.extras is None or not names:
+        return None
+    numbers = slow_numbers(np.rint(ticks.times * 1e9).astype(np.int64))
+    due = np.diff(numbers, prepend=-1) > 0
+    sigmas, values = np.split(ticks.extras[due], 2, axis=1)
+    return Extras(names, ticks.times[due], values, sigmas)
 
 
 def log_writer(plan: Plan, out: Path, **more: str) -> LogWriter:
@@ -224,6 +270,7 @@ def log_writer(plan: Plan, out: Path, **more: str) -> LogWriter:
         arm_lengths=itinerary.model.arms.length,
         rate_hz=itinerary.loop.rate,
         limits=(limits.position, limits.velocity, limits.acceleration),
+        extras=extra_names(itinerary.model.arms.count, itinerary.loop.estimator.augments),
         metadata={**_metadata(itinerary), **more},
         attachments=_attachments(plan),
     )
@@ -690,7 +737,7 @@ def _log_recorded(
     arms, settings, reference = plan.itinerary.model.arms, plan.itinerary.loop, plan.followed().reference
     if process.record is None:
         raise GoalMissed(f"the example bench did not end its run in order: {'; '.join(process.said)}")
-    with log_writer(plan, out) as writer:
+    with log_writer(plan, out, **_drawn(plan.itinerary)) as writer:
         loop = control_loop(
             arms, settings, controller, limits=settings.limits(reference), sink=LogSink(writer),
             fallback=loop_fallback(reference, arms, settings),
@@ -699,7 +746,8 @@ def _log_recorded(
         result = loop.run(rig)
         if not len(result.ticks.times):
             raise GoalMissed(result.reason)
-        result = replace(result, elapsed=float(result.ticks.times[-1]) + rig.period)
+        # What the loop took to see what had happened is not what the program took.
+        result = replace(result, elapsed=float(result.ticks.times[-1]) + rig.period, thinking=np.zeros(0))
         writer.result(
             **_outcome(result), rig=f"udp://{process.address[0]}:{process.address[1]}",
             controller_program=content_hash(program.read_bytes()), command_difference=repr(rig.difference),

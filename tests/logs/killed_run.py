@@ -23,6 +23,7 @@ if __name__ == "__main__":
                 reference=run.reference[k],
                 truth=run.truth[k],
                 control=run.control[k],
+                extras=run.extras[k],
             )
             os.write(sys.stdout.fileno(), k.to_bytes(4, "little"))
             while time.perf_counter() < begin + (k + 1) * period:

@@ -27,6 +27,12 @@ def is_part_of(found: RunLog, log: RunLog) -> None:
     places = np.searchsorted(log.time, found.time)
     assert (np.diff(places) > 0).all()
     np.testing.assert_array_equal(rows_of(found), rows_of(log)[places])
+    if found.extras is not None:
+        assert log.extras is not None
+        assert found.extras.names == log.extras.names
+        places = np.searchsorted(log.extras.time, found.extras.time)
+        for part in ("time", "values", "sigmas"):
+            np.testing.assert_array_equal(getattr(found.extras, part), getattr(log.extras, part)[places])
     assert [e for e in log.events if e in found.events] == list(found.events)
     assert found.attachments.items() <= log.attachments.items()
     assert found.metadata.items() <= log.metadata.items()
@@ -41,9 +47,12 @@ def is_honest(done: Recovery, found: RunLog, log: RunLog) -> None:
     assert set(done.attachments) | set(done.attachments_lost) == set(log.attachments)
     if not done.lost:
         for field in fields(RunLog):
-            if field.name not in ("path", "states", "controls", "time", "measured", "rates"):
+            if field.name not in ("path", "states", "controls", "time", "measured", "rates", "extras"):
                 assert getattr(found, field.name) == getattr(log, field.name)
         assert len(found.time) == len(log.time)
+        assert found.extras is not None
+        assert log.extras is not None
+        assert len(found.extras.time) == len(log.extras.time)
 
 
 def endure(whole: RunLog, folder: Path, *, count: int, seed: int) -> dict[str, list[str]]:

@@ -12,9 +12,12 @@ METADATA = {"seed": "7", "commit": "unknown", "scene": "séance"}
 ATTACHMENTS = {"scene.toml": b"title = 'x'\n", "reference.npz": bytes(range(256))}
 
 
+EXTRAS = ("zero_1", "drive", "M11")
+
+
 @dataclass(frozen=True)
 class Sample:
-    """Arrays of a log: time (N,), measured (N, n+1), states (N, 2n+2), control (N, fields)."""
+    """Arrays of a log: time (N,), measured (N, n+1), states (N, 2n+2), control (N, fields), extras (N, 6)."""
 
     arm_lengths: tuple[float, ...]
     has_cart: bool
@@ -24,6 +27,7 @@ class Sample:
     reference: np.ndarray
     truth: np.ndarray | None
     control: np.ndarray
+    extras: np.ndarray
 
 
 def sample(ticks: int = 250, *, arms: int = 2, has_cart: bool = True, has_truth: bool = True, seed: int = 3) -> Sample:
@@ -41,6 +45,7 @@ def sample(ticks: int = 250, *, arms: int = 2, has_cart: bool = True, has_truth:
         reference=rng.standard_normal((ticks, size)),
         truth=rng.standard_normal((ticks, size)) if has_truth else None,
         control=control,
+        extras=rng.standard_normal((ticks, 2 * len(EXTRAS))),
     )
 
 
@@ -52,6 +57,7 @@ def open_writer(path: Path, run: Sample) -> LogWriter:
         rate_hz=RATE,
         has_cart=run.has_cart,
         limits=(0.9, 3.0, 30.0),
+        extras=EXTRAS,
         metadata=METADATA,
         attachments=ATTACHMENTS,
     )
@@ -67,6 +73,7 @@ def tick_all(log: LogWriter, run: Sample, *, upto: int | None = None) -> None:
             reference=run.reference[k],
             truth=None if run.truth is None else run.truth[k],
             control=run.control[k],
+            extras=run.extras[k],
         )
 
 
@@ -84,6 +91,7 @@ def write_sample(path: Path, run: Sample) -> Path:
             reference=run.reference[rest],
             truth=None if run.truth is None else run.truth[rest],
             control=run.control[rest],
+            extras=run.extras[rest],
         )
         log.event(run.time[-1], "error", "supervisor", "ended")
     return path

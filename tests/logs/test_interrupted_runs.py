@@ -153,7 +153,7 @@ def _run_until(path: Path, ticked: list[int], *, at: int, then: Callable[[], Non
                 then()
             log.tick(
                 run.time[k], measured=run.measured[k], estimate=run.estimate[k], reference=run.reference[k],
-                truth=run.truth[k], control=run.control[k],
+                truth=run.truth[k], control=run.control[k], extras=run.extras[k],
             )  # fmt: skip
             ticked.append(k)
 

@@ -11,7 +11,7 @@ from mcap.opcode import Opcode
 from mcap.writer import Writer
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs import RunLog, read_log
+from dpcontrol.logs import Extras, RunLog, read_log
 
 FLIPS = 200
 SEED = 20
@@ -29,6 +29,8 @@ def _same(one: RunLog, other: RunLog) -> bool:
             return np.array_equal(a, b, equal_nan=True)
         if isinstance(a, dict) and isinstance(b, dict):
             return a.keys() == b.keys() and all(equal(a[key], b[key]) for key in a)
+        if isinstance(a, Extras) and isinstance(b, Extras):
+            return equal(vars(a), vars(b))
         return a == b
 
     return all(

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from log_samples import ATTACHMENTS, METADATA, open_writer, sample, tick_all, write_sample
+from log_samples import ATTACHMENTS, EXTRAS, METADATA, open_writer, sample, tick_all, write_sample
 from mcap.reader import make_reader
 from mcap_ros2.reader import read_ros2_messages
 
@@ -46,6 +46,10 @@ def test_every_array_is_read_back_bit_for_bit(tmp_path: Path, shape: dict) -> No
     names = control_fields(shape["arms"], has_cart=shape["has_cart"])
     np.testing.assert_array_equal(np.column_stack([log.control[name] for name in names]), run.control)
     np.testing.assert_allclose(log.time, run.time, atol=NANOSECOND)
+    assert log.extras is not None
+    assert log.extras.names == EXTRAS
+    np.testing.assert_allclose(log.extras.time, run.time[::20], atol=NANOSECOND)
+    np.testing.assert_array_equal(np.hstack([log.extras.sigmas, log.extras.values]), run.extras[::20])
     assert log.arm_lengths == run.arm_lengths
     assert log.has_cart == run.has_cart
     assert log.limits == (0.9, 3.0, 30.0)
@@ -85,6 +89,9 @@ def test_the_public_decoder_reads_every_topic_as_it_was_written(tmp_path: Path) 
     names = control_fields(2, has_cart=True)
     rows = [[getattr(message.ros_msg, name) for name in names] for message in found["/control"]]
     np.testing.assert_array_equal(rows, run.control)
+    names = [*(f"sigma_{name.lower()}" for name in EXTRAS), *(name.lower() for name in EXTRAS)]
+    rows = [[getattr(message.ros_msg, name) for name in names] for message in found["/estimate/extras"]]
+    np.testing.assert_array_equal(rows, run.extras[::20])
     assert [message.ros_msg.msg for message in found["/rosout"]] == ["started", "command cut at 5 m/s²", "ended"]
     assert [message.ros_msg.level for message in found["/rosout"]] == [20, 30, 40]
     for topic in ("/robot_description", "/reference/robot_description"):
@@ -174,7 +181,7 @@ def test_attachments_and_metadata_stand_before_the_first_message(tmp_path: Path)
     assert len(before) == 2
     assert max(before) < first
     assert summary.statistics is not None
-    assert summary.statistics.message_count == 5 * 250 + 13 + 3 + 2
+    assert summary.statistics.message_count == 5 * 250 + 2 * 13 + 3 + 2
 
 
 def test_a_long_log_reads_and_writes_fast_enough(tmp_path: Path) -> None:

@@ -123,7 +123,9 @@ def test_a_frame_has_a_column_for_each_number_and_a_row_for_each_tick(tmp_path: 
     np.testing.assert_array_equal(frame["truth.rate_2"], run.truth[:, 3])
     np.testing.assert_array_equal(frame["measured.cart"], run.measured[:, 2])
     np.testing.assert_array_equal(frame["control.sigma_6"], run.control[:, -1])
-    assert frame.shape == (40, 3 + 3 * 6 + 13)
+    np.testing.assert_array_equal(frame["extra.drive"], np.repeat(run.extras[::20, 4], 20))
+    np.testing.assert_array_equal(frame["sigma.M11"], np.repeat(run.extras[::20, 2], 20))
+    assert frame.shape == (40, 3 + 3 * 6 + 13 + 6)
 
 
 def test_without_pandas_a_frame_is_refused_with_the_remedy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -81,7 +81,7 @@ def test_a_log_from_which_a_topic_was_taken_says_which(
 
 def test_a_log_whose_channels_were_renumbered_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     log = rewritten(write_sample(tmp_path / "run.mcap", sample()), tmp_path / "other.mcap", backwards=True)
-    said = "numbered the channels anew (/joint_states is channel 9 instead of 1); give the log as `dpcontrol run` wrote"
+    said = "numbered the channels anew (/joint_states is channel 10 instead of 1); give the log as `dpcontrol run`"
     refused(log, said, tmp_path, monkeypatch)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from log_samples import open_writer, sample, tick_all
+from log_samples import EXTRAS, open_writer, sample, tick_all
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
 
@@ -73,6 +73,9 @@ def expected(run: Any, *, arms: int, has_cart: bool) -> Messages:
     columns = control_fields(arms, has_cart=has_cart)
     actions = [dict(zip(columns, row, strict=True)) for row in run.control.tolist()]
     found["/control"] = list(zip(times, actions, strict=True))
+    columns = [f"{of}{name.lower()}" for of in ("sigma_", "") for name in EXTRAS]
+    extras = [dict(zip(columns, row, strict=True)) for row in run.extras[::20].tolist()]
+    found["/estimate/extras"] = list(zip(times[::20], extras, strict=True))
     found["/rosout"] = [
         (
             20 * 10**6 * k,

@@ -12,7 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from log_samples import sample, write_sample
+from log_samples import EXTRAS, sample, write_sample
 from mcap.reader import make_reader
 from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
@@ -90,6 +90,10 @@ def test_rosbags_reads_a_log_whole_and_sees_every_message_as_written(tmp_path: P
         row = [getattr(message, name) for name in control_fields(2, has_cart=True)]
         assert np.array_equal(row, run.control[time // 10**6], equal_nan=True)
     assert [time for time, _ in control] == [k * 10**6 for k in range(TICKS)]
+    for time, message in (slow := found.pop("/estimate/extras")):
+        row = [getattr(message, f"{of}{name.lower()}") for of in ("sigma_", "") for name in EXTRAS]
+        assert np.array_equal(row, run.extras[time // 10**6])
+    assert len(slow) == TICKS / 20
     events = [(time / 1e9, message.level, message.name, message.msg) for time, message in found.pop("/rosout")]
     assert events == [(e.time, LEVELS[e.level], e.name, e.text) for e in log.events]
     links = (*frames(2, has_cart=True), *frames(2, has_cart=True, prefix="reference/"))
