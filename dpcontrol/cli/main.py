@@ -41,6 +41,7 @@ GROUPS = {
         "campaign": ("run", "Run an itinerary with many seeds; report how often it is completed."),
         "rig": ("run", "Start an example bench for runs over UDP in real time."),
         "commission": ("run", "Check what must be right on a rig before its first run, and measure it."),
+        "preflight": ("run", "Tell how likely a first run completes, what would end it, and what would help."),
     },
     "Review": {
         "score": ("review", "Report whether logged runs did what was asked."),

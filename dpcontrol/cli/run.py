@@ -1,4 +1,6 @@
-"""The verbs that run the loop, and the options that override a scene's run settings: run, rig, commission, campaign."""
+"""The verbs that run the loop, and the options that override a scene's run settings: run, export, rig, commission,
+campaign, preflight.
+"""
 
 import os
 import sys
@@ -29,13 +31,14 @@ from dpcontrol.cli.verbs import (
     verb,
 )
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import write_whole
+from dpcontrol.foundation.files import checked_target, write_whole
 from dpcontrol.foundation.interrupts import forget_interrupts
 from dpcontrol.foundation.progress import part_of, progress_bar
 from dpcontrol.foundation.settings import suggest
 from dpcontrol.scenes.run_options import RunOptions
 
 if TYPE_CHECKING:
+    from dpcontrol.review.preflight import Preflight
     from dpcontrol.scenes.campaign import Campaign, StandardScore
 
 KINDS: dict[str, type] = {
@@ -521,3 +524,74 @@ def _text(found: "Campaign", scores: Sequence["StandardScore"]) -> Iterator[str 
     pace = found.simulated_seconds / max(found.seconds, 1e-9)
     took = f"{found.simulated_seconds:.0f} s simulated in {found.seconds:.1f} s"
     yield f"{found.file}  ({took}, {pace:.0f} × real time)"
+
+
+@verb("preflight", example="dpcontrol preflight turn-from-rest --lag 0.005 --picture preflight.pdf")
+def preflight_command(
+    *,
+    itinerary: str = argument(),
+    runs: int = option(
+        type=click.IntRange(min=0),
+        default=0,
+        show_default=False,
+        help="Seeds for the rate [as many as two minutes allow].",
+    ),
+    seed_from: int = option(type=click.IntRange(min=0), default=1_000_000, help="First seed."),
+    workers: int = option(
+        type=click.IntRange(min=0),
+        default=0,
+        show_default=False,
+        group=WORK,
+        help="Processes [one for each processor].",
+    ),
+    fixed: RunOptions = run_settings(),
+    picture: Path | None = file_option(suffix=(".pdf", ".png"), help="Page to write [logs/NAME-preflight.pdf]."),
+    yes: bool = YES,
+) -> Answer:
+    """Tell, before the first run on a rig, how likely it completes, what ends it otherwise, and what would help.
+
+    The arms are drawn from the model's identified uncertainty, or with a mismatch where its file has none; the bench is
+    as [run] has it, where `dpcontrol commission --write` puts what it measures. The border of a trouble is the value at
+    which the itinerary completes half as often. Interrupted or repeated, it goes on where it was.
+    """
+    from dpcontrol.review.page import save_figure
+    from dpcontrol.scenes.itinerary import load_itinerary
+    from dpcontrol.scenes.plan import make_plan
+    from dpcontrol.scenes.preflight import PreflightSettings, preflight
+
+    scene = load_itinerary(itinerary)
+    settings = PreflightSettings(runs=runs, first_seed=seed_from, workers=workers)
+    scene.with_run(fixed)
+    page = picture or Path("logs") / f"{scene.name}-preflight.pdf"
+    checked_target(page)
+    with progress_bar("preflight") as progress:
+        plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
+        found = preflight(plan, fixed, settings=settings, progress=part_of(progress, 0.05, 1.0), yes=yes)
+    save_figure(found.plot(), page)
+    return Answer({**found.document(), "picture": page}, [*_preflight_text(found), f"page  {page}"])
+
+
+def _preflight_text(found: "Preflight") -> Iterator[str | TextTable]:
+    from dpcontrol.review.preflight import shown_number
+
+    yield f"{found.itinerary}: {found.status}"
+    yield f"  {found.advice}"
+    for one in found.notes:
+        yield f"  mind: {one}"
+    yield table("", found.known, {"known of the bench": "{.name}", "": "{.value}", "from": "{.source}"})
+    if found.endings:
+        runs = found.share.runs
+        yield table("", found.endings[:SHOWN], {
+            "what ends it otherwise": "{.words}", "of all runs": lambda e: f"{e.runs / runs:.1%}",
+            "in the words of the loop": "{.reason}", "seed": "{.seed}",
+        })  # fmt: skip
+    if found.borders:
+        yield table("", found.borders, {
+            "half as often at": "{.name}", "set": lambda b: f"{shown_number(b.set)} {b.unit}", "border": "{.sentence}",
+            "95 %": lambda b: b.interval, "margin": lambda b: "" if b.margin is None else f"{b.margin:.1f} ×",
+        })  # fmt: skip
+    if found.changes:
+        yield table("", found.changes, {
+            "what would help": "{.text}", "gain": lambda c: f"{100 * c.gain:+.1f} ± {200 * c.error:.1f} points",
+            "rescued": "{0.rescued} of {0.failing}", "lost": "{0.lost} of {0.completing}",
+        })  # fmt: skip

@@ -241,11 +241,11 @@ def _symbols(
 
 def _reasons(table: dict[str, list[Any]], done: Rows) -> tuple[tuple[str, int], ...]:
     texts = table.get("reason") or table.get("ending") or [""] * len(done)
-    counts = Counter(_plain(str(texts[k] or "not said")) for k in np.flatnonzero(~done))
+    counts = Counter(plain_reason(str(texts[k] or "not said")) for k in np.flatnonzero(~done))
     return tuple(counts.most_common())
 
 
-def _plain(reason: str) -> str:
+def plain_reason(reason: str) -> str:
     """Return why a run ended, else what was not done, without its numbers and remedy."""
     text = _NUMBER.sub("…", _EARLY.split(reason)[-1].split(";")[0].strip())
     return text if len(text) <= _MOST_LETTERS else text[: _MOST_LETTERS - 1] + "…"

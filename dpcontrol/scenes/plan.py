@@ -8,6 +8,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,6 +21,7 @@ from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.references.reference import PlanNotes, Reference, load_reference, plan_notes, save_reference
 from dpcontrol.scenes.itinerary import Itinerary, itinerary_from
 from dpcontrol.scenes.model import model_from
+from dpcontrol.scenes.run_options import RunOptions
 
 if TYPE_CHECKING:
     from dpcontrol.walks.shadowing import ShadowingOrbit
@@ -74,6 +76,30 @@ class Plan:
         if not self.converged:
             raise GoalMissed(f"{self.itinerary.name} has no reference to follow: {self.status}")
         return self
+
+    def preflight(
+        self,
+        options: RunOptions | None = None,
+        *,
+        runs: int = 0,
+        workers: int = 0,
+        yes: bool = False,
+        progress: Progress = no_progress,
+    ) -> Any:
+        """Return how likely it completes on its bench, what ends it otherwise, how far each border is, what would help:
+        a `dpcontrol.review.preflight.Preflight`, with `status`, `advice`, `document()` and `plot()`.
+
+        options: run settings that take the place of the scene's. runs: seeds for the rate, 0 for as many as two minutes
+        allow; workers: processes, 0 for one on each processor. yes: however long it takes.
+
+        Raises:
+            InputError: an impossible setting, or it would take too long.
+            GoalMissed: the plan did not converge, no controller can be made for it, or workers died again and again.
+        """
+        # By name: import statements are read for what a plan depends on (`code_hash`), and it depends on none of this.
+        scenes = import_module("dpcontrol.scenes.preflight")
+        settings = scenes.PreflightSettings(runs=runs, workers=workers)
+        return scenes.preflight(self, options, settings=settings, yes=yes, progress=progress)
 
     def document(self) -> dict[str, Any]:
         """Return what `dpcontrol plan --json` prints."""

@@ -1,0 +1,491 @@
+"""Before the first run on a rig: how likely an itinerary completes on this bench, what ends it otherwise, what helps.
+
+Runs are drawn as a campaign draws them, from what is known of the arms and of the bench: the model's identified
+uncertainty, or an assumed mismatch where its file gives none; delay, lag, counts and zeros as [run] has them.
+
+The rate comes with Wilson's interval, at 99 %: at 95 % one scene in twenty would lie outside, and more with the noise
+of the campaign it is compared with. The border of a trouble is the value at which the itinerary completes half as often
+as on the bench as it is, on the same seeds; it is bracketed by doubling, then narrowed by interpolation between the
+bracket's ends. A value is run on blocks of seeds until it is clear on which side it lies. Over the points found the
+share is made to fall (isotonic regression), and the border read off between them.
+
+What a change would gain is found by running again some of the seeds that failed, and some that completed.
+
+Everything is made of a campaign's jobs, each kept in the cache: repeated or interrupted, a preflight goes on where it
+was, and on any machine it comes to the same figures.
+
+Source of isotonic regression: Barlow et al., Statistical Inference under Order Restrictions, Wiley 1972, chapter 1.
+"""
+
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.cost import Cost, announce
+from dpcontrol.foundation.files import content_hash
+from dpcontrol.foundation.processes import in_processes, processors
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.foundation.statistics import wilson
+from dpcontrol.loop.loop import LoopSettings, can_batch
+from dpcontrol.review.campaign import plain_reason
+from dpcontrol.review.preflight import Border, Change, EndingShare, Known, Point, Preflight
+from dpcontrol.scenes.campaign import Case, Job, run_job
+from dpcontrol.scenes.itinerary import Itinerary, overridden
+from dpcontrol.scenes.plan import Plan
+from dpcontrol.scenes.run_options import RunOptions
+
+ASSUMED_MISMATCH = 0.05
+"""Of arms of which neither the model's file nor [run] says how well they are known."""
+BLOCK = 64
+"""Seeds that are run side by side before it is asked whether they tell enough; of fewer each costs more."""
+SAMPLED = 48
+"""Seeds that failed, and that completed, of which a change is tried at most."""
+
+
+@dataclass(frozen=True)
+class PreflightSettings(Settings, table="preflight"):
+    """runs: seeds for the rate, from `first_seed` on, 0 for as many as two minutes allow; confidence of its interval;
+    workers: processes, 0 for one on each processor. The seeds are far from those that campaigns begin with.
+    """
+
+    runs: int = setting(0, least=16, most=100_000, zero="as many as two minutes allow")
+    first_seed: int = setting(1_000_000, least=0, most=2**31)
+    confidence: float = setting(0.99, least=0.5, most=0.9999)
+    workers: int = setting(0, least=1, most=1024, zero="one on each processor")
+
+
+class Outcome(NamedTuple):
+    """How one seed ended."""
+
+    seed: int
+    completed: bool
+    ending: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class Hazard:
+    """A trouble whose border is sought: its name, the run setting it raises, and other settings that go with it.
+
+    set: the bench's own value of the setting; first, end: where the border is sought first, and at last. falling: less
+    is worse. shown: the factor from the setting to what is shown, in `unit`. step: to which values are rounded.
+    """
+
+    name: str
+    setting: str
+    unit: str
+    set: float
+    first: float
+    end: float
+    falling: bool = False
+    shown: float = 1.0
+    step: float = 0.0
+    besides: tuple[tuple[str, float], ...] = ()
+
+    def place(self, value: float) -> float:
+        """Return a value's place on a scale that grows as it gets worse; minus infinity where there is no trouble."""
+        none = value == 0 or math.isinf(value)
+        return -math.inf if none else -math.log(value) if self.falling else math.log(value)
+
+    def value(self, place: float) -> float:
+        """Return the value at a place."""
+        value = math.exp(-place if self.falling else place)
+        return max(round(value / self.step), 1) * self.step if self.step else value
+
+    def options(self, value: float) -> RunOptions:
+        """Return the run settings of a value."""
+        return RunOptions(**{self.setting: int(value) if self.setting == "counts" else value, **dict(self.besides)})
+
+
+@dataclass(frozen=True)
+class _Search:
+    """A border to be found: job of the bench as it is, with the seeds and how they ended."""
+
+    hazard: Hazard
+    job: Job
+    completed: tuple[bool, ...]
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A change to be tried: job of the changed bench, with the seeds and how they ended without it."""
+
+    text: str
+    options: RunOptions
+    job: Job
+    completed: tuple[bool, ...]
+    rate: float
+
+
+_Task = Job | _Search | _Trial
+
+
+def _do(task: _Task) -> "tuple[Outcome, ...] | Border | Change":
+    if isinstance(task, Job):
+        return _outcomes(task)
+    return _border(task) if isinstance(task, _Search) else _change(task)
+
+
+def _outcomes(job: Job) -> tuple[Outcome, ...]:
+    """Return how a job's seeds ended, from the cache where they have been run."""
+    file = cache_file("preflights", job.itinerary, content_hash(job.key, code_hash("dpcontrol.scenes.campaign")))
+    if (content := kept(file)) is not None:
+        return tuple(Outcome(*row) for row in json.loads(content))
+    rows = tuple(Outcome(r["seed"], r["completed"], r["ending"], r["reason"]) for r in run_job(job))
+    keep(file, json.dumps(rows).encode())
+    return rows
+
+
+def _with(job: Job, options: RunOptions, seeds: Sequence[int]) -> Job:
+    return replace(job, case=replace(job.case, loop=overridden(job.case.loop, options)), seeds=tuple(seeds))
+
+
+_SURE = 0.98
+"""Confidence at which a value counts as being on one side of the border."""
+_NARROW = math.log(1.3)
+"""Width of the bracket, as a ratio's logarithm, between whose ends the border is read off."""
+_MOST_VALUES = 8
+
+
+def _border(search: _Search) -> Border:
+    """Return the border of a hazard: the value at which half of what completes as it is completes."""
+    hazard = search.hazard
+    points: dict[float, Point] = {}
+
+    def share(place: float) -> float:
+        value = hazard.value(place)
+        if value not in points:
+            points[value] = _point(search, value)
+        return points[value].share
+
+    def found(at: Sequence[float | None]) -> Border:
+        ends = [None if p is None else hazard.shown * math.exp(-p if hazard.falling else p) for p in at]
+        shown = [replace(p, value=hazard.shown * p.value) for p in points.values()]
+        return Border(
+            hazard.name, hazard.setting, hazard.unit, hazard.shown * hazard.set, *ends, hazard.shown * hazard.end,
+            hazard.falling, tuple(sorted(shown, key=lambda p: p.value)),
+        )  # fmt: skip
+
+    own, end = hazard.place(hazard.set), hazard.place(hazard.end)
+    good = own
+    place = max(hazard.place(hazard.first), own + math.log(1.5))
+    place = min(place, (own + end) / 2 if math.isfinite(own) else end)
+    while share(place) >= 0.5:
+        good = place
+        if place >= end:
+            return found([None, None, None])
+        place = min(place + math.log(2), end)
+    bad = place
+    while math.isinf(good) and len(points) < _MOST_VALUES:
+        place = bad - math.log(3)
+        good, bad = (place, bad) if share(place) >= 0.5 else (good, place)
+    while bad - good > _NARROW and len(points) < _MOST_VALUES:
+        above = 1.0 if good == own else share(good)
+        along = (above - 0.5) / (above - share(bad))
+        place = good + float(np.clip(along, 0.3, 0.7)) * (bad - good)
+        if hazard.value(place) in points:
+            break
+        good, bad = (place, bad) if share(place) >= 0.5 else (good, place)
+    for value in {hazard.value(place) for place in (good, bad) if place != own and math.isfinite(place)}:
+        points[value] = _point(search, value, until_clear=False)
+    return found(_read_off(hazard, list(points.values())))
+
+
+def _point(search: _Search, value: float, *, until_clear: bool = True) -> Point:
+    """Run a value on all seeds, or on blocks of them until it is clear on which side of the border it lies."""
+    job, options = search.job, search.hazard.options(value)
+    done = of = used = 0
+    while used < len(job.seeds):
+        block = slice(used, len(job.seeds) if used else min(BLOCK, len(job.seeds)))
+        done += sum(row.completed for row in _outcomes(_with(job, options, job.seeds[block])))
+        of += sum(search.completed[block])
+        used = block.stop
+        seen = wilson(min(done, of), of, confidence=_SURE)
+        if until_clear and of and not seen.low <= 0.5 <= seen.high:
+            break
+    return Point(value, used, done, of)
+
+
+def _read_off(hazard: Hazard, points: Sequence[Point]) -> list[float | None]:
+    """Return the places where the share, and the ends of its 95 % interval, are a half; None where they are nowhere."""
+    found = sorted(points, key=lambda p: hazard.place(p.value))
+    places = [hazard.place(p.value) for p in found]
+    shares = falling(np.array([p.share for p in found]), np.array([p.reference for p in found]))
+    bands = [wilson(min(p.completed, p.reference), p.reference) for p in found]
+    low = np.minimum.accumulate([band.low for band in bands])
+    high = np.maximum.accumulate([band.high for band in bands][::-1])[::-1]
+    own = hazard.place(hazard.set)
+    start = [own] if math.isfinite(own) and own < places[0] else []
+    x = np.array([*start, *places])
+    return [_crossing(x, np.concatenate([np.ones(len(start)), curve])) for curve in (shares, low, high)]
+
+
+def falling(values: NDArray[np.float64], weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the falling sequence (K,) next to values (K,) in weighted least squares, by pooling adjacent violators."""
+    pools: list[tuple[float, float, int]] = []
+    for value, weight in zip(values.tolist(), weights.tolist(), strict=True):
+        pools.append((value, weight, 1))
+        while len(pools) > 1 and pools[-2][0] < pools[-1][0]:
+            (a, m, k), (b, n, j) = pools[-2:]
+            pools[-2:] = [((m * a + n * b) / (m + n), m + n, k + j)]
+    return np.repeat([value for value, _, _ in pools], [count for _, _, count in pools])
+
+
+def _crossing(x: NDArray[np.float64], falls: NDArray[np.float64]) -> float | None:
+    """Return where a falling curve is a half, by straight lines between its points; None where it is nowhere."""
+    below = np.flatnonzero(falls < 0.5)
+    if not below.size or not below[0]:
+        return None
+    k = int(below[0])
+    along = (falls[k - 1] - 0.5) / (falls[k - 1] - falls[k])
+    return float(x[k - 1] + along * (x[k] - x[k - 1]))
+
+
+def _change(trial: _Trial) -> Change:
+    done = [row.completed for row in _outcomes(trial.job)]
+    before = trial.completed
+    failing, completing = before.count(False), before.count(True)
+    rescued = sum(now and not then for now, then in zip(done, before, strict=True))
+    lost = sum(then and not now for now, then in zip(done, before, strict=True))
+    return Change(trial.text, trial.options.given(), rescued, failing, lost, completing, trial.rate)
+
+
+_LANE_TICK = 2.0e-6
+"""s that a processor takes for a tick of one run of many side by side."""
+_TWO_MINUTES = 200.0
+"""s of two processors together that a preflight may take by prediction, half a minute less than two minutes of them."""
+_CHOICES = (320, 256, 192, 160, 128, 96, 64, 48, 32)
+_KINDS, _CHANGES = 7, 9
+
+
+def _most_runs(runs: int) -> float:
+    """Return about how many runs a preflight takes of which so many are for the rate."""
+    border = 3 * min(BLOCK, runs / 2) + 2 * runs / 2
+    return runs + _KINDS * border + _CHANGES * min(SAMPLED + runs / 4, 2 * SAMPLED)
+
+
+def preflight(
+    plan: Plan,
+    options: RunOptions | None = None,
+    *,
+    settings: PreflightSettings | None = None,
+    progress: Progress = no_progress,
+    yes: bool = False,
+) -> Preflight:
+    """Return how likely a planned itinerary completes on its bench, what ends it otherwise, and what would help.
+
+    options: run settings that take the place of the scene's. yes: however long it takes.
+
+    Raises:
+        InputError: an impossible setting, or it would take too long.
+        GoalMissed: the plan did not converge, no controller can be made for it, or workers died again and again.
+    """
+    began, options, settings = time.perf_counter(), options or RunOptions(), settings or PreflightSettings()
+    scene, known = as_known(plan.followed().itinerary, options)
+    loop, name = scene.loop, scene.name
+    ticks = max(round(plan.reference.duration * loop.rate), 1)
+    lockstep = can_batch(loop)
+    afford = _TWO_MINUTES / (_LANE_TICK * ticks)
+    runs = settings.runs or next((n for n in _CHOICES if _most_runs(n) <= afford), _CHOICES[-1])
+    workers = settings.workers or processors()
+    most = _most_runs(runs)
+    announce(
+        Cost(f"up to {most:,.0f} runs of {ticks / loop.rate:.1f} s", most * ticks * _LANE_TICK / workers, 4e8 * workers,
+             f"preflight of {name}"), yes=yes,
+    )  # fmt: skip
+    uncertainty = scene.model.known_to if loop.model_uncertainty else None
+    seeds = range(settings.first_seed, settings.first_seed + runs)
+    case, arms = Case("preflight", (), loop), scene.model.arms
+    job = Job(name, plan.archive, arms, case, tuple(seeds), "compiled", uncertainty, replayed=0)
+    run = partial(in_processes, _do, remedy="Finished jobs are kept: run the same command again, with fewer --workers")
+
+    jobs = [replace(job, seeds=job.seeds[k : k + BLOCK]) for k in range(0, runs, BLOCK)]
+    outcomes: dict[int, Outcome] = {}
+    for done in _all(run(jobs, workers=workers), len(jobs), "rate", part_of(progress, 0.0, 0.15)):
+        outcomes |= {row.seed: row for row in done}
+    ordered = [outcomes[seed] for seed in seeds]
+    completed = [row.completed for row in ordered]
+    share = wilson(sum(completed), runs, confidence=settings.confidence)
+    notes = _notes(scene, loop)
+    tasks: list[_Task] = [*_trials(scene, job, completed)]
+    if lockstep or settings.runs:
+        tasks = [*_searches(plan, scene, job, completed, notes), *tasks]
+    else:
+        notes.append("these runs go one after the other, not side by side: borders are sought with --runs only")
+    found = list(_all(run(tasks, workers=workers), len(tasks), "borders and changes", part_of(progress, 0.15, 1.0)))
+    return Preflight(
+        itinerary=name,
+        title=scene.title,
+        model=scene.model.name,
+        share=share,
+        confidence=settings.confidence,
+        known=tuple(known),
+        notes=tuple(notes),
+        endings=endings(ordered),
+        borders=tuple(sorted((b for b in found if isinstance(b, Border)), key=lambda b: b.order)),
+        changes=tuple(sorted((c for c in found if isinstance(c, Change)), key=lambda c: (-c.gain, c.text))),
+        seconds=time.perf_counter() - began,
+    )
+
+
+def _all(pieces: Any, count: int, what: str, progress: Progress) -> Any:
+    """Yield what is done of each piece, and report how many are."""
+    for k, (_, done) in enumerate(pieces, 1):
+        progress(f"{what}: {k} of {count}", k / count)
+        yield done
+
+
+def endings(outcomes: Sequence[Outcome]) -> tuple[EndingShare, ...]:
+    """Return what ended the runs that were not completed, the most frequent first, in the words of the loop."""
+    groups: dict[tuple[str, str], list[Outcome]] = {}
+    for row in outcomes:
+        if not row.completed:
+            groups.setdefault((row.ending, plain_reason(row.reason)), []).append(row)
+    ordered = sorted(groups.items(), key=lambda item: -len(item[1]))
+    return tuple(EndingShare(*words, len(rows), rows[0].seed, rows[0].reason) for words, rows in ordered)
+
+
+def as_known(scene: Itinerary, options: RunOptions) -> tuple[Itinerary, list[Known]]:
+    """Return the scene with its runs drawn from what is known of the arms and the bench, and what that is.
+
+    Raises:
+        InputError: an impossible setting.
+    """
+    given = options.given()
+    identified = scene.model.uncertainty is not None
+    chosen = scene.with_run(options)
+    if identified and not {"mismatch", "model_uncertainty"} & given.keys() and not scene.loop.model_uncertainty:
+        chosen = chosen.with_run(RunOptions(model_uncertainty=1.0, mismatch=0.0))
+    assumed = not chosen.loop.model_uncertainty and not chosen.loop.mismatch and "mismatch" not in given
+    if assumed and chosen.loop.plant is None:
+        chosen = chosen.with_run(RunOptions(mismatch=ASSUMED_MISMATCH))
+    else:
+        assumed = False
+    loop, file = chosen.loop, f"[run] of {scene.path.name}"
+
+    def of(*names: str) -> str:
+        return "given" if any(name in given for name in names) else file
+
+    drive, sensors, blows = loop.drive, loop.sensors, loop.disturbances
+    known = []
+    if loop.model_uncertainty:
+        source = f"identified: {scene.model.path.name}"
+        known.append(Known("arms", f"standard errors × {loop.model_uncertainty:g}", source))
+    if loop.mismatch or not loop.model_uncertainty:
+        unknown = "" if identified else f"; {scene.model.path.name} has no [uncertainty]"
+        source = "assumed" if assumed else of("mismatch")
+        known.append(Known("arms", f"each parameter off by up to ±{loop.mismatch:.3g}", source + unknown))
+    limit = loop.travel or scene.limits.position
+    known += [
+        Known("start", f"each angle off by up to ±{loop.initial_error:g} rad", of("initial_error")),
+        Known("delay", f"{1e3 * drive.delay / loop.rate:.3g} ms at {loop.rate:g} Hz", of("delay")),
+        Known("lag", f"{1e3 * drive.lag:.3g} ms", of("lag")),
+        Known("encoders", f"{sensors.counts:,} counts a turn" if sensors.counts else "not rounded", of("counts")),
+        Known("zeros", f"off by up to ±{sensors.zero_error:g} rad", of("zero_error")),
+        Known("travel", f"±{limit:g} m", of("travel") if loop.travel else f"[limits] of {scene.path.name}"),
+    ]
+    others = {
+        "command noise": (drive.command_noise, "m/s²", "command_noise"),
+        "encoder noise": (sensors.noise, "rad", "noise"),
+        "tilt": (blows.tilt, "rad", "tilt"),
+        "blows": (blows.push_impulse if blows.pushes else 0.0, "N m s", "push_impulse"),
+    }
+    known += [Known(name, f"{value:g} {unit}", of(key)) for name, (value, unit, key) in others.items() if value]
+    known.append(Known("control", f"{loop.controller.kind} with {loop.estimator.kind}", of("controller", "estimator")))
+    return chosen, known
+
+
+def _notes(scene: Itinerary, loop: LoopSettings) -> list[str]:
+    notes = []
+    if scene.start == "orbit":
+        notes.append('start = "orbit": runs begin at the orbit\'s exact rates, which no rig can; plan it from "rest"')
+    measured = {"lag": loop.drive.lag, "zero_error": loop.sensors.zero_error}
+    if unmeasured := [name for name, value in measured.items() if not value]:
+        notes.append(
+            f"{' and '.join(unmeasured)} = 0 in [run]: no bench is so; measure it with `dpcontrol commission "
+            f"{scene.name} --rig ADDRESS --write`, or give what is to be expected"
+        )
+    return notes
+
+
+def _searches(plan: Plan, scene: Itinerary, job: Job, completed: Sequence[bool], notes: list[str]) -> list[_Search]:
+    """Return the borders to be sought; notes gets why there are none."""
+    done = sum(completed)
+    if done < _FEWEST:
+        notes.append(f"only {done} of {len(completed)} runs complete: too few to seek borders; see what would help")
+        return []
+    # As many completing seeds in each search, whatever their share.
+    count = min(math.ceil(len(completed) / 2 * max(1.0, 0.6 * len(completed) / done)), len(completed))
+    seeds = replace(job, seeds=job.seeds[:count])
+    return [_Search(hazard, seeds, tuple(completed[:count])) for hazard in hazards(plan, scene)]
+
+
+_FEWEST = 8
+"""Completed runs from which on borders are sought."""
+
+
+def hazards(plan: Plan, scene: Itinerary) -> list[Hazard]:
+    """Return the troubles whose borders are sought, with the bench's own values."""
+    loop, rate = scene.loop, scene.loop.rate
+    drive, sensors, blows = loop.drive, loop.sensors, loop.disturbances
+    pushes = blows.pushes or 2
+    return [
+        # The prediction over a delay takes time by its length, and code of its own for each.
+        Hazard("delay", "delay", "ms", drive.delay, 0.01 * rate, max(0.04 * rate, 4 * drive.delay), shown=1e3 / rate,
+               step=1.0),
+        Hazard("lag", "lag", "ms", drive.lag, 0.02, 0.32, shown=1e3),
+        Hazard("mismatch", "mismatch", "%", loop.mismatch, 0.15, 0.9, shown=100.0),
+        Hazard(f"{pushes} blows", "push_impulse", "mN m s", blows.push_impulse if blows.pushes else 0.0, 0.005, 20.0,
+               shown=1e3, besides=(("pushes", pushes),)),
+        Hazard("zeros", "zero_error", "mrad", sensors.zero_error, 0.05, 0.8, shown=1e3),
+        Hazard("counts", "counts", "a turn", sensors.counts or math.inf, 1000, 16, falling=True, step=1.0),
+        Hazard("travel", "travel", "mm", loop.limits(plan.reference).position, math.inf,
+               plan.reference.max_cart_position, falling=True, shown=1e3),
+    ]  # fmt: skip
+
+
+def _trials(scene: Itinerary, job: Job, completed: Sequence[bool]) -> list[_Trial]:
+    """Return the changes to be tried, none where every run completes."""
+    if all(completed):
+        return []
+    failing = [k for k, done in enumerate(completed) if not done][:SAMPLED]
+    completing = [k for k, done in enumerate(completed) if done][:SAMPLED]
+    chosen = sorted([*failing, *completing])
+    seeds, before = [job.seeds[k] for k in chosen], tuple(completed[k] for k in chosen)
+    rate = sum(completed) / len(completed)
+    return [_Trial(text, options, _with(job, options, seeds), before, rate) for text, options in changes(scene)]
+
+
+def changes(scene: Itinerary) -> list[tuple[str, RunOptions]]:
+    """Return what might help, a measurement or a change of bench or law, each with its run settings."""
+    loop = scene.loop
+    drive, sensors, blows = loop.drive, loop.sensors, loop.disturbances
+    limit = loop.travel or scene.limits.position
+    half: list[tuple[str, float, Callable[[float], RunOptions]]] = [
+        ("identify the arms: half the uncertainty", loop.model_uncertainty, lambda v: RunOptions(model_uncertainty=v)),
+        ("identify the arms: half the mismatch", loop.mismatch, lambda v: RunOptions(mismatch=v)),
+        ("half the delay", drive.delay, lambda v: RunOptions(delay=v)),
+        ("a stiffer velocity loop: half the lag", drive.lag, lambda v: RunOptions(lag=v)),
+        ("a quieter drive: half the noise on its command", drive.command_noise, lambda v: RunOptions(command_noise=v)),
+        ("set the encoders' zeros: half their error", sensors.zero_error, lambda v: RunOptions(zero_error=v)),
+        ("quieter encoders: half their noise", sensors.noise, lambda v: RunOptions(noise=v)),
+        ("hold the arms still at the start: half the error", loop.initial_error, lambda v: RunOptions(initial_error=v)),
+        ("level the track: half the tilt", blows.tilt, lambda v: RunOptions(tilt=v)),
+    ]
+    out = [(text, options(value / 2)) for text, value, options in half if value]
+    if sensors.counts:
+        out.append(("finer encoders: four times the counts", RunOptions(counts=4 * sensors.counts)))
+    out.append((f"more travel: ±{1.5 * limit:.3g} m", RunOptions(travel=1.5 * limit)))
+    other = "tvlqr" if loop.controller.kind == "adaptive" else "adaptive"
+    if loop.keep == "none" and scene.stay is None:
+        out.append((f"another law: {other}", RunOptions(controller=other)))
+    return out
