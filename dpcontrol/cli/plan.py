@@ -17,6 +17,7 @@ def plan_command(
     itinerary: str = argument(),
     fresh: bool = option(help="Plan anew even if the plan is cached."),
     out: Path | None = file_option(suffix=".npz", help="Also write the reference to this .npz."),
+    margins: bool = option(help="Also show what gain, delay and lag the loop bears along it; takes some seconds."),
     yes: bool = YES,
 ) -> Answer:
     """Plan an itinerary: connections, shadowing orbit, and the reference with friction and cart.
@@ -34,8 +35,12 @@ def plan_command(
         document["file"] = out
     for line in plan_remarks(plan.itinerary):
         say(line)
+    found = plan.margins() if margins and plan.converged else None
+    if found is not None:
+        document["margins"] = found.document()
     missed = "" if plan.converged else f"{plan.itinerary.name}: {plan.status}"
-    return Answer(document, () if missed else _plan_text(plan, document["file"]), missed)
+    text = () if missed else _plan_text(plan, document["file"])
+    return Answer(document, text if found is None else [*text, f"  margins          {found.status}"], missed)
 
 
 def _plan_text(plan: "Plan", file: Path | None) -> Iterator[str]:

@@ -10,7 +10,7 @@ in step with its chunks, every twenty milliseconds: a run that is killed loses n
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings
+from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterSettings
 from dpcontrol.control.interface import MANY, Controller, Mode, SampledModel, schedule_of
+from dpcontrol.control.margins import Margins, law_margins
 from dpcontrol.control.tick import Outcome, TickProgram, whole_periods
 from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, Uncertainty, arm_chain_equations
@@ -443,6 +444,39 @@ def run_loop(
     )  # fmt: skip
     rig = SimulatedRig(draw, settings.bench, limits=limits, start=first, queued=loop.queued)
     return replace(loop.run(rig), plant=draw.plant.arms)
+
+
+def loop_margins(
+    reference: Reference, parameters: ArmChainParameters, settings: LoopSettings, controller: Controller | None = None
+) -> Margins:
+    """Return what gain, further delay and further lag the loop bears along `reference` with these settings.
+
+    The arms are as the model says. controller: made before by `loop_controller`. Another filter than the extended one
+    counts as that of its settings.
+
+    Raises:
+        InputError: the law has no margins, for it acts by pulses or not at all, or the reference is not of these arms.
+        GoalMissed: no controller can be made for it, or the loop does not stay on its reference.
+    """
+    if not isinstance(settings.estimator, EkfSettings):
+        known = {f.name: getattr(settings.estimator, f.name) for f in fields(FilterSettings) if f.name != "kind"}
+        settings = replace(settings, estimator=EkfSettings(**known))
+
+    def program_of(law: Controller) -> TickProgram:
+        return make_ticker(parameters, settings, law, limits=_UNBOUND, delay=settings.drive.delay).program
+
+    notes = reference.notes
+    return law_margins(
+        controller or loop_controller(reference, parameters, settings), program_of, rate=settings.rate,
+        wobble=max((orbit["period"] for orbit in notes.get("orbits", ())), default=_WOBBLE),
+        repeats=notes.get("stay", {}).get("kind") == "orbit",
+    )  # fmt: skip
+
+
+_UNBOUND = Limits(position=1e6, velocity=1e6, acceleration=1e6)
+"""Of a cart that nothing stops."""
+_WOBBLE = 0.8
+"""s: of a reference that names no orbit."""
 
 
 def can_batch(settings: LoopSettings, controller: Controller | None = None) -> bool:

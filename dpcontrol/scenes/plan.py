@@ -24,6 +24,7 @@ from dpcontrol.scenes.model import model_from
 from dpcontrol.scenes.run_options import RunOptions
 
 if TYPE_CHECKING:
+    from dpcontrol.control.margins import Margins
     from dpcontrol.walks.shadowing import ShadowingOrbit
 
 FORMAT = 2
@@ -100,6 +101,20 @@ class Plan:
         scenes = import_module("dpcontrol.scenes.preflight")
         settings = scenes.PreflightSettings(runs=runs, workers=workers)
         return scenes.preflight(self, options, settings=settings, yes=yes, progress=progress)
+
+    def margins(self, options: RunOptions | None = None) -> "Margins":
+        """Return what gain, further delay and further lag the loop bears along the reference; takes some seconds.
+
+        options: run settings that take the place of the scene's.
+
+        Raises:
+            InputError: an impossible setting, or the law has no margins.
+            GoalMissed: there is no reference to follow, or no controller can be made for it.
+        """
+        from dpcontrol.loop.loop import loop_margins
+
+        scene = self.followed().itinerary.with_run(options or RunOptions())
+        return loop_margins(self.reference, scene.model.arms, scene.loop)
 
     def document(self) -> dict[str, Any]:
         """Return what `dpcontrol plan --json` prints."""

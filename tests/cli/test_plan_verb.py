@@ -8,6 +8,8 @@ import pytest
 from command_line import dpcontrol
 from reference_values import LYAPUNOV_ORBITS
 
+from dpcontrol import api
+
 ERROR_BETWEEN_NODES = 1e-6
 VIOLATION = 1e-9
 SHADOWING_RESIDUAL = 1e-10
@@ -102,3 +104,27 @@ def test_a_solver_that_fails_ends_with_1_and_its_reason_and_leaves_no_file(
     assert "maximum iterations" in ended.document["status"]
     assert "maximum iterations" in ended.message
     assert [file.name for file in tmp_path.rglob("*") if file.is_file()] == ["hasty.toml"]
+
+
+def test_margins_are_shown_where_they_are_asked_for_and_are_those_of_the_plan(
+    tmp_path: Path, shipped_text: dict[str, str]
+) -> None:
+    scene = tmp_path / "held.toml"
+    scene.write_text(shipped_text["hold-up-up"].replace("[run]", "[run]\nrate = 200").replace("60.0", "4.0"))
+    plain = dpcontrol("plan", scene, "--json").document
+    assert "margins" not in plain
+    shown = dpcontrol("plan", scene, "--margins", "--json").document["margins"]
+    assert 0 < shown["gain_low"]["value"] < 1 < shown["gain_high"]["value"]
+    assert shown["delay"]["value"] > 0
+    assert shown["lag"]["value"] > 0
+    assert shown["growth"] < 1
+    assert {len(values) for values in shown["along"].values()} == {1}
+    assert api.plan(str(scene)).margins().document() == shown
+    assert "further delay" in dpcontrol("plan", scene, "--margins").stdout
+
+
+def test_margins_of_pulses_are_declined_with_what_has_some() -> None:
+    ended = dpcontrol("plan", "keep-down-up", "--margins")
+    assert ended.code == 2
+    assert "use" in ended.message
+    assert "tvlqr" in ended.message

@@ -1,0 +1,443 @@
+"""Margins of the whole loop, filter included: what gain, further delay and further lag it bears before it is unstable.
+
+Along the reference the plant, the filter's state, the commands on their way and a clock that follows the phase make one
+linear system from tick to tick. Law and filter are not described again: their part is the Jacobian of the tick's own
+expression (`dpcontrol.control.tick`) where the reading is what the filter predicted, the plant's that of the filter's
+prediction.
+
+    w_{k+1} = T_k w_k + b_k ā_k,   c_k = γ_k w_k,   ā_k: g · (c a delay D + d ago), through a lag τ, mean of period k
+
+c: the command; D: the delay that is believed. The covariance is the one that the loop has there: it runs along the
+reference from the start, or until it has settled. To first order it moves nothing, for it acts on innovations alone, of
+which the reference has none; nor does the supervisor, whose limits are set aside.
+
+Criterion: the largest multiplier of w over a window. Where the motion repeats itself (an orbit kept, an equilibrium
+held) the window is a period of it, these are the Floquet multipliers of the loop, and the limit is 1. Along a flight
+windows of a wobble's length slide along; nothing repeats, so slow errors, such as a zero that is still being found,
+grow and shrink a little from window to window, and the limit is `GROWTH`. On an orbit both say the same within a
+few per cent, since the multiplier of a loop that becomes unstable passes through both at once.
+
+Each of gain g, d and τ is changed alone. Feedback holds up to the border while errors are small; how large an error it
+bears, no margin says.
+
+Source: Åström & Murray, Feedback Systems (2008), section 9.3; Bittanti & Colaneri, Periodic Systems (2009), chapter 3.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.control.handover import Fly, Keep, Program
+from dpcontrol.control.interface import MANY, Controller
+from dpcontrol.control.lqr import HoldController
+from dpcontrol.control.periodic import OrbitController
+from dpcontrol.control.tick import UNROLLED, TickEquations, TickProgram
+from dpcontrol.control.tracking import PhaseController, TimedController, TrackingController
+from dpcontrol.foundation.errors import GoalMissed, InputError
+
+Array = NDArray[np.float64]
+
+GROWTH = 1.5
+"""By which errors may grow in a wobble of a flight."""
+REPEATED = 1.01
+"""The same in a period of what repeats itself: what nothing excites stays at 1 to rounding."""
+_PERIODS = 8
+"""Periods of an orbit, or wobbles of a hold, after which the covariance counts as settled."""
+_STEP = 0.5
+"""Windows begin so many wobbles apart."""
+_WATCHED = frozenset(
+    ("covariance", "velocity", "error", "nis", "silent", "restarts", "held", "moved", "restart", "stopped", "still",
+     "cut", "doubts", "last", "step", "same", "begin", "away", "travelled", "origin")
+)  # fmt: skip
+"""Parts of a tick's memory that no command depends on to first order: see above."""
+MOST_GAIN, MOST_DELAY, MOST_LAG = 64.0, 0.128, 0.512
+"""Beyond these no border is sought: a factor, s, s."""
+_FIRST_GAIN, _FIRST_TIME = 1.5, 1e-3
+_HALVINGS = 6
+_BATCH = 32
+"""Windows that are followed side by side."""
+
+
+@dataclass(frozen=True, eq=False)
+class LinearLoop:
+    """Loop of K ticks, `period` s apart, in w: plant (N,), the tick's memory, a clock by phase.
+
+    moves T (K, d, d), pushes b (K, N), commands γ (K, d); delay: believed, in periods; covariance: after the last tick.
+    """
+
+    period: float
+    delay: float
+    moves: Array
+    pushes: Array
+    commands: Array
+    shifts: Array | None = None
+
+    def transitions(self, first: NDArray[np.int_], count: int, *, gain: Array, delay: Array, lag: Array) -> Array:
+        """Return the transitions (W, M, M) over `count` ticks from ticks `first` (W,).
+
+        gain (W,), delay (W,) and lag (W,) in s: what the plant has beyond the model. The state is w, the lag's, then
+        the commands on their way from the oldest on.
+        """
+        windows, size, inputs = len(first), self.moves.shape[1], self.pushes.shape[1]
+        total = self.delay + delay / self.period
+        whole = np.floor(total + 1e-9).astype(int)
+        part = np.maximum(total - whole, 0.0)
+        longest = int(whole.max()) + 1
+        slots, each = longest + 1, np.arange(windows)
+        state = np.zeros((windows, size, size + 1 + longest))
+        state[:, np.arange(size), np.arange(size)] = 1.0
+        lagging = np.zeros((windows, state.shape[2]))
+        lagging[:, size] = 1.0
+        sent = np.zeros((windows, slots, state.shape[2]))
+        sent[:, np.arange(longest), size + 1 + np.arange(longest)] = 1.0
+        slow = np.maximum(lag, 1e-9)
+        kept = np.exp(-self.period / slow)
+        mean = slow / self.period * (1 - kept)
+        now = longest
+        for k in range(count):
+            at = first + k
+            sent[:, now] = (self.commands[at][:, None] @ state)[:, 0]
+            newer, older = sent[each, (now - whole) % slots], sent[each, (now - whole - 1) % slots]
+            acting = gain[:, None] * ((1 - part)[:, None] * newer + part[:, None] * older)
+            pushed = acting + mean[:, None] * (lagging - acting)
+            lagging = kept[:, None] * lagging + (1 - kept)[:, None] * acting
+            state = self.moves[at] @ state
+            state[:, :inputs] += self.pushes[at][:, :, None] * pushed[:, None]
+            now = (now + 1) % slots
+        order = (now + 1 + np.arange(longest)) % slots
+        return np.concatenate([state, lagging[:, None], sent[:, order]], axis=1)
+
+    def growth(
+        self, first: NDArray[np.int_], count: int, *, gain: Any = 1.0, delay: Any = 0.0, lag: Any = 0.0
+    ) -> Array:
+        """Return the largest multiplier (W,) of each window; arguments as in `transitions`, or one for all."""
+        changes = {"gain": gain, "delay": delay, "lag": lag}
+        each = {name: np.broadcast_to(np.asarray(value, dtype=float), first.shape) for name, value in changes.items()}
+        with np.errstate(over="ignore", invalid="ignore"):
+            over = self.transitions(first, count, **each)
+        if self.shifts is not None:
+            # What is late alone stays so and is no error: the other errors are counted from where the clock is.
+            clock = self.moves.shape[1] - 1
+            over[:, :clock] -= self.shifts[first + count, :clock, None] * over[:, [clock]]
+            over = np.delete(np.delete(over, clock, axis=1), clock, axis=2)
+        sound = np.array([bool(np.isfinite(one).all()) for one in over])
+        values = np.abs(np.linalg.eigvals(np.where(sound[:, None, None], over, 0.0))).max(axis=1)
+        return np.where(sound, values, np.inf)
+
+
+@dataclass(frozen=True, eq=False)
+class Margins:
+    """Margins of W windows, each beginning at its time in s, and the limit that its largest multiplier has to keep.
+
+    growth (W,): that multiplier with nothing changed. low, high (W,): factors on the commanded acceleration between
+    which the loop is stable; delay, lag (W,): further ones that it bears, s. At a bound of the search: at least that
+    much. A window that is unstable as it is has margins of 1 and 0.
+    """
+
+    times: Array
+    windows: Array
+    limits: Array
+    growth: Array
+    low: Array
+    high: Array
+    delay: Array
+    lag: Array
+
+    @property
+    def status(self) -> str:
+        """What the loop bears, and where it bears least, as a sentence."""
+        if not (self.growth <= self.limits).all():
+            k = int(np.argmax(self.growth / self.limits))
+            return (
+                f"the loop is not stable at {self.times[k]:.2f} s even with all as the model says: errors grow by "
+                f"{self.growth[k]:.3g} in {self.windows[k]:.2f} s"
+            )
+        bounds = {"gain_low": np.inf, "gain_high": MOST_GAIN, "delay": MOST_DELAY, "lag": MOST_LAG}
+        said: dict[str, str] = {}
+        for name, (value, time) in self.least().items():
+            text = f"{value:.2g}" if name.startswith("gain") else f"{1e3 * value:.1f} ms"
+            said[name] = f"{'at least ' if value >= bounds[name] else ''}{text}"
+            if len(self.times) > 1:
+                said[name] += f" (at {time:.1f} s)"
+        return (
+            f"gain {said['gain_low']} to {said['gain_high']}, further delay {said['delay']}, further lag {said['lag']}"
+        )
+
+    def least(self) -> dict[str, tuple[float, float]]:
+        """Return each margin where it is smallest, by name, with the time in s at which that window begins."""
+        worst = {
+            "gain_low": (self.low, np.argmax), "gain_high": (self.high, np.argmin), "delay": (self.delay, np.argmin),
+            "lag": (self.lag, np.argmin),
+        }  # fmt: skip
+        found = {name: (values, int(which(values))) for name, (values, which) in worst.items()}
+        return {name: (float(values[k]), float(self.times[k])) for name, (values, k) in found.items()}
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol plan --margins --json` prints."""
+        along = {name: getattr(self, name).tolist() for name in _ALONG}
+        least = {name: {"value": value, "time": time} for name, (value, time) in self.least().items()}
+        return {**least, "growth": float((self.growth / self.limits).max()), "along": along, "status": self.status}
+
+
+_ALONG = ("times", "windows", "limits", "growth", "low", "high", "delay", "lag")
+
+
+def law_margins(
+    law: Any, program_of: Callable[[Controller], TickProgram], *, rate: float, wobble: float, repeats: bool
+) -> Margins:
+    """Return the margins of a loop whose arms are as the model says.
+
+    program_of: the tick of a law by the clock, which has begun on it; its supervisor must let the reference pass. rate
+    Hz; wobble s: what windows last along a flight; repeats: whether the whole reference repeats itself after so long.
+
+    Raises:
+        InputError: the law has no margins, for it acts by pulses or not at all, or the delay is too long.
+        GoalMissed: the loop does not stay on its reference.
+    """
+    found: list[Margins] = []
+    kept: dict[int, Margins] = {}
+    begins, covariance = 0.0, None
+    for part in law.segments if isinstance(law, Program) else [law]:
+        one: Any = part if part is law else part.controller
+        settles = isinstance(one, OrbitController | HoldController)
+        period = one.table.period if isinstance(one, OrbitController) else wobble
+        window, lasts = max(round(period * rate), 1), one.ticks / rate
+        if isinstance(part, Keep):
+            lasts = part.wraps * period
+        if id(one) not in kept or isinstance(part, Fly):
+            course = _Course(_by_the_clock(one, ticks=(_PERIODS + 1) * window), program_of, covariance)
+            covariance = course.covariance
+            window = min(window, course.count)
+            last = course.count - window
+            begin = [] if settles else range(0, last, max(round(_STEP * window), 1))
+            limit = REPEATED if settles or repeats else GROWTH
+            kept[id(one)] = course.margins(np.array([*begin, last]), window, limit=limit, settled=settles)
+        same = kept[id(one)]
+        found.append(replace(same, times=same.times + begins))
+        begins += lasts
+    return Margins(*(np.concatenate([getattr(one, name) for one in found]) for name in _ALONG))
+
+
+def _by_the_clock(law: Any, *, ticks: int) -> TimedController | PhaseController | HoldController:
+    """Return a law as gains in a table: an orbit's for so many ticks, by phase where the orbit's goes by phase.
+
+    Raises:
+        InputError: it acts by pulses, or has no gains.
+    """
+    if isinstance(law, HoldController):
+        return replace(law, ticks=ticks)
+    if isinstance(law, OrbitController):
+        table, count = law.table, len(law.gains)
+        states = table.state(np.arange(ticks + 1) * law.period, MANY)
+        at = np.rint(np.arange(ticks) * law.period / table.step).astype(int) % count
+        known: dict[str, Any] = {"kind": law.kind, "status": law.status, "reference_states": states}
+        known |= {"feedforward": law.feedforward[at], "gains": law.gains[at]}
+        # Its clock counts seconds, the other's ticks.
+        normals = law.normals[[*at, at[-1]]] / law.period
+        return PhaseController(**known, normals=normals) if law.by_phase else TimedController(**known)
+    if not isinstance(law, TimedController | PhaseController):
+        raise InputError(
+            f'controller: kind = "{law.kind}" acts by pulses, which no gain, delay or lag margin describes; use '
+            '"tvlqr", "adaptive" or "lqr" for margins'
+        )
+    if not law.gains.any():
+        raise InputError(f'controller: kind = "{law.kind}" feeds nothing back, so that it has no margins')
+    return law
+
+
+class _Course:
+    """What a tick has before it at each of K ticks along a law's reference: memory, reading and row, as columns.
+
+    The arms are as the model says, and the sensors too: what is read is what the filter predicts.
+
+    Raises:
+        InputError: the law does not fit the arms.
+        GoalMissed: the loop does not stay on its reference.
+    """
+
+    def __init__(
+        self,
+        law: TimedController | PhaseController | HoldController,
+        program_of: Callable[[Controller], TickProgram],
+        covariance: Array | None,
+    ) -> None:
+        self.phase = law if isinstance(law, PhaseController) else None
+        if isinstance(law, PhaseController):
+            # By time while nothing is amiss.
+            law = TrackingController(law.kind, law.reference_states, law.feedforward, law.gains, law.status)
+        self.program = program = program_of(law)
+        equations, self.count = program.equations, law.ticks
+        if not equations.unrolled:
+            raise InputError(
+                f"drive: margins are known for delays of up to {UNROLLED} periods, not of {program.lead}; lower the "
+                "rate, so that the same delay has fewer periods"
+            )
+        memory = equations.memory.slices
+        if covariance is not None:
+            program.memory[memory["covariance"]] = covariance[:, None]
+        rows, sees = law.schedule(program.lead).rows, equations.filter.observation
+        self.memory = np.empty((equations.memory.size, self.count))
+        self.reading, self.row = np.empty((equations.reading.size, self.count)), rows[: self.count].T
+        self.acting = np.empty(self.count)
+        for k in range(self.count):
+            self.memory[:, k] = program.memory[:, 0]
+            program.take((sees @ self.memory[memory["z"], k])[:, None], None, 0, None)
+            self.reading[:, k] = program.reading[:, 0]
+            program.row[:] = rows[k, :, None]
+            program.tick()
+            self.acting[k] = program.report[program.at["acting"], 0]
+            if program.report[program.at["notable"], 0]:
+                raise GoalMissed(
+                    f"no margins: without any disturbance the loop leaves its reference after {k * program.period:.3f} "
+                    "s; look at a run without mismatch"
+                )
+        self.covariance = program.memory[memory["covariance"], 0].copy()
+
+    def margins(self, first: NDArray[np.int_], window: int, *, limit: float, settled: bool) -> Margins:
+        """Return the margins of windows that begin at ticks `first`; settled: one stands for all of its part's time."""
+        batches = [first[k : k + _BATCH] for k in range(0, len(first), _BATCH)]
+        parts = [
+            _margins(self.linear(int(batch[0]), int(batch[-1]) + window), batch - batch[0], window, limit=limit)
+            for batch in batches
+        ]
+        growth, low, high, delay, lag = (np.concatenate([part[name] for part in parts]) for name in _ALONG[3:])
+        times = np.asarray(first * (0.0 if settled else self.program.period), dtype=float)
+        windows, limits = np.full(len(first), window * self.program.period), np.full(len(first), limit)
+        return Margins(times, windows, limits, growth, low, high, delay, lag)
+
+    def linear(self, begin: int, end: int) -> LinearLoop:
+        """Return the loop from tick `begin` to before `end`."""
+        program, equations = self.program, self.program.equations
+        over, count = slice(begin, end), end - begin
+        numbers = np.tile(program.numbers[:, None], (1, count))
+        size, arms = equations.filter.equations.dimension, equations.filter.arms
+        sees = equations.filter.observation[:, :size]
+        tick, kept = _tick_jacobian(equations)
+        given = (self.memory[:, over], self.reading[:, over], self.row[:, over], numbers)
+        jacobian = np.array(tick.map(count)(*given)).reshape(tick.size1_out(0), count, -1).transpose(1, 0, 2)
+        predicted = _prediction_jacobian(equations)
+        z = self.memory[equations.memory.slices["z"], over]
+        plant = np.array(predicted.map(count)(z, self.acting[None, over], numbers)).reshape(size, count, -1)
+        plant = plant.transpose(1, 0, 2)
+        # Columns: the memory, what was measured, the feedforward. Rows: the memory, the command, the state ahead.
+        width = size + kept
+        seen = np.zeros((count, kept + 1 + size, width))
+        seen[:, :, :size] = jacobian[:, :, kept : kept + arms + 1] @ sees
+        seen[:, :, size:] = jacobian[:, :, :kept]
+        forward = jacobian[:, :, -1]
+        if self.phase is not None:
+            seen, forward = self._with_clock(seen, forward, begin, end)
+        total = seen.shape[2]
+        moves = np.zeros((count, total, total))
+        moves[:, :size, :size] = plant[:, :, :size]
+        moves[:, size : size + kept] = seen[:, :kept]
+        if total > width:
+            moves[:, width] = seen[:, -1]
+        shifts = None if self.phase is None else self._shifts(total)[begin : end + 1]
+        delay = equations.whole + float(program.numbers[equations.numbers.slices["share"]][0])
+        return LinearLoop(program.period, delay, moves, plant[:, :, -1], seen[:, kept], shifts)
+
+    def _shifts(self, total: int) -> Array:
+        """Return how plant and filter (K+1, total) differ from themselves a tick later."""
+        assert self.phase is not None
+        rates = np.gradient(self.phase.reference_states, axis=0)
+        # The last tick is cut short by the reference's end.
+        rates[-2:] = rates[-3]
+        size = len(self.phase.first_state)
+        out = np.zeros((len(rates), total))
+        # The memory begins with the filter's state.
+        out[:, :size] = out[:, size : 2 * size] = rates
+        out[:, -1] = 1.0
+        return out
+
+    def _with_clock(self, seen: Array, forward: Array, begin: int, end: int) -> tuple[Array, Array]:
+        """Adjoin the clock's lateness, in ticks, to what a tick gives: as its last column, and its last row."""
+        law = self.phase
+        assert law is not None
+        count, rows, width = seen.shape
+        size = len(law.first_state)
+        acts = np.minimum(np.arange(begin, end) + self.program.lead, law.ticks)
+        rates = np.gradient(law.reference_states, axis=0)[acts]
+        across, gains = law.normals[acts], law.gains[np.minimum(acts, law.ticks - 1)]
+        out = np.zeros((count, rows + 1, width + 1))
+        out[:, :rows, :width] = seen
+        out[:, rows, :width] = np.einsum("kn,knw->kw", across, seen[:, rows - size :])
+        out[:, rows, width] = 1 - (across * rates).sum(1)
+        # The clock moves the reference state, to which the feedback steers.
+        back = (gains * rates).sum(1)[:, None] * out[:, rows]
+        out[:, :rows] += forward[:, :, None] * back[:, None]
+        return out, forward
+
+
+@lru_cache(maxsize=8)
+def _tick_jacobian(equations: TickEquations) -> tuple[ca.Function, int]:
+    """Return (memory, reading, row, numbers) -> Jacobian of memory, command and state ahead, and the memory's length.
+
+    By the memory, what was measured, and the row's feedforward; of the memory those parts that the command depends on.
+    """
+    layouts = {"memory": equations.memory, "reading": equations.reading, "row": equations.row}
+    inputs = {name: layout.symbols(name) for name, layout in {**layouts, "numbers": equations.numbers}.items()}
+    whole = {name: vector for name, (vector, _) in inputs.items()}
+    parts = [name for name in equations.memory.slices if name not in _WATCHED]
+    out, report = equations.function()(*whole.values()), equations.report.slices
+    begins = equations.memory.size
+    rows = [out[equations.memory.slices[name]] for name in parts]
+    rows += [out[begins + report[name].start : begins + report[name].stop] for name in ("command", "ahead")]
+    columns = [inputs["memory"][1][name] for name in parts]
+    columns += [inputs["reading"][1]["measured"], inputs["row"][1]["feedforward"]]
+    jacobian = ca.densify(ca.jacobian(ca.vertcat(*rows), ca.vertcat(*columns)))
+    made = ca.Function("tick_jacobian", [*whole.values()], [ca.cse(jacobian)], {"cse": True})
+    return made, sum(column.shape[0] for column in columns[:-2])
+
+
+@lru_cache(maxsize=8)
+def _prediction_jacobian(equations: TickEquations) -> ca.Function:
+    """Return (z, command, numbers) -> Jacobian of the next state by state and command, (N, N+1)."""
+    size = equations.filter.equations.dimension
+    z, command = ca.SX.sym("z", equations.filter.dimension), ca.SX.sym("command")
+    numbers = ca.SX.sym("numbers", equations.numbers.size)
+    following = equations.moved()(z, command, numbers)[:size]
+    jacobian = ca.densify(ca.jacobian(following, ca.vertcat(z[:size], command)))
+    return ca.Function("prediction_jacobian", [z, command, numbers], [ca.cse(jacobian)], {"cse": True})
+
+
+def _margins(loop: LinearLoop, first: NDArray[np.int_], window: int, *, limit: float) -> dict[str, Array]:
+    """Return growth and margins (W,) of windows, by the names of `Margins`."""
+    growth = loop.growth(first, window)
+    sound = growth <= limit
+
+    def border(change: Callable[[Array], dict[str, Array]], start: float, factor: float, most: float) -> Array:
+        """Return up to where (W,) windows are stable: start · factor^k is tried, and the step then halved."""
+        inside, outside = np.full(len(first), np.nan), np.full(len(first), np.nan)
+        open_, value = np.flatnonzero(sound), start
+        while len(open_):
+            stable = loop.growth(first[open_], window, **change(np.full(len(open_), value))) <= limit
+            outside[open_[~stable]] = value
+            inside[open_[stable]] = value
+            open_ = open_[stable]
+            if value >= most:
+                break
+            value = min(value * factor, most)
+        searched = np.flatnonzero(np.isfinite(outside))
+        for _ in range(_HALVINGS if len(searched) else 0):
+            low = np.where(np.isnan(inside[searched]), outside[searched] / factor, inside[searched])
+            middle = np.sqrt(low * outside[searched])
+            stable = loop.growth(first[searched], window, **change(middle)) <= limit
+            inside[searched] = np.where(stable, middle, low)
+            outside[searched] = np.where(stable, outside[searched], middle)
+        return inside
+
+    times = {"start": _FIRST_TIME, "factor": 2.0}
+    found = {
+        "low": 1 / border(lambda v: {"gain": 1 / v}, _FIRST_GAIN, _FIRST_GAIN, MOST_GAIN),
+        "high": border(lambda v: {"gain": v}, _FIRST_GAIN, _FIRST_GAIN, MOST_GAIN),
+        "delay": border(lambda v: {"delay": v}, most=MOST_DELAY, **times),
+        "lag": border(lambda v: {"lag": v}, most=MOST_LAG, **times),
+    }
+    unstable = {"low": 1.0, "high": 1.0, "delay": 0.0, "lag": 0.0}
+    return {"growth": growth, **{name: np.where(sound, values, unstable[name]) for name, values in found.items()}}

@@ -1,0 +1,135 @@
+"""Margins of the loop with its filter, against the nonlinear loop run with a drive that differs."""
+
+from collections import deque
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dpcontrol.control.interface import Controller
+from dpcontrol.control.lqr import HoldSettings
+from dpcontrol.control.margins import Margins
+from dpcontrol.control.tracking import FeedforwardSettings, TvlqrSettings
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.loop.loop import LoopSettings, loop_controller, loop_margins, make_ticker, sampled_model
+from dpcontrol.loop.result import Reading
+from dpcontrol.references.problem import Limits
+from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.plan import Plan, make_plan
+
+NEAR = 0.07
+"""Share of a margin: near it the nonlinear loop takes long to show what it does."""
+FREE = Limits(position=1e6, velocity=1e6, acceleration=1e6)
+PERTURBED = 1e-7
+"""rad: small, so that the difference of two runs is linear, and large against rounding."""
+
+
+def plan_of(name: str) -> Plan:
+    return make_plan(load_itinerary(name))
+
+
+def difference(
+    plan: Plan,
+    settings: LoopSettings,
+    law: Controller,
+    *,
+    gain: float = 1.0,
+    delay: float = 0.0,
+    lag: float = 0.0,
+    settled: float,
+) -> float:
+    """Return by how much the difference of two nonlinear runs grows from the half to the end; at the end without one.
+
+    After `settled` s the drive differs, and one of the two runs is perturbed. The drive is written out here: a queue of
+    commands, of which a delay between ticks takes a mean, and a lag whose mean over a period acts.
+    """  # fmt: skip
+    arms, period = plan.itinerary.model.arms, 1 / settings.rate
+    model, runs = sampled_model(arms, settings.rate), []
+    begins = round(settled * settings.rate)
+    for perturbation in (0.0, PERTURBED):
+        ticker = make_ticker(arms, settings, law, limits=FREE, delay=1.0)
+        x, lagging, states = law.first_state.copy(), 0.0, []
+        sent = deque([0.0] * 400, maxlen=400)
+        for k in range(law.ticks):
+            g, d, t = (gain, 1 + delay / period, lag) if k >= begins else (1.0, 1.0, 0.0)
+            x[0] += perturbation if k == begins else 0.0
+            report = ticker(k, Reading(0.0, x[model.position_indices]))
+            sent.append(report[ticker.at["command"], 0])
+            whole = int(d + 1e-9)
+            acting = g * ((1 - d + whole) * sent[-1 - whole] + (d - whole) * sent[-2 - whole])
+            left = np.exp(-period / t) if t else 0.0
+            mean = acting + (lagging - acting) * t / period * (1 - left)
+            lagging = left * lagging + (1 - left) * acting
+            x = model.step(x, mean)
+            states.append(x[:4].copy())
+            if np.abs(x[:2]).max() > 50:
+                return np.inf
+        runs.append(np.array(states))
+    apart = np.abs(runs[0] - runs[1]).max(axis=1)
+    whole, part = len(apart) - begins, (len(apart) - begins) // 6
+    before, after = apart[begins + whole // 2 :][:part].max(), apart[-part:].max()
+    return np.inf if after > 1e-2 else after / max(before, 1e-14)
+
+
+def check_borders(plan: Plan, settings: LoopSettings, margins: Margins, law: Controller, *, settled: float) -> None:
+    for name, (value, _) in margins.least().items():
+        key = name.partition("_")[0]
+        inside, outside = (1 + NEAR, 1 - NEAR) if name == "gain_low" else (1 - NEAR, 1 + NEAR)
+        works = difference(plan, settings, law, **{key: value * inside}, settled=settled)
+        fails = difference(plan, settings, law, **{key: value * outside}, settled=settled)
+        # Beyond the border what grows may end in a cycle, which does not shrink.
+        assert works < 0.97 < fails, f"{name} = {value}: {works} inside, {fails} outside"
+
+
+def test_a_held_equilibrium_is_lost_where_its_margins_end() -> None:
+    plan = plan_of("hold-up-up")
+    settings = LoopSettings(seed=0, rate=200.0, controller=HoldSettings())
+    arms = plan.itinerary.model.arms
+    law = replace(loop_controller(plan.reference, arms, settings), ticks=1600)
+    margins = loop_margins(plan.reference, arms, settings, law)
+    assert margins.growth.max() < 1
+    check_borders(plan, settings, margins, law, settled=4.0)
+
+
+@pytest.mark.slow(reason="a dozen nonlinear runs of 16 s")
+def test_a_kept_orbit_is_lost_where_its_margins_end() -> None:
+    plan = plan_of("keep-down-up")
+    settings = LoopSettings(seed=0)
+    arms = plan.itinerary.model.arms
+    law = replace(loop_controller(plan.reference, arms, settings), ticks=16_000)
+    margins = loop_margins(plan.reference, arms, settings, law)
+    least = margins.least()
+    # Computed from the filter's and the law's equations, written anew, by those who checked the loop.
+    assert least["gain_low"][0] == pytest.approx(0.33, rel=0.05)
+    assert least["gain_high"][0] == pytest.approx(7.1, rel=0.05)
+    assert least["lag"][0] == pytest.approx(38e-3, rel=0.05)
+    check_borders(plan, settings, margins, law, settled=6.0)
+
+
+@pytest.mark.slow(reason="windows along two flights")
+def test_a_flight_on_an_orbit_has_the_margins_of_the_orbit_and_closing_costs_some() -> None:
+    plan, arms = plan_of("turn-from-rest"), plan_of("turn-from-rest").itinerary.model.arms
+    settings = LoopSettings(seed=0, controller=TvlqrSettings(closing=1.0))
+    flight = loop_margins(plan.reference, arms, settings)
+    kept = loop_margins(plan_of("keep-down-up").reference, arms, settings).least()
+    # The walk's own orbit, which it wobbles on, away from both ends of its stay.
+    on_orbit = (flight.times > 4.0) & (flight.times < 7.0)
+    assert on_orbit.sum() > 4
+    # What grows slowly, as at too little gain, tells the two limits apart.
+    for name, key, near in (("gain_low", "low", 0.2), ("gain_high", "high", 0.1), ("lag", "lag", 0.1)):
+        values = getattr(flight, key)[on_orbit]
+        assert np.median(values) == pytest.approx(kept[name][0], rel=near), name
+    turn = plan_of("outer-turn")
+    closing = loop_margins(turn.reference, arms, LoopSettings(seed=0))
+    last = closing.times > turn.reference.duration - 1.6
+    assert closing.high[last].min() == pytest.approx(3.8, rel=0.15)
+    assert closing.lag[last].min() == pytest.approx(14.5e-3, rel=0.05)
+
+
+def test_a_law_without_margins_says_so() -> None:
+    plan = plan_of("keep-down-up")
+    arms = plan.itinerary.model.arms
+    with pytest.raises(InputError, match="pulses"):
+        loop_margins(plan.reference, arms, plan.itinerary.loop)
+    with pytest.raises(InputError, match="feeds nothing back"):
+        loop_margins(plan.reference, arms, LoopSettings(seed=0, controller=FeedforwardSettings()))
