@@ -21,9 +21,10 @@ and velocity are the drive's own, applied before it is believed.
 
 What is judged, tick by tick:
 
-    consistency   mean of NIS / degrees of freedom over a fifth of a second
+    consistency   mean of NIS / degrees of freedom over a fifth of a second; whether the estimate slipped a turn
     tracking      mean over about a second of the largest angle's distance from the reference, by the estimate
-    cart          |x| + v²/(2a) + |v| t_d: where it comes to rest if it brakes from now, after the delay t_d
+    cart          |x| + v²/(2a) + |v| t_d: where it comes to rest if it brakes from now, after the delay t_d; where the
+                  arms are lost by then it is they that end the run
     sensors       which one is stuck: it repeats one reading while the arm must have moved, or the cart was sent on
 
 For joint i, whose reading has been the same since tick s, and the cart, whose has since s':
@@ -31,7 +32,9 @@ For joint i, whose reading has been the same since tick s, and the cart, whose h
     max |ref_i(k) - ref_i(s)| ≥ max(0.02 rad, 4 counts),        |Σ w Δt| ≥ max(2 mm, 4 counts)
 
 w: the velocity that the cart was sent to. A count is the smallest step that was seen. An arm that turns back, or is
-held at rest, stays within a count as well, but so does its reference. Without this a filter follows a stuck encoder for
+held at rest, stays within a count as well, but so does its reference; one that is off it may pause alone. So the filter
+must have held the model back as well, by what its corrections since would come to: 0.05 rad and 8 counts; or the pause
+be longer by far than those of arms that turn back. Without this a filter follows a stuck encoder for
 a tenth of a second, and a stuck scale of the cart for ever, the cart being unobservable from the arms.
 """
 
@@ -84,6 +87,8 @@ class Outcome(IntEnum):
     """A sensor repeats itself."""
     SWITCH = 9
     """A limit switch answered."""
+    FALLEN = 10
+    """The arms have left the reference, and the cart that runs after them must brake now."""
 
 
 BRAKING = 0.9
@@ -93,6 +98,12 @@ SETTLING = 0.05
 TRACKING_MEMORY = 1.0
 ESTIMATE_MEMORY = 0.2
 """Time constants of the means, s."""
+RESTART_MEMORY = 1.0
+"""Time constant of the count of restarts, s: a filter that was right again for so long may be restarted again."""
+_MOST_AT_ONCE = 16.0
+"""What a tick's NIS counts for at most, in bounds of their mean."""
+_LAGS = 0.05
+"""s: what was commanded shows in the cart's motion by then, or has not come to act."""
 LOST_AFTER_FALLBACK = 1.5
 """rad: from which what was fallen back to is lost as well, where less than that loses the reference."""
 AT_REST = 1e-12
@@ -101,13 +112,18 @@ SAME = 1e-9
 """rad and m: readings this near to each other are the same count."""
 _STILL = 0.015
 """Seconds of one reading of a joint at least."""
-_TURNING = 10.0
-"""rad/s² and m/s²: what turns back as slowly stays within a count q for 2 √(2 q / this), 11 ms with 40,000 counts."""
+_TURNING = 4.0
+"""rad/s² and m/s²: what turns back as slowly stays within a count q for 2 √(2 q / this), 18 ms with 40,000 counts."""
 _CART_STILL = 0.05
 """Seconds of one reading of the cart: it begins to move only once the first commands have come to act."""
 _JOINT_MOVED, _CART_MOVED = 0.02, 2e-3
 """rad and m."""
 _COUNTS = 4.0
+_JOINT_HELD, _COUNTS_HELD = 0.05, 8.0
+"""rad, counts: by how much the model would have moved on a joint whose reading stands. One that turns back where its
+reference goes on stands still, too, and its model with it."""
+_LONG = 8.0
+"""Times the longest that a joint stands where it turns back: no other evidence is needed then."""
 _DOUBT = 300.0
 """Mean NIS per position: with 256 counts, stuck encoders gave 450 and more when they were found, slow arms up to 270.
 The cart's scale is detected without it: only its own commands contradict it."""
@@ -215,16 +231,20 @@ class TickEquations:
         means; silent s; restarts so far; held: 1 after the reference was given up; moved s since the clock was;
         restart: 1 where the filter begins anew; stopped: the outcome that ended the run, or 0; still s: for how long
         the cart was sent nowhere since; cut: 1 where the last command was; doubts: 1 once an extra was trusted no
-        further. Then sensor by sensor: last reading, smallest step, ticks with this reading, what it should have been
-        when they began, by how much that has moved since; travelled m: how far the cart was sent. Split: origin, which
-        the positions in z are relative to; whoever keeps the memory may move from one to the other.
+        further; heading m/s: what the cart will come to; turns (n,) rad: whole ones between readings and estimate.
+        Then sensor by sensor: last reading, smallest step, ticks with this reading, what it should have been when
+        they began, by how much that has moved since; of each joint pulled rad/s and held_back rad: what the filter
+        has changed of its rate since, and what it would have moved by without; strained rad/s: those changes without
+        their signs; travelled m: how far the cart was sent. Split: origin, which the positions in z are relative to;
+        whoever keeps the memory may move from one to the other.
         """
         size, m = self.filter.dimension, self.filter.arms + 1
         sent = {"sent": self.whole + 2} if self.unrolled else {}
         return Layout(
             z=size, covariance=size * (size + 1) // 2, **sent, velocity=1, error=1, nis=1, silent=1,
             restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, cut=1, doubts=1, last=m, step=m, same=m,
-            begin=m, away=m, travelled=1, **({"origin": m} if self.split else {}),
+            begin=m, away=m, pulled=m - 1, strained=m - 1, held_back=m - 1, travelled=1, heading=1, turns=m - 1,
+            **({"origin": m} if self.split else {}),
         )  # fmt: skip
 
     @cached_property
@@ -263,9 +283,14 @@ class TickEquations:
 
     @cached_property
     def sensed(self) -> Layout:
-        """What the first part gives: z, covariance, sigmas (N+E,), nis, used positions, sound: 1 if all is finite."""
+        """What the first part gives.
+
+        z, covariance, sigmas (N+E,), nis, used positions, sound: 1 if all is finite and no angle has slipped, turns.
+        """
         size = self.filter.dimension
-        return Layout(z=size, covariance=size * (size + 1) // 2, sigmas=size, nis=1, used=1, sound=1)
+        return Layout(
+            z=size, covariance=size * (size + 1) // 2, sigmas=size, nis=1, used=1, sound=1, turns=self.filter.arms
+        )
 
     @cached_property
     def report(self) -> Layout:
@@ -322,21 +347,44 @@ class TickEquations:
         covariance = unpack(ca.vertcat(*entries), size)
         # NaN must not reach the products: zero times NaN is not zero.
         measured = ca.vertcat(*(ca.if_else(r["present"][i], positions_read[i], 0) for i in range(n + 1)))
-        after, covariance, _, nis = self.filter.updated(z, covariance, measured, r["present"], c["noise"])
+        after, covariance, innovation, nis = self.filter.updated(z, covariance, measured, r["present"], c["noise"])
+        turns, slipped = self._slipped(m, r, measured - ca.DM(self.filter.observation) @ z, innovation)
         variances = ca.diag(covariance)
         if self.filter.as_measured:
             back = ca.sparsify(ca.SX(ca.DM(self.filter.restored)))
             variances = ca.diag(back @ covariance @ back.T)
         sigmas = ca.vertcat(*(ca.sqrt(variances[i]) for i in range(size)))
         # The last is not finite as soon as anything in the estimate is not.
-        sound = _all(nis >= 0, nis <= _BIG, _finite(ca.sum1(after) + ca.sum1(sigmas)))
+        sound = _all(nis >= 0, nis <= _BIG, _finite(ca.sum1(after) + ca.sum1(sigmas)), ca.logic_not(slipped))
         # Where it fails the prediction is kept, which the restart begins with.
         after = ca.vertcat(*(ca.if_else(sound, after[i], z[i]) for i in range(size)))
         used = ca.sum1(r["present"])
-        out = {"z": after, "covariance": pack(covariance), "sigmas": sigmas, "nis": nis, "used": used, "sound": sound}
+        out = {
+            "z": after, "covariance": pack(covariance), "sigmas": sigmas, "nis": nis, "used": used, "sound": sound,
+            "turns": turns,
+        }  # fmt: skip
         if self.split:
             out |= {"z": after + self._origin(m), "relative": after}
         return out
+
+    def _slipped(
+        self, m: Mapping[str, ca.SX], r: Mapping[str, ca.SX], apart: ca.SX, innovation: ca.SX
+    ) -> tuple[ca.SX, ca.SX]:
+        """Whole turns between each reading and what was predicted (n,), and whether one of them is a new one.
+
+        apart (n+1,): the innovation before it is wrapped. The filter does not see a whole turn, so that one whose rates
+        have run away goes on as if it were right; the encoders count turns.
+        """
+        n, again = self.filter.arms, m["restart"]
+        seen = [ca.if_else(r["present"][i], apart[i] - innovation[i], m["turns"][i]) for i in range(n)]
+        turns = [ca.if_else(again, 0, turn) for turn in seen]
+        # Where a reading itself jumps, as that of an encoder with one turn, and at the first of all, nothing slips.
+        jumped = [
+            ca.logic_not(ca.fabs(r["measured"][i] - (r["measured"][i - 1] if i else 0) - m["last"][i]) < np.pi)
+            for i in range(n)
+        ]
+        slipped = [ca.fabs(turns[i] - m["turns"][i]) > np.pi for i in range(n)]
+        return ca.vertcat(*turns), _all(_any(*slipped), ca.logic_not(again), ca.logic_not(_any(*jumped)))
 
     def _origin(self, m: Mapping[str, ca.SX]) -> ca.SX:
         """What z is relative to, (N+E,)."""
@@ -368,13 +416,24 @@ class TickEquations:
         return feedback, doubted
 
     def _stuck(
-        self, m: Mapping[str, ca.SX], r: Mapping[str, ca.SX], c: Mapping[str, ca.SX], wanted: ca.SX, nis: ca.SX
+        self,
+        m: Mapping[str, ca.SX],
+        r: Mapping[str, ca.SX],
+        c: Mapping[str, ca.SX],
+        wanted: ca.SX,
+        nis: ca.SX,
+        taken: ca.SX | None,
     ) -> tuple[ca.SX, dict[str, ca.SX]]:
-        """The number of the first stuck sensor, from 1, and the watch's memory."""
+        """The number of the first stuck sensor, from 1, and the watch's memory.
+
+        taken (2n,): by how much the filter's update has changed the angles and rates that were predicted, if known.
+        """
         n, period = self.filter.arms, self.filter.period
         fresh = _all(*(r["present"][i] for i in range(n + 1)))
         travelled = m["travelled"] + m["velocity"] * period
-        after: dict[str, list[ca.SX]] = {name: [] for name in ("last", "step", "same", "begin", "away")}
+        after: dict[str, list[ca.SX]] = {
+            name: [] for name in ("last", "step", "same", "begin", "away", "pulled", "strained", "held_back")
+        }
         found: list[ca.SX] = []
         for i in range(n + 1):
             arm = i < n
@@ -401,6 +460,20 @@ class TickEquations:
             tests = [fresh, away >= least, away >= _COUNTS * q, count >= longest]
             if arm:
                 tests.append(ca.logic_not(nis <= _DOUBT))
+                pulled, strained, held = m["pulled"][i], m["strained"][i], m["held_back"][i]
+                evident = count >= _LONG * longest
+                if taken is not None:
+                    turned, braked = (taken[k] - (taken[k - 1] if i else 0) for k in (i, n + i))
+                    on = ca.logic_and(same, ca.logic_not(m["restart"]))
+                    pulled, strained = ca.if_else(on, pulled + braked, 0), ca.if_else(on, strained + ca.fabs(braked), 0)
+                    held = ca.if_else(on, held + pulled * period + turned, 0)
+                    # A filter that swings to and fro has no say.
+                    steady = ca.fabs(pulled) >= strained / 2
+                    far = ca.fabs(held) >= ca.fmax(_JOINT_HELD, _COUNTS_HELD * q)
+                    evident = _any(evident, ca.logic_and(steady, far))
+                tests.append(evident)
+                for name, now in {"pulled": pulled, "strained": strained, "held_back": held}.items():
+                    after[name].append(ca.if_else(fresh, now, m[name][i]))
             found.append(_all(*tests))
         sensor = ca.SX(0)
         for i in reversed(range(n + 1)):
@@ -432,23 +505,31 @@ class TickEquations:
 
         # The means.
         judged = ca.logic_and(e["used"] > 0, e["sound"])
-        by_position = e["nis"] / ca.fmax(e["used"], 1)
+        # A blow is over in a tick: it alone is no reason to give the estimate up.
+        by_position = ca.fmin(e["nis"] / ca.fmax(e["used"], 1), _MOST_AT_ONCE * c["lost_estimate"])
         nis = m["nis"] + ca.if_else(judged, (by_position - m["nis"]) * min(period / ESTIMATE_MEMORY, 1), 0)
         silent = ca.if_else(e["used"] > 0, 0, m["silent"] + period)
         distances = [ca.fabs(e["z"][i] - row["wanted"][i]) for i in range(n)]
-        error = m["error"] + (_largest(distances) - m["error"]) * min(period / TRACKING_MEMORY, 1)
-        finite = _finite(forward + feedback)
+        distance = _largest(distances)
+        error = m["error"] + ca.if_else(e["sound"], (distance - m["error"]) * min(period / TRACKING_MEMORY, 1), 0)
+        finite = ca.logic_and(e["sound"], _finite(forward + feedback))
 
         # The verdict, written so that NaN stops the run.
-        lost = ca.logic_not(_all(e["sound"], nis <= c["lost_estimate"], _finite(sum(distances, ca.SX(0))), finite))
-        restarts = ca.logic_and(lost, m["restarts"] < c["restarts"])
+        lost = ca.logic_not(_all(finite, nis <= c["lost_estimate"], _finite(sum(distances, ca.SX(0)))))
+        restarts = ca.logic_and(lost, m["restarts"] < c["restarts"] - 0.5)
         x, v, sent = ahead[2 * n], ahead[2 * n + 1], m["velocity"]
         farthest = self._stopping_point(x, v, c)
-        farthest = ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(x, sent, c), -_BIG))
+        # What was sent and does not show yet, for a drive that lags.
+        heading = m["heading"]
+        farthest = ca.fmax(farthest, ca.if_else(ca.fabs(sent) > 0, self._stopping_point(x, heading, c), -_BIG))
+        leaves = farthest >= c["travel"]
+        # A cart that runs after arms that have fallen is not what ended the run.
+        fallen = ca.logic_and(leaves, distance > c["lost_tracking"])
         astray = error > ca.if_else(m["held"], ca.fmax(c["lost_tracking"], LOST_AFTER_FALLBACK), c["lost_tracking"])
         holds = _all(astray, c["can_hold"], ca.logic_not(m["held"]))
         moves = _all(c["resynchronise"] > 0, error > c["resynchronise"], m["moved"] > TRACKING_MEMORY)
-        sensor, watch = self._stuck(m, r, c, row["wanted"], ca.if_else(restarts, 0, nis))
+        taken = e.get("relative", e["z"])[: 2 * n] - m["z"][: 2 * n] if predicts else None
+        sensor, watch = self._stuck(m, r, c, row["wanted"], ca.if_else(restarts, 0, nis), taken)
         outcome = ca.SX(int(Outcome.GO_ON))
         # From the weakest: each overrules those before it.
         for condition, code in (
@@ -462,7 +543,8 @@ class TickEquations:
                 (ca.logic_and(condition, ca.logic_not(restarts)), code)
                 for condition, code in (
                     (ca.logic_and(astray, ca.logic_not(holds)), Outcome.TRACKING_LOST),
-                    (farthest >= c["travel"], Outcome.CART),
+                    (leaves, Outcome.CART),
+                    (fallen, Outcome.FALLEN),
                     (silent > c["missing"], Outcome.SILENT),
                     (lost, Outcome.ESTIMATE_LOST),
                 )
@@ -497,9 +579,12 @@ class TickEquations:
             repeats = ca.if_else(ca.eq(sensor, i + 1), watch["same"][i], repeats)
         mode = ca.if_else(stop, int(Mode.ABORTED), ca.if_else(saturated, int(Mode.SATURATED), c["mode"]))
 
+        heading = _within(heading + command * period + (v - heading) * min(period / _LAGS, 1), fastest)
         memory = {
-            **queue, "velocity": velocity, "error": ca.if_else(falls, 0, error), "nis": ca.if_else(again, 0, nis),
-            "silent": silent, "restarts": m["restarts"] + again, "held": ca.if_else(falls, 1, m["held"]),
+            **queue, "velocity": velocity, "heading": heading, "turns": e["turns"],
+            "error": ca.if_else(falls, 0, error), "nis": ca.if_else(again, 0, nis), "silent": silent,
+            "restarts": m["restarts"] * (1 - min(period / RESTART_MEMORY, 1)) + again,
+            "held": ca.if_else(falls, 1, m["held"]),
             "moved": ca.if_else(moved, 0, m["moved"] + period), "restart": again, "stopped": stopped, "still": still,
             "cut": saturated, "doubts": ca.logic_or(m["doubts"], doubted > 0), **watch,
         }  # fmt: skip
@@ -517,7 +602,8 @@ class TickEquations:
             "state": e["z"][:size], "wish": wish, "feedforward": forward, "feedback": feedback, "acting": acting,
             "saturated": saturated, "nis": e["nis"], "mode": mode, "sigmas": e["sigmas"], "extra": e["z"][size:],
             "command": command, "outcome": outcome, "stop": stop, "done": still > SETTLING, "newly_cut": newly_cut,
-            "doubted": newly_doubted, "sensor": sensor, "repeats": repeats, "error": error, "mean_nis": nis,
+            "doubted": newly_doubted, "sensor": sensor, "repeats": repeats,
+            "error": error, "mean_nis": nis,
             "silent": silent, "used": e["used"], "ahead": ahead, "notable": outcome + stop,
             "news": newly_cut + newly_doubted,
         }  # fmt: skip
@@ -705,7 +791,7 @@ class TickProgram:
         start = {
             "z": np.concatenate([first, np.zeros(self.equations.filter.dimension - len(first))]),
             "covariance": packed(t @ np.diag(self.settings.first_sigmas(self.model.arms) ** 2) @ t.T),
-            "velocity": speed[None], "moved": np.inf, "last": np.inf, "step": np.inf,
+            "velocity": speed[None], "heading": speed[None], "moved": np.inf, "last": np.inf, "step": np.inf,
         }  # fmt: skip
         self.memory[:] = self.equations.memory.filled(start, self.lanes)
         self._sent[:] = sent

@@ -178,7 +178,7 @@ class ControlLoop:
         report = ticker.program.report
         outcome = Outcome(int(report.item(ticker.at["outcome"], 0)))
         if outcome is not Outcome.GO_ON:
-            why = explained(outcome, now, ticker.figures(), arms=self._arms, period=self._period)
+            why = explained(outcome, now, ticker.figures(k), arms=self._arms, period=self._period)
             self._event(now, "warn", EVENTS.get(outcome, "stop"), why)
             if outcome is Outcome.RESTART:
                 self._rows.without_nis(k)
@@ -200,7 +200,7 @@ class ControlLoop:
 
     def _tell(self, k: int) -> None:
         """Make events of what is new in tick k and changes nothing."""
-        now, figures = k * self._period, self.ticker.figures()
+        now, figures = k * self._period, self.ticker.figures(k)
         if figures["newly_cut"]:
             wish, fastest = figures["wish"], self.limits.velocity
             over = f"command {wish:.3g} m/s², cut to {figures['command']:.3g} m/s²"
@@ -584,7 +584,8 @@ class _Lockstep:
             if outcome is Outcome.RESTART:
                 rows.without_nis(k, lane)
                 continue
-            why = explained(outcome, k * self._period, self._ticker.figures(lane), arms=self._arms, period=self._period)
+            figures = self._ticker.figures(k, lane)
+            why = explained(outcome, k * self._period, figures, arms=self._arms, period=self._period)
             self._endings[lane], self._reasons[lane], self._stopped_at[lane] = ending(outcome), why, k
             self._bench.stop([lane])
 

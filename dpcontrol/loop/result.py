@@ -108,10 +108,11 @@ class SupervisorSettings(Settings, table="supervisor"):
     lost_tracking rad: mean distance of an angle from the reference from which no feedback returns (half a turn is π,
     and a completed period asks for 0.1); resynchronise rad: distance from which the clock is moved to the nearest
     phase, 0 for never. lost_estimate: mean NIS per degree of freedom; encoders that agree to a count make it thousands
-    where the model is wrong by a tenth, and nothing is lost; 1e5 is some 0.04 rad. restarts: how often the estimator is
-    restarted before it counts as lost. missing s: longest time without a measurement. braking: share of the greatest
-    acceleration that is counted on to stop the cart (it brakes harder), and margin m: what must be left of the track
-    then. hold: "nearest" to hold the nearest orbit or equilibrium, once, where tracking is lost; "none" to stop.
+    where the model is wrong by a tenth, and nothing is lost; 1e5 is some 0.04 rad. restarts: how often within a second
+    the estimator is restarted before it counts as lost. missing s: longest time without a measurement. braking: share
+    of the greatest acceleration that is counted on to stop the cart (it brakes harder), and margin m: what must be
+    left of the track then. hold: "nearest" to hold the nearest orbit or equilibrium, once, where tracking is lost;
+    "none" to stop.
     """
 
     lost_tracking: float = setting(1.5, least=0.05, most=100, unit="rad")
@@ -133,14 +134,11 @@ EVENTS = {
 
 
 def explained(outcome: Outcome, now: float, figures: Mapping[str, float], *, arms: int, period: float) -> str:
-    """Return why a tick at `now` s decided so, in one sentence; figures: its report's numbers by their names.
-
-    position m and velocity m/s: of the cart ahead.
-    """
-    nis, error = figures["mean_nis"], figures["error"]
-    shown = f"mean NIS {nis:.3g} for each position" if math.isfinite(nis) else "it is no longer finite"
+    """Return why a tick at `now` s decided so, in one sentence; figures: see `Ticker.figures`."""
+    error, distance = figures["error"], figures["distance"]
     away = f"an angle has stayed {error:.2g} rad from the reference"
-    lost = f"estimate lost at t = {now:.3f} s:"
+    lost, shown = f"estimate lost at t = {now:.3f} s:", _lost(figures)
+    cart = f"at {figures['position']:.3f} m with {figures['velocity']:.2f} m/s it must brake now to stay on the track"
     match outcome:
         case Outcome.RESTART:
             return f"{shown}: the estimator restarts from the encoders"
@@ -149,15 +147,18 @@ def explained(outcome: Outcome, now: float, figures: Mapping[str, float], *, arm
         case Outcome.HOLD | Outcome.TRACKING_LOST:
             return f"tracking lost at t = {now:.3f} s: {away}"
         case Outcome.ESTIMATE_LOST:
-            remedy = "check the encoders and the model's parameters, or assume more noise"
-            return f"{lost} {shown} where 1 or so is expected; {remedy}"
+            return f"{lost} {shown}; check the encoders and the model's parameters"
         case Outcome.SILENT:
             return f"{lost} no measurement for {figures['silent']:.3f} s; check the encoders' cables"
+        case Outcome.FALLEN:
+            far = f"an angle is {distance:.2g} rad from the reference"
+            return f"tracking lost at t = {now:.3f} s: {far}, and the cart runs off after it: {cart}"
         case Outcome.CART:
-            fast = f"at {figures['position']:.3f} m with {figures['velocity']:.2f} m/s"
+            # The track is too short for arms that are where they should be; for others it would only be longer.
+            remedy = "; lengthen the track (travel in [run])" if distance < _FOLLOWING else ""
             return (
-                f"cart at its stop at t = {now:.3f} s: {fast} it must brake now to stay on the track; raise its weight "
-                "(position in [controller]) or lengthen the track (travel in [run])"
+                f"cart at its stop at t = {now:.3f} s: {cart}, with an angle {distance:.2g} rad from the reference"
+                f"{remedy}"
             )
         case Outcome.STUCK:
             which = int(figures["sensor"])
@@ -165,16 +166,35 @@ def explained(outcome: Outcome, now: float, figures: Mapping[str, float], *, arm
             same = f"it has given the same reading for {figures['repeats'] * period:.3g} s"
             return f"{lost} {name} is stuck: {same}; check its cable and its head"
         case Outcome.SWITCH:
-            return f"cart at its stop at t = {now:.3f} s: a limit switch answered; allow more travel"
+            return (
+                f"cart at its stop at t = {now:.3f} s: a limit switch answered, with an angle {distance:.2g} rad from "
+                "the reference"
+            )
         case Outcome.GO_ON:
             return ""
+
+
+_FOLLOWING = 0.1
+"""rad."""
+_ASTRAY = 1.0
+"""rad: an estimate that is so far from the encoders has slipped, whatever its NIS."""
+
+
+def _lost(figures: Mapping[str, float]) -> str:
+    """Return what is wrong with the estimate."""
+    nis, apart = figures["mean_nis"], figures["apart"]
+    if not math.isfinite(nis + apart):
+        return "it is no longer finite"
+    if apart > _ASTRAY:
+        return f"it is {apart:.3g} rad from the encoders"
+    return f"mean NIS {nis:.3g} for each position, where 1 or so is expected"
 
 
 def ending(outcome: Outcome) -> Ending:
     """Return how a run ends that is stopped by this outcome."""
     if outcome in (Outcome.CART, Outcome.SWITCH):
         return Ending.CART_STOP
-    return Ending.TRACKING_LOST if outcome is Outcome.TRACKING_LOST else Ending.ESTIMATE_LOST
+    return Ending.TRACKING_LOST if outcome in (Outcome.TRACKING_LOST, Outcome.FALLEN) else Ending.ESTIMATE_LOST
 
 
 @dataclass(frozen=True, eq=False)

@@ -194,8 +194,7 @@ class SimulatedPlant:
         side, speed = math.copysign(1.0, self.values[cart]), self.values[cart + 1]
         self.faults.setdefault(
             0,
-            f"cart hit its hard stop at t = {time + free:.3f} s: x = {side * track:.3f} m at {speed:.3g} m/s; "
-            "allow more travel, or stop it sooner",
+            f"cart hit its hard stop at t = {time + free:.3f} s: x = {side * track:.3f} m at {speed:.3g} m/s",
         )
         self._hold(side)
         # The drive does not push on against the stop.

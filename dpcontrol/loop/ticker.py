@@ -57,7 +57,7 @@ class Ticker:
         self._schedule = schedule
         sizes = program.equations.report.slices
         self._extra, self._ahead = sizes["extra"], sizes["ahead"]
-        self._wanted = program.equations.row.slices["wanted"]
+        self._wanted, self._reading = program.equations.row.slices["wanted"], program.equations.reading.slices
         self._forward = program.equations.row.slices["feedforward"].start
         self._stopped = program.equations.memory.slices["stopped"].start
         self._whole = schedule is not None and estimator is None and self.lead <= UNROLLED
@@ -243,9 +243,20 @@ class Ticker:
             f"(trust {schedule.trust:g}); identify the arms, or expect the reference to be lost"
         )
 
-    def figures(self, lane: int = 0) -> Mapping[str, float]:
-        """Return the numbers of the last report by which an outcome is explained."""
-        column = self.program.report[:, lane]
+    def figures(self, k: int, lane: int = 0) -> Mapping[str, float]:
+        """Return the numbers of tick k, the last, by which an outcome is explained.
+
+        distance rad: of the estimated angle that is farthest from the reference; apart rad: of the one that is farthest
+        from its reading; position m and velocity m/s: of the cart when the command acts.
+        """
+        column, references, arms = self.program.report[:, lane], self.references[k], self._arms
         names = ("mean_nis", "error", "silent", "sensor", "repeats", "wish", "command", "doubted", "newly_cut")
-        ahead = column[self._ahead]
-        return {**{name: column.item(self.at[name]) for name in names}, "position": ahead[-2], "velocity": ahead[-1]}
+        ahead, angles = column[self._ahead], column[:arms]
+        wanted = references[:arms] if references.ndim == 1 else references[:, lane]
+        measured, present = (self.program.reading[self._reading[name]] for name in ("measured", "present"))
+        apart = np.abs(angles - measured[:arms, lane])[present[:arms, lane] > 0]
+        return {
+            **{name: column.item(self.at[name]) for name in names},
+            "distance": float(np.abs(angles - wanted).max()), "apart": float(apart.max(initial=0.0)),
+            "position": ahead[-2], "velocity": ahead[-1],
+        }  # fmt: skip

@@ -226,7 +226,8 @@ def test_a_joint_that_repeats_itself_while_its_reference_moves_is_stuck() -> Non
     for k in range(60):
         moving = np.array([0.01 * k, 0.01 * k])
         # A count is known once a step was seen.
-        seen = np.array([1e-3 * min(k, 5), moving[1], 0.0]) + random.normal(0, 0.05, 3) * [0, 1, 1e-3]
+        turned = [0.0, 1e-4, 0.01, 0.02, 0.03, 0.04][min(k, 5)]
+        seen = np.array([turned, moving[1], 0.0]) + random.normal(0, 0.05, 3) * [0, 1, 1e-3]
         report = tick(0.0, positions=seen, wanted=moving)
         if report["outcome"]:
             break

@@ -45,7 +45,8 @@ enum dpc_outcome {
     DPC_CART = 6,           /* the cart must brake now to stay on its track */
     DPC_TRACKING_LOST = 7,
     DPC_STUCK = 8,          /* a sensor repeats itself: dpc_report.sensor */
-    DPC_SWITCH = 9          /* a limit switch answered */
+    DPC_SWITCH = 9,         /* a limit switch answered */
+    DPC_FALLEN = 10         /* the arms have left the reference, and the cart that runs after them must brake */
 };
 
 /* What dpc_status tells. */
