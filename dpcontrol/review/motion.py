@@ -4,6 +4,7 @@ A simulated run has truth, estimate, reference and command; a recording from the
 segments. A plan has stays and symbols over time, orbits and tubes in phase space.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from pathlib import Path
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.logs import Mode, RunLog
+from dpcontrol.logs import Extras, Mode, RunLog
 from dpcontrol.logs.reader import Event
 from dpcontrol.recordings.recording import REPLAYED
 from dpcontrol.references.reference import ReferenceSummary
@@ -141,6 +142,8 @@ class RunView:
         done: the itinerary as decoded from the angles.
         crossings: when each symbol that was done crossed its section, in s; None for a transfer.
         summary: of a reference, else None.
+        extras: what was estimated besides the state, or None; extra_truth: what was true of it, a number or (M,) at
+            the extras' times, by the names of which that is known.
     """
 
     path: Path
@@ -171,6 +174,8 @@ class RunView:
     done: tuple[Stay, ...] = ()
     crossings: tuple[float | None, ...] = ()
     summary: ReferenceSummary | None = None
+    extras: Extras | None = None
+    extra_truth: Mapping[str, Array | float] = field(default_factory=dict)
 
     @property
     def arms(self) -> int:
@@ -219,6 +224,7 @@ class RunView:
         return replace(
             self,
             time=self.time + seconds,
+            extras=None if self.extras is None else replace(self.extras, time=self.extras.time + seconds),
             events=events,
             plan=self.plan.delayed(seconds),
             done=tuple(stay.delayed(seconds) for stay in self.done),
@@ -272,6 +278,7 @@ def series_of(log: RunLog) -> RunView:
         against="prediction" if replayed else "reference",
         events=log.events,
         metadata=log.metadata,
+        extras=log.extras,
     )
 
 

@@ -7,6 +7,7 @@ only the branch that meets the section at the plan's height is kept. Source: Kah
 """
 
 import json
+import math
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -22,6 +23,7 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog
+from dpcontrol.logs.layout import SLOW_RATE
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.recordings.recording import SUMMARY
@@ -35,9 +37,11 @@ from dpcontrol.references.reference import (
     summarised,
 )
 from dpcontrol.references.sustained import SustainedOrbit
-from dpcontrol.review.motion import PlacedOrbit, PlanView, RunView, Stay, TubeCurve, series_of
+from dpcontrol.review.motion import ACTUAL, PlacedOrbit, PlanView, RunView, Stay, TubeCurve, series_of
 from dpcontrol.review.score import (
+    DRAWN_METADATA,
     MODEL_METADATA,
+    PLANT_METADATA,
     REFERENCE_ATTACHMENT,
     Decoded,
     decode_run,
@@ -130,6 +134,7 @@ def run_view(log: RunLog) -> RunView:
     view, system = series_of(log), _system(log)
     n = len(log.arm_lengths)
     states = log.states.get("truth", log.states.get("estimate"))
+    view = replace(view, extra_truth=true_extras(log, view))
     if states is not None and system is not None:
         view = replace(view, energy=system.numeric.hamiltonian(states[:, : 2 * n]))
     if states is None or REFERENCE_ATTACHMENT not in log.attachments or "reference" not in log.states:
@@ -223,14 +228,64 @@ def _without_plan(log: RunLog) -> str:
     return f"{said}; {recovered_note(log)}" if log.recovered else said
 
 
-def _system(log: RunLog) -> System | None:
-    """Return the conservative pendulum of the model that the log names, or None where it names none."""
+def _arms(log: RunLog, name: str) -> ArmChainParameters | None:
+    """Return the arms that a log's metadata hold under a name, or None where they hold none."""
     try:
-        values: dict[str, Any] = json.loads(log.metadata[MODEL_METADATA])
-        plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
-        return pendulum_system(log.metadata.get("model", "model"), ArmChainParameters(**plain))
+        values: dict[str, Any] = json.loads(log.metadata[name])
+        return ArmChainParameters(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
     except (KeyError, TypeError, ValueError, AttributeError, InputError):
         return None
+
+
+def _system(log: RunLog) -> System | None:
+    """Return the conservative pendulum of the model that the log names, or None where it names none."""
+    arms = _arms(log, MODEL_METADATA)
+    return None if arms is None else pendulum_system(log.metadata.get("model", "model"), arms)
+
+
+def true_extras(log: RunLog, view: RunView) -> dict[str, Array | float]:
+    """Return what was true of the extras that were estimated, as far as a simulated log knows it; see `RunView`.
+
+    With the cart's acceleration as the input only ratios to M12 count (one arm: M11), so its errors are those of
+    ratios; the drive's error is what the cart did besides the command that the loop believed in.
+    """
+    found: dict[str, Array | float] = {}
+    if log.extras is None:
+        return found
+    try:
+        zeros = np.cumsum(np.asarray(json.loads(log.metadata[DRAWN_METADATA])["zeros"], dtype=float))
+    except (KeyError, TypeError, ValueError):
+        zeros = np.zeros(0)
+    found |= {f"zero_{i}": float(zero) for i, zero in enumerate(zeros, start=1)}
+    model, plant = _arms(log, MODEL_METADATA), _arms(log, PLANT_METADATA)
+    if model is not None and plant is not None and model.count == plant.count:
+        found |= _relative_errors(model, plant)
+    if view.control is not None and {ACTUAL, "applied"} <= view.control.keys():
+        # A mean over the ticks between two messages: singly the command's noise hides the rest.
+        beyond = view.control[ACTUAL] - view.control["applied"]
+        width = max(1, round(view.rate_hz / SLOW_RATE))
+        smooth = np.convolve(np.nan_to_num(beyond), np.full(width, 1 / width), mode="same")
+        found["drive"] = np.interp(log.extras.time, log.time, smooth)
+    return {name: value for name, value in found.items() if name in log.extras.names}
+
+
+def _relative_errors(model: ArmChainParameters, plant: ArmChainParameters) -> dict[str, float]:
+    """Return by the extras' names by how much the plant's ratios differ from the model's."""
+    n = model.count
+    names = [f"M{i}{j}" for i in range(1, n + 1) for j in range(i, n + 1)]
+    # Weights stand between inertias and couplings; they share the couplings' errors.
+    names += ["" for _ in range(n)] + [f"S{i}" for i in range(1, n + 1)] + [f"friction_{i}" for i in range(1, n + 1)]
+    fixed = names.index("M12" if n > 1 else "M11")
+    ratios = [arms.base()[: len(names)] / arms.base()[fixed] for arms in (plant, model)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        errors = dict(zip(names, (ratios[0] / ratios[1] - 1).tolist(), strict=True))
+    # Where other laws of friction act too, no one number is its error.
+    laws = bool(model.friction or plant.friction)
+    return {
+        name: error
+        for name, error in errors.items()
+        if name and math.isfinite(error) and not (laws and name.startswith("friction"))
+    }
 
 
 def _done(decoded: Decoded, notes: PlanNotes, time: Array) -> tuple[Stay, ...]:

@@ -214,6 +214,7 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView) -> None:
         if line.label and line.role != "detail":
             broad = line.role == "reference"
             look = {"color": style.REFERENCE, **_BROAD, "alpha": 0.6} if broad else {"color": line.colour}
+            look |= {"linestyle": DASHED} if line.dashed else {}
             entries[line.label] = {"linewidth": max(line.width, 1.5), **look}
     for first, last in chart.cut:
         axes.axvspan(first, last, color=style.LIMIT, alpha=0.3, linewidth=0.8, zorder=0.5)
@@ -232,6 +233,11 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView) -> None:
 
 
 def _line(axes: Axes, line: Line, view: RunView, *, scale: float) -> None:
+    if line.around and line.reach is not None:
+        values, reach = scale * line.values, scale * line.reach
+        axes.fill_between(line.time, values - reach, values + reach, color=line.colour, alpha=0.15, linewidth=0)
+        axes.plot(line.time, values, color=line.colour, linewidth=line.width)
+        return
     time, values = curve(view, line.time, scale * line.values)
     if line.role == "reference":
         axes.plot(time, values, color=line.colour, **_BROAD)
@@ -543,6 +549,8 @@ def film_times(view: RunView, *, frames: int, until: float = np.inf) -> Array:
 
 
 _SIZE = (16.0, 11.6)
+_ROWS, _TALLER = 4, 1.5
+"""Charts in a column of a page of that size, and the height that each further one takes, in inches."""
 _FRAMES = 8
 _NOTES = 0.185
 _NOTE_LINES = 13
@@ -555,7 +563,13 @@ _ABOVE = 0.04
 
 def draw(view: RunView) -> Figure:
     """Return the page as a figure."""
-    figure = new_figure(*_SIZE)
+    left, middle = list(series.motion_charts(view)), [*series.check_charts(view), *series.extra_charts(view)]
+    while len(left) > len(middle) + 1:
+        middle.insert(0, left.pop())
+    while len(middle) > len(left) + 1:
+        left.append(middle.pop(0))
+    width, height = _SIZE[0], _SIZE[1] + _TALLER * max(0, max(len(left), len(middle)) - _ROWS)
+    figure = new_figure(width, height)
     _heading(figure, view)
     top = 0.925
     rows = story_rows(view)
@@ -566,13 +580,10 @@ def draw(view: RunView) -> Figure:
         top -= tall + 0.032
     times = film_times(view, frames=_FRAMES)
     # The panels below take what is left.
-    tall = film_height(view, times, width=0.98 * _SIZE[0]) / _SIZE[1]
+    tall = film_height(view, times, width=0.98 * width) / height
     draw_film(figure.add_axes((0.01, top - tall, 0.98, tall)), view, times)
     top -= tall + 0.03
     bottom = 0.005
-    left, middle = list(series.motion_charts(view)), list(series.check_charts(view))
-    while len(left) > len(middle) + 1:
-        middle.insert(0, left.pop())
     for column, chosen in zip(_COLUMNS, (left, middle), strict=False):
         _stack(figure, chosen, view, left=column, top=top, bottom=bottom + 0.035)
     share = (top - bottom - _NOTES) / 2

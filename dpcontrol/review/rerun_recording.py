@@ -29,6 +29,7 @@ from dpcontrol.review.series import (
     Strip,
     arm_points,
     check_charts,
+    extra_charts,
     extreme_rows,
     gap_times,
     motion_charts,
@@ -331,7 +332,9 @@ def blueprint(view: RunView, *, from_log: bool) -> rrb.Blueprint:
         texts.append(rrb.TextLogView(name="Events", origin="/rosout", columns=columns))
     scene = scene_view(view, from_log=from_log, name=f"Scene{grey}")
     left = rrb.Vertical(scene, rrb.Horizontal(*planes), rrb.Horizontal(*texts), row_shares=[4, 4, 2.4])
-    beside = [rrb.Vertical(*checks)] if checks else []
+    beside: list[rrb.Container] = [rrb.Vertical(*checks, name="Checks")] if checks else []
+    if extras := plots(extra_charts(view)):
+        beside = [rrb.Tabs(*beside, rrb.Vertical(*extras, name="Estimated besides the state"), active_tab=0)]
     return page([left, rrb.Vertical(*middle, row_shares=shares), *beside], [5, 4.3, 3.7])
 
 
@@ -425,7 +428,7 @@ def write_recording(view: RunView, path: Path) -> None:
     from_log = from_log and view.time[-1] - view.time[0] <= _LONG
     with recording_to(path, view.title, blueprint(view, from_log=from_log), _summary(view)) as recording:
         record_strips(recording, "", strips(view), view)
-        for chart in (*motion_charts(view), *check_charts(view)):
+        for chart in (*motion_charts(view), *check_charts(view), *extra_charts(view)):
             record_chart(recording, "plots", chart, view)
         record_planes(recording, "phase_planes", view)
         if from_log:

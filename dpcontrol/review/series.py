@@ -42,7 +42,7 @@ class Line:
         name: in the viewer. label: in a page's legend, "" for none.
         time, values: (K,) in s and in SI units, nan where there is nothing.
         colour, width: width in points.
-        reach: (K,) of a band on either side, or None.
+        reach: (K,) of a band on either side, or None. around: whether of the line itself; else of zero.
         role: "run"; "reference", broad and pale behind the others; "detail", which only the viewer has room for.
         dashed: on a page, where it would cover another.
     """
@@ -57,6 +57,7 @@ class Line:
     reach: Array | None = None
     role: str = "run"
     dashed: bool = False
+    around: bool = False
 
 
 @dataclass(frozen=True)
@@ -160,6 +161,51 @@ def check_charts(view: RunView) -> tuple[Chart, ...]:
     """Return the charts of how well it went, as far as is known: errors, energy, NIS; of a reference, its mesh."""
     makers = (_velocity, _tracking_error, _estimation_error, _energy, _nis, _mesh, _node_errors)
     return tuple(chart for make in makers if (chart := make(view)) is not None)
+
+
+EXTRA_CHARTS = (
+    ("zero_", "zeros", "Encoder zeros", "mrad", 1000.0),
+    ("disturbance_", "disturbances", "Disturbances", "rad/s²", 1.0),
+    ("drive", "drive", "Drive's error", "m/s²", 1.0),
+    ("friction_", "friction", "Friction's errors", "%", 100.0),
+    ("", "parameters", "Model's errors", "%", 100.0),
+)
+"""Extras that share a chart: how their names begin, the chart's key and title, and the unit and scale of a page."""
+
+
+def extra_charts(view: RunView) -> tuple[Chart, ...]:
+    """Return the charts of what was estimated besides the state, ±2σ, with the truth where it is known."""
+    extras, found = view.extras, []
+    left = {} if extras is None else dict.fromkeys(extras.names)
+    for begins, key, title, unit, scale in EXTRA_CHARTS:
+        names = [name for name in left if name.startswith(begins)]
+        for name in names:
+            del left[name]
+        if extras is None or not names:
+            continue
+        lines: list[Line] = []
+        truths: list[Line] = []
+        reaches: list[Array] = []
+        for k, name in enumerate(names):
+            column, colour = extras.names.index(name), style.RUNS[k % len(style.RUNS)]
+            values, reach = clean(extras.values[:, column]), 2 * clean(extras.sigmas[:, column])
+            label = name.replace("_", " ") if len(names) > 1 or name != key else ""
+            lines.append(Line(name, f"{name} ±2σ", label, extras.time, values, colour, reach=reach, around=True))
+            # What is assumed before anything is known is left out.
+            late = slice(len(values) // 4, None)
+            reaches += [values, values[late] + reach[late], values[late] - reach[late]]
+            if name in view.extra_truth:
+                truth = np.broadcast_to(view.extra_truth[name], extras.time.shape)
+                label, look = "" if truths else "true", {"width": 1.1, "dashed": True}
+                truths.append(Line(f"{name}_truth", f"{name} true", label, extras.time, truth, colour, **look))
+                reaches.append(truth)
+        every = np.concatenate(reaches)
+        known = every[np.isfinite(every)]
+        shown = padded(np.quantile(known, [0.01, 0.99])) if known.size else None
+        named = f"{title} ({'share' if unit == '%' else unit.removeprefix('m') if scale == 1000 else unit}), band ±2σ"
+        shape = {"shown": shown, "scale": scale, "legend": True}
+        found.append(Chart(key, f"{title} ({unit}), ±2σ", named, (*lines, *truths), **shape))
+    return tuple(found)
 
 
 def charts(view: RunView) -> dict[str, Chart]:
