@@ -149,9 +149,9 @@ def report_command(
 ) -> Answer:
     """Write one page on a log or on a campaign, for those who do not open a viewer; matplotlib draws it.
 
-    Of a log: the itinerary as asked and as done, a film, angles, rates, cart, command, errors, energy, phase planes, and
-    what was estimated besides the state, with the truth where it is known.
-    Of a campaign: shares of success by group with Wilson's intervals, failures by symbol and reason.
+    Of a log: the itinerary as asked and as done, a film, angles, rates, cart, command, errors, energy, phase planes,
+    and what was estimated besides the state, with the truth where it is known. Of a campaign: shares of success by
+    group with Wilson's intervals, failures by symbol and reason.
     """
     from dpcontrol.foundation.files import checked_source
 
