@@ -45,8 +45,6 @@ from dpcontrol.scenes.run_options import RunOptions
 
 ASSUMED_MISMATCH = 0.05
 """Of arms of which neither the model's file nor [run] says how well they are known."""
-BLOCK = 64
-"""Seeds that are run side by side before it is asked whether they tell enough; of fewer each costs more."""
 SAMPLED = 48
 """Seeds that failed, and that completed, of which a change is tried at most."""
 
@@ -108,11 +106,12 @@ class Hazard:
 
 @dataclass(frozen=True)
 class _Search:
-    """A border to be found: job of the bench as it is, with the seeds and how they ended."""
+    """A border to be found: job of the bench as it is, with the seeds and how they ended; block: those run at first."""
 
     hazard: Hazard
     job: Job
     completed: tuple[bool, ...]
+    block: int
 
 
 @dataclass(frozen=True)
@@ -205,7 +204,7 @@ def _point(search: _Search, value: float, *, until_clear: bool = True) -> Point:
     job, options = search.job, search.hazard.options(value)
     done = of = used = 0
     while used < len(job.seeds):
-        block = slice(used, len(job.seeds) if used else min(BLOCK, len(job.seeds)))
+        block = slice(used, len(job.seeds) if used else min(search.block, len(job.seeds)))
         done += sum(row.completed for row in _outcomes(_with(job, options, job.seeds[block])))
         of += sum(search.completed[block])
         used = block.stop
@@ -259,18 +258,48 @@ def _change(trial: _Trial) -> Change:
     return Change(trial.text, trial.options.given(), rescued, failing, lost, completing, trial.rate)
 
 
-_LANE_TICK = 2.0e-6
-"""s that a processor takes for a tick of one run of many side by side."""
-_TWO_MINUTES = 200.0
-"""s of two processors together that a preflight may take by prediction, half a minute less than two minutes of them."""
-_CHOICES = (320, 256, 192, 160, 128, 96, 64, 48, 32)
+_TICK, _TICK_ALONE = 1.5e-6, 2e-4
+"""s that a processor takes for a tick of one run of many side by side, and of one on its own."""
+_AHEAD = 0.15
+"""By how much more for each period of delay that the loop computes ahead, as a share."""
+_AFFORD, _AFFORD_DELAY = 160.0, 40.0
+"""s of one processor that a preflight may take, and besides its search for the border of delay: two minutes of two,
+less what starts and compiles."""
+
+
+class _Amounts(NamedTuple):
+    """How many seeds are run: for the rate; for a border at first, and at its ends; for a change, of each kind."""
+
+    rate: int
+    block: int
+    border: int
+    change: int
+
+    @classmethod
+    def of(cls, rate: int) -> "_Amounts":
+        """Return the amounts that go with so many seeds for the rate."""
+        if rate <= _FEW:
+            return cls(rate, min(24, rate), min(48, rate), max(rate // 8, 8))
+        return cls(rate, 64, rate // 2, min(SAMPLED, rate // 4))
+
+    @property
+    def runs(self) -> int:
+        """About how many runs that makes at most."""
+        return self.rate + _KINDS * (3 * self.block + 2 * self.border) + _CHANGES * min(2 * self.change, self.rate)
+
+
+_FEW = 128
+"""Seeds for the rate up to which all else is done with the fewest that tell anything."""
 _KINDS, _CHANGES = 7, 9
+_CHOICES = tuple(map(_Amounts.of, (320, 256, 192, 160, 128, 96, 64, 48, 32)))
 
 
-def _most_runs(runs: int) -> float:
-    """Return about how many runs a preflight takes of which so many are for the rate."""
-    border = 3 * min(BLOCK, runs / 2) + 2 * runs / 2
-    return runs + _KINDS * border + _CHANGES * min(SAMPLED + runs / 4, 2 * SAMPLED)
+def _amounts(asked: int, seconds: float, *, lockstep: bool) -> _Amounts:
+    """Return how many seeds are run: for the rate as many as are asked for, or as can be afforded at `seconds` each."""
+    if asked:
+        return _Amounts.of(asked)
+    runs = ((one, one.runs if lockstep else one.rate) for one in _CHOICES)
+    return next((one for one, count in runs if count * seconds <= _AFFORD), _CHOICES[-1])
 
 
 def preflight(
@@ -294,33 +323,34 @@ def preflight(
     loop, name = scene.loop, scene.name
     ticks = max(round(plan.reference.duration * loop.rate), 1)
     lockstep = can_batch(loop)
-    afford = _TWO_MINUTES / (_LANE_TICK * ticks)
-    runs = settings.runs or next((n for n in _CHOICES if _most_runs(n) <= afford), _CHOICES[-1])
-    workers = settings.workers or processors()
-    most = _most_runs(runs)
-    announce(
-        Cost(f"up to {most:,.0f} runs of {ticks / loop.rate:.1f} s", most * ticks * _LANE_TICK / workers, 4e8 * workers,
-             f"preflight of {name}"), yes=yes,
-    )  # fmt: skip
+    tick = _TICK * (1 + _AHEAD * loop.drive.delay) if lockstep else _TICK_ALONE
+    amounts = _amounts(settings.runs, ticks * tick, lockstep=lockstep)
+    searches = lockstep or settings.runs > 0
+    workers, count = settings.workers or processors(), amounts.runs if searches else amounts.rate
+    work = f"up to {count:,} runs of {ticks / loop.rate:.1f} s"
+    announce(Cost(work, count * ticks * tick / workers, 4e8 * workers, f"preflight of {name}"), yes=yes)
     uncertainty = scene.model.known_to if loop.model_uncertainty else None
-    seeds = range(settings.first_seed, settings.first_seed + runs)
+    seeds = range(settings.first_seed, settings.first_seed + amounts.rate)
     case, arms = Case("preflight", (), loop), scene.model.arms
     job = Job(name, plan.archive, arms, case, tuple(seeds), "compiled", uncertainty, replayed=0)
     run = partial(in_processes, _do, remedy="Finished jobs are kept: run the same command again, with fewer --workers")
 
-    jobs = [replace(job, seeds=job.seeds[k : k + BLOCK]) for k in range(0, runs, BLOCK)]
+    size = max(amounts.rate // workers // 64 * 64, 64)
+    jobs = [replace(job, seeds=job.seeds[k : k + size]) for k in range(0, amounts.rate, size)]
     outcomes: dict[int, Outcome] = {}
     for done in _all(run(jobs, workers=workers), len(jobs), "rate", part_of(progress, 0.0, 0.15)):
         outcomes |= {row.seed: row for row in done}
     ordered = [outcomes[seed] for seed in seeds]
     completed = [row.completed for row in ordered]
-    share = wilson(sum(completed), runs, confidence=settings.confidence)
+    share = wilson(sum(completed), len(completed), confidence=settings.confidence)
     notes = _notes(scene, loop)
-    tasks: list[_Task] = [*_trials(scene, job, completed)]
-    if lockstep or settings.runs:
-        tasks = [*_searches(plan, scene, job, completed, notes), *tasks]
+    tasks: list[_Task] = []
+    if searches:
+        most_delay = _AFFORD_DELAY / (3 * amounts.block * ticks * _TICK * _AHEAD)
+        tasks += _searches(hazards(plan, scene, most_delay=most_delay), job, completed, amounts, notes)
+        tasks += _trials(scene, job, completed, amounts.change)
     else:
-        notes.append("these runs go one after the other, not side by side: borders are sought with --runs only")
+        notes.append("these runs go one after the other, not side by side: borders and changes with --runs only")
     found = list(_all(run(tasks, workers=workers), len(tasks), "borders and changes", part_of(progress, 0.15, 1.0)))
     return Preflight(
         itinerary=name,
@@ -417,31 +447,39 @@ def _notes(scene: Itinerary, loop: LoopSettings) -> list[str]:
     return notes
 
 
-def _searches(plan: Plan, scene: Itinerary, job: Job, completed: Sequence[bool], notes: list[str]) -> list[_Search]:
+def _searches(
+    kinds: Sequence[Hazard], job: Job, completed: Sequence[bool], amounts: _Amounts, notes: list[str]
+) -> list[_Search]:
     """Return the borders to be sought; notes gets why there are none."""
     done = sum(completed)
     if done < _FEWEST:
         notes.append(f"only {done} of {len(completed)} runs complete: too few to seek borders; see what would help")
         return []
-    # As many completing seeds in each search, whatever their share.
-    count = min(math.ceil(len(completed) / 2 * max(1.0, 0.6 * len(completed) / done)), len(completed))
-    seeds = replace(job, seeds=job.seeds[:count])
-    return [_Search(hazard, seeds, tuple(completed[:count])) for hazard in hazards(plan, scene)]
+    # Where few complete, more seeds, so that as many do.
+    count = min(math.ceil(amounts.border * max(1.0, 0.6 * len(completed) / done)), len(completed))
+    searches = []
+    for kind in kinds:
+        own = amounts.block if kind.setting == "delay" else count
+        searches.append(_Search(kind, replace(job, seeds=job.seeds[:own]), tuple(completed[:own]), amounts.block))
+    return searches
 
 
 _FEWEST = 8
 """Completed runs from which on borders are sought."""
 
 
-def hazards(plan: Plan, scene: Itinerary) -> list[Hazard]:
-    """Return the troubles whose borders are sought, with the bench's own values."""
+def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
+    """Return the troubles whose borders are sought, with the bench's own values; most_delay: periods, of time to spare.
+
+    Prediction over a delay takes time by its length, and each delay code of its own: its border is sought within 40 ms
+    and on few seeds.
+    """
     loop, rate = scene.loop, scene.loop.rate
     drive, sensors, blows = loop.drive, loop.sensors, loop.disturbances
     pushes = blows.pushes or 2
     return [
-        # The prediction over a delay takes time by its length, and code of its own for each.
-        Hazard("delay", "delay", "ms", drive.delay, 0.01 * rate, max(0.04 * rate, 4 * drive.delay), shown=1e3 / rate,
-               step=1.0),
+        Hazard("delay", "delay", "ms", drive.delay, 0.01 * rate, max(min(0.04 * rate, most_delay), 2 * drive.delay, 2),
+               shown=1e3 / rate, step=1.0),
         Hazard("lag", "lag", "ms", drive.lag, 0.02, 0.32, shown=1e3),
         Hazard("mismatch", "mismatch", "%", loop.mismatch, 0.15, 0.9, shown=100.0),
         Hazard(f"{pushes} blows", "push_impulse", "mN m s", blows.push_impulse if blows.pushes else 0.0, 0.005, 20.0,
@@ -453,12 +491,12 @@ def hazards(plan: Plan, scene: Itinerary) -> list[Hazard]:
     ]  # fmt: skip
 
 
-def _trials(scene: Itinerary, job: Job, completed: Sequence[bool]) -> list[_Trial]:
-    """Return the changes to be tried, none where every run completes."""
+def _trials(scene: Itinerary, job: Job, completed: Sequence[bool], most: int) -> list[_Trial]:
+    """Return the changes to be tried on `most` seeds of each kind, none where every run completes."""
     if all(completed):
         return []
-    failing = [k for k, done in enumerate(completed) if not done][:SAMPLED]
-    completing = [k for k, done in enumerate(completed) if done][:SAMPLED]
+    failing = [k for k, done in enumerate(completed) if not done][:most]
+    completing = [k for k, done in enumerate(completed) if done][:most]
     chosen = sorted([*failing, *completing])
     seeds, before = [job.seeds[k] for k in chosen], tuple(completed[k] for k in chosen)
     rate = sum(completed) / len(completed)

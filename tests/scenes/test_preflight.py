@@ -124,7 +124,7 @@ def test_its_runs_are_those_of_a_campaign_and_are_kept(
     turn: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(module, "hazards", lambda plan, scene: hazards(plan, scene)[1:2])
+    monkeypatch.setattr(module, "hazards", lambda plan, scene, **most: hazards(plan, scene, **most)[1:2])
     monkeypatch.setattr(module, "changes", lambda scene: [("half", RunOptions(mismatch=0.1))])
     found = preflight(turn, HARD, settings=SMALL)
     cases = cases_of(turn.itinerary, fixed=HARD, over={})
