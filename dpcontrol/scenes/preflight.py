@@ -38,7 +38,7 @@ from dpcontrol.foundation.statistics import wilson
 from dpcontrol.loop.loop import LoopSettings, can_batch
 from dpcontrol.review.campaign import plain_reason
 from dpcontrol.review.preflight import Border, Change, EndingShare, Known, Point, Preflight
-from dpcontrol.scenes.campaign import Case, Job, run_job
+from dpcontrol.scenes.campaign import MOST_TICKS, Case, Job, run_job
 from dpcontrol.scenes.itinerary import Itinerary, overridden
 from dpcontrol.scenes.plan import Plan
 from dpcontrol.scenes.run_options import RunOptions
@@ -106,23 +106,28 @@ class Hazard:
 
 @dataclass(frozen=True)
 class _Search:
-    """A border to be found: job of the bench as it is, with the seeds and how they ended; block: those run at first."""
+    """A border to be found: job of the bench as it is, with the seeds and how they ended.
+
+    block: seeds run at first; most: at once.
+    """
 
     hazard: Hazard
     job: Job
     completed: tuple[bool, ...]
     block: int
+    most: int
 
 
 @dataclass(frozen=True)
 class _Trial:
-    """A change to be tried: job of the changed bench, with the seeds and how they ended without it."""
+    """A change to be tried: job of the changed bench, with the seeds and how they ended without it; most: at once."""
 
     text: str
     options: RunOptions
     job: Job
     completed: tuple[bool, ...]
     rate: float
+    most: int
 
 
 _Task = Job | _Search | _Trial
@@ -130,12 +135,15 @@ _Task = Job | _Search | _Trial
 
 def _do(task: _Task) -> "tuple[Outcome, ...] | Border | Change":
     if isinstance(task, Job):
-        return _outcomes(task)
+        return _outcomes(task, len(task.seeds))
     return _border(task) if isinstance(task, _Search) else _change(task)
 
 
-def _outcomes(job: Job) -> tuple[Outcome, ...]:
-    """Return how a job's seeds ended, from the cache where they have been run."""
+def _outcomes(job: Job, most: int) -> tuple[Outcome, ...]:
+    """Return how a job's seeds ended, from the cache where they have been run; most: seeds at once, for memory."""
+    if len(job.seeds) > most:
+        parts = (replace(job, seeds=job.seeds[k : k + most]) for k in range(0, len(job.seeds), most))
+        return tuple(row for part in parts for row in _outcomes(part, most))
     file = cache_file("preflights", job.itinerary, content_hash(job.key, code_hash("dpcontrol.scenes.campaign")))
     if (content := kept(file)) is not None:
         return tuple(Outcome(*row) for row in json.loads(content))
@@ -170,8 +178,9 @@ def _border(search: _Search) -> Border:
         ends = [None if p is None else hazard.shown * math.exp(-p if hazard.falling else p) for p in at]
         shown = [replace(p, value=hazard.shown * p.value) for p in points.values()]
         return Border(
-            hazard.name, hazard.setting, hazard.unit, hazard.shown * hazard.set, *ends, hazard.shown * hazard.end,
-            hazard.falling, tuple(sorted(shown, key=lambda p: p.value)),
+            hazard.name, hazard.setting, hazard.unit, hazard.shown * hazard.set, border=ends[0], low=ends[1],
+            high=ends[2], end=hazard.shown * hazard.end, falling=hazard.falling,
+            points=tuple(sorted(shown, key=lambda p: p.value)),
         )  # fmt: skip
 
     own, end = hazard.place(hazard.set), hazard.place(hazard.end)
@@ -205,7 +214,7 @@ def _point(search: _Search, value: float, *, until_clear: bool = True) -> Point:
     done = of = used = 0
     while used < len(job.seeds):
         block = slice(used, len(job.seeds) if used else min(search.block, len(job.seeds)))
-        done += sum(row.completed for row in _outcomes(_with(job, options, job.seeds[block])))
+        done += sum(row.completed for row in _outcomes(_with(job, options, job.seeds[block]), search.most))
         of += sum(search.completed[block])
         used = block.stop
         seen = wilson(min(done, of), of, confidence=_SURE)
@@ -250,7 +259,7 @@ def _crossing(x: NDArray[np.float64], falls: NDArray[np.float64]) -> float | Non
 
 
 def _change(trial: _Trial) -> Change:
-    done = [row.completed for row in _outcomes(trial.job)]
+    done = [row.completed for row in _outcomes(trial.job, trial.most)]
     before = trial.completed
     failing, completing = before.count(False), before.count(True)
     rescued = sum(now and not then for now, then in zip(done, before, strict=True))
@@ -335,7 +344,9 @@ def preflight(
     job = Job(name, plan.archive, arms, case, tuple(seeds), "compiled", uncertainty, replayed=0)
     run = partial(in_processes, _do, remedy="Finished jobs are kept: run the same command again, with fewer --workers")
 
-    size = max(amounts.rate // workers // 64 * 64, 64)
+    # As much memory as a campaign's jobs at most.
+    most = max(min(MOST_TICKS // ticks, 256), 1)
+    size = min(max(amounts.rate // workers // 64 * 64, 64), most)
     jobs = [replace(job, seeds=job.seeds[k : k + size]) for k in range(0, amounts.rate, size)]
     outcomes: dict[int, Outcome] = {}
     for done in _all(run(jobs, workers=workers), len(jobs), "rate", part_of(progress, 0.0, 0.15)):
@@ -347,8 +358,8 @@ def preflight(
     tasks: list[_Task] = []
     if searches:
         most_delay = _AFFORD_DELAY / (3 * amounts.block * ticks * _TICK * _AHEAD)
-        tasks += _searches(hazards(plan, scene, most_delay=most_delay), job, completed, amounts, notes)
-        tasks += _trials(scene, job, completed, amounts.change)
+        tasks += _searches(hazards(plan, scene, most_delay=most_delay), job, completed, amounts, most, notes)
+        tasks += _trials(scene, job, completed, amounts.change, most)
     else:
         notes.append("these runs go one after the other, not side by side: borders and changes with --runs only")
     found = list(_all(run(tasks, workers=workers), len(tasks), "borders and changes", part_of(progress, 0.15, 1.0)))
@@ -448,7 +459,7 @@ def _notes(scene: Itinerary, loop: LoopSettings) -> list[str]:
 
 
 def _searches(
-    kinds: Sequence[Hazard], job: Job, completed: Sequence[bool], amounts: _Amounts, notes: list[str]
+    kinds: Sequence[Hazard], job: Job, completed: Sequence[bool], amounts: _Amounts, most: int, notes: list[str]
 ) -> list[_Search]:
     """Return the borders to be sought; notes gets why there are none."""
     done = sum(completed)
@@ -460,7 +471,8 @@ def _searches(
     searches = []
     for kind in kinds:
         own = amounts.block if kind.setting == "delay" else count
-        searches.append(_Search(kind, replace(job, seeds=job.seeds[:own]), tuple(completed[:own]), amounts.block))
+        seeds = replace(job, seeds=job.seeds[:own])
+        searches.append(_Search(kind, seeds, tuple(completed[:own]), amounts.block, most))
     return searches
 
 
@@ -491,16 +503,16 @@ def hazards(plan: Plan, scene: Itinerary, *, most_delay: float) -> list[Hazard]:
     ]  # fmt: skip
 
 
-def _trials(scene: Itinerary, job: Job, completed: Sequence[bool], most: int) -> list[_Trial]:
-    """Return the changes to be tried on `most` seeds of each kind, none where every run completes."""
+def _trials(scene: Itinerary, job: Job, completed: Sequence[bool], count: int, most: int) -> list[_Trial]:
+    """Return the changes to be tried on `count` seeds of each kind, none where every run completes."""
     if all(completed):
         return []
-    failing = [k for k, done in enumerate(completed) if not done][:most]
-    completing = [k for k, done in enumerate(completed) if done][:most]
+    failing = [k for k, done in enumerate(completed) if not done][:count]
+    completing = [k for k, done in enumerate(completed) if done][:count]
     chosen = sorted([*failing, *completing])
     seeds, before = [job.seeds[k] for k in chosen], tuple(completed[k] for k in chosen)
     rate = sum(completed) / len(completed)
-    return [_Trial(text, options, _with(job, options, seeds), before, rate) for text, options in changes(scene)]
+    return [_Trial(text, options, _with(job, options, seeds), before, rate, most) for text, options in changes(scene)]
 
 
 def changes(scene: Itinerary) -> list[tuple[str, RunOptions]]:
