@@ -424,9 +424,10 @@ def _of(module: str, function: str = "chart") -> Drawer:
 _PRECISION = ("propagation", "connections", "transcription", "estimation", "control", "logging", "levels")
 _EDGES = ("propagation", "seeds", "walks", "references", "control", "moving", "ogy", "estimation")
 CHARTS: dict[str, Drawer] = {name: _of(name) for name in _PRECISION} | {
-    f"edges-{name}": _of("edges", f"{name}_chart") for name in _EDGES
+    **{f"edges-{name}": _of("edges", f"{name}_chart") for name in _EDGES},
+    "edges-margins": _of("control", "margins_chart"),
 }
-GROUPS = {"edges": tuple(f"edges-{name}" for name in _EDGES)}
+GROUPS = {"edges": tuple(name for name in CHARTS if name.startswith("edges-"))}
 """Names that stand for several charts."""
 
 

@@ -59,6 +59,8 @@ MOST_GAIN, MOST_DELAY, MOST_LAG = 64.0, 0.128, 0.512
 """Beyond these no border is sought: a factor, s, s."""
 _FIRST_GAIN, _FIRST_TIME = 1.5, 1e-3
 _HALVINGS = 6
+_STARTING = 2
+"""Windows of the start of what settles."""
 _BATCH = 32
 """Windows that are followed side by side."""
 
@@ -213,10 +215,16 @@ def law_margins(
             course = _Course(_by_the_clock(one, ticks=(_PERIODS + 1) * window), program_of, covariance)
             covariance = course.covariance
             window = min(window, course.count)
-            last = course.count - window
-            begin = [] if settles else range(0, last, max(round(_STEP * window), 1))
-            limit = REPEATED if settles or repeats else GROWTH
-            kept[id(one)] = course.margins(np.array([*begin, last]), window, limit=limit, settled=settles)
+            last, step = course.count - window, max(round(_STEP * window), 1)
+            # What settles is as it ends, but for the run's start, where the filter's gains are still large.
+            until = last if not settles else 0 if found else min(_STARTING * window + 1, last)
+            first = np.array([*range(0, until, step), last])
+            limits = np.full(len(first), REPEATED if repeats else GROWTH)
+            limits[-1] = REPEATED if settles else limits[-1]
+            # A stay between flights has settled when it begins.
+            times = np.asarray(first * (0.0 if settles and found else course.program.period), dtype=float)
+            windows = np.full(len(first), window / rate)
+            kept[id(one)] = Margins(times, windows, limits, *course.margins(first, window, limits))
         same = kept[id(one)]
         found.append(replace(same, times=same.times + begins))
         begins += lasts
@@ -298,17 +306,14 @@ class _Course:
                 )
         self.covariance = program.memory[memory["covariance"], 0].copy()
 
-    def margins(self, first: NDArray[np.int_], window: int, *, limit: float, settled: bool) -> Margins:
-        """Return the margins of windows that begin at ticks `first`; settled: one stands for all of its part's time."""
-        batches = [first[k : k + _BATCH] for k in range(0, len(first), _BATCH)]
-        parts = [
-            _margins(self.linear(int(batch[0]), int(batch[-1]) + window), batch - batch[0], window, limit=limit)
-            for batch in batches
-        ]
-        growth, low, high, delay, lag = (np.concatenate([part[name] for part in parts]) for name in _ALONG[3:])
-        times = np.asarray(first * (0.0 if settled else self.program.period), dtype=float)
-        windows, limits = np.full(len(first), window * self.program.period), np.full(len(first), limit)
-        return Margins(times, windows, limits, growth, low, high, delay, lag)
+    def margins(self, first: NDArray[np.int_], window: int, limits: Array) -> list[Array]:
+        """Return growth and margins (W,), as `Margins` has them, of windows that begin at ticks `first`."""
+        parts: list[list[Array]] = []
+        for k in range(0, len(first), _BATCH):
+            batch = first[k : k + _BATCH]
+            loop = self.linear(int(batch[0]), int(batch[-1]) + window)
+            parts.append(_margins(loop, batch - batch[0], window, limits=limits[k : k + _BATCH]))
+        return [np.concatenate(columns) for columns in zip(*parts, strict=True)]
 
     def linear(self, begin: int, end: int) -> LinearLoop:
         """Return the loop from tick `begin` to before `end`."""
@@ -406,17 +411,17 @@ def _prediction_jacobian(equations: TickEquations) -> ca.Function:
     return ca.Function("prediction_jacobian", [z, command, numbers], [ca.cse(jacobian)], {"cse": True})
 
 
-def _margins(loop: LinearLoop, first: NDArray[np.int_], window: int, *, limit: float) -> dict[str, Array]:
-    """Return growth and margins (W,) of windows, by the names of `Margins`."""
+def _margins(loop: LinearLoop, first: NDArray[np.int_], window: int, *, limits: Array) -> list[Array]:
+    """Return growth and margins (W,) of windows, as `Margins` has them."""
     growth = loop.growth(first, window)
-    sound = growth <= limit
+    sound = growth <= limits
 
     def border(change: Callable[[Array], dict[str, Array]], start: float, factor: float, most: float) -> Array:
         """Return up to where (W,) windows are stable: start · factor^k is tried, and the step then halved."""
         inside, outside = np.full(len(first), np.nan), np.full(len(first), np.nan)
         open_, value = np.flatnonzero(sound), start
         while len(open_):
-            stable = loop.growth(first[open_], window, **change(np.full(len(open_), value))) <= limit
+            stable = loop.growth(first[open_], window, **change(np.full(len(open_), value))) <= limits[open_]
             outside[open_[~stable]] = value
             inside[open_[stable]] = value
             open_ = open_[stable]
@@ -427,17 +432,15 @@ def _margins(loop: LinearLoop, first: NDArray[np.int_], window: int, *, limit: f
         for _ in range(_HALVINGS if len(searched) else 0):
             low = np.where(np.isnan(inside[searched]), outside[searched] / factor, inside[searched])
             middle = np.sqrt(low * outside[searched])
-            stable = loop.growth(first[searched], window, **change(middle)) <= limit
+            stable = loop.growth(first[searched], window, **change(middle)) <= limits[searched]
             inside[searched] = np.where(stable, middle, low)
             outside[searched] = np.where(stable, outside[searched], middle)
         return inside
 
     times = {"start": _FIRST_TIME, "factor": 2.0}
-    found = {
-        "low": 1 / border(lambda v: {"gain": 1 / v}, _FIRST_GAIN, _FIRST_GAIN, MOST_GAIN),
-        "high": border(lambda v: {"gain": v}, _FIRST_GAIN, _FIRST_GAIN, MOST_GAIN),
-        "delay": border(lambda v: {"delay": v}, most=MOST_DELAY, **times),
-        "lag": border(lambda v: {"lag": v}, most=MOST_LAG, **times),
-    }
-    unstable = {"low": 1.0, "high": 1.0, "delay": 0.0, "lag": 0.0}
-    return {"growth": growth, **{name: np.where(sound, values, unstable[name]) for name, values in found.items()}}
+    low = 1 / border(lambda v: {"gain": 1 / v}, _FIRST_GAIN, _FIRST_GAIN, MOST_GAIN)
+    high = border(lambda v: {"gain": v}, _FIRST_GAIN, _FIRST_GAIN, MOST_GAIN)
+    delay = border(lambda v: {"delay": v}, most=MOST_DELAY, **times)
+    lag = border(lambda v: {"lag": v}, most=MOST_LAG, **times)
+    unstable = ((low, 1.0), (high, 1.0), (delay, 0.0), (lag, 0.0))
+    return [growth, *(np.where(sound, values, none) for values, none in unstable)]

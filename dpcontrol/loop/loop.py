@@ -501,11 +501,12 @@ def run_batch(
     limits: Limits,
     uncertainty: Uncertainty | None = None,
     mismatches: Sequence[float] | None = None,
+    believed_delay: float | None = None,
 ) -> list[BatchRun]:
     """Run the seeds and return them in their order; `parameters` are the model's, `limits` the cart's in these runs.
 
     uncertainty: of the model, for settings that draw the plants from it. mismatches: of each run's plant, in place of
-    the settings' own.
+    the settings' own. believed_delay in periods, the drive's own by default.
 
     Raises:
         InputError: the settings ask for what `can_batch` rejects.
@@ -522,7 +523,7 @@ def run_batch(
         settings.draw(parameters, ticks=controller.ticks + 1, uncertainty=uncertainty, seed=seed, mismatch=mismatch)
         for seed, mismatch in lanes
     ]
-    delay = settings.drive.delay
+    delay = settings.drive.delay if believed_delay is None else believed_delay
     ticker = make_ticker(parameters, settings, controller, limits=limits, delay=delay, runs=len(lanes))
     bench = BatchBench(
         draws, settings.bench, limits=limits, start=controller.first_state, queued=list(ticker.queued), lanes=MANY

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dpcontrol.bench.control import followed
 from dpcontrol.bench.edges import (
     STRONG,
     WEAK,
@@ -114,3 +115,17 @@ def test_far_beyond_the_border_of_mismatch_the_run_ends_with_its_reason():
         lost = stand.run(acceleration=most, mismatch=0.6, delay=0.14)
         assert not lost.works
         assert any(end in lost.says for end in ENDS)
+
+
+@pytest.mark.slow(reason="campaigns on both sides of three margins")
+def test_campaigns_end_near_the_margins_of_the_loop():
+    held = followed("hold-up-up", "lqr", 8)
+    for name, value in held.margins.items():
+        key, inside = name.partition("_")[0], 1.25 if name == "gain_low" else 1 / 1.25
+        assert held.run(**{key: value * inside}).works, name
+    # A hold from its very start; what it bears of gain is decided there, and a campaign may bear more.
+    for name in ("gain_low", "delay", "lag"):
+        outside = 1 / 1.25 if name == "gain_low" else 1.25
+        found = held.run(**{name.partition("_")[0]: held.margins[name] * outside})
+        assert not found.works, name
+        assert found.says
