@@ -73,7 +73,7 @@ def run_command(
         metavar="ADDRESS",
         group=BENCH,
         help="Run in real time on the bench at udp://HOST:PORT (see `dpcontrol rig`), or, with udp alone, on one "
-        "started for the run.",
+        'started for the run. A real bench needs an itinerary with start = "rest".',
     ),
     program: Path | None = option(
         "--controller-program",

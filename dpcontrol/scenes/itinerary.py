@@ -258,7 +258,8 @@ ENDS = ("orbit", "rest", "hold")
 class Itinerary:
     """One scene: its parts and the settings of every stage. `loop` carries seed 0 until a run gives another.
 
-    start, finish: "orbit" (on the first, last part's orbit), "rest" (hanging still) or "hold" (at the equilibrium that
+    start, finish: "orbit" (on the first, last part's orbit; at the start with its exact rates, which no rig can make),
+    "rest" (hanging still) or "hold" (at the equilibrium that
     is its only part). keeps: whether the stops of its walk are planned as stays on sustained orbits, as the file asks
     for; runs with other controllers follow the same reference. zeros (n,) rad, or none: what a rig's hanging arms read.
     """
@@ -385,8 +386,8 @@ def _itinerary(table: Table, text: str, path: Path, model: Model | None) -> Itin
     finish = table.text("finish", start if start == "hold" else "orbit", allowed=ENDS)
     if "hold" in (start, finish) and not (start == finish and len(parts) == 1 and isinstance(parts[0], HoldPart)):
         raise InputError(
-            f'{table.where("start")} = "hold": for an itinerary whose only part is a hold; others start at "orbit" or '
-            '"rest"'
+            f'{table.where("start")} = "hold": for an itinerary whose only part is a hold; others start at "rest", '
+            'or in simulation at "orbit"'
         )
     if isinstance(parts[0], OrbitPart) and (start, finish) != ("orbit", "orbit"):
         raise InputError(f'{table.where("orbit")}: an orbit is kept from "orbit" to "orbit"; remove start and finish')

@@ -667,6 +667,12 @@ def run_on_rig(
     check_replaced(out, {**_metadata(itinerary), "rig": address}, force=force)
     controller = loop_controller(reference, arms, settings)
     fallback = loop_fallback(reference, arms, settings)
+    if where is not None and itinerary.start == "orbit":
+        fastest = np.abs(controller.first_state[arms.count : 2 * arms.count]).max()
+        remark(
+            f'{itinerary.path}: start = "orbit" begins at the orbit\'s exact rates, {fastest:.3g} rad/s, which only a '
+            'simulated bench can; on a rig use an itinerary with start = "rest", such as turn-from-rest'
+        )
     process: BenchProcess | None = None
     with log_writer(plan, out) as writer:
         loop = control_loop(
