@@ -24,13 +24,20 @@ from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
 from dpcontrol.references.reference import Reference
 from dpcontrol.scenes.campaign import Case, Job, run_job
 from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart, load_itinerary
-from dpcontrol.scenes.levels import PLANT_LEVELS, REFERENCE_LEVELS, Evidence, LevelRuns, motion_key
+from dpcontrol.scenes.levels import (
+    CART_MASS,
+    CART_VISCOUS,
+    LAG,
+    PLANT_LEVELS,
+    REFERENCE_LEVELS,
+    Evidence,
+    LevelRuns,
+    motion_key,
+)
 from dpcontrol.scenes.plan import Plan, make_plan
 
 Array = NDArray[np.float64]
 
-LAG, CART_MASS, CART_VISCOUS = 5e-3, 3.0, 5.0
-"""s, kg, N s/m."""
 WINDOW, TICK = 0.1, 1e-3
 WINDOWS = 64
 LONGEST_STAY = 10.0

@@ -39,6 +39,10 @@ Array = NDArray[np.float64]
 Clip = Callable[[Any, Any, Any], Any]
 
 
+_FINEST_ANGLE, _FINEST_CART = 1e-5, 1e-7
+"""rad and m: steps that an estimator assumes of sensors that are simulated without rounding or noise."""
+
+
 @dataclass(frozen=True)
 class SensorSettings(Settings, table="sensors"):
     """The sensors and their faults; what is random is drawn beforehand, see `dpcontrol.loop.bench`.
@@ -84,9 +88,12 @@ class SensorSettings(Settings, table="sensors"):
     def covariance(self, arms: int) -> Array:
         """Return the covariance (n+1, n+1) of the measured positions: a count's q²/12 and the noise, summed.
 
-        cov(angle_i, angle_j) = (min(i, j) + 1)(q²/12 + noise²). Zero where nothing is rounded nor noisy.
+        cov(angle_i, angle_j) = (min(i, j) + 1)(q²/12 + noise²). Where nothing is rounded nor noisy a filter must still
+        doubt a reading a little: as if an encoder counted to `_FINEST_ANGLE`, the scale to `_FINEST_CART`.
         """
         angle, cart = self.steps
+        angle = angle or (0.0 if self.noise else _FINEST_ANGLE)
+        cart = cart or (0.0 if self.cart_noise else _FINEST_CART)
         index = np.arange(arms)
         out = np.zeros((arms + 1, arms + 1))
         out[:arms, :arms] = (np.minimum.outer(index, index) + 1) * (angle**2 / 12 + self.noise**2)

@@ -168,20 +168,31 @@ def count_wraps(crossings: tuple[float | None, ...], notes: PlanNotes) -> tuple[
 @dataclass(frozen=True)
 class Decoded:
     """What a run's angles say: visits in order, how many of the plan's stops they match from the first on, when each
-    symbol crossed its section (s, None for a transfer) and the wraps at each interior stop that was reached.
+    symbol crossed its section (s, None for a transfer) and the wraps at each interior stop that was reached. lost: the
+    tick at which the run ceased to follow its reference, None where it did to the end: what it visits then is chance.
     """
 
     visits: tuple[Visit, ...]
     matched: int
     crossings: tuple[float | None, ...]
     wraps: tuple[int | None, ...]
+    lost: int | None
+
+
+FOLLOWS = 1.5
+"""rad: farther than that from its reference no run comes back. What it does then is no attempt to follow."""
+
+
+def _shortest_stay(notes: PlanNotes) -> float:
+    """Return for how long a point must be nearest to count as a stop, s."""
+    return 0.5 * min(orbit["period"] for orbit in notes["orbits"])
 
 
 def decode_run(time: Array, angles: Array, reference: Array, *, notes: PlanNotes, rate_hz: float) -> Decoded:
     """Decode angles (K, n) at times (K,) s that were to follow reference angles (K, n) by a plan's notes."""
     used = {stop["saddle"] for stop in notes["stops"]}
     lattice = np.array([s["angles"] for name, s in notes["saddles"].items() if name in used])
-    dwell = max(1, int(0.5 * min(o["period"] for o in notes["orbits"]) * rate_hz))
+    dwell = max(1, int(_shortest_stay(notes) * rate_hz))
     settled = settled_ticks(time, notes)
     visits = decode_stops(angles, lattice, dwell=dwell, settled=settled)
     wanted = [tuple(stop["angles"]) for stop in notes["stops"]]
@@ -191,10 +202,17 @@ def decode_run(time: Array, angles: Array, reference: Array, *, notes: PlanNotes
         planned = decode_stops(reference, lattice, dwell=int(0.8 * dwell), settled=settled)
         visits = without_detours(visits, planned, wanted)
     matched = 0
-    while matched < min(len(visits), len(wanted)) and _same(visits[matched].angles, wanted[matched]):
+    far = np.flatnonzero(np.abs(angles - reference).max(axis=1) > FOLLOWS)
+    lost = int(far[0]) if far.size else None
+    until = len(angles) if lost is None else lost
+    while (
+        matched < min(len(visits), len(wanted))
+        and _same(visits[matched].angles, wanted[matched])
+        and (visits[matched].first + dwell <= until or matched == 0)
+    ):
         matched += 1
     crossings = section_crossings(time, angles, notes, visits[:matched])
-    return Decoded(tuple(visits), matched, crossings, count_wraps(crossings, notes))
+    return Decoded(tuple(visits), matched, crossings, count_wraps(crossings, notes), lost)
 
 
 NEAR_LAST_ORBIT = 0.1  # rad
@@ -464,10 +482,16 @@ def _problem(flown: Flown, plan: Reference, decoded: Decoded) -> str:
     early = f"; the run ended {short:.2f} s early{why}" if short > 1.5 / flown.rate_hz else ""
     # A run that fell back to something else goes on to its end.
     ended = early or (f"; {flown.ended}" if flown.ended else "")
+    if matched == 0 and flown.time[-1] - flown.time[0] < _shortest_stay(notes):
+        return f"ended within the first half period about {stops[0]['saddle']}{ended}"
     if matched == 0:
         return f"did not start on the orbit about {stops[0]['saddle']}{ended}"
     if matched < len(stops):
         name = symbols[matched - 1]["text"]
+        if decoded.lost is not None and (len(visits) <= matched or decoded.lost < visits[matched].last):
+            far = f"an angle was more than {FOLLOWS:g} rad from the reference"
+            undone = f"symbol {matched} of {len(symbols)} ({name!r}) was not done"
+            return f"{undone}: from t = {flown.time[decoded.lost]:.2f} s {far}{ended}"
         if len(visits) > matched:
             found = ", ".join(f"{a / np.pi:+.0f}π" for a in visits[matched].angles)
             at = flown.time[visits[matched].first]

@@ -9,19 +9,21 @@ Evidence is of a motion, not of a name: parts, ends, energy and arms.
 import json
 import tomllib
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from importlib.resources import files
 from typing import Any
 
 from dpcontrol.dynamics.plant import PlantLevel
 from dpcontrol.foundation.files import content_hash
-from dpcontrol.scenes.itinerary import Itinerary
+from dpcontrol.scenes.itinerary import Itinerary, itinerary_from
 
 ALLOWED = 0.2
 """Share by which effort or error may change where a level is left out."""
 REFERENCE_LEVELS = ("conservative", "cart")
 PLANT_LEVELS = tuple(level.value for level in PlantLevel)
+LAG, CART_MASS, CART_VISCOUS = 5e-3, 3.0, 5.0
+"""Of the evidence's plants: the drive's lag s, the cart's mass kg and its friction N s/m."""
 _FILE = "level_evidence.toml"
 
 
@@ -114,10 +116,21 @@ def plan_remarks(itinerary: Itinerary) -> tuple[str, ...]:
 
 
 def run_remarks(itinerary: Itinerary) -> tuple[str, ...]:
-    """Return a sentence if the plant's level is more, or less, than the evidence supports; else nothing."""
+    """Return a sentence if the plant's level is more, or less, than the evidence supports; else nothing.
+
+    The evidence is of the scene's own bench and controller; of a longer lag than its own, of a lighter cart, or of
+    other settings it says nothing.
+    """
     if (evidence := known_evidence().get(motion_key(itinerary))) is None:
         return ()
-    level = itinerary.loop.bench.plant(itinerary.model.arms).level.value
+    loop, own = itinerary.loop, itinerary_from(itinerary.text, itinerary.name, itinerary.model).loop
+    level = loop.bench.plant(itinerary.model.arms).level.value
+    ideal = replace(own.drive, lag=0.0, cart_mass=0.0, cart_viscous=0.0)
+    as_own = replace(
+        loop, seed=own.seed, drive=replace(loop.drive, lag=0.0, cart_mass=0.0, cart_viscous=0.0)
+    ) == replace(own, drive=ideal)
+    if not as_own or loop.drive.lag > LAG or 0 < loop.drive.cart_mass < CART_MASS:
+        return ()
     return _remark("[run] plant", level, evidence.plant_level, PLANT_LEVELS, evidence.plants)
 
 

@@ -150,6 +150,14 @@ def test_a_plant_with_a_drive_and_a_heavy_cart_is_called_more_than_the_evidence_
     assert "5 of 5 runs completed" in text
 
 
+@pytest.mark.parametrize(
+    "asked",
+    [{"lag": 0.02}, {"lag": 0.005, "mismatch": 0.1}, {"lag": 0.005, "rate": 500.0}, {"lag": 0.005, "cart_mass": 0.2}],
+)
+def test_of_a_longer_lag_a_lighter_cart_or_other_settings_than_the_evidences_nothing_is_said(asked):
+    assert run_remarks(load_itinerary("outer-turn").with_run(RunOptions(**asked))) == ()
+
+
 def test_of_another_motion_or_other_arms_nothing_is_said():
     scene = with_reference(load_itinerary("outer-turn"), "conservative")
     (walk,) = scene.walks

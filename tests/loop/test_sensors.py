@@ -86,6 +86,14 @@ def test_noise_has_the_covariance_that_the_settings_tell() -> None:
     assert np.var(np.array(errors)[:, 2]) == pytest.approx(expected[2, 2], rel=0.06)
 
 
+def test_of_sensors_without_any_noise_an_estimator_still_believes_a_little() -> None:
+    perfect = SensorSettings(counts=0, cart_resolution=0.0).covariance(2)
+    assert np.linalg.eigvalsh(perfect).min() > 0
+    assert np.sqrt(np.diag(perfect)).max() < 1e-5
+    coarse = SensorSettings(counts=0, noise=1e-3)
+    assert coarse.covariance(2)[0, 0] == pytest.approx(1e-6)
+
+
 @pytest.mark.parametrize(
     ("given", "message"),
     [

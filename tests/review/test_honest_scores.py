@@ -8,7 +8,7 @@ import pytest
 from dpcontrol.cli.review import score_text
 from dpcontrol.control.estimator_settings import MEANS_OF, nis_means
 from dpcontrol.logs import RunLog
-from dpcontrol.review.score import score
+from dpcontrol.review.score import FOLLOWS, score
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.run import run_plan
@@ -33,6 +33,28 @@ def test_stamps_that_jump_or_go_back_are_not_scored_as_completed(shift: float, f
     found = score(replace(log, time=moved))
     assert found.completed is False
     assert f"its stamps {fault} at t = {log.time[row]:.2f} s" in found.reason
+
+
+def test_a_tumble_after_the_run_has_lost_its_reference_is_no_symbol(log: RunLog) -> None:
+    """The outer arm falls the same way round before its turn is due, and hangs about upright again by chance."""
+    n, truth = len(log.arm_lengths), log.states["truth"].copy()
+    early = int(0.35 * len(log.time))
+    truth[:, :n] = np.where(np.arange(len(truth))[:, None] < early, truth[:, :n], truth[-1, :n])
+    assert np.abs(truth[early, :n] - log.reference[early, :n]).max() > FOLLOWS
+    found = score(replace(log, states={**log.states, "truth": truth}))
+    assert (found.completed, found.symbols_completed) == (False, 0)
+    assert f"from t = {log.time[early]:.2f} s an angle was more than 1.5 rad from the reference" in found.reason
+    # Followed all the way the same stops count.
+    assert score(log).symbols_completed == 1
+
+
+def test_a_run_that_ends_at_once_is_not_said_to_have_begun_elsewhere(log: RunLog) -> None:
+    rows = slice(0, 40)
+    begun = replace(
+        log, time=log.time[rows], measured=log.measured[rows], states={k: v[rows] for k, v in log.states.items()},
+        controls={k: v[rows] for k, v in log.controls.items()},
+    )  # fmt: skip
+    assert "ended within the first half period about down-up" in score(begun).reason
 
 
 def test_a_nis_inside_its_band_but_off_its_mean_is_called_so(log: RunLog) -> None:
