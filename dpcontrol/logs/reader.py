@@ -617,7 +617,7 @@ def read_log(path: Path | str) -> RunLog:
         return _decode(file)
 
 
-_INCIDENTAL = ("version", "commit", "plan")
+_INCIDENTAL = ("version", "commit", "plan", "plant_parameters", "drawn")
 """What a run's record says besides what determines the run."""
 
 

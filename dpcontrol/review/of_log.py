@@ -232,7 +232,8 @@ def _arms(log: RunLog, name: str) -> ArmChainParameters | None:
     """Return the arms that a log's metadata hold under a name, or None where they hold none."""
     try:
         values: dict[str, Any] = json.loads(log.metadata[name])
-        return ArmChainParameters(**{k: tuple(v) if isinstance(v, list) else v for k, v in values.items()})
+        plain: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+        return ArmChainParameters(**plain)
     except (KeyError, TypeError, ValueError, AttributeError, InputError):
         return None
 

@@ -28,6 +28,7 @@ def test_a_run_on_a_bench_in_another_process_is_logged_without_truth(tmp_path: P
     assert "the true state is not known" in shown["reason"]
     # A computer that stalls for a tenth of a second loses the arms, and must say so.
     assert shown["deadlines"]["ticks"] > 0
+    assert 0 < shown["thinking"]["median"] <= shown["thinking"]["within_99"]
     assert ended.code == (0 if shown["ending"] == "finished" and shown["symbols_completed"] == 1 else 1)
     found = dpcontrol("info", log, "--json").document
     assert found["metadata"]["deadlines_missed"] == str(shown["deadlines"]["missed"])
