@@ -146,6 +146,9 @@ def report_command(
     picture: Path | None = file_option(
         suffix=(".png", ".pdf"), help="Page to write [beside FILE, as NAME-report.png]."
     ),
+    margins: bool = option(
+        help="Of a log: also what gain, delay and lag its loop bears along the reference; takes some seconds."
+    ),
 ) -> Answer:
     """Write one page on a log or on a campaign, for those who do not open a viewer; matplotlib draws it.
 
@@ -157,22 +160,34 @@ def report_command(
 
     checked_source(file)
     picture = picture or file.with_name(f"{file.stem}-report.png")
-    answer = (_campaign if file.suffix.lower() == ".parquet" else _log)(file, picture)
+    of_campaign = file.suffix.lower() == ".parquet"
+    if of_campaign and margins:
+        raise InputError(f"{file}: --margins are those of one log's loop; give a log, or use plan --margins")
+    answer = _campaign(file, picture) if of_campaign else _log(file, picture, margins=margins)
     return Answer({**answer.document, "picture": picture}, [*answer.text, f"page       {picture}"])
 
 
-def _log(file: Path, picture: Path) -> Answer:
+def _log(file: Path, picture: Path, *, margins: bool) -> Answer:
     from dpcontrol.logs import read_log
     from dpcontrol.review.of_log import run_view
     from dpcontrol.review.page import draw, save_figure
     from dpcontrol.review.score import REFERENCE_ATTACHMENT, score
+    from dpcontrol.review.series import margins_chart
 
     log = read_log(file)
     view = run_view(log)
-    save_figure(draw(view), picture)
+    borne = None
+    if margins:
+        from dpcontrol.scenes.run import logged_margins
+
+        borne = logged_margins(log)
+    save_figure(draw(view, [] if borne is None else [margins_chart(borne)]), picture)
     if REFERENCE_ATTACHMENT in log.attachments and "reference" in log.states:
         verdict = score(log)
-        return Answer(verdict.document(), score_text(verdict))
+        if borne is None:
+            return Answer(verdict.document(), score_text(verdict))
+        text = [*score_text(verdict), f"  margins  {borne.status}"]
+        return Answer({**verdict.document(), "margins": borne.document()}, text)
     return Answer({"log": file, "completed": None, "reason": view.verdict}, [str(file), f"  {view.verdict}"])
 
 

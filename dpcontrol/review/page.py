@@ -5,7 +5,7 @@ time, phase planes, symbols and events. The helpers for figures, frames, axes in
 other page and figure too.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from textwrap import shorten, wrap
@@ -561,9 +561,9 @@ _ABOVE = 0.04
 """Between two panels, for the title of the lower."""
 
 
-def draw(view: RunView) -> Figure:
-    """Return the page as a figure."""
-    left, middle = list(series.motion_charts(view)), [*series.check_charts(view), *series.extra_charts(view)]
+def draw(view: RunView, more: Sequence[Chart] = ()) -> Figure:
+    """Return the page as a figure; more: charts over time besides the view's own."""
+    left, middle = list(series.motion_charts(view)), [*series.check_charts(view), *series.extra_charts(view), *more]
     while len(left) > len(middle) + 1:
         middle.insert(0, left.pop())
     while len(middle) > len(left) + 1:

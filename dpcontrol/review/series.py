@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import MEANS_OF, mean_band, means_of
+from dpcontrol.control.margins import Margins
 from dpcontrol.logs import Mode
 from dpcontrol.review import style
 from dpcontrol.review.motion import ACTUAL, RunView, Stay, clean
@@ -206,6 +207,21 @@ def extra_charts(view: RunView) -> tuple[Chart, ...]:
         shape = {"shown": shown, "scale": scale, "legend": True}
         found.append(Chart(key, f"{title} ({unit}), ±2σ", named, (*lines, *truths), **shape))
     return tuple(found)
+
+
+def margins_chart(margins: Margins) -> Chart:
+    """Return what gain, delay and lag the loop bears along the reference, in the middle of each window."""
+    time, least = margins.times + margins.windows / 2, margins.least()
+    said = {name: 1e3 * value if name in ("delay", "lag") else value for name, (value, _) in least.items()}
+    gain, delay, lag = style.ARMS[0], style.ARMS[1], style.ARMS[2]
+    lines = (
+        Line("low", "least gain", f"gain {said['gain_low']:.2g}–{said['gain_high']:.2g}", time, margins.low, gain),
+        Line("high", "greatest gain", "", time, margins.high, gain),
+        Line("delay", "delay", f"delay {said['delay']:.3g}", time, 1e3 * margins.delay, delay),
+        Line("lag", "lag", f"lag {said['lag']:.3g}", time, 1e3 * margins.lag, lag),
+    )
+    title = "Margins (×, ms)"
+    return Chart("", title, title, lines, log=True)
 
 
 def charts(view: RunView) -> dict[str, Chart]:

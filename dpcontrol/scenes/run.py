@@ -25,6 +25,7 @@ import dpcontrol
 from dpcontrol.control.estimator_settings import EkfSettings, extra_names
 from dpcontrol.control.export import LEAVING, ControllerSource, checked_exportable, controller_source
 from dpcontrol.control.interface import Controller, GainSchedule
+from dpcontrol.control.margins import Margins
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
 from dpcontrol.control.tick import TickProgram, whole_periods
 from dpcontrol.dynamics.chain import ArmChainParameters
@@ -333,20 +334,32 @@ def repeat_run(source: Path, out: Path, *, force: bool = False, progress: Progre
     return Repeat(verdict, compare_messages(source, out), versions)
 
 
-def _plan(log: RunLog, folder: Path) -> Plan:
-    """Return the plan of a logged run, its file in `folder`."""
+def logged_margins(log: RunLog) -> Margins:
+    """Return what gain, further delay and further lag the loop of a logged run bears along its reference.
+
+    Raises:
+        InputError: the log lacks what that needs, or its law has no margins.
+        GoalMissed: no controller can be made for its reference.
+    """
+    with TemporaryDirectory() as folder:
+        return _plan(log, Path(folder), repeats=False).margins()
+
+
+def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
+    """Return the plan of a logged run, its file in `folder`; repeats: to be run once more, else for its margins."""
+    cannot = "be repeated" if repeats else "have margins"
     needed = (_SCENE, _MODEL, REFERENCE_ATTACHMENT)
     lacking = [name for name in needed if name not in log.attachments]
     lacking += [key for key in ("itinerary", "model", "run_settings") if key not in log.metadata]
     if lacking:
-        raise InputError(f"{log.path} cannot be repeated: it lacks {', '.join(lacking)}; give a log of `dpcontrol run`")
-    if log.truth is None or "rig" in log.metadata:
+        raise InputError(f"{log.path} cannot {cannot}: it lacks {', '.join(lacking)}; give a log of `dpcontrol run`")
+    if repeats and (log.truth is None or "rig" in log.metadata):
         where = f"the rig at {log.metadata['rig']}" if "rig" in log.metadata else "a rig"
         raise InputError(
             f"{log.path} cannot be repeated: it was made on {where}, and only what is simulated does the same twice; "
             f"`dpcontrol replay` shows what a model makes of it"
         )
-    if _LIBRARY in log.metadata:
+    if repeats and _LIBRARY in log.metadata:
         raise InputError(
             f"{log.path} cannot be repeated: a controller's library did its ticks, which is not in the log; run it "
             "again with --controller-library"
@@ -355,20 +368,20 @@ def _plan(log: RunLog, folder: Path) -> Plan:
     itinerary = itinerary_from(log.attachments[_SCENE].decode(), log.metadata["itinerary"], model)
     file = folder / REFERENCE_ATTACHMENT
     file.write_bytes(log.attachments[REFERENCE_ATTACHMENT])
-    return Plan(_with_settings(itinerary, log), load_reference(file), file, cached=True)
+    return Plan(_with_settings(itinerary, log, cannot=cannot), load_reference(file), file, cached=True)
 
 
-def _with_settings(itinerary: Itinerary, log: RunLog) -> Itinerary:
+def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinerary:
     """Return the itinerary with the run's settings as the log notes them: overrides and all."""
     text = log.metadata["run_settings"]
     try:
         loop = _settings(LoopSettings, json.loads(text))
         same = json.loads(json.dumps(asdict(loop))) == json.loads(text)
     except (TypeError, ValueError, LookupError) as error:
-        raise InputError(f"{log.path} cannot be repeated: its run settings do not read: {error}") from error
+        raise InputError(f"{log.path} cannot {cannot}: its run settings do not read: {error}") from error
     if not same:
         raise InputError(
-            f"{log.path} cannot be repeated: its run settings are of another version; use the one that wrote it "
+            f"{log.path} cannot {cannot}: its run settings are of another version; use the one that wrote it "
             f"({log.metadata.get('version', '?')}, commit {log.metadata.get('commit') or 'unknown'})"
         )
     return replace(itinerary, loop=loop)

@@ -179,3 +179,14 @@ def test_what_was_done_is_told_beside_what_was_asked(demo: tuple[Path, Ended]) -
     assert truth is not None
     passed = float(log.time[np.flatnonzero(truth[:, 1] > 2 * np.pi)[0]])
     assert view.crossings[0] == pytest.approx(passed, abs=2 / log.rate_hz)
+
+
+@pytest.mark.slow(reason="the margins of the demo's flight, twice")
+def test_report_shows_the_margins_of_a_logs_loop_where_they_are_asked_for(
+    demo: tuple[Path, Ended], tmp_path: Path
+) -> None:
+    page, log = tmp_path / "page.png", demo[0] / "logs/outer-turn-0.mcap"
+    shown = dpcontrol("report", log, "--margins", "--picture", page, "--json").document
+    assert page.read_bytes().startswith(PNG)
+    assert shown["margins"] == dpcontrol("plan", "outer-turn", "--margins", "--json").document["margins"]
+    assert shown["margins"]["lag"]["value"] < 0.03
