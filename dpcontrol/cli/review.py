@@ -17,20 +17,34 @@ if TYPE_CHECKING:
     from dpcontrol.review.score import Score
 
 
-@verb("score", example="dpcontrol score logs/outer-turn-0.mcap")
-def score_command(*, logs: tuple[Path, ...] = argument()) -> Answer:
+@verb("score", example="dpcontrol score logs/outer-turn-0.mcap --why")
+def score_command(
+    *,
+    logs: tuple[Path, ...] = argument(),
+    why: bool = option(default=False, help="Simulate each failed run again, one setting changed at a time."),
+) -> Answer:
     """Score logged runs: symbols done, wraps, limits, tracking, consistency of the estimator.
 
-    With --json, one log gives one object, several give {"runs": [...]}. Exits with 1 if a run is not completed.
+    With --why it says which single change (more travel, half the lag, another law …) would have saved a failed run's
+    seed, or that none of those tried would; only what was simulated can be tried again. With --json, one log gives one
+    object, several give {"runs": [...]}. Exits with 1 if a run is not completed.
     """
     from dpcontrol import api
 
-    verdicts = [api.open_log(path).score() for path in logs]
+    runs = [api.open_log(path) for path in logs]
+    verdicts = [run.score() for run in runs]
     documents = [verdict.document() for verdict in verdicts]
+    lines = [[*score_text(verdict)] for verdict in verdicts]
+    if why:
+        for run, document, text in zip(runs, documents, lines, strict=True):
+            with progress_bar("why") as progress:
+                found = run.why(progress=progress)
+            document["why"] = found.document()
+            text.append(f"  why      {found.sentence}")
     failed = [verdict for verdict in verdicts if verdict.completed is False]
     return Answer(
         documents[0] if len(documents) == 1 else {"runs": documents},
-        (line for verdict in verdicts for line in score_text(verdict)),
+        (line for text in lines for line in text),
         f"{len(failed)} of {len(verdicts)} not completed; {failed[0].log}: {failed[0].reason}" if failed else "",
     )
 

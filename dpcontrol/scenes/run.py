@@ -80,6 +80,7 @@ if TYPE_CHECKING:
     from dpcontrol.rig.bench import BenchProcess, BenchRecipe
     from dpcontrol.rig.client import Deadlines, UdpRig
     from dpcontrol.rig.commissioning import Commissioning, CommissioningSettings
+    from dpcontrol.scenes.why import Why
 
 _SCENE, _MODEL = "scene.toml", "model.toml"
 _LIBRARY = "controller_library"
@@ -121,6 +122,22 @@ class Run:
     def status(self) -> str:
         """The verdict in one line."""
         return self._judged.sentence if self._judged else f"{len(self.log.time):,} samples, no plan to be judged by"
+
+    def why(self, *, progress: Progress = no_progress) -> "Why":
+        """Return which single changes would have saved the run: its seed simulated again with each.
+
+        Raises:
+            InputError: the log is not of a simulated run, or lacks what a repetition needs.
+        """
+        from dpcontrol.scenes.why import why
+
+        with TemporaryDirectory() as folder:
+            plan = _plan(self.log, Path(folder))
+
+            def again(loop: LoopSettings) -> Score:
+                return run_plan(replace(plan, itinerary=replace(plan.itinerary, loop=loop))).score()
+
+            return why(plan.itinerary, self.score(), again, progress=progress)
 
     @cached_property
     def _judged(self) -> Score | None:
