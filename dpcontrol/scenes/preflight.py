@@ -346,7 +346,7 @@ def preflight(
 
     # As much memory as a campaign's jobs at most.
     most = max(min(MOST_TICKS // ticks, 256), 1)
-    size = min(max(amounts.rate // workers // 64 * 64, 64), most)
+    size = min(128 if amounts.rate > _FEW else 64, most)
     jobs = [replace(job, seeds=job.seeds[k : k + size]) for k in range(0, amounts.rate, size)]
     outcomes: dict[int, Outcome] = {}
     for done in _all(run(jobs, workers=workers), len(jobs), "rate", part_of(progress, 0.0, 0.15)):
@@ -421,6 +421,8 @@ def as_known(scene: Itinerary, options: RunOptions) -> tuple[Itinerary, list[Kno
     if loop.model_uncertainty:
         source = f"identified: {scene.model.path.name}"
         known.append(Known("arms", f"standard errors × {loop.model_uncertainty:g}", source))
+    if loop.plant is not None:
+        known.append(Known("plant", "arms of its own", of("plant")))
     if loop.mismatch or not loop.model_uncertainty:
         unknown = "" if identified else f"; {scene.model.path.name} has no [uncertainty]"
         source = "assumed" if assumed else of("mismatch")
