@@ -236,6 +236,62 @@ def test_a_joint_that_repeats_itself_while_its_reference_moves_is_stuck() -> Non
     assert 15 <= report["repeats"] == k - 5 < 40
 
 
+def test_a_joint_that_pauses_as_its_model_lets_it_is_not_stuck_though_its_reference_goes_on() -> None:
+    tick = Ticked()
+    random = np.random.default_rng(3)
+    for k in range(100):
+        # Hanging still, beside a reference that turns on and another arm whose encoder is so bad that the NIS is high.
+        seen = np.array([1e-4 * min(k, 5), 0.0, 0.0]) + random.normal(0, 0.05, 3) * [0, 1, 1e-3]
+        report = tick(0.0, positions=seen, wanted=np.array([0.01 * k, 0.0]))
+        assert report["outcome"] != Outcome.STUCK
+    assert report["mean_nis"] > 300
+    assert tick.kept("same")[0] > 90
+
+
+def test_a_filter_that_has_slipped_a_turn_is_restarted_from_the_encoders() -> None:
+    tick = Ticked()
+    for _ in range(5):
+        tick(0.0)
+    memory = tick.program.equations.memory.slices
+    # It believes in a rate that no reading shows, and so little of the readings that its NIS is small.
+    tick.program.memory[memory["z"].start] = 4.0
+    tick.program.memory[memory["covariance"]] *= 1e12
+    report = tick(3.0)
+    assert report["outcome"] == Outcome.RESTART
+    assert report["error"] < 0.1
+    assert tick(0.0)["outcome"] == Outcome.GO_ON
+    assert tick.told("state")[:2] == pytest.approx([0.0, 0.0], abs=1e-3)
+
+
+def test_an_encoder_with_one_turn_may_jump_and_one_set_a_turn_off_stays_so() -> None:
+    tick = Ticked()
+    for k in range(100):
+        turned = 0.0 if k < 50 else -2 * math.pi
+        assert tick(0.0, positions=np.array([2 * math.pi + turned, 0.0, 0.0]))["outcome"] == Outcome.GO_ON
+
+
+def test_a_blow_on_the_cart_does_not_cost_the_estimate() -> None:
+    tick = Ticked(lost_estimate=1e5)
+    for k in range(50):
+        assert tick(0.0, positions=np.array([0.0, 0.0, 0.0 if k < 25 else 0.01]))["outcome"] == Outcome.GO_ON
+
+
+def test_an_estimator_may_be_restarted_again_once_it_was_right_for_a_second() -> None:
+    tick = Ticked(restarts=1.0)
+    triangle = tick.program.equations.memory.slices["covariance"]
+    for wait, expected in ((0, Outcome.RESTART), (1200, Outcome.RESTART), (100, Outcome.ESTIMATE_LOST)):
+        for _ in range(wait):
+            assert tick(0.0)["outcome"] == Outcome.GO_ON
+        tick.program.memory[triangle] = np.nan
+        assert tick(0.0)["outcome"] == expected
+
+
+@pytest.mark.parametrize(("away", "expected"), [(0.5, Outcome.CART), (1.6, Outcome.FALLEN)])
+def test_a_cart_that_runs_after_fallen_arms_is_not_what_ended_the_run(away: float, expected: Outcome) -> None:
+    tick = Ticked(3.0, NARROW, travel=0.0, lost_tracking=1.5)
+    assert tick(0.0, wanted=HANGING[:2] + away)["outcome"] == expected
+
+
 def test_a_filter_that_fails_keeps_its_prediction_and_begins_anew() -> None:
     tick = Ticked(restarts=1.0)
     tick(0.0)

@@ -1,0 +1,75 @@
+"""One run of each class of ending, its sentence read and held against the true states.
+
+The ten thousand of `tests/benchmarks/test_true_endings.py` are judged in the same way.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from ending_truth import Flight, class_of, flights, untrue, untrue_score
+
+from dpcontrol.loop.result import Ending
+from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.plan import Plan, make_plan
+from dpcontrol.scenes.run_options import RunOptions
+
+BENCH = {"initial_error": 0.05, "command_noise": 0.3, "controller": "tvlqr"}
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return make_plan(load_itinerary("outer-turn"))
+
+
+def flown(plan: Plan, *, seed: int = 0, **options: Any) -> Flight:
+    (flight,) = flights(plan.itinerary.with_run(RunOptions(**{**BENCH, **options})), plan.reference, [seed])
+    return flight
+
+
+@pytest.mark.parametrize(
+    ("options", "kind"),
+    [
+        ({"travel": 0.05, "mismatch": 0.1}, "cart at its stop"),
+        ({"pushes": 3, "push_impulse": 0.03, "travel": 2.0, "seed": 3}, "tracking lost"),
+        ({"stuck_at": 1.0, "stuck_sensor": 0}, "is stuck"),
+        ({"stuck_at": 1.0, "stuck_sensor": 1}, "is stuck"),
+        ({"stuck_at": 1.0, "stuck_sensor": 2}, "is stuck"),
+        ({"dropout": 0.99}, "no measurement"),
+    ],
+)
+def test_an_ending_says_what_was_true(plan: Plan, options: dict[str, Any], kind: str) -> None:
+    flight = flown(plan, **options)
+    assert class_of(flight) == kind, flight.run.reason
+    assert untrue(flight) == untrue_score(flight) == ""
+
+
+def test_a_lost_estimate_is_one_that_was_wrong(plan: Plan) -> None:
+    scene = plan.itinerary.with_run(RunOptions(**BENCH, mismatch=0.4, lag=0.03))
+    strict = replace(scene.loop, supervisor=replace(scene.loop.supervisor, lost_estimate=2e4, lost_tracking=100.0))
+    found = flights(replace(scene, loop=replace(strict, travel=10.0)), plan.reference, range(8))
+    lost = [flight for flight in found if flight.run.ending is Ending.ESTIMATE_LOST]
+    assert lost
+    assert [untrue(flight) for flight in lost] == [""] * len(lost)
+
+
+def test_a_limit_switch_is_where_it_is_said_to_be(plan: Plan) -> None:
+    scene = plan.itinerary.with_run(RunOptions(**BENCH, mismatch=0.1))
+    short = replace(scene.loop, drive=replace(scene.loop.drive, track=0.02))
+    (flight,) = flights(replace(scene, loop=short), plan.reference, range(1))
+    assert class_of(flight) == "limit switch"
+    assert untrue(flight) == ""
+    assert np.abs(flight.run.truth[:, -2]).max() == pytest.approx(0.02, abs=1e-6)
+
+
+def test_the_classifier_finds_what_is_false(plan: Plan) -> None:
+    """Endings whose sentences are of other runs."""
+    stuck, cart = flown(plan, stuck_at=1.0, stuck_sensor=1), flown(plan, travel=0.05, mismatch=0.1)
+    assert "not stuck" in untrue(replace(cart, run=replace(cart.run, ending=stuck.run.ending, reason=stuck.run.reason)))
+    fallen = cart.run.truth.copy()
+    fallen[:, :2] += 2.0
+    assert "true angle was" in untrue(replace(cart, run=replace(cart.run, truth=fallen)))
+    text = "tracking lost at t = 0.500 s: an angle has stayed 7.1e+08 rad from the reference"
+    assert "true angle stayed" in untrue(replace(cart, run=replace(cart.run, ending=Ending.TRACKING_LOST, reason=text)))
+    assert np.isfinite(cart.wrong).all()
