@@ -430,9 +430,9 @@ def test_the_standard_has_nine_kinds_of_twenty_one_levels_each(turn: Itinerary) 
         kind.name: [c.loop for c in cases[: 9 * LEVELS] if dict(c.values)["kind"] == kind.name] for kind in STANDARD
     }
     assert [loop.mismatch for loop in by_kind["model error"]] == pytest.approx(np.linspace(0, 0.25, 21))
-    assert [loop.drive.delay for loop in by_kind["delay"]] == pytest.approx(np.linspace(0, 40, 21))
+    assert [loop.drive.delay for loop in by_kind["delay"]] == pytest.approx(np.linspace(0, 300, 21))
     assert [loop.drive.response for loop in by_kind["response"]] == pytest.approx(np.linspace(0.1, 2, 21))
-    assert by_kind["quantisation"][-1].sensors.counts == 64
+    assert by_kind["quantisation"][-1].sensors.counts == 16
     assert {loop.disturbances.pushes for loop in by_kind["pushes"]} == {3}
     assert isinstance(cases[0].loop.controller, TvlqrSettings)
 
