@@ -19,12 +19,12 @@ from dpcontrol.scenes import preflight as module
 from dpcontrol.scenes.campaign import CampaignSettings, Job, cases_of, run_campaign
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import Plan, make_plan
-from dpcontrol.scenes.preflight import ASSUMED_MISMATCH, PreflightSettings, as_known, falling, hazards, preflight
+from dpcontrol.scenes.preflight import ASSUMED_MISMATCH, PreflightSettings, as_known, falling, preflight
 from dpcontrol.scenes.run_options import RunOptions
 
 HARD = RunOptions(mismatch=0.2, initial_error=0.05, lag=0.005, command_noise=0.3, controller="tvlqr")
 """Bench on which some runs fail and some do not."""
-SMALL = PreflightSettings(runs=32, workers=1, first_seed=40_000)
+SMALL = PreflightSettings(runs=16, workers=1, first_seed=40_000)
 ROUNDING = 1e-9
 
 
@@ -120,18 +120,32 @@ def test_where_all_complete_nothing_is_tried_and_where_none_does_no_border_is_so
     assert {c.gain for c in hopeless.changes} == {0.0}
 
 
+def test_a_plan_tells_it_in_python_and_runs_that_cannot_go_side_by_side_are_few(
+    turn: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made_up(monkeypatch, lambda loop, random: random.uniform() < 0.9)
+    found = turn.preflight(RunOptions(dropout=0.01), workers=1)
+    assert (found.borders, found.changes) == ((), ())
+    assert any("one after the other" in note for note in found.notes)
+    assert 32 <= found.share.runs < turn.preflight(workers=1).share.runs
+    assert len(repr(found)) < 300
+    # More that are asked for by number are run.
+    assert turn.preflight(RunOptions(dropout=0.01), runs=16, workers=1).borders
+
+
 def test_its_runs_are_those_of_a_campaign_and_are_kept(
     turn: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(module, "hazards", lambda plan, scene, **most: hazards(plan, scene, **most)[1:2])
+    monkeypatch.setattr(module, "hazards", lambda plan, scene, **most: [])
     monkeypatch.setattr(module, "changes", lambda scene: [("half", RunOptions(mismatch=0.1))])
     found = preflight(turn, HARD, settings=SMALL)
+    assert found.changes[0].gain > 0
     cases = cases_of(turn.itinerary, fixed=HARD, over={})
-    runs = CampaignSettings(runs=32, first_seed=40_000, workers=1, replayed=0)
+    runs = CampaignSettings(runs=16, first_seed=40_000, workers=1, replayed=0)
     campaign = run_campaign(turn, cases, settings=runs)
     assert found.share.successes == campaign.completed.successes
-    assert found.share.low == wilson(found.share.successes, 32, confidence=0.99).low
+    assert found.share.low == wilson(found.share.successes, 16, confidence=0.99).low
     assert {e.seed for e in found.endings} <= {row["seed"] for row in campaign.results[0].failures}
     # A second time nothing is run, and the document is the same but for what it took.
     monkeypatch.setattr(module, "run_job", lambda job: pytest.fail("run again"))
