@@ -229,7 +229,7 @@ def draw_preflight(found: Preflight) -> Figure:
     figure.text(_LEFT, 0.928, found.status, fontsize=11, **{**look, "color": style.verdict_colour(found.likely)})
     _rate(figure.add_axes((_LEFT, 0.888, _WIDE, 0.016)), found)
     figure.text(_LEFT, 0.866, "\n".join(wrap(found.advice, 105)), fontsize=9.5, **look)
-    _known(figure.add_axes((_LEFT, 0.637, 0.42, 0.185)), found)
+    _known(figure.add_axes((_LEFT, 0.635, 0.42, 0.187)), found)
     _endings(figure.add_axes((0.53, 0.637, 0.42, 0.185)), found)
     heading = {"fontsize": 9.5, **look}
     columns, tall = 4, 0.1
@@ -243,8 +243,9 @@ def draw_preflight(found: Preflight) -> Figure:
         place = (_LEFT + column * _WIDE / columns, 0.485 - row * (tall + 0.06), _WIDE / columns - 0.03, tall)
         _legend(figure.add_axes(place))
         figure.text(_LEFT, 0.618, "How far each border is: where half as many runs complete", **heading)
-    none = "" if found.changes else ": every run completed, and no change has anything to gain"
-    figure.text(_LEFT, 0.277, f"What would help, on the same seeds; lines: two standard errors{none}", **heading)
+    helps = "What would help, on the same seeds; lines: two standard errors"
+    none = "What would help: nothing was tried, as no run failed or none was compared"
+    figure.text(_LEFT, 0.277, helps if found.changes else none, **heading)
     _changes(figure.add_axes((0.42, 0.11, 0.53, 0.145)), found)
     notes = [line for note in found.notes for line in wrap(f"Mind: {note}", 120)]
     figure.text(_LEFT, 0.066, "\n".join(notes[:4]), fontsize=7.5, **{**look, "color": style.NOTE})
