@@ -140,7 +140,7 @@ class FilterEquations:
     def inputs(self) -> dict[str, int]:
         """Lengths of what a prediction takes: z, command, parameters, and `FilterSettings.process`."""
         parameters = int(self.equations.parameters.shape[0])
-        return {"z": self.dimension, "command": 1, "parameters": parameters, "process": 3 + 2 * len(self.extra_names)}
+        return {"z": self.dimension, "command": 1, "parameters": parameters, "process": 7 + 2 * len(self.extra_names)}
 
     def _parameters(self, parameters: ca.SX, extra: dict[str, ca.SX]) -> ca.SX:
         """Return the parameters with the relative errors that `extra` holds."""
@@ -161,7 +161,7 @@ class FilterEquations:
 
     @cached_property
     def _slopes(self) -> ca.Function:
-        """(x, e, command, parameters) -> the state's rate, its Jacobians by x and by e."""
+        """(x, e, command, parameters) -> the state's rate, its Jacobians by x, by e and by the command."""
         size, n = self.equations.dimension, self.arms
         x, e = ca.SX.sym("x", size), ca.SX.sym("e", len(self.extra_names))
         command, parameters = ca.SX.sym("command"), ca.SX.sym("parameters", self.inputs["parameters"])
@@ -172,7 +172,7 @@ class FilterEquations:
         rate = self.equations.function()
         slope = rate(x, command + extra.get("drive", 0), self._parameters(parameters, extra)) + pushed
         inputs = [x, e, command, parameters]
-        return ca.Function("f", inputs, [slope, ca.jacobian(slope, x), ca.jacobian(slope, e)], {"cse": True})
+        return ca.Function("f", inputs, [slope, *(ca.jacobian(slope, by) for by in (x, e, command))], {"cse": True})
 
     def predicted(
         self, z: ca.SX, command: ca.SX, parameters: ca.SX, process: ca.SX, origin: ca.SX | None = None
@@ -185,26 +185,37 @@ class FilterEquations:
         start = ca.horzcat(ca.SX.eye(size), ca.SX(size, extras))
         # The chain rule through the stages of Runge-Kutta takes two thirds of the instructions of one differentiation.
         moved, spread = x, start
-        total, slopes = ca.SX.zeros(size), ca.SX(size, size + extras)
+        total, slopes, pushed = ca.SX.zeros(size), ca.SX(size, size + extras), ca.SX(size, 1)
         for weight, further in ((1, step / 2), (2, step / 2), (2, step), (1, None)):
             place = moved if origin is None else moved + origin[:size]
-            k, by_x, by_e = self._slopes(place, e, command, parameters)
+            k, by_x, by_e, by_command = self._slopes(place, e, command, parameters)
+            pushed += weight / 6 * by_command
             k_slope = by_x @ spread + ca.horzcat(ca.SX(size, size), by_e)
             total, slopes = total + weight * k, slopes + weight * k_slope
             if further is not None:
                 moved, spread = x + further * k, start + further * k_slope
-        decay = process[3 : 3 + extras]
+        decay = process[7 : 7 + extras]
         following = ca.vertcat(x + step / 6 * total, decay * e)
         jacobian = ca.vertcat(start + step / 6 * slopes, ca.horzcat(ca.SX(extras, size), ca.diag(decay)))
         block = np.array([[step**3 / 3, step**2 / 2], [step**2 / 2, step]])
         noise = ca.SX(self.dimension, self.dimension)
-        densities = [process[0] + process[1] * (following[n + i] - x[n + i]) ** 2 for i in range(n)]
-        pairs = [*((i, n + i) for i in range(n)), (2 * n, 2 * n + 1)]
-        for density, (i, j) in zip([*densities, process[2]], pairs, strict=True):
-            noise[i, i], noise[j, j] = density * block[0, 0], density * block[1, 1]
-            noise[i, j] = noise[j, i] = density * block[0, 1]
+        for i in range(n):
+            density = process[0] + process[1] * (following[n + i] - x[n + i]) ** 2
+            noise[i, i], noise[n + i, n + i] = density * block[0, 0], density * block[1, 1]
+            noise[i, n + i] = noise[n + i, i] = density * block[0, 1]
         for i in range(extras):
-            noise[size + i, size + i] = process[3 + extras + i]
+            noise[size + i, size + i] = process[7 + extras + i]
+        # What the cart does besides its command moves the arms as well.
+        reach = ca.SX(self.dimension, 3)
+        for position, rate in [*((i, n + i) for i in range(n)), (2 * n, 2 * n + 1)]:
+            reach[position, 0] = reach[rate, 1] = pushed[rate]
+        if "drive" in self.extra_names:
+            reach[size + self.extra_names.index("drive"), 2] = 1
+        place, rate, further = process[2], process[3], process[4]
+        besides = ca.vertcat(
+            ca.horzcat(place, rate, process[5]), ca.horzcat(rate, further, process[6]), ca.horzcat(process[5], process[6], 0)
+        )
+        noise += reach @ besides @ reach.T
         if self.as_measured:
             t, back = _sparse(self.carried), _sparse(self.restored)
             jacobian, noise = t @ jacobian @ back, t @ noise @ t.T

@@ -125,21 +125,39 @@ class FilterSettings(Settings, table="estimator"):
         return known.get(kind, self.model_error)
 
     def process(self, arms: int, period: float) -> Array:
-        """Return what the equations of the filter take: three densities, then decay (E,) and variance (E,) a period."""
-        densities = [
-            self.rate_noise**2,
-            2 * self.correlation_time * (self.parameter_error / period) ** 2,
-            self.cart_noise**2,
-        ]
+        """Return what the equations of the filter take.
+
+        Densities of the arms' noise, absolute and relative; the covariance that a period adds to the cart's position
+        and velocity (pp, pv, vv) and between them and the drive's error (pd, vd); decay (E,) and variance (E,) of the
+        extras a period.
+        """
+        names = extra_names(arms, self.augments)
+        densities = [self.rate_noise**2, 2 * self.correlation_time * (self.parameter_error / period) ** 2]
+        path = self.cart_noise**2 * np.array([period**3 / 3, period**2 / 2, period, 0.0, 0.0])
+        if "drive" in names:
+            path += self._fading_drive(period)
         decay, variance = [], []
         fading = {"disturbance": self.disturbance_time, "drive": self.drive_time}
-        for name in extra_names(arms, self.augments):
+        for name in names:
             sigma, lasts = self._sigma(name), fading.get(name.partition("_")[0])
             kept = 1.0 if lasts is None else float(np.exp(-period / lasts))
             decay.append(kept)
             # A fading quantity keeps its variance: φ² σ² + q = σ².
             variance.append((sigma * _DRIFT) ** 2 * period if lasts is None else sigma**2 * (1 - kept**2))
-        return np.array([*densities, *decay, *variance])
+        return np.array([*densities, *path, *decay, *variance])
+
+    def _fading_drive(self, period: float) -> Array:
+        """Return what the drive's error adds to the cart within a period, unknown at its beginning: pp, pv, vv, pd, vd.
+
+        Without this a period that is as long as the error lasts would leave the cart's own motion exact.
+        """
+        nodes, weights = np.polynomial.legendre.leggauss(16)
+        since, lasts = (1 + nodes) * period / 2, self.drive_time
+        left = np.exp(-since / lasts)
+        # What a push at `since` before the period's end has become of position, velocity and error.
+        p, v, d = lasts * (since - lasts * (1 - left)), lasts * (1 - left), left
+        density = weights * period / 2 * 2 * self.drive_error**2 / lasts
+        return np.array([density @ (a * b) for a, b in ((p, p), (p, v), (v, v), (p, d), (v, d))])
 
 
 @dataclass(frozen=True)
