@@ -81,15 +81,15 @@ class FilterSettings(Settings, table="estimator"):
     parameter_error: float = setting(0.01, least=0, most=_MOST)
     correlation_time: float = setting(0.02, above=0, most=_MOST)
     rate_noise: float = setting(0.03, above=0, most=_MOST)
-    cart_noise: float = setting(1e-3, above=0, most=_MOST)
+    cart_noise: float = setting(0.1, above=0, most=_MOST)
     first_angle: float = setting(0.05, above=0, most=_MOST)
     first_rate: float = setting(0.1, above=0, most=_MOST)
     first_cart: float = setting(1e-3, above=0, most=_MOST)
-    augment: tuple[str, ...] = setting(("zeros",), choices=tuple(Augment))
+    augment: tuple[str, ...] = setting(("zeros", "drive"), choices=tuple(Augment))
     zero_error: float = setting(0.02, above=0, most=_MOST)
     disturbance: float = setting(1.0, above=0, most=_MOST)
     disturbance_time: float = setting(0.1, above=0, most=_MOST)
-    drive_error: float = setting(0.5, above=0, most=_MOST)
+    drive_error: float = setting(3.0, above=0, most=_MOST)
     drive_time: float = setting(0.01, above=0, most=_MOST)
     friction_error: float = setting(0.3, above=0, most=_MOST)
     model_error: float = setting(0.1, above=0, most=_MOST)
@@ -169,14 +169,13 @@ class EkfSettings(FilterSettings):
 class AdaptiveEkfSettings(EkfSettings):
     """The same filter with the defaults for an adaptive controller: it asks what is wrong with the model.
 
-    What the parameters explain need not be covered by noise, so little is assumed.
+    What the parameters explain need not be covered by noise; what they explain by their squares only must be.
     """
 
-    parameter_error: float = 1e-3
+    parameter_error: float = 0.03
     rate_noise: float = 0.01
-    augment: tuple[str, ...] = ("drive", "friction", "parameters")
+    augment: tuple[str, ...] = ("zeros", "drive", "friction", "parameters")
     friction_error: float = 0.5
-    model_error: float = 0.15
 
 
 @dataclass(frozen=True)

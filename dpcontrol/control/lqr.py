@@ -44,18 +44,12 @@ class QuadraticWeights(Settings, table="controller"):
 
 @dataclass(frozen=True)
 class ClosingWeights(QuadraticWeights):
-    """The same along a reference. closing: how many times the angles weigh in its last closing_time s, when they shall
-    be the model's own orbit whatever the arms would rather do.
+    """The same along a reference. closing: how many times the angles weigh in its last closing_time s, across the path
+    that they take and not along it, when they shall be on the model's own orbit whatever the arms would rather do.
     """
 
-    closing: float = setting(50.0, least=1, most=1e6)
+    closing: float = setting(10.0, least=1, most=1e6)
     closing_time: float = setting(1.6, least=0, most=1e4, unit="s")
-
-    def along(self, arms: int, period: float, *, count: int) -> Array:
-        """Return Q's diagonals (count, N) at a reference's ticks, `period` s apart."""
-        weights = np.tile(self.weights(arms, period)[0], (count, 1))
-        weights[max(count - round(self.closing_time / period), 0) :, :arms] *= self.closing
-        return weights
 
 
 AT_REST = 1e-6

@@ -57,6 +57,8 @@ Array = NDArray[np.float64]
 
 STANDSTILL = 0.1
 """Scaled rate per second (π rad and 10 rad/s) below which the phase of a motion counts less and less."""
+TURNING = 1.0
+"""rad/s below which a path of angles has no direction: where it turns back, none is along it."""
 MOST = 0.5
 """Ticks by which the clock is moved at most, forth or back: it glides, whatever the estimate does."""
 
@@ -223,16 +225,15 @@ class TrackingSession:
 class AdaptiveSettings(ClosingWeights):
     """Weights as of "tvlqr", heavier by default: what is known of the model needs no feedback, so there is room.
 
-    trust: the greatest share by which a parameter is taken to be wrong; masses and lengths that are off by a fifth make
-    base parameters off by 0.39 at most.
+    trust: the greatest share by which a parameter is taken to be wrong; masses and lengths that are off by 0.3 make
+    base parameters off by 0.7 at most.
     """
 
     kind: str = "adaptive"
     angle: float = 30_000.0
     rate: float = 3000.0
-    position: float = 300.0
     closing: float = 30.0
-    trust: float = setting(0.4, least=0, most=1.9)
+    trust: float = setting(0.8, least=0, most=1.9)
 
 
 @dataclass(frozen=True, eq=False)
@@ -285,7 +286,7 @@ def riccati_gains(
 ) -> tuple[Array, Array, Array]:
     """Return gains on the state (K, N) and on the extras (K, E) of the backward recursion, and P_0.
 
-    jacobians: A (K, N, N) and B (K, N); weights: Q's diagonal, (N,) or one for each tick (K, N); terminal (N, N): P at
+    jacobians: A (K, N, N) and B (K, N); weights: Q's diagonal (N,), or Q at each tick (K, N, N); terminal (N, N): P at
     the end. extras: E (K, N, E) and D (E,), the share of each extra left after a period; without them E = 0.
     """
     gains = np.empty_like(input_jacobians)
@@ -293,8 +294,7 @@ def riccati_gains(
     extra_gains = np.empty((len(gains), len(kept)))
     cost, carried = terminal, np.zeros(effects.shape[1:])
     changing = weights.ndim > 1
-    state_cost = np.diag(weights[-1] if changing else weights)
-    diagonal = np.einsum("ii->i", state_cost)
+    state_cost = weights[-1] if changing else np.diag(weights)
     # numpy's outer and diag would take as long as all the rest.
     for k in range(len(gains) - 1, -1, -1):
         a, b = state_jacobians[k], input_jacobians[k]
@@ -307,7 +307,7 @@ def riccati_gains(
             extra_gains[k] = (b @ push) / curvature
             carried = closed.T @ push
         if changing:
-            diagonal[:] = weights[k]
+            state_cost = weights[k]
         # The symmetric form keeps P positive (Joseph): thousands of steps would lose it otherwise.
         cost = state_cost + effort * (gain[:, None] * gain) + closed.T @ cost @ closed
         cost = (cost + cost.T) / 2
@@ -344,8 +344,7 @@ def tracking_controller(
     diagonal, effort = settings.weights(model.arms, model.period)
     a, b = model.linearised(states[:-1], feedforward)
     terminal = terminal_cost(a[-1], b[-1], weights=diagonal, effort=effort)
-    weights = settings.along(model.arms, model.period, count=count)
-    gains, *_ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
+    gains, *_ = riccati_gains(a, b, weights=closing_weights(settings, states, model), effort=effort, terminal=terminal)
     if not np.isfinite(gains).all():
         raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
     if settings.schedule == "phase":
@@ -375,6 +374,35 @@ def extra_jacobians(
     return jacobian[n:, :n].transpose(2, 1, 0).copy(), jacobian[range(n, size), range(n, size), 0].copy()
 
 
+def closing_weights(settings: ClosingWeights, states: Array, model: SampledModel) -> Array:
+    """Return Q (K, N, N) at the ticks of reference states (K+1, N).
+
+    Towards the end angles weigh more across the path that they take than along it.
+    """
+    n, count = model.arms, len(states) - 1
+    diagonal, _ = settings.weights(n, model.period)
+    out = np.tile(np.diag(diagonal), (count, 1, 1))
+    last = max(count - round(settings.closing_time / model.period), 0)
+    rates = states[last:-1, n : 2 * n]
+    along = rates[:, :, None] * rates[:, None, :] / (np.square(rates).sum(1) + TURNING**2)[:, None, None]
+    out[last:, :n, :n] += (settings.closing - 1) * diagonal[0] * (np.eye(n) - along)
+    return out
+
+
+def _shifted(
+    a: Array, b: Array, e: Array, gains: Array, *, weights: Array, effort: float, terminal: Array
+) -> Array:
+    """Return F (K, E) with which feedback `gains` (K, N) follows the reference that is best for given constants w."""
+    best, directly, _ = riccati_gains(
+        a, b, weights=weights, effort=effort, terminal=terminal, extras=(e, np.ones(e.shape[2]))
+    )
+    out, moved = np.empty_like(directly), np.zeros(e.shape[1:])
+    for k in range(len(b)):
+        out[k] = directly[k] + (best[k] - gains[k]) @ moved
+        moved = a[k] @ moved + e[k] - b[k][:, None] * (best[k] @ moved + directly[k])
+    return out
+
+
 def adaptive_controller(
     reference: Reference, model: SampledModel, settings: AdaptiveSettings, *, estimator: FilterSettings
 ) -> AdaptiveController:
@@ -396,9 +424,12 @@ def adaptive_controller(
     process = estimator.process(model.arms, model.period)
     e, kept = extra_jacobians(model, estimator.augments, states[:-1], commands, process)
     diagonal, effort = settings.weights(model.arms, model.period)
-    weights = settings.along(model.arms, model.period, count=len(b))
     terminal = terminal_cost(a[-1], b[-1], weights=diagonal, effort=effort)
-    gains, extra_gains, *_ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal, extras=(e, kept))
+    gains, extra_gains, _ = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal, extras=(e, kept))
+    lasting = kept == 1
+    extra_gains[:, lasting] = _shifted(
+        a, b, e[:, :, lasting], gains, weights=closing_weights(settings, states, model), effort=effort, terminal=terminal,
+    )  # fmt: skip
     if not (np.isfinite(gains).all() and np.isfinite(extra_gains).all()):
         raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
     names = extra_names(model.arms, estimator.augments)

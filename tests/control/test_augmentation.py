@@ -75,8 +75,9 @@ def test_a_lumped_disturbance_is_followed() -> None:
 
 def test_what_the_drive_gives_beyond_the_command_is_followed() -> None:
     flown = run(3, lag=0.005, frequency=40.0, amplitude=10.0)
-    plain = estimated(CompiledEkf(MODEL, EkfSettings(augment=()), noise=NOISE), flown)
-    told = estimated(CompiledEkf(MODEL, EkfSettings(augment=("drive",), drive_error=2.0), noise=NOISE), flown)
+    sure = {"cart_noise": 1e-3, "drive_error": 2.0}
+    plain = estimated(CompiledEkf(MODEL, EkfSettings(augment=(), **sure), noise=NOISE), flown)
+    told = estimated(CompiledEkf(MODEL, EkfSettings(augment=("drive",), **sure), noise=NOISE), flown)
     errors = [np.array([e.state[5] for e in es[200:]]) - flown.states[200:, 5] for es in (plain, told)]
     assert np.std(errors[1]) < 0.3 * np.std(errors[0])
     assert np.mean([e.nis for e in told[200:]]) < np.mean([e.nis for e in plain[200:]])

@@ -9,6 +9,28 @@ from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import SampledModel
 
 
+def cart_noise(model: SampledModel, state: np.ndarray, command: float, density: float) -> np.ndarray:
+    """Return what white acceleration of the cart, m/s²/√Hz, adds to the covariance in a period; arms feel it too.
+
+    By the mean over the stages of Runge-Kutta of the rates' slopes by the command.
+    """
+    t, half, rate = model.period, model.period / 2, model.equations.function()
+
+    def slope(x: np.ndarray) -> np.ndarray:
+        return np.array(rate(x, command, model.parameters))[:, 0]
+
+    first = slope(state)
+    second = slope(state + half * first)
+    third = slope(state + half * second)
+    places = (state, state + half * first, state + half * second, state + t * third)
+    pushed = [np.array(rate(x, 1.0, model.parameters) - rate(x, 0.0, model.parameters))[:, 0] for x in places]
+    mean = np.average(pushed, axis=0, weights=(1, 2, 2, 1))
+    reach = np.zeros((6, 2))
+    for p, v in zip((0, 1, 4), (2, 3, 5), strict=True):
+        reach[p, 0] = reach[v, 1] = mean[v]
+    return density**2 * reach @ np.array([[t**3 / 3, t**2 / 2], [t**2 / 2, t]]) @ reach.T
+
+
 class TextbookFilter:
     """Keeps state (6,), covariance (6, 6), innovation (3,) and nis of the last step; noise (3, 3)."""
 
@@ -32,8 +54,9 @@ class TextbookFilter:
         change = (following - self.state)[2:4] / t
         densities = s.rate_noise**2 + 2 * s.correlation_time * (s.parameter_error * change) ** 2
         q = np.zeros((6, 6))
-        for p, v, d in zip((0, 1, 4), (2, 3, 5), (*densities, s.cart_noise**2), strict=True):
+        for p, v, d in zip((0, 1), (2, 3), densities, strict=True):
             q[p, p], q[p, v], q[v, p], q[v, v] = d * t**3 / 3, d * t**2 / 2, d * t**2 / 2, d * t
+        q += cart_noise(self.model, self.state, command, s.cart_noise)
         self.state, self.covariance = following, a @ self.covariance @ a.T + q
 
     def update(self, measured: np.ndarray) -> None:

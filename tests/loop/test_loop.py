@@ -217,7 +217,7 @@ def test_arms_of_another_kind_lose_the_estimate_by_name(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:
     other = replace(LAB, gravity=3 * LAB.gravity)
-    strict = replace(REAL.estimator, parameter_error=0.0, rate_noise=1e-4)
+    strict = replace(REAL.estimator, augment=("zeros",), parameter_error=0.0, rate_noise=1e-4, cart_noise=1e-3)
     settings = replace(REAL, estimator=strict, plant=other, mismatch=0.0)
     result = run_loop(turn[1], LAB, settings=settings, controller=controller)
     assert result.ending is Ending.ESTIMATE_LOST

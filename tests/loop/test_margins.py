@@ -93,7 +93,8 @@ def test_a_held_equilibrium_is_lost_where_its_margins_end() -> None:
     arms = plan.itinerary.model.arms
     law = replace(loop_controller(plan.reference, arms, settings), ticks=1600)
     margins = loop_margins(plan.reference, arms, settings, law)
-    assert margins.growth.max() < 1
+    # What nothing excites, a zero of hanging arms, stays at 1 to rounding.
+    assert margins.growth.max() < 1 + 1e-6
     check_borders(plan, settings, margins, law, settled=4.0)
 
 
