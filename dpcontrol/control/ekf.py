@@ -211,10 +211,8 @@ class FilterEquations:
             reach[position, 0] = reach[rate, 1] = pushed[rate]
         if "drive" in self.extra_names:
             reach[size + self.extra_names.index("drive"), 2] = 1
-        place, rate, further = process[2], process[3], process[4]
-        besides = ca.vertcat(
-            ca.horzcat(place, rate, process[5]), ca.horzcat(rate, further, process[6]), ca.horzcat(process[5], process[6], 0)
-        )
+        pp, pv, vv, pd, vd = (process[k] for k in range(2, 7))
+        besides = ca.vertcat(ca.horzcat(pp, pv, pd), ca.horzcat(pv, vv, vd), ca.horzcat(pd, vd, 0))
         noise += reach @ besides @ reach.T
         if self.as_measured:
             t, back = _sparse(self.carried), _sparse(self.restored)

@@ -389,10 +389,12 @@ def closing_weights(settings: ClosingWeights, states: Array, model: SampledModel
     return out
 
 
-def _shifted(
-    a: Array, b: Array, e: Array, gains: Array, *, weights: Array, effort: float, terminal: Array
-) -> Array:
-    """Return F (K, E) with which feedback `gains` (K, N) follows the reference that is best for given constants w."""
+def _shifted(a: Array, b: Array, e: Array, gains: Array, *, weights: Array, effort: float, terminal: Array) -> Array:
+    """Return F (K, E) with which feedback `gains` (K, N) follows the reference that is best for known constants.
+
+    To first order in them: X_{k+1} = (A - B K̂) X_k + E - B F̂, X_0 = 0, with K̂ and F̂ the gains by `weights`; then
+    F = F̂ + (K̂ - K) X.
+    """
     best, directly, _ = riccati_gains(
         a, b, weights=weights, effort=effort, terminal=terminal, extras=(e, np.ones(e.shape[2]))
     )
@@ -428,7 +430,8 @@ def adaptive_controller(
     gains, extra_gains, _ = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal, extras=(e, kept))
     lasting = kept == 1
     extra_gains[:, lasting] = _shifted(
-        a, b, e[:, :, lasting], gains, weights=closing_weights(settings, states, model), effort=effort, terminal=terminal,
+        a, b, e[:, :, lasting], gains, weights=closing_weights(settings, states, model), effort=effort,
+        terminal=terminal,
     )  # fmt: skip
     if not (np.isfinite(gains).all() and np.isfinite(extra_gains).all()):
         raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")

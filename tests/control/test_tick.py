@@ -35,7 +35,7 @@ class Ticked:
             "resynchronise": 0.0, "restarts": 2.0, "missing": 1.0, "can_hold": 0.0, "trust": 0.0, "mode": 1.0,
         }  # fmt: skip
         self.program = TickProgram(
-            MODEL, EkfSettings(augment=(), cart_noise=1e-3), noise=NOISE, delay=delay, bounds={**known, **bounds}, shares=None
+            MODEL, EkfSettings(augment=(), cart_noise=1e-3), noise=NOISE, delay=delay, bounds={**known, **bounds}
         )
         self.state = state
         # A delay that is not unrolled is looked ahead period by period: its tick has two parts.
