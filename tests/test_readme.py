@@ -182,5 +182,5 @@ def test_the_table_of_topics_is_that_of_the_logs() -> None:
     names = [value for value in vars(layout).values() if isinstance(value, str)]
     topics = {name for name in names if re.fullmatch(r"(/[a-z_]+)+", name)}
     (table,) = re.findall(r"^\| topic .*?\n\n", README, re.MULTILINE | re.DOTALL)
-    assert len(topics) == 9
+    assert len(topics) == 10
     assert set(re.findall(r"`(/[a-z_/]+)`", table)) == topics
