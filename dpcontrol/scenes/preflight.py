@@ -267,11 +267,11 @@ def _change(trial: _Trial) -> Change:
     return Change(trial.text, trial.options.given(), rescued, failing, lost, completing, trial.rate)
 
 
-_TICK, _TICK_ALONE = 1.5e-6, 2e-4
+_TICK, _TICK_ALONE = 1.8e-6, 2e-4
 """s that a processor takes for a tick of one run of many side by side, and of one on its own."""
 _AHEAD = 0.15
 """By how much more for each period of delay that the loop computes ahead, as a share."""
-_AFFORD, _AFFORD_DELAY = 160.0, 40.0
+_AFFORD, _AFFORD_DELAY = 180.0, 40.0
 """s of one processor that a preflight may take, and besides its search for the border of delay: two minutes of two,
 less what starts and compiles."""
 
