@@ -103,8 +103,8 @@ def _read(pattern: str, text: str) -> tuple[float, ...]:
 
 LOST = 1.5
 """rad: farther than that from its reference no run comes back: what it does then is no attempt to follow."""
-WRONG = 0.1
-"""rad: an estimate that is wrong by more is of no use to a law that is to hold 0.1 rad."""
+WRONG = 0.05
+"""rad: an estimate that is wrong by more leaves a law that is to hold 0.1 rad no room."""
 
 
 def untrue(flight: Flight) -> str:

@@ -40,13 +40,17 @@ def score_command(
             with progress_bar("why") as progress:
                 found = run.why(progress=progress)
             document["why"] = found.document()
-            text.append(f"  why      {found.sentence}")
+            text[:] = [line for line in text if not line.startswith(_WHY)]
+            text.append(f"{_WHY}{found.sentence}")
     failed = [verdict for verdict in verdicts if verdict.completed is False]
     return Answer(
         documents[0] if len(documents) == 1 else {"runs": documents},
         (line for text in lines for line in text),
         f"{len(failed)} of {len(verdicts)} not completed; {failed[0].log}: {failed[0].reason}" if failed else "",
     )
+
+
+_WHY = "  why      "
 
 
 def score_text(verdict: "Score") -> Iterator[str]:
@@ -61,6 +65,8 @@ def score_text(verdict: "Score") -> Iterator[str]:
     )
     if verdict.nis_means is not None:
         yield f"  NIS      {verdict.nis_means.sentence}"
+    if verdict.completed is False:
+        yield f"{_WHY}`dpcontrol score LOG --why` tries on this seed which single change would have saved it"
     if verdict.thinking is not None:
         median, most = 1e6 * verdict.thinking.median, 1e6 * verdict.thinking.within_99
         yield f"  thinking {median:.3g} µs a tick in the median, 99 % within {most:.3g} µs"

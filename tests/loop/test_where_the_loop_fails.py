@@ -154,7 +154,7 @@ def test_a_push_beyond_the_basin(turn: tuple[StandIn, Reference], controller: Tr
 def test_a_track_too_short(turn: tuple[StandIn, Reference], controller: TrackingController, travel: float) -> None:
     settings = replace(REAL, travel=travel, initial_error=0.05)
     run = ended(turn, controller, settings)
-    check(run, Ending.CART_STOP, "lengthen the track (travel in [run])", limit=travel)
+    check(run, Ending.CART_STOP, "must brake now to stay on the track, with an angle 0.0", limit=travel)
 
 
 def test_a_model_of_other_arms(turn: tuple[StandIn, Reference], controller: TrackingController) -> None:
