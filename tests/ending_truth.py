@@ -154,7 +154,8 @@ def untrue(flight: Flight) -> str:
             return f"the true angle was {flight.away[k]:.2f} rad away"
         if flight.away[k] > LOST + SLACK and run.ending is Ending.CART_STOP:
             return f"the arms were already {flight.away[k]:.1f} rad from the reference"
-        reached = _stop(flight, before).max()
+        # What is said is of when the command acts.
+        reached = _stop(flight, slice(before.start, k + round(flight.settings.drive.delay) + 2)).max()
         return "" if reached > flight.limits[0] - 0.03 else f"the cart had room to stop, at {reached:.3f} m"
     return "" if run.ending is Ending.PLANT_FAILED else f"no such ending: {text}"
 
