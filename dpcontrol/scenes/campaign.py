@@ -19,7 +19,7 @@ The first six kinds are those of the leaderboard of the dfki double pendulum, wh
     response         the same: 0.1 to 2 times what was commanded
     delay            there 0 to 40 ms; here to 300 ms, for the loop knows it and predicts, as a rig's delay is known
     model error      there one parameter at a time, ±25 %; here all at once, ±25 % at worst and friction five times that
-    command noise    there up to 1.1 of 6 N m; here up to all of 30 m/s²
+    command noise    there up to 1.1 of 6 N m; here up to 75 m/s² where 30 can be given
     pushes           there three a joint, of 0.06 to 1.3 N m s over a tenth of a second on arms several times as heavy,
                      at one level; here three in all, instantaneous, up to 0.012 N m s, 4 rad/s of the outer arm alone
 
@@ -711,7 +711,7 @@ def _by_ratio(first: float, last: float) -> tuple[float, ...]:
 STANDARD = (
     Trouble("model error", "mismatch", _evenly(0.0, 0.25)),
     Trouble("velocity noise", "rate_noise", _evenly(0.0, 3.0)),
-    Trouble("command noise", "command_noise", _evenly(0.0, 30.0)),
+    Trouble("command noise", "command_noise", _evenly(0.0, 75.0)),
     Trouble("response", "response", _evenly(0.1, 2.0)),
     Trouble("delay", "delay", _evenly(0.0, 0.3), in_periods=True),
     Trouble("pushes", "push_impulse", _evenly(0.0, 0.012), (("pushes", 3),)),
