@@ -717,7 +717,7 @@ STANDARD = (
     Trouble("pushes", "push_impulse", _evenly(0.0, 0.012), (("pushes", 3),)),
     Trouble("quantisation", "counts", tuple(round(v) for v in _by_ratio(40_000, 16))),
     Trouble("acceleration limit", "acceleration", _by_ratio(30.0, 0.3)),
-    Trouble("encoder zeros", "zero_error", _evenly(0.0, 0.05)),
+    Trouble("encoder zeros", "zero_error", _evenly(0.0, 0.5)),
 )
 """Nine kinds; SI units, encoders in counts per turn."""
 
