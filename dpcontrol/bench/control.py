@@ -318,6 +318,8 @@ STAYED = 10.0
 """s, for which a stay lasts."""
 ASTRAY = 0.3
 """rad from the reference over a run's last tenth: what is farther off was not held."""
+TRIED = 10.0
+"""The greatest gain that a simulated drive has: what a loop bears beyond it is not tried."""
 CHATTER = 3.0
 """m/s² rms of the feedback, which stays below 1 while the loop is stable: more is a swing that limits alone contain."""
 SHORT = 1.0
@@ -378,12 +380,12 @@ def margin_border(name: str, case: tuple[str, str], *, seeds: int, ratio: float)
     """Return the border of gain_low, gain_high, delay or lag, beside its margin."""
     loop, key = followed(*case, seeds), name.partition("_")[0]
     predicted = loop.margins[name]
-    near, far = {"gain_low": (1.0, predicted / 4), "gain_high": (1.0, min(4 * predicted, 10.0))}.get(
+    near, far = {"gain_low": (1.0, predicted / 4), "gain_high": (1.0, min(4 * predicted, TRIED))}.get(
         name, (predicted / 16, 4 * predicted)
     )
     return find_border(
-        lambda value: loop.run(**{key: value}), x=0.0, line=", ".join(case), near=near, far=far, predicted=predicted,
-        ratio=ratio,
+        lambda value: loop.run(**{key: value}), x=0.0, line=", ".join(case), near=near, far=far, ratio=ratio,
+        predicted=predicted if name != "gain_high" or predicted < TRIED else None,
     )  # fmt: skip
 
 

@@ -59,8 +59,8 @@ MOST_GAIN, MOST_DELAY, MOST_LAG = 64.0, 0.128, 0.512
 """Beyond these no border is sought: a factor, s, s."""
 _FIRST_GAIN, _FIRST_TIME = 1.5, 1e-3
 _HALVINGS = 6
-_STARTING = 2
-"""Windows of the start of what settles."""
+_EDGE = 2
+"""Windows of the start, and of the end, of what repeats itself between them."""
 _BATCH = 32
 """Windows that are followed side by side."""
 
@@ -69,7 +69,8 @@ _BATCH = 32
 class LinearLoop:
     """Loop of K ticks, `period` s apart, in w: plant (N,), the tick's memory, a clock by phase.
 
-    moves T (K, d, d), pushes b (K, N), commands γ (K, d); delay: believed, in periods; covariance: after the last tick.
+    moves T (K, d, d), pushes b (K, N), commands γ (K, d); delay: believed, in periods. shifts (K, d): by what w after
+    each tick differs where the clock, its last entry, is a tick late; None for a clock that is the loop's.
     """
 
     period: float
@@ -125,7 +126,7 @@ class LinearLoop:
         if self.shifts is not None:
             # What is late alone stays so and is no error: the other errors are counted from where the clock is.
             clock = self.moves.shape[1] - 1
-            over[:, :clock] -= self.shifts[first + count, :clock, None] * over[:, [clock]]
+            over[:, :clock] -= self.shifts[first + count - 1, :clock, None] * over[:, [clock]]
             over = np.delete(np.delete(over, clock, axis=1), clock, axis=2)
         sound = np.array([bool(np.isfinite(one).all()) for one in over])
         values = np.abs(np.linalg.eigvals(np.where(sound[:, None, None], over, 0.0))).max(axis=1)
@@ -195,7 +196,7 @@ def law_margins(
     """Return the margins of a loop whose arms are as the model says.
 
     program_of: the tick of a law by the clock, which has begun on it; its supervisor must let the reference pass. rate
-    Hz; wobble s: what windows last along a flight; repeats: whether the whole reference repeats itself after so long.
+    Hz; wobble s: what windows last along a flight; repeats: whether the reference repeats itself after so long.
 
     Raises:
         InputError: the law has no margins, for it acts by pulses or not at all, or the delay is too long.
@@ -216,17 +217,22 @@ def law_margins(
             covariance = course.covariance
             window = min(window, course.count)
             last, step = course.count - window, max(round(_STEP * window), 1)
-            # What settles is as it ends, but for the run's start, where the filter's gains are still large.
-            until = last if not settles else 0 if found else min(_STARTING * window + 1, last)
-            first = np.array([*range(0, until, step), last])
-            limits = np.full(len(first), REPEATED if repeats else GROWTH)
-            limits[-1] = REPEATED if settles else limits[-1]
+            # What repeats itself differs at its start, where the filter's gains are still large, and by a closing.
+            edge = range(0, min(_EDGE * window + 1, last), step)
+            same = last if settles else last // 2 if repeats else -1
+            if settles:
+                first = np.array([*([] if found else edge), last])
+            elif repeats:
+                first = np.array(sorted({*edge, same, *(last - k for k in edge)}))
+            else:
+                first = np.array([*range(0, last, step), last])
+            limits = np.where(first == same, REPEATED, GROWTH)
             # A stay between flights has settled when it begins.
             times = np.asarray(first * (0.0 if settles and found else course.program.period), dtype=float)
             windows = np.full(len(first), window / rate)
             kept[id(one)] = Margins(times, windows, limits, *course.margins(first, window, limits))
-        same = kept[id(one)]
-        found.append(replace(same, times=same.times + begins))
+        margins = kept[id(one)]
+        found.append(replace(margins, times=margins.times + begins))
         begins += lasts
     return Margins(*(np.concatenate([getattr(one, name) for one in found]) for name in _ALONG))
 
@@ -279,7 +285,8 @@ class _Course:
             # By time while nothing is amiss.
             law = TrackingController(law.kind, law.reference_states, law.feedforward, law.gains, law.status)
         self.program = program = program_of(law)
-        equations, self.count = program.equations, law.ticks
+        # The reference's last tick is cut short by its end, where a clock by phase stands.
+        equations, self.count = program.equations, law.ticks - (program.lead + 3 if self.phase is not None else 0)
         if not equations.unrolled:
             raise InputError(
                 f"drive: margins are known for delays of up to {UNROLLED} periods, not of {program.lead}; lower the "
@@ -311,23 +318,25 @@ class _Course:
         parts: list[list[Array]] = []
         for k in range(0, len(first), _BATCH):
             batch = first[k : k + _BATCH]
-            loop = self.linear(int(batch[0]), int(batch[-1]) + window)
-            parts.append(_margins(loop, batch - batch[0], window, limits=limits[k : k + _BATCH]))
+            # Windows that lie apart are brought together: a stay has few, and lasts for long.
+            ticks = np.unique(batch[:, None] + np.arange(window))
+            loop, places = self.linear(ticks), np.searchsorted(ticks, batch)
+            parts.append(_margins(loop, places, window, limits=limits[k : k + _BATCH]))
         return [np.concatenate(columns) for columns in zip(*parts, strict=True)]
 
-    def linear(self, begin: int, end: int) -> LinearLoop:
-        """Return the loop from tick `begin` to before `end`."""
+    def linear(self, ticks: NDArray[np.int_]) -> LinearLoop:
+        """Return the loop at `ticks` (K,)."""
         program, equations = self.program, self.program.equations
-        over, count = slice(begin, end), end - begin
+        count = len(ticks)
         numbers = np.tile(program.numbers[:, None], (1, count))
         size, arms = equations.filter.equations.dimension, equations.filter.arms
         sees = equations.filter.observation[:, :size]
         tick, kept = _tick_jacobian(equations)
-        given = (self.memory[:, over], self.reading[:, over], self.row[:, over], numbers)
+        given = (self.memory[:, ticks], self.reading[:, ticks], self.row[:, ticks], numbers)
         jacobian = np.array(tick.map(count)(*given)).reshape(tick.size1_out(0), count, -1).transpose(1, 0, 2)
         predicted = _prediction_jacobian(equations)
-        z = self.memory[equations.memory.slices["z"], over]
-        plant = np.array(predicted.map(count)(z, self.acting[None, over], numbers)).reshape(size, count, -1)
+        z = self.memory[equations.memory.slices["z"]][:, ticks]
+        plant = np.array(predicted.map(count)(z, self.acting[None, ticks], numbers)).reshape(size, count, -1)
         plant = plant.transpose(1, 0, 2)
         # Columns: the memory, what was measured, the feedforward. Rows: the memory, the command, the state ahead.
         width = size + kept
@@ -336,14 +345,14 @@ class _Course:
         seen[:, :, size:] = jacobian[:, :, :kept]
         forward = jacobian[:, :, -1]
         if self.phase is not None:
-            seen, forward = self._with_clock(seen, forward, begin, end)
+            seen, forward = self._with_clock(seen, forward, ticks)
         total = seen.shape[2]
         moves = np.zeros((count, total, total))
         moves[:, :size, :size] = plant[:, :, :size]
         moves[:, size : size + kept] = seen[:, :kept]
         if total > width:
             moves[:, width] = seen[:, -1]
-        shifts = None if self.phase is None else self._shifts(total)[begin : end + 1]
+        shifts = None if self.phase is None else self._shifts(total)[ticks + 1]
         delay = equations.whole + float(program.numbers[equations.numbers.slices["share"]][0])
         return LinearLoop(program.period, delay, moves, plant[:, :, -1], seen[:, kept], shifts)
 
@@ -351,8 +360,6 @@ class _Course:
         """Return how plant and filter (K+1, total) differ from themselves a tick later."""
         assert self.phase is not None
         rates = np.gradient(self.phase.reference_states, axis=0)
-        # The last tick is cut short by the reference's end.
-        rates[-2:] = rates[-3]
         size = len(self.phase.first_state)
         out = np.zeros((len(rates), total))
         # The memory begins with the filter's state.
@@ -360,13 +367,13 @@ class _Course:
         out[:, -1] = 1.0
         return out
 
-    def _with_clock(self, seen: Array, forward: Array, begin: int, end: int) -> tuple[Array, Array]:
+    def _with_clock(self, seen: Array, forward: Array, ticks: NDArray[np.int_]) -> tuple[Array, Array]:
         """Adjoin the clock's lateness, in ticks, to what a tick gives: as its last column, and its last row."""
         law = self.phase
         assert law is not None
         count, rows, width = seen.shape
         size = len(law.first_state)
-        acts = np.minimum(np.arange(begin, end) + self.program.lead, law.ticks)
+        acts = np.minimum(ticks + self.program.lead, law.ticks)
         rates = np.gradient(law.reference_states, axis=0)[acts]
         across, gains = law.normals[acts], law.gains[np.minimum(acts, law.ticks - 1)]
         out = np.zeros((count, rows + 1, width + 1))

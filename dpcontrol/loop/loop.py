@@ -469,7 +469,7 @@ def loop_margins(
     return law_margins(
         controller or loop_controller(reference, parameters, settings), program_of, rate=settings.rate,
         wobble=max((orbit["period"] for orbit in notes.get("orbits", ())), default=_WOBBLE),
-        repeats=notes.get("stay", {}).get("kind") == "orbit",
+        repeats="stay" in notes,
     )  # fmt: skip
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpcontrol.bench.control import followed
+from dpcontrol.bench.control import TRIED, followed
 from dpcontrol.bench.edges import (
     STRONG,
     WEAK,
@@ -122,7 +122,7 @@ def test_campaigns_end_near_the_margins_of_the_loop():
     held = followed("hold-up-up", "lqr", 8)
     for name, value in held.margins.items():
         key, inside = name.partition("_")[0], 1.25 if name == "gain_low" else 1 / 1.25
-        assert held.run(**{key: value * inside}).works, name
+        assert held.run(**{key: min(value * inside, TRIED)}).works, name
     # A hold from its very start; what it bears of gain is decided there, and a campaign may bear more.
     for name in ("gain_low", "delay", "lag"):
         outside = 1 / 1.25 if name == "gain_low" else 1.25
