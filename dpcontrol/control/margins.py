@@ -221,17 +221,20 @@ def law_margins(
             edge = range(0, min(_EDGE * window + 1, last), step)
             same = last if settles else last // 2 if repeats else -1
             if settles:
-                first = np.array([*([] if found else edge), last])
+                first = np.array([*edge, last])
             elif repeats:
                 first = np.array(sorted({*edge, same, *(last - k for k in edge)}))
             else:
                 first = np.array([*range(0, last, step), last])
             limits = np.where(first == same, REPEATED, GROWTH)
-            # A stay between flights has settled when it begins.
-            times = np.asarray(first * (0.0 if settles and found else course.program.period), dtype=float)
+            times = np.minimum(first * course.program.period, max(lasts - window / rate, 0.0))
             windows = np.full(len(first), window / rate)
             kept[id(one)] = Margins(times, windows, limits, *course.margins(first, window, limits))
         margins = kept[id(one)]
+        if settles and found:
+            # A stay after a flight has settled when it begins.
+            margins = Margins(*(getattr(margins, name)[-1:] for name in _ALONG))
+            margins = replace(margins, times=np.zeros(1))
         found.append(replace(margins, times=margins.times + begins))
         begins += lasts
     return Margins(*(np.concatenate([getattr(one, name) for one in found]) for name in _ALONG))
