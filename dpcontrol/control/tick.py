@@ -124,9 +124,10 @@ _JOINT_HELD, _COUNTS_HELD = 0.05, 8.0
 reference goes on stands still, too, and its model with it."""
 _LONG = 8.0
 """Times the longest that a joint stands where it turns back: no other evidence is needed then."""
-_DOUBT = 300.0
-"""Mean NIS per position: with 256 counts, stuck encoders gave 450 and more when they were found, slow arms up to 270.
-The cart's scale is detected without it: only its own commands contradict it."""
+_DOUBT = 30.0
+"""Mean NIS per position: stuck encoders gave 50 and more with the default filter, sensors that work 1 or so. Of a plant
+off its model it is no less, so it is never the only evidence. The cart's scale is detected without it: only its own
+commands contradict it."""
 _UNSEEN = 0.2
 """rad: taken for a count while a sensor has not moved at all."""
 _BIG = 1e30

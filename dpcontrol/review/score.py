@@ -484,6 +484,8 @@ def _problem(flown: Flown, plan: Reference, decoded: Decoded) -> str:
     ended = early or (f"; {flown.ended}" if flown.ended else "")
     if matched == 0 and flown.time[-1] - flown.time[0] < _shortest_stay(notes):
         return f"ended within the first half period about {stops[0]['saddle']}{ended}"
+    if matched == 0 and np.abs(flown.angles[0] - flown.reference_angles[0]).max() < _BEGUN:
+        return f"left the orbit about {stops[0]['saddle']} within its first half period{ended}"
     if matched == 0:
         return f"did not start on the orbit about {stops[0]['saddle']}{ended}"
     if matched < len(stops):
@@ -511,6 +513,8 @@ def _problem(flown: Flown, plan: Reference, decoded: Decoded) -> str:
     return _limits(flown) or _last_orbit(flown, plan, last=last, ended=early)
 
 
+_BEGUN = 0.5
+"""rad: a run that begins no farther from its reference has begun where it should."""
 _UNSEEN = 0.05
 """s: in this time no arm of a bench makes half a turn."""
 

@@ -158,7 +158,9 @@ def test_what_the_supervisor_decides_brings_the_cart_to_rest(
             positions = positions * np.nan
         own, other = both(positions, present=present, switch=int(on and trouble == "switch"))
         if other["outcome"][0] >= Outcome.ESTIMATE_LOST:
-            assert other["outcome"][0] == own["outcome"][0] == outcome
+            assert other["outcome"][0] == own["outcome"][0]
+            # A cart that is elsewhere from one tick to the next takes the estimate of the arms along.
+            assert other["outcome"][0] in ((outcome, Outcome.FALLEN) if trouble == "far" else (outcome,))
             assert both.c.status == BRAKING
         told.append(other)
         if other["done"][0]:
