@@ -197,7 +197,7 @@ def read_run_settings(
         parts[part] = Table(own, file=run.file, name=run.name).settings(kind, also=known, **given)
     rest = Table({k: v for k, v in values.items() if k not in _HOMES}, file=run.file, name=run.name)
     keep = controller.text("keep", "none", allowed=KEEPERS)
-    law = _kind(controller, CONTROLLERS, "tvlqr")
+    law = _kind(controller, CONTROLLERS, "adaptive" if keep == "none" else "tvlqr")
     if keep != "none" and not isinstance(law, TvlqrSettings):
         raise InputError(
             f'{controller.where("keep")} = {keep!r}: what flies between the stops is kind = "tvlqr", not "{law.kind}"'
