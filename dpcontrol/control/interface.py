@@ -7,6 +7,7 @@ The model between two ticks is one step of the equations with the input held, an
 The casadi function is called through its buffers, without a copy: 2 µs a step in place of 16 µs.
 """
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -221,7 +222,7 @@ class ClockedSession(ABC):
 class GainSchedule:
     """Inputs, gains and references by the loop's own clock, for K ticks, N states, E extras and n arms.
 
-    rows (K, 1+2N+E+n): see `TickEquations.row`; references (K, N); queued (lead,) m/s²: what acts before the first
+    rows (K, ·): see `TickEquations.row`; references (K, N); queued (lead,) m/s²: what acts before the first
     tick's command can; shares, names (E,): of the extras that it has gains
     on, which are relative errors that are trusted up to `trust`, and all names; None and () without such gains.
     """
@@ -266,7 +267,7 @@ def schedule_of(controller: Controller, lead: int) -> GainSchedule | None:
 
 
 class SampledModel:
-    """The equations of the cart level over `period` s, with base parameters (p,).
+    """The equations of the cart level over `period` s, with base parameters (p,), and the drive's `lag` in s.
 
     Not to be shared between threads: the buffers are reused from call to call.
 
@@ -274,7 +275,7 @@ class SampledModel:
         InputError: the period is not positive, the parameters are too few or many, or there is no single input.
     """
 
-    def __init__(self, equations: Equations, parameters: Array, *, period: float) -> None:
+    def __init__(self, equations: Equations, parameters: Array, *, period: float, lag: float = 0.0) -> None:
         if not np.isfinite(period) or period <= 0:
             raise InputError(f"period = {period!r}: must be a positive, finite number of seconds")
         if equations.input_count != 1:
@@ -283,7 +284,9 @@ class SampledModel:
             raise InputError(
                 f"parameters have shape {np.shape(parameters)}: the equations take ({equations.parameters.shape[0]},)"
             )
-        self.equations, self.period = equations, period
+        self.equations, self.period, self.lag = equations, period, lag
+        self.lag_keeps = math.exp(-period / lag) if lag else 0.0
+        """Share of the cart's acceleration that a drive that lags keeps over a period."""
         self.parameters = np.array(parameters, dtype=float)
         self.dimension = equations.dimension
         """Length of the state."""
@@ -314,6 +317,20 @@ class SampledModel:
         u[0] = command
         trigger()
         return following.copy()
+
+    def lagging(self, a: Array, b: Array) -> tuple[Array, Array]:
+        """Return A (K, N+1, N+1) and B (K, N+1) of `linearised` with the cart's acceleration as last state.
+
+        Where the drive follows at once, A and B as they are.
+        """
+        if not self.lag:
+            return a, b
+        count, n = b.shape
+        mean = self.lag / self.period * (1 - self.lag_keeps)
+        whole, push = np.zeros((count, n + 1, n + 1)), np.empty((count, n + 1))
+        whole[:, :n, :n], whole[:, :n, n], whole[:, n, n] = a, mean * b, self.lag_keeps
+        push[:, :n], push[:, n] = (1 - mean) * b, 1 - self.lag_keeps
+        return whole, push
 
     def linearised(self, states: Array, commands: Array) -> tuple[Array, Array]:
         """Return A (K, N, N) and B (K, N) at `states` (K, N) and `commands` (K,)."""

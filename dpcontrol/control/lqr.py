@@ -65,13 +65,17 @@ class HoldSettings(QuadraticWeights):
 
 @dataclass(frozen=True, eq=False)
 class HoldController:
-    """Gain (N,) about the equilibrium `state` (N,), cart in the middle; for so many ticks."""
+    """Gain (N,) about the equilibrium `state` (N,), cart in the middle; for so many ticks.
+
+    drive_gain: on the cart's acceleration, for a drive that lags.
+    """
 
     kind: str
     state: Array
     gain: Array
     ticks: int
     status: str
+    drive_gain: float | None = None
 
     @property
     def first_state(self) -> Array:
@@ -85,7 +89,8 @@ class HoldController:
     def schedule(self, lead: int) -> GainSchedule:
         """Return what the loop needs: the same row at every tick."""
         n, count = (len(self.state) - 2) // 2, self.ticks + 1
-        row = np.concatenate([[0.0], self.gain, self.state, self.state[:n]])
+        drive = [] if self.drive_gain is None else [0.0, self.drive_gain]
+        row = np.concatenate([[0.0], self.gain, self.state, drive, self.state[:n]])
         return GainSchedule(np.tile(row, (count, 1)), np.tile(self.state, (count, 1)), np.zeros(lead), Mode.HOLDING)
 
     def join(self, tick: int, state: Array) -> "HoldSession":
@@ -139,13 +144,15 @@ def hold_controller(state: ArrayLike, model: SampledModel, settings: HoldSetting
     from control import dlqr
 
     weights, effort = settings.weights(n, model.period)
-    a, b = (v[0] for v in model.linearised(x[None, :], np.zeros(1)))
+    a, b = (v[0] for v in model.lagging(*model.linearised(x[None, :], np.zeros(1))))
     try:
-        gain, _, values = dlqr(a, b[:, None], np.diag(weights), np.array([[effort]]))
+        gain, _, values = dlqr(a, b[:, None], np.diag(np.append(weights, [0.0] * (len(b) - len(x)))), np.array([[effort]]))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise GoalMissed(f"the equilibrium cannot be held: {error}") from error
     slowest = float(np.abs(values).max())
     if not slowest < 1:
         raise GoalMissed(f"the equilibrium cannot be held: the best loop's largest multiplier is {slowest:.6g}")
     text = f"slowest motion dies out in {-model.period / np.log(slowest):.3g} s"
-    return HoldController(settings.kind, x, np.asarray(gain)[0], max(round(seconds / model.period), 1), text)
+    gains = np.asarray(gain)[0]
+    drive = float(gains[-1]) if model.lag else None
+    return HoldController(settings.kind, x, gains[: len(x)], max(round(seconds / model.period), 1), text, drive)

@@ -69,8 +69,9 @@ _BATCH = 32
 class LinearLoop:
     """Loop of K ticks, `period` s apart, in w: plant (N,), the tick's memory, a clock by phase.
 
-    moves T (K, d, d), pushes b (K, N), commands γ (K, d); delay: believed, in periods. shifts (K, d): by what w after
-    each tick differs where the clock, its last entry, is a tick late; None for a clock that is the loop's.
+    moves T (K, d, d), pushes b (K, N), commands γ (K, d); delay, in periods, and known_lag, in s: those believed.
+    shifts (K, d): by what w after each tick differs where the clock, its last entry, is a tick late; None for a clock
+    that is the loop's.
     """
 
     period: float
@@ -78,6 +79,7 @@ class LinearLoop:
     moves: Array
     pushes: Array
     commands: Array
+    known_lag: float
     shifts: Array | None = None
 
     def transitions(self, first: NDArray[np.int_], count: int, *, gain: Array, delay: Array, lag: Array) -> Array:
@@ -98,7 +100,7 @@ class LinearLoop:
         lagging[:, size] = 1.0
         sent = np.zeros((windows, slots, state.shape[2]))
         sent[:, np.arange(longest), size + 1 + np.arange(longest)] = 1.0
-        slow = np.maximum(lag, 1e-9)
+        slow = np.maximum(self.known_lag + lag, 1e-9)
         kept = np.exp(-self.period / slow)
         mean = slow / self.period * (1 - kept)
         now = longest
@@ -191,12 +193,13 @@ _ALONG = ("times", "windows", "limits", "growth", "low", "high", "delay", "lag")
 
 
 def law_margins(
-    law: Any, program_of: Callable[[Controller], TickProgram], *, rate: float, wobble: float, repeats: bool
+    law: Any, program_of: Callable[[Controller], TickProgram], *, rate: float, wobble: float, repeats: bool, lags: bool
 ) -> Margins:
     """Return the margins of a loop whose arms are as the model says.
 
     program_of: the tick of a law by the clock, which has begun on it; its supervisor must let the reference pass. rate
-    Hz; wobble s: what windows last along a flight; repeats: whether the reference repeats itself after so long.
+    Hz; wobble s: what windows last along a flight; repeats: whether the reference repeats itself after so long; lags:
+    whether the model's drive does.
 
     Raises:
         InputError: the law has no margins, for it acts by pulses or not at all, or the delay is too long.
@@ -213,7 +216,7 @@ def law_margins(
         if isinstance(part, Keep):
             lasts = part.wraps * period
         if id(one) not in kept or isinstance(part, Fly):
-            course = _Course(_by_the_clock(one, ticks=(_PERIODS + 1) * window), program_of, covariance)
+            course = _Course(_by_the_clock(one, ticks=(_PERIODS + 1) * window, lags=lags), program_of, covariance, lags=lags)
             covariance = course.covariance
             window = min(window, course.count)
             last, step = course.count - window, max(round(_STEP * window), 1)
@@ -240,7 +243,7 @@ def law_margins(
     return Margins(*(np.concatenate([getattr(one, name) for one in found]) for name in _ALONG))
 
 
-def _by_the_clock(law: Any, *, ticks: int) -> TimedController | PhaseController | HoldController:
+def _by_the_clock(law: Any, *, ticks: int, lags: bool) -> TimedController | PhaseController | HoldController:
     """Return a law as gains in a table: an orbit's for so many ticks, by phase where the orbit's goes by phase.
 
     Raises:
@@ -256,7 +259,9 @@ def _by_the_clock(law: Any, *, ticks: int) -> TimedController | PhaseController 
         known |= {"feedforward": law.feedforward[at], "gains": law.gains[at]}
         # Its clock counts seconds, the other's ticks.
         normals = law.normals[[*at, at[-1]]] / law.period
-        return PhaseController(**known, normals=normals) if law.by_phase else TimedController(**known)
+        # It has no gain on the acceleration of a drive that lags.
+        drive = np.zeros((ticks + 1, 2)) if lags else None
+        return PhaseController(**known, normals=normals) if law.by_phase else TimedController(**known, drive=drive)
     if not isinstance(law, TimedController | PhaseController):
         raise InputError(
             f'controller: kind = "{law.kind}" acts by pulses, which no gain, delay or lag margin describes; use '
@@ -282,11 +287,16 @@ class _Course:
         law: TimedController | PhaseController | HoldController,
         program_of: Callable[[Controller], TickProgram],
         covariance: Array | None,
+        *,
+        lags: bool,
     ) -> None:
         self.phase = law if isinstance(law, PhaseController) else None
         if isinstance(law, PhaseController):
             # By time while nothing is amiss.
-            law = TrackingController(law.kind, law.reference_states, law.feedforward, law.gains, law.status)
+            drive = np.zeros((law.ticks + 1, 2)) if lags else None
+            law = TrackingController(
+                law.kind, law.reference_states, law.feedforward, law.gains, law.status, drive=drive
+            )
         self.program = program = program_of(law)
         # The reference's last tick is cut short by its end, where a clock by phase stands.
         equations, self.count = program.equations, law.ticks - (program.lead + 3 if self.phase is not None else 0)
@@ -357,7 +367,7 @@ class _Course:
             moves[:, width] = seen[:, -1]
         shifts = None if self.phase is None else self._shifts(total)[ticks + 1]
         delay = equations.whole + float(program.numbers[equations.numbers.slices["share"]][0])
-        return LinearLoop(program.period, delay, moves, plant[:, :, -1], seen[:, kept], shifts)
+        return LinearLoop(program.period, delay, moves, plant[:, :, -1], seen[:, kept], program.model.lag, shifts)
 
     def _shifts(self, total: int) -> Array:
         """Return how plant and filter (K+1, total) differ from themselves a tick later."""
@@ -416,7 +426,8 @@ def _prediction_jacobian(equations: TickEquations) -> ca.Function:
     size = equations.filter.equations.dimension
     z, command = ca.SX.sym("z", equations.filter.dimension), ca.SX.sym("command")
     numbers = ca.SX.sym("numbers", equations.numbers.size)
-    following = equations.moved()(z, command, numbers)[:size]
+    # A drive that gives already what is commanded.
+    following = equations.moved()(z, command, command, numbers)[:size]
     jacobian = ca.densify(ca.jacobian(following, ca.vertcat(z[:size], command)))
     return ca.Function("prediction_jacobian", [z, command, numbers], [ca.cse(jacobian)], {"cse": True})
 

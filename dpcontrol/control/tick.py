@@ -208,7 +208,8 @@ class TickEquations:
 
     whole, lead: the delay's whole periods, and for how many the command is computed ahead. shares (E,): which extras
     are relative errors that the law trusts only so far; None for a law without gains on them. unrolled: whether the
-    memory holds the commands on their way; else whoever keeps it keeps them, too, for delays of any length.
+    memory holds the commands on their way; else whoever keeps it keeps them, too, for delays of any length. lags:
+    whether the drive's velocity loop takes its time, as far as is known.
 
     For coarser arithmetic: same rad and m, how near to each other readings of a joint and of the cart are the same
     count; split, whether the filter's positions are kept as a sum of two numbers: single precision rounds an angle of
@@ -220,6 +221,7 @@ class TickEquations:
     lead: int
     shares: tuple[bool, ...] | None = None
     unrolled: bool = True
+    lags: bool = False
     same: tuple[float, float] = (SAME, SAME)
     split: bool = False
 
@@ -228,7 +230,8 @@ class TickEquations:
         """What is kept from tick to tick.
 
         z, covariance: the filter's prediction for the coming reading, the covariance's lower triangle row by row.
-        sent: commands, oldest first, m/s²; velocity m/s of the cart once all of them have acted. error rad and nis: the
+        sent: commands, oldest first, m/s²; velocity m/s of the cart once all of them have acted; with a lag, drive m/s²:
+        the cart's acceleration when the coming period begins. error rad and nis: the
         means; silent s; restarts so far; held: 1 after the reference was given up; moved s since the clock was;
         restart: 1 where the filter begins anew; stopped: the outcome that ended the run, or 0; still s: for how long
         the cart was sent nowhere since; cut: 1 where the last command was; doubts: 1 once an extra was trusted no
@@ -241,8 +244,9 @@ class TickEquations:
         """
         size, m = self.filter.dimension, self.filter.arms + 1
         sent = {"sent": self.whole + 2} if self.unrolled else {}
+        lag = {"drive": 1} if self.lags else {}
         return Layout(
-            z=size, covariance=size * (size + 1) // 2, **sent, velocity=1, error=1, nis=1, silent=1,
+            z=size, covariance=size * (size + 1) // 2, **sent, **lag, velocity=1, error=1, nis=1, silent=1,
             restarts=1, held=1, moved=1, restart=1, stopped=1, still=1, cut=1, doubts=1, last=m, step=m, same=m,
             begin=m, away=m, pulled=m - 1, strained=m - 1, held_back=m - 1, travelled=1, heading=1, turns=m - 1,
             **({"origin": m} if self.split else {}),
@@ -263,22 +267,23 @@ class TickEquations:
     def row(self) -> Layout:
         """What the table gives.
 
-        Of the tick at which the command acts: feedforward m/s², gains (N,), state (N,) and, for a law that has them,
-        extra_gains (E,). Of this tick: wanted (n,), the reference's angles.
+        Of the tick at which the command acts: feedforward m/s², gains (N,), state (N,), with a lag the cart's
+        acceleration m/s² and the gain on it, and for a law that has them extra_gains (E,). Of this tick: wanted (n,), the reference's angles.
         """
         size = self.filter.equations.dimension
         extras = {} if self.shares is None else {"extra_gains": len(self.shares)}
-        return Layout(feedforward=1, gains=size, state=size, **extras, wanted=self.filter.arms)
+        lag = {"drive": 1, "drive_gain": 1} if self.lags else {}
+        return Layout(feedforward=1, gains=size, state=size, **lag, **extras, wanted=self.filter.arms)
 
     @cached_property
     def numbers(self) -> Layout:
         """What does not change in a run.
 
-        bounds; noise: R packed; parameters, process: see `FilterEquations`; fresh (N+E,): variances after a restart.
+        bounds; lag s: of the drive, and lag_keeps: what it leaves of an acceleration after a period; noise: R packed; parameters, process: see `FilterEquations`; fresh (N+E,): variances after a restart.
         """
         known, m = self.filter.inputs, self.filter.arms + 1
         return Layout(
-            **dict.fromkeys(BOUNDS, 1), noise=m * (m + 1) // 2, parameters=known["parameters"],
+            **dict.fromkeys(BOUNDS, 1), lag=1, lag_keeps=1, noise=m * (m + 1) // 2, parameters=known["parameters"],
             process=known["process"], fresh=self.filter.dimension,
         )  # fmt: skip
 
@@ -395,16 +400,26 @@ class TickEquations:
             out[i] = m["origin"][k]
         return out
 
-    def _acting(self, command: ca.SX, velocity: ca.SX, c: Mapping[str, ca.SX]) -> ca.SX:
-        """What acts of a command on a cart of this velocity: the drive keeps below its fastest."""
-        period, fastest = self.filter.period, c["velocity"]
-        return _clip(command, (-fastest - velocity) / period, (fastest - velocity) / period)
+    def _acting(self, command: ca.SX, velocity: ca.SX, drive: ca.SX, c: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+        """What acts of a command on a cart of this velocity and acceleration: mean of the period, and at its end.
 
-    def law(self, row: Mapping[str, Any], ahead: Any, extra: Any, trust: Any) -> tuple[Any, Any]:
+        The drive keeps its loop's own reference below its fastest.
+        """
+        period, fastest = self.filter.period, c["velocity"]
+        aims = velocity + c["lag"] * drive if self.lags else velocity
+        given = _clip(command, (-fastest - aims) / period, (fastest - aims) / period)
+        if not self.lags:
+            return given, drive
+        keeps = c["lag_keeps"]
+        return given + c["lag"] / period * (1 - keeps) * (drive - given), given + keeps * (drive - given)
+
+    def law(self, row: Mapping[str, Any], ahead: Any, drive: Any, extra: Any, trust: Any) -> tuple[Any, Any]:
         """Return the feedback in m/s², and the number of the last extra that is trusted no further, from 1, else 0."""
         feedback, doubted = 0.0, 0.0
         for i in range(ahead.shape[0]):
             feedback += row["gains"][i] * (row["state"][i] - ahead[i])
+        if self.lags:
+            feedback += row["drive_gain"] * (row["drive"] - drive)
         for i, share in enumerate(self.shares or ()):
             value = extra[i]
             if share:
@@ -489,6 +504,7 @@ class TickEquations:
         c: Mapping[str, ca.SX],
         e: Mapping[str, ca.SX],
         ahead: ca.SX,
+        drive: ca.SX,
         back: ca.SX,
         coming: ca.SX | None = None,
         *,
@@ -496,11 +512,12 @@ class TickEquations:
     ) -> tuple[dict[str, ca.SX], dict[str, ca.SX]]:
         """All after the estimate: memory and report.
 
-        back m/s²: feedback besides the row's. coming m/s²: what will act in the coming period, if it is known already.
+        drive m/s²: the cart's acceleration in the state ahead. back m/s²: feedback besides the row's. coming m/s²: what
+        will act in the coming period, if it is known already.
         """
         n, size, period = self.filter.arms, self.filter.equations.dimension, self.filter.period
         forward = row["feedforward"]
-        by_row, doubted = self.law(row, ahead, e["z"][size:], c["trust"])
+        by_row, doubted = self.law(row, ahead, drive, e["z"][size:], c["trust"])
         feedback = back + by_row
         was = m["stopped"] > 0
 
@@ -571,7 +588,7 @@ class TickEquations:
         still = ca.if_else(_all(was, ca.logic_not(ca.fabs(sent) > 0)), m["still"] + period, 0)
         if coming is None:
             coming = c["share"] * queue["sent"][0] + (1 - c["share"]) * queue["sent"][1]
-        acting = self._acting(coming, e["z"][size - 1], c)
+        acting, moved_on = self._acting(coming, e["z"][size - 1], m.get("drive", ca.SX(0)), c)
         saturated = ca.logic_or(ca.fabs(wish) > most, ca.fabs(velocity) >= fastest)
         newly_cut = ca.logic_and(saturated, ca.logic_not(m["cut"]))
         newly_doubted = ca.if_else(m["doubts"], 0, doubted)
@@ -599,6 +616,7 @@ class TickEquations:
             memory |= {"z": m["z"], "covariance": m["covariance"]}
         if self.split:
             memory["origin"] = m["origin"]
+        memory["drive"] = moved_on
         report = {
             "state": e["z"][:size], "wish": wish, "feedforward": forward, "feedback": feedback, "acting": acting,
             "saturated": saturated, "nis": e["nis"], "mode": mode, "sigmas": e["sigmas"], "extra": e["z"][size:],
@@ -624,10 +642,10 @@ class TickEquations:
         """Return the whole tick: (memory, reading, row, numbers) -> memory and report."""
         (memory, m), (reading, r), (row, t), (numbers, c) = self._symbols()
         e = self._sense(m, r, c)
-        z = e["z"]
+        z, drive = e["z"], m.get("drive", ca.SX(0))
         for command in on_their_way(m["sent"], c["share"], whole=self.whole, lead=self.lead):
-            z = self._moved(z, command, c)
-        after, report = self._finish(m, r, t, c, e, self._seen(z, r), ca.SX(0), predicts=True)
+            z, drive = self._moved(z, drive, command, c)
+        after, report = self._finish(m, r, t, c, e, self._seen(z, r), drive, ca.SX(0), predicts=True)
         out = ca.vertcat(self.memory.joined(after), self.report.joined(report))
         return _function("tick", {"memory": memory, "reading": reading, "row": row, "numbers": numbers}, out)
 
@@ -638,35 +656,37 @@ class TickEquations:
         return _function("sense", {"memory": memory, "reading": reading, "numbers": numbers}, out)
 
     def moved(self) -> ca.Function:
-        """Return a period of the look ahead: (z, command, numbers) -> the next z."""
-        z, command = ca.SX.sym("z", self.filter.dimension), ca.SX.sym("command")
+        """Return a period of the look ahead: (z, drive, command, numbers) -> the next z, then the next drive."""
+        z, drive, command = ca.SX.sym("z", self.filter.dimension), ca.SX.sym("drive"), ca.SX.sym("command")
         numbers, c = self.numbers.symbols("numbers")
-        return _function("moved", {"z": z, "command": command, "numbers": numbers}, self._moved(z, command, c))
+        out = ca.vertcat(*self._moved(z, drive, command, c))
+        return _function("moved", {"z": z, "drive": drive, "command": command, "numbers": numbers}, out)
 
     def finish(self, *, predicts: bool) -> ca.Function:
-        """Return the second part: (memory, reading, row, numbers, sensed, ahead, back) -> memory and report.
+        """Return the second part: (memory, reading, row, numbers, sensed, ahead, drive, back) -> memory and report.
 
-        back m/s²: feedback besides the row's; without `predicts` the filter's memory stays as it is. A last input,
+        ahead (N,), drive m/s²: the state for which the command is computed, and the cart's acceleration then. back m/s²: feedback besides the row's; without `predicts` the filter's memory stays as it is. A last input,
         coming m/s², is what will act in the coming period, where the memory does not hold the commands on their way.
         """
         (memory, m), (reading, r), (row, t), (numbers, c) = self._symbols()
         sensed, e = self.sensed.symbols("sensed")
         ahead, back = ca.SX.sym("ahead", self.filter.equations.dimension), ca.SX.sym("back")
+        drive = ca.SX.sym("drive")
         coming = None if self.unrolled else ca.SX.sym("coming")
-        after, report = self._finish(m, r, t, c, e, ahead, back, coming, predicts=predicts)
+        after, report = self._finish(m, r, t, c, e, ahead, drive, back, coming, predicts=predicts)
         out = ca.vertcat(self.memory.joined(after), self.report.joined(report))
         inputs = {"memory": memory, "reading": reading, "row": row, "numbers": numbers, "sensed": sensed}
-        inputs |= {"ahead": ahead, "back": back, **({} if coming is None else {"coming": coming})}
+        inputs |= {"ahead": ahead, "drive": drive, "back": back, **({} if coming is None else {"coming": coming})}
         return _function("finish", inputs, out)
 
     def _symbols(self) -> list[tuple[ca.SX, dict[str, ca.SX]]]:
         layouts = {"memory": self.memory, "reading": self.reading, "row": self.row, "numbers": self.numbers}
         return [layout.symbols(name) for name, layout in layouts.items()]
 
-    def _moved(self, z: ca.SX, command: ca.SX, c: Mapping[str, ca.SX]) -> ca.SX:
-        """State and extras a period on."""
-        acting = self._acting(command, z[self.filter.equations.dimension - 1], c)
-        return self.filter.predicted(z, acting, c["parameters"], c["process"])[0]
+    def _moved(self, z: ca.SX, drive: ca.SX, command: ca.SX, c: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
+        """State and extras, and the cart's acceleration, a period on."""
+        acting, following = self._acting(command, z[self.filter.equations.dimension - 1], drive, c)
+        return self.filter.predicted(z, acting, c["parameters"], c["process"])[0], following
 
     def _seen(self, z: ca.SX, r: Mapping[str, ca.SX]) -> ca.SX:
         """The state that the law sees."""
@@ -687,12 +707,12 @@ def _function(name: str, inputs: Mapping[str, ca.SX], out: ca.SX) -> ca.Function
 @lru_cache(maxsize=32)
 def _tick_equations(
     equations: Equations, period: float, augments: tuple[Augment, ...], path: tuple[int, int] | None,
-    shares: tuple[bool, ...] | None,
+    shares: tuple[bool, ...] | None, lags: bool,
 ) -> tuple[TickEquations, dict[str, Compiled]]:  # fmt: skip
     """Return a tick's equations and the machine code made of them so far: once for all runs of a process."""
     filters = FilterEquations(equations, period, augments, as_measured=True)
     whole, lead = path or (0, 0)
-    return TickEquations(filters, whole, lead, shares, unrolled=path is not None), {}
+    return TickEquations(filters, whole, lead, shares, unrolled=path is not None, lags=lags), {}
 
 
 def whole_periods(delay: float) -> tuple[int, int]:
@@ -731,7 +751,9 @@ class TickProgram:
         unrolls = self.lead <= UNROLLED
         # Code for all delays that are too long to unroll: the commands on their way are kept here.
         path = self._delay if unrolls else None
-        self.equations, self._made = _tick_equations(model.equations, model.period, settings.augments, path, shares)
+        self.equations, self._made = _tick_equations(
+            model.equations, model.period, settings.augments, path, shares, model.lag > 0
+        )
         self.model, self.settings, self.runs = model, settings, runs
         equations, arms = self.equations, model.arms
         self.period = model.period
@@ -739,7 +761,7 @@ class TickProgram:
         again = settings.first_sigmas(arms)
         again[arms : 2 * arms], again[2 * arms + 1] = RESTART_RATE, RESTART_VELOCITY
         known = {
-            **bounds, "share": delay - whole, "noise": packed(checked_noise(noise, arms)),
+            **bounds, "share": delay - whole, "lag": model.lag, "lag_keeps": model.lag_keeps, "noise": packed(checked_noise(noise, arms)),
             "parameters": model.parameters, "process": settings.process(arms, model.period), "fresh": again**2,
         }  # fmt: skip
         parts = {
@@ -794,6 +816,9 @@ class TickProgram:
             "covariance": packed(t @ np.diag(self.settings.first_sigmas(self.model.arms) ** 2) @ t.T),
             "velocity": speed[None], "heading": speed[None], "moved": np.inf, "last": np.inf, "step": np.inf,
         }  # fmt: skip
+        if self.equations.lags:
+            # What acted last.
+            start["drive"] = sent[1][None]
         self.memory[:] = self.equations.memory.filled(start, self.lanes)
         self._sent[:] = sent
 
@@ -855,11 +880,26 @@ class TickProgram:
         share = self._numbers[self.equations.numbers.slices["share"]][0]
         return on_their_way(self._sent, share, whole=self._delay[0], lead=self.lead)
 
-    def look_ahead(self, z: Array) -> Array:
-        """Return the states (N, lanes) for which commands are computed, from estimates z (N+E, lanes)."""
+    @property
+    def drive(self) -> Array:
+        """The carts' accelerations (lanes,) when the coming period begins, as far as drives lag, m/s²."""
+        at = self.equations.memory.slices.get("drive")
+        return np.zeros(self.lanes) if at is None else self.memory[at][0]
+
+    def look_ahead(self, z: Array) -> tuple[Array, Array]:
+        """Return the states (N, lanes) for which commands are computed, from estimates z (N+E, lanes), and `drive` then."""
+        drive = self.drive
         for command in self.on_their_way():
-            z = self.moved(z, command)
-        return self.with_rate_error(z[: self.model.dimension])
+            z, drive = self.moved(z, drive, command)
+        return self.with_rate_error(z[: self.model.dimension]), drive
+
+    def acting_on_their_way(self) -> tuple[list[Array], Array]:
+        """Return the mean accelerations (lanes,) of the periods to come by the commands on their way, and `drive` then."""
+        means, drive, model = [], self.drive, self.model
+        for command in self.on_their_way():
+            means.append(command + model.lag / self.period * (1 - model.lag_keeps) * (drive - command))
+            drive = command + model.lag_keeps * (drive - command)
+        return means, drive
 
     def with_rate_error(self, states: Array) -> Array:
         """Return states (N, lanes) as the law sees them."""
@@ -867,16 +907,19 @@ class TickProgram:
         out[self.model.arms : 2 * self.model.arms] += self._rate_error
         return out
 
-    def moved(self, z: Array, command: Array) -> Array:
-        """Return states and extras (N+E, lanes) a period on under commands (lanes,)."""
+    def moved(self, z: Array, drive: Array, command: Array) -> tuple[Array, Array]:
+        """Return states and extras (N+E, lanes), and `drive`, a period on under commands (lanes,)."""
         made = self.machine("moved")
-        inputs = np.concatenate([z, command[None], self._numbers])
-        return made.machine(inputs, np.empty((made.size_out, self.lanes)))
+        inputs = np.concatenate([z, drive[None], command[None], self._numbers])
+        out = made.machine(inputs, np.empty((made.size_out, self.lanes)))
+        return out[:-1], out[-1]
 
-    def finish(self, sensed: Array, ahead: Array, back: Array | float, *, predicts: bool = True) -> None:
+    def finish(
+        self, sensed: Array, ahead: Array, drive: Array, back: Array | float, *, predicts: bool = True
+    ) -> None:
         """Do the rest of a tick with the row that was put into `row`; back (lanes,) m/s²: feedback besides it."""
         made = self.machine("finish" if predicts else "judge")
-        parts = [self._inputs, sensed, ahead, np.broadcast_to(back, (1, self.lanes))]
+        parts = [self._inputs, sensed, ahead, drive[None], np.broadcast_to(back, (1, self.lanes))]
         if not self.equations.unrolled:
             parts.append(self.on_their_way()[0][None])
         made.machine(np.concatenate(parts), self._out)

@@ -27,7 +27,7 @@ stands still the clock goes on with time alone.
 Source: Hauser & Hindman, Manoeuvre regulation from trajectory tracking, NOLCOS (1995), section 3.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -88,8 +88,11 @@ class ReferenceController:
 class TimedController(ReferenceController):
     """One whose clock is the loop's: gains (K, N) by time; of zero: no feedback.
 
-    After the last tick the last gain holds the reference's end.
+    After the last tick the last gain holds the reference's end. drive (K+1, 2), for a drive that lags: the cart's
+    acceleration m/s² at the ticks, and the gain on it.
     """
+
+    drive: Array | None = field(default=None, kw_only=True)
 
     def schedule(self, lead: int) -> GainSchedule:
         """Return what the loop needs, its commands computed `lead` ticks ahead."""
@@ -99,7 +102,8 @@ class TimedController(ReferenceController):
         last, n = self.ticks, (len(self.first_state) - 2) // 2
         acts = np.minimum(np.arange(last + 1) + lead, last)
         law = np.minimum(acts, last - 1)
-        parts = [self.feedforward[law, None], self.gains[law], self.reference_states[acts], *(m[law] for m in more)]
+        parts = [self.feedforward[law, None], self.gains[law], self.reference_states[acts]]
+        parts += [*([] if self.drive is None else [self.drive[acts]]), *(m[law] for m in more)]
         return np.concatenate([*parts, self.reference_states[:, :n]], axis=1)
 
 
@@ -257,7 +261,7 @@ class AdaptiveController(TimedController):
 
 
 def terminal_cost(state_jacobian: Array, input_jacobian: Array, *, weights: Array, effort: float) -> Array:
-    """Return P (N, N) of the discrete algebraic Riccati equation with A (N, N), B (N,), Q's diagonal (N,), r.
+    """Return P (N, N) of the discrete algebraic Riccati equation with A (N, N), B (N,), Q (N, N), r.
 
     Raises:
         GoalMissed: the pair cannot be stabilised.
@@ -266,7 +270,7 @@ def terminal_cost(state_jacobian: Array, input_jacobian: Array, *, weights: Arra
     from scipy.linalg import solve_discrete_are
 
     try:
-        cost = solve_discrete_are(state_jacobian, input_jacobian[:, None], np.diag(weights), np.array([[effort]]))
+        cost = solve_discrete_are(state_jacobian, input_jacobian[:, None], weights, np.array([[effort]]))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise GoalMissed(
             f"no terminal cost for the controller: the reference's end cannot be stabilised ({error}); give the "
@@ -327,6 +331,32 @@ def tracking_controller(
         InputError: the reference did not converge or has another number of states than the model.
         GoalMissed: the reference's end cannot be stabilised.
     """
+    states, commands, drive = _at_ticks(reference, model)
+    if isinstance(settings, FeedforwardSettings):
+        gains = np.zeros((len(commands), model.dimension + (model.lag > 0)))
+        known = _by_time(reference, model, commands, drive, gains)
+        return TrackingController(settings.kind, states, **known, status=f"feedforward over {len(commands)} ticks")
+    diagonal, effort = settings.weights(model.arms, model.period)
+    a, b = model.lagging(*model.linearised(states[:-1], commands))
+    terminal = terminal_cost(a[-1], b[-1], weights=_widened(np.diag(diagonal), model), effort=effort)
+    weights = _widened(closing_weights(settings, states, model), model)
+    gains, *_ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
+    if not np.isfinite(gains).all():
+        raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
+    known = _by_time(reference, model, commands, drive, gains)
+    if settings.schedule == "phase":
+        return phase_controller(
+            settings.kind, states=states, feedforward=known["feedforward"], gains=known["gains"], period=model.period
+        )
+    return TrackingController(settings.kind, states, **known, status=f"gains for {len(commands)} ticks")
+
+
+def _at_ticks(reference: Reference, model: SampledModel) -> tuple[Array, Array, Array]:
+    """Return a reference's states (K+1, N), inputs (K,) over the periods and inputs (K+1,) at the ticks of a model.
+
+    Raises:
+        InputError: the reference did not converge or has another number of states than the model.
+    """
     if not reference.converged:
         raise InputError(f"the reference cannot be tracked: {reference.status}")
     if reference.states.shape[-1] != model.dimension:
@@ -335,21 +365,29 @@ def tracking_controller(
         )
     count = tick_count(reference, model.period)
     times = reference.mesh[0] + model.period * np.arange(count + 1)
-    states = reference.state(times)
     # The input in the middle of a period: holding it errs by the square of the period only.
-    feedforward = reference.input(times[:-1] + model.period / 2)[:, 0]
-    if isinstance(settings, FeedforwardSettings):
-        gains = np.zeros((count, model.dimension))
-        return TrackingController(settings.kind, states, feedforward, gains, f"feedforward over {count} ticks")
-    diagonal, effort = settings.weights(model.arms, model.period)
-    a, b = model.linearised(states[:-1], feedforward)
-    terminal = terminal_cost(a[-1], b[-1], weights=diagonal, effort=effort)
-    gains, *_ = riccati_gains(a, b, weights=closing_weights(settings, states, model), effort=effort, terminal=terminal)
-    if not np.isfinite(gains).all():
-        raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
-    if settings.schedule == "phase":
-        return phase_controller(settings.kind, states=states, feedforward=feedforward, gains=gains, period=model.period)
-    return TrackingController(settings.kind, states, feedforward, gains, f"gains for {count} ticks")
+    commands = reference.input(times[:-1] + model.period / 2)[:, 0]
+    return reference.state(times), commands, reference.input(times)[:, 0]
+
+
+def _widened(weights: Array, model: SampledModel) -> Array:
+    """Return Q (…, N, N) with no weight on the cart's acceleration, where the model's drive lags."""
+    return np.pad(weights, [(0, 0)] * (weights.ndim - 2) + [(0, 1), (0, 1)]) if model.lag else weights
+
+
+def _by_time(
+    reference: Reference, model: SampledModel, commands: Array, drive: Array, gains: Array
+) -> dict[str, Any]:
+    """Return what a law by time has: feedforward, gains (K, N), and what it knows of a drive that lags.
+
+    The drive is commanded so that at the ticks it gives what the reference asks for there.
+    """
+    if not model.lag:
+        return {"feedforward": commands, "gains": gains}
+    keeps, most = model.lag_keeps, reference.limits.acceleration
+    led = np.clip((drive[1:] - keeps * drive[:-1]) / (1 - keeps), -most, most)
+    on_drive = np.append(gains[:, -1], gains[-1, -1])
+    return {"feedforward": led, "gains": gains[:, :-1], "drive": np.stack([drive, on_drive], axis=1)}
 
 
 def tick_count(reference: Reference, period: float) -> int:
@@ -420,25 +458,27 @@ def adaptive_controller(
             f"controller: kind = {settings.kind!r} needs to know what is wrong with the model, and the estimator has "
             f'augment = {list(estimator.augment)!r}: add "parameters", and "friction" as well'
         )
-    plain = tracking_controller(reference, model, FeedforwardSettings())
-    states, commands = plain.reference_states, plain.feedforward
+    states, commands, drive = _at_ticks(reference, model)
     a, b = model.linearised(states[:-1], commands)
     process = estimator.process(model.arms, model.period)
     e, kept = extra_jacobians(model, estimator.augments, states[:-1], commands, process)
+    (a, b), e = model.lagging(a, b), np.pad(e, ((0, 0), (0, int(model.lag > 0)), (0, 0)))
     diagonal, effort = settings.weights(model.arms, model.period)
-    terminal = terminal_cost(a[-1], b[-1], weights=diagonal, effort=effort)
-    gains, extra_gains, _ = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal, extras=(e, kept))
+    weights = _widened(np.diag(diagonal), model)
+    terminal = terminal_cost(a[-1], b[-1], weights=weights, effort=effort)
+    every = np.broadcast_to(weights, (len(b), *weights.shape))
+    gains, extra_gains, _ = riccati_gains(a, b, weights=every, effort=effort, terminal=terminal, extras=(e, kept))
     lasting = kept == 1
+    closing = _widened(closing_weights(settings, states, model), model)
     extra_gains[:, lasting] = _shifted(
-        a, b, e[:, :, lasting], gains, weights=closing_weights(settings, states, model), effort=effort,
-        terminal=terminal,
+        a, b, e[:, :, lasting], gains, weights=closing, effort=effort, terminal=terminal
     )  # fmt: skip
     if not (np.isfinite(gains).all() and np.isfinite(extra_gains).all()):
         raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
     names = extra_names(model.arms, estimator.augments)
     shares = np.array([name.startswith(("M", "S")) for name in names])
     return AdaptiveController(
-        settings.kind, states, commands, gains,
-        f"gains for {len(commands)} ticks, on the state and on {', '.join(names)}",
-        extra_gains, names, shares, settings.trust,
+        settings.kind, states, **_by_time(reference, model, commands, drive, gains),
+        status=f"gains for {len(commands)} ticks, on the state and on {', '.join(names)}",
+        extra_gains=extra_gains, names=names, shares=shares, trust=settings.trust,
     )  # fmt: skip

@@ -229,7 +229,8 @@ class LoopSettings(Settings, table="run"):
     parameters (share); model_uncertainty: factor on the standard errors that the model's file gives, by which the plant
     is drawn besides; friction: factor on that of the plant drawn; plant: its arms where they are others than the
     model's, mismatch and friction about these. seed of all that is random. travel m: the cart's greatest distance from
-    the centre, zero for the reference's own limit. keep: what keeps the stops of a walk planned so (`KEEPERS`), while
+    the centre, zero for the reference's own limit. drive_lag s: the time constant of the drive's velocity loop that
+    filter, prediction and gains know of, whatever the drive has. keep: what keeps the stops of a walk planned so (`KEEPERS`), while
     TVLQR flies.
     """
 
@@ -241,6 +242,7 @@ class LoopSettings(Settings, table="run"):
     friction: float = setting(1.0, least=0, most=1000)
     plant: ArmChainParameters | None = None
     travel: float = setting(0.0, least=0, most=1000, unit="m")
+    drive_lag: float = setting(0.0, least=1e-5, most=1, zero="a drive that follows at once", unit="s")
     keep: str = setting("none", choices=KEEPERS)
     controller: ControllerSettings = field(default_factory=AdaptiveSettings)
     estimator: EstimatorSettings = field(default_factory=AdaptiveEkfSettings)
@@ -292,10 +294,10 @@ class LoopSettings(Settings, table="run"):
         return replace(reference.limits, position=self.travel) if self.travel else reference.limits
 
 
-def sampled_model(parameters: ArmChainParameters, rate: float) -> SampledModel:
-    """Return the cart-level model of these arms between ticks at `rate` Hz."""
+def sampled_model(parameters: ArmChainParameters, rate: float, lag: float = 0.0) -> SampledModel:
+    """Return the cart-level model of these arms between ticks at `rate` Hz, on a drive whose velocity loop lags by s."""
     equations = arm_chain_equations(parameters.count, Level.CART, friction=parameters.friction)
-    return SampledModel(equations, parameters.base(), period=1 / rate)
+    return SampledModel(equations, parameters.base(), period=1 / rate, lag=lag)
 
 
 def loop_controller(reference: Reference, parameters: ArmChainParameters, settings: LoopSettings) -> Controller:
@@ -305,7 +307,7 @@ def loop_controller(reference: Reference, parameters: ArmChainParameters, settin
         InputError: the reference did not converge, or is not one of these arms.
         GoalMissed: no controller can be made for it.
     """
-    model = sampled_model(parameters, settings.rate)
+    model = sampled_model(parameters, settings.rate, settings.drive_lag)
     return make_controller(
         reference, parameters, model, settings=settings.controller, estimator=settings.estimator, keep=settings.keep
     )
@@ -322,7 +324,7 @@ def loop_fallback(reference: Reference, parameters: ArmChainParameters, settings
         return None
     law = settings.controller
     flies = law if isinstance(law, TvlqrSettings) else TvlqrSettings()
-    return nearest_keeper(reference, parameters, sampled_model(parameters, settings.rate), flies=flies)
+    return nearest_keeper(reference, parameters, sampled_model(parameters, settings.rate, settings.drive_lag), flies=flies)
 
 
 def make_ticker(
@@ -345,7 +347,8 @@ def make_ticker(
             settings, or such a one cannot be.
     """
     # The estimator believes in the sensors' resolution and noise.
-    noise, model = settings.sensors.covariance(parameters.count), sampled_model(parameters, settings.rate)
+    noise = settings.sensors.covariance(parameters.count)
+    model = sampled_model(parameters, settings.rate, settings.drive_lag)
     schedule = schedule_of(controller, whole_periods(delay)[1])
     compiled = isinstance(settings.estimator, EkfSettings)
     make: Any = TickProgram
@@ -370,7 +373,7 @@ def _bounds(settings: LoopSettings, limits: Limits, *, can_hold: bool, trust: fl
     s = settings.supervisor
     return {
         "acceleration": limits.acceleration, "velocity": limits.velocity, "travel": limits.position,
-        "reaction": (settings.drive.delay + 1) / settings.rate, "brake": 2 * s.braking * limits.acceleration,
+        "reaction": (settings.drive.delay + 1) / settings.rate + settings.drive_lag, "brake": 2 * s.braking * limits.acceleration,
         "margin": s.margin, "lost_tracking": s.lost_tracking, "lost_estimate": s.lost_estimate,
         "resynchronise": s.resynchronise, "restarts": s.restarts, "missing": s.missing, "can_hold": can_hold,
         "trust": trust, "mode": Mode.TRACKING,
@@ -469,7 +472,7 @@ def loop_margins(
     return law_margins(
         controller or loop_controller(reference, parameters, settings), program_of, rate=settings.rate,
         wobble=max((orbit["period"] for orbit in notes.get("orbits", ())), default=_WOBBLE),
-        repeats="stay" in notes,
+        repeats="stay" in notes, lags=settings.drive_lag > 0,
     )  # fmt: skip
 
 

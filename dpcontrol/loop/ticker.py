@@ -90,11 +90,11 @@ class Ticker:
             # The commands that act before the first tick's own can, computed for where those before them lead.
             rest = np.zeros(program.equations.filter.dimension - self._n)
             z = program.spread(np.concatenate([first, rest])[:, None])
-            queued = []
+            queued, drive = [], np.zeros(program.lanes)
             for k in range(self.lead):
                 forward, back = self._ask(k, z[: self._n], z[self._n :])
                 queued.append(np.broadcast_to(forward + back, program.lanes))
-                z = program.moved(z, queued[-1])
+                z, drive = program.moved(z, drive, queued[-1])
             self.queued = np.array(queued).reshape(self.lead, program.lanes)[:, : program.runs]
         program.begin(first, self.queued, velocity=float(first[-1]))
         # Compiled now: the first tick of a run has no time for it.
@@ -148,9 +148,9 @@ class Ticker:
         if self.estimator is None:
             sensed = program.sense()
             z = sensed[: program.equations.filter.dimension]
-            ahead = program.look_ahead(z)
+            ahead, drive = program.look_ahead(z)
         else:
-            sensed, ahead = self._estimated(k, reading)
+            sensed, ahead, drive = self._estimated(k, reading)
             z = sensed[: program.equations.filter.dimension]
         back: Any = 0.0
         if self._session is None:
@@ -165,16 +165,17 @@ class Ticker:
             program.row[self._forward] = forward
             self.references[k] = wanted
             program.row[self._wanted] = wanted if self._many else wanted[: self._arms, None]
-        program.finish(sensed, ahead, back, predicts=self.estimator is None)
+        program.finish(sensed, ahead, drive, back, predicts=self.estimator is None)
         if self.estimator is not None and program.report[self.at["outcome"], 0] == Outcome.RESTART:
             self._estimate = self.estimator.restarted(self._estimate, reading.positions)
         return program.report
 
-    def _estimated(self, k: int, reading: Reading) -> tuple[Array, Array]:
-        """Return what `TickProgram.sense` would, and the state ahead, by an estimator of another kind; one run."""
+    def _estimated(self, k: int, reading: Reading) -> tuple[Array, Array, Array]:
+        """Return what `TickProgram.sense` would, the state ahead and the cart's acceleration then, by an estimator of another kind; one run."""
         program, estimator, before = self.program, self.estimator, self._estimate
         assert estimator is not None
-        way = [float(command[0]) for command in program.on_their_way()]
+        means, drive = program.acting_on_their_way()
+        way = [float(mean[0]) for mean in means]
         sound = 1.0
         try:
             if k:
@@ -191,7 +192,7 @@ class Ticker:
             "used": now.used, "sound": sound,
         }  # fmt: skip
         sensed = program.equations.sensed.filled(parts, program.lanes)
-        return sensed, program.with_rate_error(program.spread(ahead[:, None]))
+        return sensed, program.with_rate_error(program.spread(ahead[:, None])), drive
 
     def hold(self, k: int, fallback: Fallback) -> str:
         """Give the reference up at tick k and hold what `fallback` finds; return what that is. For one run."""

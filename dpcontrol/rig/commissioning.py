@@ -943,13 +943,14 @@ def _lateness(drive: DriveFit, settings: LoopSettings, period: float, changes: d
     sentence = (
         f"the delay is {_with_error(delay, errors[0])} periods, the lag {_with_error(1e3 * lag, 1e3 * errors[1])} ms"
     )
-    changes |= {"delay": round(delay, 3), "lag": round(lag, 5)}
+    # The bench's, for simulation, and what the controller knows.
+    changes |= {"delay": round(delay, 3), "lag": round(lag, 5), "drive_lag": round(lag, 5)}
     close = abs(delay - said.delay) <= max(0.1, 3 * errors[0])
     if close and abs(lag - said.lag) <= max(5e-4, 3 * errors[1], 0.1 * said.lag):
         return Finding("delay", Verdict.OK, f"{sentence}, as [run] says", "", figures)
     return Finding(
         "delay", Verdict.WRONG, f"{sentence}, but [run] says {said.delay:g} periods and {1e3 * said.lag:g} ms",
-        f"set delay = {changes['delay']:g} and lag = {changes['lag']:g} in [run], as --write does", figures,
+        f"set delay = {changes['delay']:g}, lag and drive_lag = {changes['lag']:g} in [run], as --write does", figures,
         mended=True,
     )  # fmt: skip
 

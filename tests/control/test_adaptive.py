@@ -122,7 +122,7 @@ def test_a_reference_that_shall_end_on_its_orbit_is_shifted_as_if_feedback_were_
     a, b = model.linearised(states, commands)
     e, kept = extra_jacobians(model, ESTIMATOR.augments, states, commands, ESTIMATOR.process(2, PERIOD))
     weights, effort = closing_weights(SETTINGS, calm.reference_states, model), SETTINGS.weights(2, PERIOD)[1]
-    terminal = terminal_cost(a[-1], b[-1], weights=SETTINGS.weights(2, PERIOD)[0], effort=effort)
+    terminal = terminal_cost(a[-1], b[-1], weights=np.diag(SETTINGS.weights(2, PERIOD)[0]), effort=effort)
     eager, foreseen, _ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal, extras=(e, kept))
     extra = np.array([0.0, 0.2, -0.1, 0.03, -0.02, 0.04, 0.01])
     ends = []
@@ -142,7 +142,7 @@ def laws_expression() -> ca.Function:
     tick = TickEquations(filters, 0, 0, shares)
     sizes = {"row": tick.row.size, "state": 6, "extra": 7, "trust": 1}
     row, state, extra, trust = (ca.SX.sym(name, size) for name, size in sizes.items())
-    law = tick.law({name: row[where] for name, where in tick.row.slices.items()}, state, extra, trust)
+    law = tick.law({name: row[where] for name, where in tick.row.slices.items()}, state, ca.SX(0), extra, trust)
     return ca.Function("law", [row, state, extra, trust], list(law))
 
 

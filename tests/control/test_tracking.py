@@ -42,13 +42,13 @@ def asked(controller: TrackingController, tick: int, state: np.ndarray) -> tuple
 
 def test_terminal_cost_solves_the_discrete_algebraic_riccati_equation() -> None:
     expected = solve_discrete_are(A, B[:, None], np.diag(WEIGHTS), np.array([[EFFORT]]))
-    cost = terminal_cost(A, B, weights=WEIGHTS, effort=EFFORT)
+    cost = terminal_cost(A, B, weights=np.diag(WEIGHTS), effort=EFFORT)
     assert cost == pytest.approx(expected, rel=SOLVED)
 
 
 def test_an_end_that_cannot_be_stabilised_is_named() -> None:
     with pytest.raises(GoalMissed, match="cannot be stabilised"):
-        terminal_cost(np.diag([1.5, 0.5]), np.array([0.0, 1.0]), weights=np.ones(2), effort=1.0)
+        terminal_cost(np.diag([1.5, 0.5]), np.array([0.0, 1.0]), weights=np.eye(2), effort=1.0)
 
 
 def test_gains_far_from_the_end_are_the_stationary_ones() -> None:
