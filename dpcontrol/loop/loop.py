@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.estimator_settings import AdaptiveEkfSettings, EkfSettings, EstimatorSettings, FilterSettings
+from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterSettings
 from dpcontrol.control.interface import MANY, Controller, Mode, SampledModel, schedule_of
 from dpcontrol.control.margins import Margins, law_margins
 from dpcontrol.control.tick import Outcome, TickProgram, whole_periods
-from dpcontrol.control.tracking import AdaptiveSettings, TvlqrSettings
+from dpcontrol.control.tracking import TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, Uncertainty, arm_chain_equations
 from dpcontrol.dynamics.compiled import VECTOR
 from dpcontrol.foundation.errors import InputError
@@ -244,8 +244,8 @@ class LoopSettings(Settings, table="run"):
     travel: float = setting(0.0, least=0, most=1000, unit="m")
     drive_lag: float = setting(0.0, least=1e-5, most=1, zero="a drive that follows at once", unit="s")
     keep: str = setting("none", choices=KEEPERS)
-    controller: ControllerSettings = field(default_factory=AdaptiveSettings)
-    estimator: EstimatorSettings = field(default_factory=AdaptiveEkfSettings)
+    controller: ControllerSettings = field(default_factory=TvlqrSettings)
+    estimator: EstimatorSettings = field(default_factory=EkfSettings)
     sensors: SensorSettings = field(default_factory=SensorSettings)
     drive: DriveSettings = field(default_factory=DriveSettings)
     disturbances: DisturbanceSettings = field(default_factory=DisturbanceSettings)

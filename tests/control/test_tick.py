@@ -197,7 +197,8 @@ def test_a_delay_too_long_to_unroll_is_looked_ahead_alike() -> None:
     whole, memory = tick.program.report.copy(), tick.program.memory.copy()
     tick.program.memory[:] = before
     sensed = tick.program.sense()
-    tick.program.finish(sensed, tick.program.look_ahead(sensed[: tick.program.equations.filter.dimension]), 0.0)
+    ahead, drive = tick.program.look_ahead(sensed[: tick.program.equations.filter.dimension])
+    tick.program.finish(sensed, ahead, drive, 0.0)
     assert tick.program.report == pytest.approx(whole, rel=1e-12, abs=1e-13)
     assert tick.program.memory == pytest.approx(memory, rel=1e-9, abs=1e-13)
 

@@ -67,7 +67,8 @@ WHERE_IT_BREAKS = {
     ),
     "believing too much": (
         replace(
-            BASE, mismatch=0.3, initial_error=0.1, estimator=EkfSettings(parameter_error=0.0, rate_noise=1e-4),
+            BASE, mismatch=0.3, initial_error=0.1,
+            estimator=EkfSettings(augment=("zeros",), parameter_error=0.0, rate_noise=1e-4, cart_noise=1e-3),
             supervisor=SupervisorSettings(lost_estimate=6.0),
         ),
         Ending.ESTIMATE_LOST,

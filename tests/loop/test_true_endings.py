@@ -48,7 +48,7 @@ def test_an_ending_says_what_was_true(plan: Plan, options: dict[str, Any], kind:
 def test_a_lost_estimate_is_one_that_was_wrong(plan: Plan) -> None:
     scene = plan.itinerary.with_run(RunOptions(**BENCH, mismatch=0.8, lag=0.03, travel=10.0))
     # A filter that knows nothing of its model's errors.
-    strict = replace(scene.loop.estimator, augment=("zeros",), parameter_error=0.0, rate_noise=1e-5)
+    strict = replace(scene.loop.estimator, augment=("zeros",), parameter_error=0.0, rate_noise=1e-5, cart_noise=1e-3)
     found = flights(replace(scene, loop=replace(scene.loop, estimator=strict)), plan.reference, range(8))
     lost = [flight for flight in found if flight.run.ending is Ending.ESTIMATE_LOST]
     assert lost
