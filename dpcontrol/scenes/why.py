@@ -111,6 +111,8 @@ def changes(scene: Itinerary) -> Iterator[Sequence[Change]]:
     yield from less("run", "model_uncertainty", "with half the model's uncertainty", "on a plant as the model says")
     yield from less("run", "initial_error", "with half the error at the start", "without an error at the start")
     yield from less("drive", "lag", "with half the drive's lag", "")
+    if loop.drive.lag and loop.drive_lag != loop.drive.lag:
+        yield (("with a controller that knows of the lag", replace(loop, drive_lag=loop.drive.lag)),)
     yield from less("drive", "delay", "with half the delay", "without the delay")
     yield from less("run", "friction", "with half the friction's factor", "with the plant's own friction", 1.0)
     yield from less("run", "plant", "", "with the model's own arms as the plant", None)
