@@ -12,11 +12,22 @@ The adaptive law counts on what the estimator finds wrong with the model: one ga
     F_k = (r + B_kᵀ P_{k+1} B_k)⁻¹ B_kᵀ (P_{k+1} E_k + N_{k+1} D)
     N_k = (A_k - B_k K_k)ᵀ (P_{k+1} E_k + N_{k+1} D),     N_K = 0
 
+What lasts, errors of parameters and friction, shifts the reference as well, so that its end keeps the shape of the orbit
+it shall be on: X is the shift for a unit of w under K̂ and F̂, the gains of weights that near the end count angles across
+their path many times. The feedback keeps the calm gains, whose margins do not fall where closing weighs.
+
+    X_{k+1} = (A_k - B_k K̂_k) X_k + E_k - B_k F̂_k,   X_0 = 0,      F_k := F̂_k + (K̂_k - K_k) X_k
+
 w: above all the relative errors of the model's parameters. N carries back from the reference's end what they will do
 along all that remains, so the feedback leans against a wrong mass before it is felt; without w it is TVLQR. To first
 order in w. The symmetric share 2 (p - p₀)/(p + p₀) stands for a parameter's relative error: it agrees with it to first
 order, and to second with the logarithm, in which the equations know no overall scale.
 Source: Anderson & Moore, section 10.3; Åström & Wittenmark, Adaptive Control, section 1.4 (certainty equivalence).
+
+Where the drive's velocity loop lags by τ, as far as is known, the cart's acceleration a is one more state, with a gain of
+its own, and the feedforward leads so that a is the reference's at the ticks:
+
+    a_{k+1} = φ a_k + (1 - φ) u_k,   φ = e^{-T/τ},      mean over the period: u_k + (τ/T)(1 - φ)(a_k - u_k)
 
 Following a reference by phase: the clock goes on with time and is corrected to the phase nearest to the state.
 

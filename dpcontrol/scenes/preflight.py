@@ -537,6 +537,8 @@ def changes(scene: Itinerary) -> list[tuple[str, RunOptions]]:
     if sensors.counts:
         out.append(("finer encoders: four times the counts", RunOptions(counts=4 * sensors.counts)))
     out.append((f"more travel: ±{1.5 * limit:.3g} m", RunOptions(travel=1.5 * limit)))
+    if drive.lag and loop.drive_lag != drive.lag:
+        out.append(("tell the controller of the lag", RunOptions(drive_lag=drive.lag)))
     other = "tvlqr" if loop.controller.kind == "adaptive" else "adaptive"
     if loop.keep == "none" and scene.stay is None:
         out.append((f"another law: {other}", RunOptions(controller=other)))

@@ -4,10 +4,12 @@ Those that begin at rest, as on a rig, come first. Prints a row of the table for
 """
 
 import sys
+from collections.abc import Sequence
 
 import pytest
 
-from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign
+from dpcontrol.foundation.statistics import Share
+from dpcontrol.scenes.campaign import CampaignSettings, Case, cases_of, run_campaign
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.run_options import RunOptions
@@ -16,7 +18,7 @@ pytestmark = pytest.mark.benchmark
 
 ITINERARIES = (
     "turn-from-rest", "cross-from-rest", "up-up", "two-energies", "round-trip-from-rest",
-    "outer-turn", "cross", "double-turn", "triple-turn", "turn-cross-turn-return", "round-trip",
+    "outer-turn", "cross", "double-turn", "triple-turn", "turn-cross-turn-return", "round-trip", "dance", "linger",
 )  # fmt: skip
 BENCH = RunOptions(
     lag=0.005, command_noise=0.3, initial_error=0.05, zero_error=0.02, counts=40_000, travel=0.8
@@ -26,14 +28,50 @@ BARS = {0.05: 0.985, 0.1: 0.98, 0.2: 0.96, 0.3: 0.9}
 RUNS, FIRST_SEED = 400, 70_000
 
 
+TROUBLES = {
+    "20 ms of lag": RunOptions(lag=0.02),
+    "20 ms of lag, known": RunOptions(lag=0.02, drive_lag=0.02),
+    "zeros off by 0.04 rad": RunOptions(zero_error=0.04),
+    "tilt of 0.05 rad": RunOptions(tilt=0.05),
+    "response 0.7": RunOptions(response=0.7),
+    "response 1.3": RunOptions(response=1.3),
+    "friction three times": RunOptions(friction=3.0),
+    "200 Hz": RunOptions(rate=200.0),
+    "100 Hz": RunOptions(rate=100.0),
+    "2,000 counts": RunOptions(counts=2000),
+    "noise of 2 mrad": RunOptions(noise=0.002),
+    "cart of 0.25 kg": RunOptions(cart_mass=0.25),
+}
+TROUBLED = ("outer-turn", "cross", "up-up")
+TROUBLED_RUNS = 200
+
+
+def shares_of(name: str, cases: Sequence[Case], runs: int) -> list[Share]:
+    settings = CampaignSettings(runs=runs, first_seed=FIRST_SEED, replayed=0)
+    campaign = run_campaign(make_plan(load_itinerary(name)), cases, settings=settings, yes=True)
+    return [result.completed for result in campaign.results]
+
+
 @pytest.mark.parametrize("name", ITINERARIES)
 def test_a_shipped_itinerary_is_completed_by_the_controller_as_it_comes(name: str) -> None:
     scene = load_itinerary(name)
-    cases = cases_of(scene, fixed=BENCH, over={"mismatch": list(BARS)})
-    settings = CampaignSettings(runs=RUNS, first_seed=FIRST_SEED, replayed=0)
-    shares = [result.completed for result in run_campaign(make_plan(scene), cases, settings=settings, yes=True).results]
+    # One whose law keeps a clock of its own is run seed by seed.
+    runs = RUNS if scene.loop.keep == "none" else RUNS // 4
+    shares = shares_of(name, cases_of(scene, fixed=BENCH, over={"mismatch": list(BARS)}), runs)
     row = " | ".join(f"{share.rate:.1%} ({100 * share.low:.1f})".replace("%", " %") for share in shares)
     sys.stdout.write(f"\n| {name} | {row} |\n")
     for share, (mismatch, bar) in zip(shares, BARS.items(), strict=True):
-        reached = share.low if mismatch == min(BARS) else share.rate
+        reached = share.low if mismatch == min(BARS) and runs == RUNS else share.rate
         assert reached >= bar, f"{name}, ±{mismatch:.0%}: {reached:.1%} is below {bar:.1%}"
+
+
+@pytest.mark.parametrize("trouble", TROUBLES)
+def test_trouble_is_borne_by_the_controller_as_it_comes(trouble: str) -> None:
+    shares: list[Share] = []
+    for name in TROUBLED:
+        fixed = BENCH.over({"mismatch": 0.05, **TROUBLES[trouble].given()})
+        shares += shares_of(name, cases_of(load_itinerary(name), fixed=fixed, over={}), TROUBLED_RUNS)
+    row = " | ".join(f"{share.rate:.1%}".replace("%", " %") for share in shares)
+    sys.stdout.write(f"\n| {trouble} | {row} |\n")
+    bar = 0.97 if trouble == "20 ms of lag" else 0.99 if "known" in trouble else 0.98
+    assert min(share.rate for share in shares) >= bar
