@@ -172,7 +172,6 @@ class AdaptiveEkfSettings(EkfSettings):
     What the parameters explain need not be covered by noise; what they explain by their squares only must be.
     """
 
-    parameter_error: float = 0.03
     rate_noise: float = 0.01
     augment: tuple[str, ...] = ("zeros", "drive", "friction", "parameters")
     friction_error: float = 0.5

@@ -146,7 +146,8 @@ def hold_controller(state: ArrayLike, model: SampledModel, settings: HoldSetting
     weights, effort = settings.weights(n, model.period)
     a, b = (v[0] for v in model.lagging(*model.linearised(x[None, :], np.zeros(1))))
     try:
-        gain, _, values = dlqr(a, b[:, None], np.diag(np.append(weights, [0.0] * (len(b) - len(x)))), np.array([[effort]]))
+        on_state = np.diag(np.append(weights, [0.0] * (len(b) - len(x))))
+        gain, _, values = dlqr(a, b[:, None], on_state, np.array([[effort]]))
     except (np.linalg.LinAlgError, ValueError) as error:
         raise GoalMissed(f"the equilibrium cannot be held: {error}") from error
     slowest = float(np.abs(values).max())

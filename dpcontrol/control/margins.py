@@ -216,7 +216,8 @@ def law_margins(
         if isinstance(part, Keep):
             lasts = part.wraps * period
         if id(one) not in kept or isinstance(part, Fly):
-            course = _Course(_by_the_clock(one, ticks=(_PERIODS + 1) * window, lags=lags), program_of, covariance, lags=lags)
+            timed = _by_the_clock(one, ticks=(_PERIODS + 1) * window, lags=lags)
+            course = _Course(timed, program_of, covariance, lags=lags)
             covariance = course.covariance
             window = min(window, course.count)
             last, step = course.count - window, max(round(_STEP * window), 1)

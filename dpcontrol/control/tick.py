@@ -230,9 +230,8 @@ class TickEquations:
         """What is kept from tick to tick.
 
         z, covariance: the filter's prediction for the coming reading, the covariance's lower triangle row by row.
-        sent: commands, oldest first, m/s²; velocity m/s of the cart once all of them have acted; with a lag, drive m/s²:
-        the cart's acceleration when the coming period begins. error rad and nis: the
-        means; silent s; restarts so far; held: 1 after the reference was given up; moved s since the clock was;
+        sent: commands, oldest first, m/s²; velocity m/s of the cart once all of them have acted; with a lag, drive
+        m/s²: the cart's acceleration when the coming period begins. error rad and nis: the means; silent s; restarts so far; held: 1 after the reference was given up; moved s since the clock was;
         restart: 1 where the filter begins anew; stopped: the outcome that ended the run, or 0; still s: for how long
         the cart was sent nowhere since; cut: 1 where the last command was; doubts: 1 once an extra was trusted no
         further; heading m/s: what the cart will come to; turns (n,) rad: whole ones between readings and estimate.
@@ -268,7 +267,8 @@ class TickEquations:
         """What the table gives.
 
         Of the tick at which the command acts: feedforward m/s², gains (N,), state (N,), with a lag the cart's
-        acceleration m/s² and the gain on it, and for a law that has them extra_gains (E,). Of this tick: wanted (n,), the reference's angles.
+        acceleration m/s² and the gain on it, and for a law that has them extra_gains (E,). Of this tick:
+        wanted (n,), the reference's angles.
         """
         size = self.filter.equations.dimension
         extras = {} if self.shares is None else {"extra_gains": len(self.shares)}
@@ -279,7 +279,8 @@ class TickEquations:
     def numbers(self) -> Layout:
         """What does not change in a run.
 
-        bounds; lag s: of the drive, and lag_keeps: what it leaves of an acceleration after a period; noise: R packed; parameters, process: see `FilterEquations`; fresh (N+E,): variances after a restart.
+        bounds; lag s: of the drive, and lag_keeps: what it leaves of an acceleration after a period; noise: R packed;
+        parameters, process: see `FilterEquations`; fresh (N+E,): variances after a restart.
         """
         known, m = self.filter.inputs, self.filter.arms + 1
         return Layout(
@@ -413,7 +414,18 @@ class TickEquations:
         keeps = c["lag_keeps"]
         return given + c["lag"] / period * (1 - keeps) * (drive - given), given + keeps * (drive - given)
 
-    def law(self, row: Mapping[str, Any], ahead: Any, drive: Any, extra: Any, trust: Any) -> tuple[Any, Any]:
+    def _known(self, e: Mapping[str, ca.SX], c: Mapping[str, ca.SX]) -> ca.SX:
+        """For each extra how far it is known: the square of the share of its first variance that readings took away.
+
+        Square: what little is known at first is mostly noise, and the law would pass it on.
+        """
+        n = self.filter.equations.dimension
+        shares = [1 - e["sigmas"][i] ** 2 / c["fresh"][i] for i in range(n, self.filter.dimension)]
+        return ca.vertcat(*(ca.fmax(share, 0) ** 2 for share in shares))
+
+    def law(
+        self, row: Mapping[str, Any], ahead: Any, drive: Any, extra: Any, known: Any, trust: Any
+    ) -> tuple[Any, Any]:
         """Return the feedback in m/s², and the number of the last extra that is trusted no further, from 1, else 0."""
         feedback, doubted = 0.0, 0.0
         for i in range(ahead.shape[0]):
@@ -428,7 +440,7 @@ class TickEquations:
                 value = found / (1 + found / 2)
                 doubted = ca.if_else(ca.fabs(value) > trust, i + 1, doubted)
                 value = _within(value, trust)
-            feedback -= row["extra_gains"][i] * value
+            feedback -= row["extra_gains"][i] * value * known[i]
         return feedback, doubted
 
     def _stuck(
@@ -517,7 +529,7 @@ class TickEquations:
         """
         n, size, period = self.filter.arms, self.filter.equations.dimension, self.filter.period
         forward = row["feedforward"]
-        by_row, doubted = self.law(row, ahead, drive, e["z"][size:], c["trust"])
+        by_row, doubted = self.law(row, ahead, drive, e["z"][size:], self._known(e, c), c["trust"])
         feedback = back + by_row
         was = m["stopped"] > 0
 
@@ -665,7 +677,8 @@ class TickEquations:
     def finish(self, *, predicts: bool) -> ca.Function:
         """Return the second part: (memory, reading, row, numbers, sensed, ahead, drive, back) -> memory and report.
 
-        ahead (N,), drive m/s²: the state for which the command is computed, and the cart's acceleration then. back m/s²: feedback besides the row's; without `predicts` the filter's memory stays as it is. A last input,
+        ahead (N,), drive m/s²: the state for which the command is computed, and the cart's acceleration then. back
+        m/s²: feedback besides the row's; without `predicts` the filter's memory stays as it is. A last input,
         coming m/s², is what will act in the coming period, where the memory does not hold the commands on their way.
         """
         (memory, m), (reading, r), (row, t), (numbers, c) = self._symbols()
@@ -761,7 +774,8 @@ class TickProgram:
         again = settings.first_sigmas(arms)
         again[arms : 2 * arms], again[2 * arms + 1] = RESTART_RATE, RESTART_VELOCITY
         known = {
-            **bounds, "share": delay - whole, "lag": model.lag, "lag_keeps": model.lag_keeps, "noise": packed(checked_noise(noise, arms)),
+            **bounds, "share": delay - whole, "lag": model.lag, "lag_keeps": model.lag_keeps,
+            "noise": packed(checked_noise(noise, arms)),
             "parameters": model.parameters, "process": settings.process(arms, model.period), "fresh": again**2,
         }  # fmt: skip
         parts = {
@@ -887,14 +901,14 @@ class TickProgram:
         return np.zeros(self.lanes) if at is None else self.memory[at][0]
 
     def look_ahead(self, z: Array) -> tuple[Array, Array]:
-        """Return the states (N, lanes) for which commands are computed, from estimates z (N+E, lanes), and `drive` then."""
+        """Return states (N, lanes) for which commands are computed, from estimates z (N+E, lanes), and `drive` then."""
         drive = self.drive
         for command in self.on_their_way():
             z, drive = self.moved(z, drive, command)
         return self.with_rate_error(z[: self.model.dimension]), drive
 
     def acting_on_their_way(self) -> tuple[list[Array], Array]:
-        """Return the mean accelerations (lanes,) of the periods to come by the commands on their way, and `drive` then."""
+        """Return the means (lanes,) of what the commands on their way will do, period by period, and `drive` then."""
         means, drive, model = [], self.drive, self.model
         for command in self.on_their_way():
             means.append(command + model.lag / self.period * (1 - model.lag_keeps) * (drive - command))

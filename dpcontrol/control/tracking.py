@@ -12,8 +12,8 @@ The adaptive law counts on what the estimator finds wrong with the model: one ga
     F_k = (r + B_kᵀ P_{k+1} B_k)⁻¹ B_kᵀ (P_{k+1} E_k + N_{k+1} D)
     N_k = (A_k - B_k K_k)ᵀ (P_{k+1} E_k + N_{k+1} D),     N_K = 0
 
-What lasts, errors of parameters and friction, shifts the reference as well, so that its end keeps the shape of the orbit
-it shall be on: X is the shift for a unit of w under K̂ and F̂, the gains of weights that near the end count angles across
+What lasts, errors of parameters and friction, shifts the reference as well, so that its end keeps the shape of the
+orbit it shall be on: X is the shift for a unit of w under K̂ and F̂, the gains of weights that near the end count angles across
 their path many times. The feedback keeps the calm gains, whose margins do not fall where closing weighs.
 
     X_{k+1} = (A_k - B_k K̂_k) X_k + E_k - B_k F̂_k,   X_0 = 0,      F_k := F̂_k + (K̂_k - K_k) X_k
@@ -24,8 +24,8 @@ order in w. The symmetric share 2 (p - p₀)/(p + p₀) stands for a parameter's
 order, and to second with the logarithm, in which the equations know no overall scale.
 Source: Anderson & Moore, section 10.3; Åström & Wittenmark, Adaptive Control, section 1.4 (certainty equivalence).
 
-Where the drive's velocity loop lags by τ, as far as is known, the cart's acceleration a is one more state, with a gain of
-its own, and the feedforward leads so that a is the reference's at the ticks:
+Where the drive's velocity loop lags by τ, as far as is known, the cart's acceleration a is one more state, with a gain
+of its own, and the feedforward leads so that a is the reference's at the ticks:
 
     a_{k+1} = φ a_k + (1 - φ) u_k,   φ = e^{-T/τ},      mean over the period: u_k + (τ/T)(1 - φ)(a_k - u_k)
 
@@ -238,15 +238,15 @@ class TrackingSession:
 
 @dataclass(frozen=True)
 class AdaptiveSettings(ClosingWeights):
-    """Weights as of "tvlqr", heavier by default: what is known of the model needs no feedback, so there is room.
+    """Weights as of "tvlqr", angles lighter by default: what is known of the model needs no feedback.
 
     trust: the greatest share by which a parameter is taken to be wrong; masses and lengths that are off by 0.3 make
     base parameters off by 0.7 at most.
     """
 
     kind: str = "adaptive"
-    angle: float = 30_000.0
-    rate: float = 3000.0
+    angle: float = 5000.0
+    rate: float = 700.0
     closing: float = 30.0
     trust: float = setting(0.8, least=0, most=1.9)
 
@@ -483,7 +483,7 @@ def adaptive_controller(
     closing = _widened(closing_weights(settings, states, model), model)
     extra_gains[:, lasting] = _shifted(
         a, b, e[:, :, lasting], gains, weights=closing, effort=effort, terminal=terminal
-    )  # fmt: skip
+    )
     if not (np.isfinite(gains).all() and np.isfinite(extra_gains).all()):
         raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
     names = extra_names(model.arms, estimator.augments)

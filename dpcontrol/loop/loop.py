@@ -230,8 +230,8 @@ class LoopSettings(Settings, table="run"):
     is drawn besides; friction: factor on that of the plant drawn; plant: its arms where they are others than the
     model's, mismatch and friction about these. seed of all that is random. travel m: the cart's greatest distance from
     the centre, zero for the reference's own limit. drive_lag s: the time constant of the drive's velocity loop that
-    filter, prediction and gains know of, whatever the drive has. keep: what keeps the stops of a walk planned so (`KEEPERS`), while
-    TVLQR flies.
+    filter, prediction and gains know of, whatever the drive has. keep: what keeps the stops of a walk planned so
+    (`KEEPERS`), while TVLQR flies.
     """
 
     seed: int = setting(least=0)
@@ -295,7 +295,7 @@ class LoopSettings(Settings, table="run"):
 
 
 def sampled_model(parameters: ArmChainParameters, rate: float, lag: float = 0.0) -> SampledModel:
-    """Return the cart-level model of these arms between ticks at `rate` Hz, on a drive whose velocity loop lags by s."""
+    """Return the cart-level model of these arms between ticks at `rate` Hz, its drive lagging by `lag` s."""
     equations = arm_chain_equations(parameters.count, Level.CART, friction=parameters.friction)
     return SampledModel(equations, parameters.base(), period=1 / rate, lag=lag)
 
@@ -324,7 +324,8 @@ def loop_fallback(reference: Reference, parameters: ArmChainParameters, settings
         return None
     law = settings.controller
     flies = law if isinstance(law, TvlqrSettings) else TvlqrSettings()
-    return nearest_keeper(reference, parameters, sampled_model(parameters, settings.rate, settings.drive_lag), flies=flies)
+    model = sampled_model(parameters, settings.rate, settings.drive_lag)
+    return nearest_keeper(reference, parameters, model, flies=flies)
 
 
 def make_ticker(
@@ -373,7 +374,8 @@ def _bounds(settings: LoopSettings, limits: Limits, *, can_hold: bool, trust: fl
     s = settings.supervisor
     return {
         "acceleration": limits.acceleration, "velocity": limits.velocity, "travel": limits.position,
-        "reaction": (settings.drive.delay + 1) / settings.rate + settings.drive_lag, "brake": 2 * s.braking * limits.acceleration,
+        "reaction": (settings.drive.delay + 1) / settings.rate + settings.drive_lag,
+        "brake": 2 * s.braking * limits.acceleration,
         "margin": s.margin, "lost_tracking": s.lost_tracking, "lost_estimate": s.lost_estimate,
         "resynchronise": s.resynchronise, "restarts": s.restarts, "missing": s.missing, "can_hold": can_hold,
         "trust": trust, "mode": Mode.TRACKING,

@@ -171,7 +171,7 @@ class Ticker:
         return program.report
 
     def _estimated(self, k: int, reading: Reading) -> tuple[Array, Array, Array]:
-        """Return what `TickProgram.sense` would, the state ahead and the cart's acceleration then, by an estimator of another kind; one run."""
+        """Return what `TickProgram.sense` would, the state ahead and `drive` then, by another estimator; one run."""
         program, estimator, before = self.program, self.estimator, self._estimate
         assert estimator is not None
         means, drive = program.acting_on_their_way()

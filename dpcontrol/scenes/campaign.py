@@ -160,7 +160,8 @@ def _rows(job: Job) -> list[Row]:
     arms, loop = job.arms, job.case.loop
     # By what a controller depends on: cases that differ in the bench share one.
     decisive = LoopSettings(
-        seed=0, rate=loop.rate, drive_lag=loop.drive_lag, keep=loop.keep, controller=loop.controller, estimator=loop.estimator,
+        seed=0, rate=loop.rate, drive_lag=loop.drive_lag, keep=loop.keep, controller=loop.controller,
+        estimator=loop.estimator,
         supervisor=loop.supervisor,
     )  # fmt: skip
     reference, controller, fallback = _prepared(job.reference, arms, decisive)

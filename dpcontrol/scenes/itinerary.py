@@ -188,7 +188,8 @@ def read_run_settings(
     blows = [table.settings(Push) for table in run.tables("blows")]
     values = run.remaining()
     known = (
-        "rate", "initial_error", "mismatch", "model_uncertainty", "friction", "plant", "travel", "drive_lag", "zeros", *_HOMES,
+        "rate", "initial_error", "mismatch", "model_uncertainty", "friction", "plant", "travel", "drive_lag",
+        "zeros", *_HOMES,
     )  # fmt: skip
     parts = {}
     for part, kind in _PARTS.items():

@@ -30,7 +30,7 @@ class RunOptions:
     plant: str | None = _option(
         PLANT, "Model file or name of the plant's own arms and friction; the mismatch is drawn about them."
     )
-    friction: float | None = _option(PLANT, "Factor on the plant's friction, unknown to the controller: see --drive-lag.")
+    friction: float | None = _option(PLANT, "Factor on the plant's friction, unknown to the model.")
     initial_error: float | None = _option(PLANT, "Largest error of each arm's first angle, rad.")
     cart_mass: float | None = _option(PLANT, "Mass of the cart, kg; the arms then push it about.")
     tilt: float | None = _option(PLANT, "Tilt of the track, rad, positive with the right end down.")
@@ -47,7 +47,7 @@ class RunOptions:
     stuck_sensor: int | None = _option(SENSORS, "Which one sticks: 0 the inner arm's, 1 the outer's, 2 the cart's.")
     jitter: float | None = _option(SENSORS, "Greatest age of a reading, s.")
     delay: float | None = _option(DRIVE, "Delay from reading to acting, in periods; may be a fraction.")
-    lag: float | None = _option(DRIVE, "Time constant of the drive's velocity loop, s; unknown to the controller: see --drive-lag.")
+    lag: float | None = _option(DRIVE, "Time constant of the drive's velocity loop, s; see --drive-lag.")
     drive_lag: float | None = _option(DRIVE, "The time constant that the controller knows of, s.")
     acceleration: float | None = _option(DRIVE, "Limit of the drive's acceleration, m/s² [the scene's own].")
     jerk: float | None = _option(DRIVE, "Limit of the drive's jerk, m/s³.")

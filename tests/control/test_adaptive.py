@@ -142,7 +142,8 @@ def laws_expression() -> ca.Function:
     tick = TickEquations(filters, 0, 0, shares)
     sizes = {"row": tick.row.size, "state": 6, "extra": 7, "trust": 1}
     row, state, extra, trust = (ca.SX.sym(name, size) for name, size in sizes.items())
-    law = tick.law({name: row[where] for name, where in tick.row.slices.items()}, state, ca.SX(0), extra, trust)
+    parts = {name: row[where] for name, where in tick.row.slices.items()}
+    law = tick.law(parts, state, ca.SX(0), extra, ca.SX.ones(7), trust)
     return ca.Function("law", [row, state, extra, trust], list(law))
 
 

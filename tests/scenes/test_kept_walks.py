@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from command_line import dpcontrol
 
+from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.handover import Program
 from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.dynamics.propagator import PolynomialInputPropagator
-from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import RunLog, read_log
 from dpcontrol.loop.loop import can_batch, loop_controller
