@@ -231,7 +231,8 @@ class TickEquations:
 
         z, covariance: the filter's prediction for the coming reading, the covariance's lower triangle row by row.
         sent: commands, oldest first, m/s²; velocity m/s of the cart once all of them have acted; with a lag, drive
-        m/s²: the cart's acceleration when the coming period begins. error rad and nis: the means; silent s; restarts so far; held: 1 after the reference was given up; moved s since the clock was;
+        m/s²: the cart's acceleration when the coming period begins. error rad and nis: the means; silent s;
+        restarts so far; held: 1 after the reference was given up; moved s since the clock was;
         restart: 1 where the filter begins anew; stopped: the outcome that ended the run, or 0; still s: for how long
         the cart was sent nowhere since; cut: 1 where the last command was; doubts: 1 once an extra was trusted no
         further; heading m/s: what the cart will come to; turns (n,) rad: whole ones between readings and estimate.
