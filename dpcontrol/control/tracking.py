@@ -14,7 +14,7 @@ The adaptive law counts on what the estimator finds wrong with the model: one ga
 
 What lasts, errors of parameters and friction, shifts the reference as well, so that its end keeps the shape of the
 orbit it shall be on: X is the shift for a unit of w under K̂ and F̂, the gains of weights that near the
-end count angles across their path many times. The feedback keeps the calm gains, whose margins do not fall where closing weighs.
+end count angles across their path many times. The feedback keeps the calm gains, whose margins do not fall there.
 
     X_{k+1} = (A_k - B_k K̂_k) X_k + E_k - B_k F̂_k,   X_0 = 0,      F_k := F̂_k + (K̂_k - K_k) X_k
 
