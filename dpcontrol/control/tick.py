@@ -929,9 +929,7 @@ class TickProgram:
         out = made.machine(inputs, np.empty((made.size_out, self.lanes)))
         return out[:-1], out[-1]
 
-    def finish(
-        self, sensed: Array, ahead: Array, drive: Array, back: Array | float, *, predicts: bool = True
-    ) -> None:
+    def finish(self, sensed: Array, ahead: Array, drive: Array, back: Array | float, *, predicts: bool = True) -> None:
         """Do the rest of a tick with the row that was put into `row`; back (lanes,) m/s²: feedback besides it."""
         made = self.machine("finish" if predicts else "judge")
         parts = [self._inputs, sensed, ahead, drive[None], np.broadcast_to(back, (1, self.lanes))]

@@ -386,9 +386,7 @@ def _widened(weights: Array, model: SampledModel) -> Array:
     return np.pad(weights, [(0, 0)] * (weights.ndim - 2) + [(0, 1), (0, 1)]) if model.lag else weights
 
 
-def _by_time(
-    reference: Reference, model: SampledModel, commands: Array, drive: Array, gains: Array
-) -> dict[str, Any]:
+def _by_time(reference: Reference, model: SampledModel, commands: Array, drive: Array, gains: Array) -> dict[str, Any]:
     """Return what a law by time has: feedforward, gains (K, N), and what it knows of a drive that lags.
 
     The drive is commanded so that at the ticks it gives what the reference asks for there.
@@ -481,9 +479,7 @@ def adaptive_controller(
     gains, extra_gains, _ = riccati_gains(a, b, weights=every, effort=effort, terminal=terminal, extras=(e, kept))
     lasting = kept == 1
     closing = _widened(closing_weights(settings, states, model), model)
-    extra_gains[:, lasting] = _shifted(
-        a, b, e[:, :, lasting], gains, weights=closing, effort=effort, terminal=terminal
-    )
+    extra_gains[:, lasting] = _shifted(a, b, e[:, :, lasting], gains, weights=closing, effort=effort, terminal=terminal)
     if not (np.isfinite(gains).all() and np.isfinite(extra_gains).all()):
         raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
     names = extra_names(model.arms, estimator.augments)
