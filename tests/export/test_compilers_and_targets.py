@@ -72,7 +72,7 @@ def test_a_cortex_m4_gives_the_loops_commands(single: Exported) -> None:
         )  # fmt: skip
         assert (done.returncode, done.stderr) == (0, "")
     size = ran(needed("arm-none-eabi-size"), few / "dpc_controller.c.o", folder=folder).stdout.splitlines()[1].split()
-    assert int(size[0]) < 64 * 1024
+    assert int(size[0]) < 80 * 1024
     assert size[1:3] == ["0", "0"], "it has variables"
     done = ran(
         "arm-none-eabi-gcc", "-std=c99", "-O2", *CORTEX_M4, "-ffp-contract=off", "--specs=rdimon.specs",

@@ -1,6 +1,6 @@
 """One run of each class of ending, its sentence read and held against the true states.
 
-The ten thousand of `tests/benchmarks/test_true_endings.py` are judged in the same way.
+The ten thousand of `tests/benchmarks/test_ten_thousand_endings.py` are judged in the same way.
 """
 
 from dataclasses import replace

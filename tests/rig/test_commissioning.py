@@ -99,7 +99,7 @@ def test_a_rig_that_is_right_is_found_right_and_measured() -> None:
     steps = [f.step for f in found.findings]
     assert steps == ["still", "drive", "delay", "encoders", "counts", "model", "switches", "deadlines"]
     assert [f.step for f in found.findings if f.verdict is Verdict.UNSURE] == ["switches"]
-    assert found.changes == {"delay": pytest.approx(1.0, abs=0.01), "lag": 0.0}
+    assert found.changes == {"delay": pytest.approx(1.0, abs=0.01), "lag": 0.0, "drive_lag": 0.0}
     assert rig.stops == 1
 
 
