@@ -344,6 +344,8 @@ _MEAN_OVER, _SPAN = (0.015, 0.0), (5.0, 0.5)
 """s: with the cart clamped, and where it moved."""
 _FLOOR = 0.015
 """rad/s/√s: process noise of the rates besides the share of the accelerations, chosen with it."""
+_CART_FLOOR = 1e-3
+"""m/s/√s: of a cart that is clamped, or whose own motion is the input."""
 
 
 @dataclass(frozen=True)
@@ -456,8 +458,11 @@ def filter_settings(name: str, *, model_error: float = 0.003) -> EstimatorSettin
     """
     if name not in ESTIMATORS:
         raise InputError(f"--estimator {name}: there is no such estimator; {suggest(name, ESTIMATORS)}")
-    # Zeros belong to the model: estimated here, they would absorb its errors.
-    return replace(ESTIMATORS[name](), parameter_error=model_error, rate_noise=_FLOOR, augment=())
+    # Zeros belong to the model: estimated here, they would absorb its errors. The cart's motion is given: in a run's
+    # filter it is a drive that may do otherwise.
+    return replace(
+        ESTIMATORS[name](), parameter_error=model_error, rate_noise=_FLOOR, cart_noise=_CART_FLOOR, augment=()
+    )
 
 
 def replay_recording(

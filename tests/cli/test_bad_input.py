@@ -37,7 +37,7 @@ REPLACED = {
     "no sense": ("itinerary", '["down-up +"]', '["down-up"]', "down-up +"),
     "wraps missing": ("itinerary", '["down-up +"]', '["down-up +", "down-up +"]', "wraps"),
     "impossible limit": ("itinerary", "acceleration = 30.0", "acceleration = -1.0", "acceleration"),
-    "unknown controller": ("itinerary", '"tvlqr"', '"tvlqg"', "tvlqr"),
+    "unknown controller": ("itinerary", 'kind = "adaptive"', 'kind = "adaptve"', "adaptive"),
     "negative mass": ("model", "mass           = [0.09", "mass           = [-0.09", "mass"),
     "missing table": ("model", "[gravity]", "[gravitation]", "gravity"),
     "arms of unequal count": ("model", "viscous = [0.000237142782693581, ", "viscous = [", "viscous"),

@@ -83,6 +83,7 @@ def test_connect_says_when_an_incomplete_list_ends_with_1() -> None:
 
 
 def test_a_cart_at_its_stop_tells_where_the_arms_were() -> None:
-    ended = dpcontrol("run", "outer-turn", "--mismatch", "0.1", "--initial-error", "0.05", "--travel", "0.1")
+    troubles = ("--mismatch", "0.1", "--initial-error", "0.05", "--travel", "0.1")
+    ended = dpcontrol("run", "outer-turn", "--controller", "tvlqr", *troubles)
     assert ended.code == 1
     assert re.search(r"must brake now to stay on the track, with an angle 0\.\d+ rad from the reference", ended.message)
