@@ -3,7 +3,8 @@
 The expression is the loop's own (`dpcontrol.control.tick`), with all numbers of the run put in before CasADi makes C of
 it: what they decide beforehand costs nothing. What changes from tick to tick stands in constant tables:
 
-    law     of each command: feedforward m/s², gains, gains on the extras; columns that never change are in the code
+    law     of each command: feedforward m/s², gains, the cart's acceleration and the gain on it where the drive lags,
+            gains on the extras; columns that never change are in the code
     states  the reference: of the tick at which a command acts, and of the tick itself
 
 Single precision resolves 6e-8 of a number, which three things are made for. The covariance is that of the angles as
@@ -138,6 +139,7 @@ def _tables(equations: TickEquations, schedule: GainSchedule) -> _Tables:
     assert np.array_equal(schedule.rows[:, row.slices["wanted"]], states[: len(law), :n])
     varying = np.ptp(law, axis=0) > 0
     names = ["feedforward", *(f"gain {i + 1}" for i in range(equations.filter.equations.dimension))]
+    names += ["acceleration", "gain on acceleration"] if equations.lags else []
     names += [f"gain on {name}" for name in equations.filter.extra_names] if equations.shares is not None else []
     moving = law[:, varying] if varying.any() else np.zeros((1, 1))
     return _Tables(
@@ -146,7 +148,8 @@ def _tables(equations: TickEquations, schedule: GainSchedule) -> _Tables:
 
 
 def _law_parts(equations: TickEquations) -> list[str]:
-    return ["feedforward", "gains"] + ([] if equations.shares is None else ["extra_gains"])
+    lag = ["drive", "drive_gain"] if equations.lags else []
+    return ["feedforward", "gains", *lag, *([] if equations.shares is None else ["extra_gains"])]
 
 
 def _without_end(rows: Array) -> Array:
@@ -179,18 +182,19 @@ def _function(program: TickProgram, tables: _Tables, *, single: bool) -> ca.Func
         known[column] = law[place]
     still = len(tables.states) == 1
     steers = ca.SX(ca.DM(tables.states[0])) if still else acts
-    wanted = steers[:n] if still else now[:n]
-    row = equations.row.joined(
-        {"feedforward": known[0], "gains": ca.vertcat(*known[1 : size + 1]), "state": steers,
-         "extra_gains": ca.vertcat(*known[size + 1 :]), "wanted": wanted}
-    )  # fmt: skip
+    wanted, row = steers[:n] if still else now[:n], equations.row
+    of_law, at = {}, 0
+    for name in _law_parts(equations):
+        length = row.slices[name].stop - row.slices[name].start
+        of_law[name], at = ca.vertcat(*known[at : at + length]), at + length
+    given = row.joined({**of_law, "state": steers, "wanted": wanted})
     # What nothing but a fallback sets stays as it begins.
     parts["held"] = ca.SX(0)
     offset = ca.SX.sym("offset", n + 1)
     seen = {"measured": measured, "present": present, "switch": switch, "rate_error": ca.SX.zeros(n), "offset": offset}
     reading = equations.reading.joined(seen)
     numbers = ca.SX(ca.DM(program.numbers))
-    (out,) = equations.function().call([equations.memory.joined(parts), reading, row, numbers], True, False)
+    (out,) = equations.function().call([equations.memory.joined(parts), reading, given, numbers], True, False)
     inputs = [memory, measured, present, offset, switch, law, acts, now]
     return ca.Function("tick", inputs, [ca.cse(out)], [*_ARGUMENTS], ["out"], {"cse": True})
 
@@ -341,7 +345,7 @@ def _described(program: TickProgram, equations: TickEquations, *, single: bool) 
 def _laid_out(equations: TickEquations) -> dict[str, Any]:
     """Return where the C finds what in the tick's results."""
     memory, report = equations.memory, equations.report
-    kept = ("z", "velocity", "stopped", "still", *(["origin"] if equations.split else []))
+    kept = ("z", "velocity", "heading", "stopped", "still", *(["origin"] if equations.split else []))
     places = {name: memory.slices[name].start for name in kept}
     places["sent_last"] = memory.slices["sent"].stop - 1
     places |= {name: memory.size + where.start for name, where in report.slices.items()}

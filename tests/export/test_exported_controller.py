@@ -109,6 +109,22 @@ def test_a_replayed_run_gets_the_loops_commands(exported: Exported) -> None:
     assert "measured.arm_1" in other.stderr
 
 
+# Slow: seconds of making and compiling C.
+@pytest.mark.slow
+@pytest.mark.parametrize("controller", ["tvlqr", "adaptive"])
+def test_a_law_that_knows_its_drives_lag_leaves_with_it(
+    plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, controller: str
+) -> None:
+    monkeypatch.setattr(export, "_measured", lambda files: (None, None))
+    scene = plan.itinerary.with_run(RunOptions(lag=0.02, drive_lag=0.02, controller=controller))
+    source = export_plan(replace(plan, itinerary=scene), tmp_path / "lag")
+    assert "gain 6, acceleration, gain on acceleration" in source.files["dpc_tables.h"]
+    program = compiled("gcc", "-O0", folder=tmp_path / "lag", out="replay", sources=[*SOURCES, "main_replay.c"])
+    done = ran(program, "readings.csv", folder=tmp_path / "lag")
+    assert done.returncode == 0, done.stderr
+    assert "4000 ticks, commands differ by" in done.stderr
+
+
 def test_every_number_of_the_report_is_the_loops(plan: Plan, exported: Exported) -> None:
     both, rows = SideBySide(plan, library(exported[0])), readings(exported)[:300, :3]
     loose = precision(exported) == "float"

@@ -123,8 +123,10 @@ dpc_real dpc_step(dpc_controller *controller, const dpc_reading *reading, dpc_re
 void dpc_sent(dpc_controller *controller, dpc_real command)
 {
     dpc_real *last = &controller->memory[AT_SENT_LAST];
+    const dpc_real more = (command - *last) * @PERIOD_REAL@;
 
-    controller->memory[AT_VELOCITY] += (command - *last) * @PERIOD_REAL@;
+    controller->memory[AT_VELOCITY] += more;
+    controller->memory[AT_HEADING] += more;
     *last = command;
 }
 
