@@ -344,8 +344,8 @@ _MEAN_OVER, _SPAN = (0.015, 0.0), (5.0, 0.5)
 """s: with the cart clamped, and where it moved."""
 _FLOOR = 0.015
 """rad/s/√s: process noise of the rates besides the share of the accelerations, chosen with it."""
-_CART_FLOOR = 1e-3
-"""m/s/√s: of a cart that is clamped, or whose own motion is the input."""
+_CART_FLOOR = 1e-5
+"""m/s/√s: of a cart that is clamped, or whose own motion is the input; more would move the arms as well."""
 
 
 @dataclass(frozen=True)
