@@ -240,15 +240,22 @@ def overridden(loop: LoopSettings, options: RunOptions) -> LoopSettings:
             own[name] = kinds[name][value]()
     law, filters = own.get("controller", loop.controller), own.get("estimator", loop.estimator)
     knows = Augment.PARAMETERS in filters.augments
-    if isinstance(law, AdaptiveSettings) and isinstance(filters, EkfSettings) and not knows:
+    chosen = "controller" in own or "estimator" in own
+    if chosen and isinstance(law, AdaptiveSettings) and isinstance(filters, EkfSettings) and not knows:
         # What the controller is to count on must be asked for.
-        own["estimator"] = AdaptiveEkfSettings()
-    elif not isinstance(law, AdaptiveSettings) and isinstance(filters, AdaptiveEkfSettings):
-        own["estimator"] = EkfSettings()
+        own["estimator"] = AdaptiveEkfSettings(**{**_changed(filters), "augment": AdaptiveEkfSettings.augment})
+    elif chosen and not isinstance(law, AdaptiveSettings) and isinstance(filters, AdaptiveEkfSettings):
+        own["estimator"] = EkfSettings(**_changed(filters))
     if not isinstance(law, TvlqrSettings):
         own.setdefault("keep", "none")
     own |= {part: replace(getattr(loop, part), **values) for part, values in changes.items()}
     return replace(loop, **own)
+
+
+def _changed(filters: EkfSettings) -> dict[str, Any]:
+    """Return what a filter's settings do not have by default: what the file asks for, whatever the controller."""
+    default = type(filters)()
+    return {name: value for name, value in vars(filters).items() if value != getattr(default, name)}
 
 
 ENDS = ("orbit", "rest", "hold")
