@@ -50,8 +50,9 @@ KEPT_UP = {
     "zeros": with_sensors(zero_error=0.003),
     "zeros that are estimated": replace(with_sensors(zero_error=0.02), estimator=EkfSettings(augment=("zeros",))),
     "another rate": replace(BASE, rate=500.0),
-    "gains by phase": replace(BASE, controller=TvlqrSettings(schedule="phase"), sensors=SMOOTH),
+    "gains by phase": replace(BASE, mismatch=0.02, controller=TvlqrSettings(schedule="phase"), sensors=SMOOTH),
     "a delay too long to unroll": with_drive(delay=10.0),
+    "lag that the controller knows of": replace(with_drive(lag=0.02), drive_lag=0.02),
 }
 """Bench and loop of runs that come to their end."""
 
@@ -113,6 +114,19 @@ def test_a_seed_alone_is_the_seed_among_others(turn: tuple[StandIn, Reference], 
         assert one.ending is Ending.FINISHED
     # A test of equal runs would prove nothing.
     assert np.abs(together[0].truth - together[1].truth).max() > 1e-3
+
+
+def test_a_filter_told_of_the_lag_is_nearer_to_the_truth(turn: tuple[StandIn, Reference]) -> None:
+    wrong = []
+    # One that trusts its model: readings alone would not tell the two apart.
+    trusting = EkfSettings(augment=(), parameter_error=0.0, rate_noise=1e-3, cart_noise=1e-3)
+    for known in (0.0, 0.02):
+        settings = replace(with_drive(lag=0.02), seed=1, mismatch=0.0, drive_lag=known, estimator=trusting)
+        run = run_loop(turn[1], LAB, settings=settings).ticks
+        assert run.truth is not None
+        # Rates, once the first guess is forgotten.
+        wrong.append(np.sqrt(np.mean((run.estimates - run.truth)[300:, 2:4] ** 2)))
+    assert wrong[1] < 0.8 * wrong[0]
 
 
 @pytest.mark.parametrize(("settings", "ending"), WHERE_IT_BREAKS.values(), ids=WHERE_IT_BREAKS.keys())
