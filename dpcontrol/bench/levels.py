@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.bench.chart import Missing, Panel, Point, PrecisionChart
 from dpcontrol.bench.measure import Alternative, Judged, compare
+from dpcontrol.control.tracking import AdaptiveSettings, TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import compiled_step
 from dpcontrol.dynamics.plant import PlantLevel, PlantParameters, plant_step
@@ -23,7 +24,7 @@ from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
 from dpcontrol.references.reference import Reference
 from dpcontrol.scenes.campaign import Case, Job, run_job
-from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart, load_itinerary
+from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart, load_itinerary, overridden
 from dpcontrol.scenes.levels import (
     CART_MASS,
     CART_VISCOUS,
@@ -35,6 +36,7 @@ from dpcontrol.scenes.levels import (
     motion_key,
 )
 from dpcontrol.scenes.plan import Plan, make_plan
+from dpcontrol.scenes.run_options import RunOptions
 
 Array = NDArray[np.float64]
 
@@ -209,8 +211,11 @@ def gather(itinerary: Itinerary, *, seeds: int) -> tuple[Evidence, dict[str, Pla
     short = replace(itinerary, parts=tuple(parts))
     levels = REFERENCE_LEVELS if can_be_conservative(itinerary) else REFERENCE_LEVELS[-1:]
     plans = {level: make_plan(replace(short, reference=replace(short.reference, level=level))) for level in levels}
-    # One run on a plant that is the model, started on the reference, and runs on plants of each level.
+    # One run on a plant that is the model, started on the reference, and runs on plants of each level. The first is by
+    # feedback alone: what an adaptive law finds of the arms there is noise, and would pass for the reference's.
     exact = replace(short.loop, mismatch=0.0, initial_error=0.0)
+    if isinstance(exact.controller, AdaptiveSettings):
+        exact = overridden(exact, RunOptions(controller=TvlqrSettings.kind))
     references = {level: _runs(short, plan.archive, exact, 1) for level, plan in plans.items()}
     plants = {}
     for level in PLANT_LEVELS:
