@@ -238,16 +238,16 @@ class TrackingSession:
 
 @dataclass(frozen=True)
 class AdaptiveSettings(ClosingWeights):
-    """Weights as of "tvlqr", angles lighter by default: what is known of the model needs no feedback.
+    """Weights as of "tvlqr", heavier by default: what is known of the model needs no feedback, so there is room.
 
     trust: the greatest share by which a parameter is taken to be wrong; masses and lengths that are off by 0.3 make
     base parameters off by 0.7 at most.
     """
 
     kind: str = "adaptive"
-    angle: float = 5000.0
-    rate: float = 700.0
-    closing: float = 30.0
+    angle: float = 20_000.0
+    rate: float = 2000.0
+    closing: float = 60.0
     trust: float = setting(0.8, least=0, most=1.9)
 
 
