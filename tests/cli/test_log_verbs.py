@@ -74,11 +74,10 @@ def test_a_cut_log_is_refused_by_info_recovered_and_then_scored(logged: Path, tm
 
 
 def in_a_chunk(log: Path) -> int:
-    """Return the place of a byte in the midst of a chunk, halfway through a log: between chunks nothing would be lost."""
-    ends: list[tuple[int, bool]] = []
+    """Return the place of a byte in the midst of a chunk, halfway through a log; outside them nothing would be lost."""
     with log.open("rb") as stream:
-        for record in StreamReader(stream, emit_chunks=True).records:
-            ends.append((stream.tell(), isinstance(record, Chunk)))
+        records = StreamReader(stream, emit_chunks=True).records
+        ends = [(stream.tell(), isinstance(record, Chunk)) for record in records]
     chunks = [(begin, end) for (begin, _), (end, is_chunk) in pairwise(ends) if is_chunk]
     return sum(chunks[len(chunks) // 2]) // 2
 
