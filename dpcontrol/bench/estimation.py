@@ -44,7 +44,7 @@ ZERO_ERROR = 3e-3
 """rad, about what an arm's resting place is read to."""
 CUTOFFS = (10.0, 30.0, 100.0, math.inf)
 """Hz."""
-AUGMENTS: tuple[tuple[str, ...], ...] = ((), ("zeros",), ("zeros", "friction", "parameters"))
+AUGMENTS: tuple[tuple[str, ...], ...] = ((), ("zeros",), ("zeros", "drive"), ("zeros", "friction", "parameters"))
 _METHODS: tuple[tuple[str, type[EstimatorSettings]], ...] = (
     ("EKF, compiled", EkfSettings), ("EKF, filterpy", FilterpyEkfSettings), ("UKF, filterpy", UkfSettings)
 )  # fmt: skip

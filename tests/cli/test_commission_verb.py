@@ -42,7 +42,7 @@ def test_what_was_measured_is_written_once_and_is_then_as_the_scene_says(scene: 
     after = scene.read_text().splitlines()
     kept = [line for line in before if not line.startswith(("delay", "counts"))]
     assert [line for line in after if line in kept] == kept
-    assert len(after) == len(before) + 2
+    assert len(after) == len(before) + 3
     loaded = load_itinerary(str(scene))
     assert loaded.loop.drive.lag == pytest.approx(0.008, abs=1e-4)
     assert loaded.zeros == pytest.approx((0.03, -0.02), abs=1e-3)

@@ -189,4 +189,4 @@ def test_report_shows_the_margins_of_a_logs_loop_where_they_are_asked_for(
     shown = dpcontrol("report", log, "--margins", "--picture", page, "--json").document
     assert page.read_bytes().startswith(PNG)
     assert shown["margins"] == dpcontrol("plan", "outer-turn", "--margins", "--json").document["margins"]
-    assert shown["margins"]["lag"]["value"] < 0.03
+    assert shown["margins"]["lag"]["value"] < 0.2

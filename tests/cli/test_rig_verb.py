@@ -22,7 +22,7 @@ def test_a_run_on_a_bench_in_another_process_is_logged_without_truth(tmp_path: P
         assert bench.wait(60) == 0
     assert wrong.code == 2
     assert "ticks at 1000 Hz, the loop at 500 Hz; run with --rate 1000" in wrong.message
-    assert "orbit's exact rates, 7.7" in wrong.stderr
+    assert "orbit's exact rates, 7." in wrong.stderr
     ended = dpcontrol("run", "outer-turn", "--rig", "udp", "--real-time", "--out", log, "--json")
     shown = ended.document
     assert shown["completed"] is None
