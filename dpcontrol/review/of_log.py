@@ -147,7 +147,7 @@ def run_view(log: RunLog) -> RunView:
     return replace(
         view,
         title=f"{notes['title']} — {notes['itinerary']}{seed}",
-        limits=limits_of(plan),
+        limits=log.limits or limits_of(plan),
         verdict=verdict.sentence,
         good=verdict.completed,
         plan=plan_view(plan, system=system),

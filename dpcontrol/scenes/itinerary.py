@@ -22,6 +22,7 @@ from dpcontrol.control.estimator_settings import (
     AdaptiveEkfSettings,
     Augment,
     EkfSettings,
+    EstimatorSettings,
 )
 from dpcontrol.control.lqr import HoldSettings
 from dpcontrol.control.ogy import ClassicOgySettings, OgySettings
@@ -241,9 +242,10 @@ def overridden(loop: LoopSettings, options: RunOptions) -> LoopSettings:
     law, filters = own.get("controller", loop.controller), own.get("estimator", loop.estimator)
     knows = Augment.PARAMETERS in filters.augments
     chosen = "controller" in own or "estimator" in own
-    if chosen and isinstance(law, AdaptiveSettings) and isinstance(filters, EkfSettings) and not knows:
+    if chosen and isinstance(law, AdaptiveSettings) and not knows:
         # What the controller is to count on must be asked for.
-        own["estimator"] = AdaptiveEkfSettings(**{**_changed(filters), "augment": AdaptiveEkfSettings.augment})
+        asked = {**_changed(filters), "augment": AdaptiveEkfSettings.augment}
+        own["estimator"] = (AdaptiveEkfSettings if isinstance(filters, EkfSettings) else type(filters))(**asked)
     elif chosen and not isinstance(law, AdaptiveSettings) and isinstance(filters, AdaptiveEkfSettings):
         own["estimator"] = EkfSettings(**_changed(filters))
     if not isinstance(law, TvlqrSettings):
@@ -252,7 +254,7 @@ def overridden(loop: LoopSettings, options: RunOptions) -> LoopSettings:
     return replace(loop, **own)
 
 
-def _changed(filters: EkfSettings) -> dict[str, Any]:
+def _changed(filters: EstimatorSettings) -> dict[str, Any]:
     """Return what a filter's settings do not have by default: what the file asks for, whatever the controller."""
     default = type(filters)()
     return {name: value for name, value in vars(filters).items() if value != getattr(default, name)}

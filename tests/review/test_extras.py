@@ -90,3 +90,9 @@ def test_other_laws_of_friction_leave_its_error_unknown(tmp_path: Path) -> None:
     assert {"friction_1", "friction_2"} <= set(view.extras.names if view.extras else ())
     assert not {"friction_1", "friction_2"} & view.extra_truth.keys()
     assert set(KNOWN) <= view.extra_truth.keys()
+
+
+def test_the_track_that_is_drawn_is_the_runs_and_not_the_plans() -> None:
+    view = run_view(run_of(travel=0.8, mismatch=0.0).log)
+    assert view.limits is not None
+    assert view.limits[0] == 0.8

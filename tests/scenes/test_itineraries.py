@@ -11,6 +11,7 @@ from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan, plan_key
 from dpcontrol.scenes.planning import shadowing_orbit
 from dpcontrol.scenes.run import run_plan
+from dpcontrol.scenes.run_options import RunOptions
 from tests.command_line import dpcontrol
 
 RESIDUAL = 1e-11
@@ -130,3 +131,11 @@ def test_two_turns_are_planned_and_run(tmp_path: Path) -> None:
     done = dpcontrol("run", "double-turn", "--seed", "1", "--out", tmp_path / "turns.mcap", "--json")
     assert done.code == 0
     assert done.document["symbols_completed"] == done.document["symbols_total"] == 2
+
+
+@pytest.mark.parametrize("kind", ["ukf", "ekf-filterpy"])
+def test_another_estimator_asks_for_what_the_adaptive_law_counts_on(kind: str) -> None:
+    loop = load_itinerary("outer-turn").with_run(RunOptions(estimator=kind)).loop
+    assert loop.controller.kind == "adaptive"
+    assert loop.estimator.kind == kind
+    assert set(loop.estimator.augment) == {"zeros", "drive", "friction", "parameters"}
