@@ -213,7 +213,7 @@ class SimulatedPlant:
 class SimulatedBench:
     """Plants, sensors and drives with the same settings, of one run or of as many as there are draws.
 
-    start (2n+2,): the nominal first state, to which each draw's initial error is added. queued m/s²: commands already
+    start (2n+2,): the nominal first state, to which each draw's initial error is added, or (S, 2n+2): each run's own. queued m/s²: commands already
     on their way, oldest first; zero before them.
 
     Raises:
@@ -225,7 +225,7 @@ class SimulatedBench:
         queued: Sequence[Any] = (), lanes: Lanes = ONE,
     ) -> None:  # fmt: skip
         draw, n = draws[0], draws[0].plant.arms.count
-        if np.shape(start) != (2 * n + 2,):
+        if np.shape(start)[-1:] != (2 * n + 2,):
             raise InputError(f"the first state has shape {np.shape(start)}: {n} arms on a cart need ({2 * n + 2},)")
 
         def joined(name: str) -> Array | None:
@@ -252,7 +252,7 @@ class SimulatedBench:
         self._noise, self._missed = joined("noise"), draw.missed
         self._ages = None if draw.ages is None else draw.ages.tolist()
         self._encoders = Encoders(n, settings.sensors, zeros=zeros, lanes=lanes)
-        first = np.array(start if lanes is ONE else [start] * len(draws), dtype=float).T
+        first = np.array(start if lanes is ONE else np.broadcast_to(start, (len(draws), 2 * n + 2)), dtype=float).T
         first[:n] += errors
         if draw.plant.lag:
             first = np.append(first, [self._demands[0]], axis=0)

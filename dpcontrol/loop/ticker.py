@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.interface import Controller, Estimate, Estimator, GainSchedule, Session
+from dpcontrol.control.interface import Controller, Estimate, Estimator, GainSchedule, Session, schedule_of
 from dpcontrol.control.tick import UNROLLED, Outcome, TickProgram
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.result import Reading
@@ -63,6 +63,8 @@ class Ticker:
         self._whole = schedule is not None and estimator is None and self.lead <= UNROLLED
         self.event = ""
         """What the law decided in the last tick, a sentence for the log, or empty."""
+        self.began = 0
+        """The tick at which what is followed now began; `references` are from there on."""
         self.begin()
 
     @property
@@ -138,19 +140,20 @@ class Ticker:
         positions = reading.positions if self._many else reading.positions[:, None]
         program.take(positions, reading.present, reading.switch, rate_error)
         if self._whole:
-            program.row[:] = self._rows[k]
+            program.row[:] = self._rows[k - self.began]
             program.tick()
             return program.report
-        return self._by_parts(k, reading)
+        return self._by_parts(k - self.began, reading)
 
     def _by_parts(self, k: int, reading: Reading) -> Array:
+        """Do the tick that is k after what is followed began."""
         program = self.program
         if self.estimator is None:
             sensed = program.sense()
             z = sensed[: program.equations.filter.dimension]
             ahead, drive = program.look_ahead(z)
         else:
-            sensed, ahead, drive = self._estimated(k, reading)
+            sensed, ahead, drive = self._estimated(k + self.began, reading)
             z = sensed[: program.equations.filter.dimension]
         back: Any = 0.0
         if self._session is None:
@@ -198,6 +201,7 @@ class Ticker:
         """Give the reference up at tick k and hold what `fallback` finds; return what that is. For one run."""
         program, report = self.program, self.program.report
         self._session, held = fallback.session(k + self.lead, report[self._ahead, 0].copy())
+        k -= self.began
         now = self.references[k].copy()
         self.references = np.concatenate([self.references[: k + 1], np.empty((self.count - k - 1, self._n))])
         self._coming.clear()
@@ -206,6 +210,42 @@ class Ticker:
         program.row[:] = 0.0
         self._whole = False
         return held
+
+    def follow(self, k: int, controller: Controller, *, lift: Array, bounds: Mapping[str, float]) -> None:
+        """Follow another controller from tick k on, the next, with `lift` (n,) rad added to its angles; for one run.
+
+        The filter goes on, and so do the commands that are on their way; what was judged begins anew, by these bounds
+        (`tick.BOUNDS`) in place of those before.
+        """
+        program, n = self.program, self._arms
+        places = program.equations.memory.slices
+        for name in ("error", "restarts", "held", "moved", "stopped", "still", "silent"):
+            program.memory[places[name]] = 0.0
+        for name, value in bounds.items():
+            program.set_number(name, value)
+        self.controller, self.kind, self.began = controller, controller.kind, k
+        self.count = controller.ticks + 1
+        self._schedule = schedule = schedule_of(controller, self.lead)
+        self._whole = schedule is not None and self.estimator is None and self.lead <= UNROLLED
+        program.row[:] = 0.0
+        self._coming.clear()
+        if schedule is None:
+            self._session = self._begun()
+            self.references = np.empty((self.count, self._n))
+            self._coming.extend([program.report[: self._n, 0].copy()] * self.lead)
+            return
+        self._session = None
+        turned = np.concatenate([lift, np.zeros(self._n - n)])
+        self.references = schedule.references + turned
+        rows, places = schedule.rows.copy(), program.equations.row.slices
+        rows[:, places["state"]] += turned
+        rows[:, places["wanted"]] += lift
+        self._rows = rows[:, :, None]
+        program.set_number("mode", float(schedule.mode))
+
+    def lose(self) -> None:
+        """Have the compiled filter begin anew with the next reading, knowing nothing else."""
+        self.program.memory[self.program.equations.memory.slices["restart"]] = 1.0
 
     def resynchronise(self, k: int) -> str:
         """Move the law's clock to the phase nearest to the state ahead; say by how much, or "" if it has none."""
@@ -217,7 +257,7 @@ class Ticker:
         """Let the reference stand from tick k on: the cart is brought to rest."""
         if self._session is None:
             stands = self.references.copy()
-            stands[k:] = stands[k]
+            stands[k - self.began :] = stands[k - self.began]
             self.references = stands
 
     def rehearse(self) -> None:
@@ -250,7 +290,7 @@ class Ticker:
         distance rad: of the estimated angle that is farthest from the reference; apart rad: of the one that is farthest
         from its reading; position m and velocity m/s: of the cart when the command acts.
         """
-        column, references, arms = self.program.report[:, lane], self.references[k], self._arms
+        column, references, arms = self.program.report[:, lane], self.references[k - self.began], self._arms
         names = ("mean_nis", "error", "silent", "sensor", "repeats", "wish", "command", "doubted", "newly_cut")
         ahead, angles = column[self._ahead], column[:arms]
         wanted = references[:arms] if references.ndim == 1 else references[:, lane]
