@@ -1,6 +1,6 @@
 """Runs that begin as a fall leaves them: arms anywhere and fast, the cart moving, the estimate lost; and are calmed."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
