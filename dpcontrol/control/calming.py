@@ -10,8 +10,8 @@ it: their common energy only falls, whatever they do, and what they lose goes th
 P, Ṗ₀ and σ come from the one model: Ḣ = -P u. The spring keeps the cart near the middle. Near
 hanging still a linear-quadratic regulator takes over, which is quicker there.
 
-Sources: Ortega, van der Schaft, Mareels & Maschke, Putting energy back in control (2001), on control by interconnection;
-Den Hartog, Mechanical Vibrations, chapter 3, on the damper that a mass on a spring makes.
+Sources: Ortega, van der Schaft, Mareels & Maschke, Putting energy back in control (2001), on interconnection; Den Hartog,
+Mechanical Vibrations, chapter 3, on the damper that a mass on a spring makes.
 """
 
 from dataclasses import dataclass
@@ -38,9 +38,9 @@ SWITCH_MARGIN = 0.05
 class CalmingSettings(Settings, table="calming"):
     """The cart that is imitated, by the arms' greatest pull σ kg and slowest frequency w rad/s where they hang.
 
-    mass: m = (1 + mass) σ; spring: U' = spring σ w² x (1 + stiffening (x/travel)²); damper: c = damper σ w. near: energy
-    above hanging still, as a share of what turns the arms upright, below which the regulator takes over; it keeps on to
-    four times that. braking: share of the greatest acceleration that is counted on to stop the cart.
+    mass: m = (1 + mass) σ; spring: U' = spring σ w² x (1 + stiffening (x/travel)²); damper: c = damper σ w. near:
+    energy above hanging still, as a share of what turns the arms upright, below which the regulator takes over; it
+    keeps on to four times that. braking: share of the greatest acceleration that is counted on to stop the cart.
     """
 
     mass: float = setting(0.25, above=0, most=100)

@@ -213,8 +213,8 @@ class SimulatedPlant:
 class SimulatedBench:
     """Plants, sensors and drives with the same settings, of one run or of as many as there are draws.
 
-    start (2n+2,): the nominal first state, to which each draw's initial error is added, or (S, 2n+2): each run's own. queued m/s²: commands already
-    on their way, oldest first; zero before them.
+    start (2n+2,): the nominal first state, to which each draw's initial error is added, or (S, 2n+2): each run's
+    own. queued m/s²: commands already on their way, oldest first; zero before them.
 
     Raises:
         InputError: the state has the wrong shape, or the settings do not fit the arms.
