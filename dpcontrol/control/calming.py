@@ -10,8 +10,8 @@ it: their common energy only falls, whatever they do, and what they lose goes th
 P, Ṗ₀ and σ come from the one model: Ḣ = -P u. The spring keeps the cart near the middle. Near
 hanging still a linear-quadratic regulator takes over, which is quicker there.
 
-Sources: Ortega, van der Schaft, Mareels & Maschke, Putting energy back in control (2001), on interconnection; Den Hartog,
-Mechanical Vibrations, chapter 3, on the damper that a mass on a spring makes.
+Sources: Ortega, van der Schaft, Mareels & Maschke, Putting energy back in control (2001), on interconnection; Den
+Hartog, Mechanical Vibrations, chapter 3, on the damper that a mass on a spring makes.
 """
 
 from dataclasses import dataclass
