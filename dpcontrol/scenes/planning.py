@@ -29,7 +29,7 @@ from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import EndConditions
 from dpcontrol.references.reference import PlanNotes, Reference, SegmentNote, joined
 from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
-from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart
+from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, Part, WalkPart
 from dpcontrol.scenes.pieces import (
     REST,
     REST_AFTER,
@@ -79,7 +79,9 @@ def planned(
 
 def _goals(itinerary: Itinerary, orbits: list[ShadowingOrbit], progress: Progress) -> list[Goal]:
     """Return what the itinerary is to do, one goal for each part, and rests at its ends where it asks for them."""
-    goals = [stay_goal(itinerary, REST, REST_BEFORE)] if itinerary.start == "rest" else []
+    first, last = itinerary.parts[0], itinerary.parts[-1]
+    # A hold there is the rest itself, for as long as it says.
+    goals = [stay_goal(itinerary, REST, REST_BEFORE)] if itinerary.start == "rest" and not _rests(first) else []
     for k, part in enumerate(itinerary.parts):
         if isinstance(part, WalkPart):
             here = part_of(progress, k / len(itinerary.parts), (k + 1) / len(itinerary.parts))
@@ -91,9 +93,13 @@ def _goals(itinerary: Itinerary, orbits: list[ShadowingOrbit], progress: Progres
             goals.append(walk_goal(orbit, part.walk, round_off=(next(apart), next(apart))))
         elif isinstance(part, HoldPart):
             goals.append(stay_goal(itinerary, part.hold, part.seconds))
-    if itinerary.finish == "rest":
+    if itinerary.finish == "rest" and not _rests(last):
         goals.append(stay_goal(itinerary, REST, REST_AFTER))
     return goals
+
+
+def _rests(part: Part) -> bool:
+    return isinstance(part, HoldPart) and part.hold == REST
 
 
 def shadowing_orbit(
