@@ -43,7 +43,7 @@ def plan_command(
     return Answer(document, text if found is None else [*text, f"  margins          {found.status}"], missed)
 
 
-def _plan_text(plan: "Plan", file: Path | None) -> Iterator[str]:
+def _plan_text(plan: "Plan", file: Path | None) -> Iterator[str | TextTable]:
     reference, notes = plan.reference, plan.notes
     yield plan.itinerary.title
     for symbol in notes["symbols"]:
@@ -58,6 +58,15 @@ def _plan_text(plan: "Plan", file: Path | None) -> Iterator[str]:
         f"{reference.rms_cart_acceleration:.3f} m/s² rms, {reference.max_cart_acceleration:.3f} m/s² at most"
     )
     yield f"  file             {file or 'none: the cache cannot be written'}{' (cached)' if plan.cached else ''}"
+    if taken := notes.get("taken"):
+        columns: dict[str, Any] = {
+            "transfer": "{0[text]}", "duration (s)": "{0[duration]:.3g}", "∫u² (m²/s³)": "{0[effort]:.3g}",
+            "stroke (m)": "{0[stroke]:.3g}",
+        }  # fmt: skip
+        for k, family in enumerate(taken[0]["closest"]):
+            near = f"{{0[closest][{k}][distance]:.2f}} at {{0[closest][{k}][energy]:.3g}} J"
+            columns[f"closest to {family['orbit']}"] = near
+        yield table("", taken, columns)
 
 
 _ORIGIN = ("program", "code", "scene_hash", "model_hash")

@@ -24,7 +24,10 @@ from dpcontrol.foundation.files import content_hash, write_whole
 
 VARIABLE = "DPCONTROL_CACHE"
 """Names the folder."""
-KINDS = {"plans": ".npz", "atlases": ".npz", "branches": ".json", "preflights": ".json", "machine-code": ".bin"}
+KINDS = {
+    "plans": ".npz", "transfers": ".npz", "atlases": ".npz", "branches": ".json", "preflights": ".json",
+    "machine-code": ".bin",
+}  # fmt: skip
 """What is kept, each kind in files of one suffix."""
 _OURS = re.compile(rf"-[0-9a-f]{{16}}({'|'.join(map(re.escape, sorted(set(KINDS.values()))))})(\..+)?$")
 """How names of the cache's files end; those half written go on."""

@@ -60,6 +60,11 @@ def equilibria(system: System) -> dict[str, Equilibrium]:
     return {name: equilibrium(system, name) for name in system.equilibria}
 
 
+def resting_place(system: System) -> str:
+    """Return the name of the equilibrium of least energy, where arms hang still."""
+    return min(system.equilibria, key=lambda name: float(system.numeric.hamiltonian(system.equilibrium(name))))
+
+
 Row = Callable[[Array], tuple[float, Array]]
 
 _LONGEST = 3.0

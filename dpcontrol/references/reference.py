@@ -455,6 +455,28 @@ class StayNote(TypedDict):
     lyapunov_period: NotRequired[float]
 
 
+class ApproachNote(TypedDict):
+    """Where a transfer comes closest to a family of orbits: `distance` scaled, of the orbit at `energy` J, at `time` s
+    from the transfer's beginning.
+    """
+
+    orbit: str
+    distance: float
+    energy: float
+    time: float
+
+
+class TransferNote(TypedDict):
+    """What a transfer takes: s, ∫u² dt in m²/s³, the cart's stroke in m; and what it passes, by family of orbits."""
+
+    text: str
+    begin: float
+    duration: float
+    effort: float
+    stroke: float
+    closest: list[ApproachNote]
+
+
 class SegmentNote(TypedDict):
     """A stay ("keep", the saddle) or a flight ("fly") of a walk whose stops are kept.
 
@@ -474,7 +496,8 @@ class SegmentNote(TypedDict):
 
 class PlanNotes(TypedDict):
     """All of a plan's notes. wraps: one for each interior stop, None beside a transfer, where they are not counted;
-    transfers: s between which the pendulum is on its way from piece to piece; energy J: of the first orbit.
+    transfers: s between which the pendulum is on its way from piece to piece, and taken: what each of them takes;
+    energy J: of the first orbit.
     """
 
     itinerary: str
@@ -492,6 +515,7 @@ class PlanNotes(TypedDict):
     orbits: list[OrbitNote]
     saddles: dict[str, SaddleNote]
     made_from: OriginNote
+    taken: NotRequired[list[TransferNote]]
     plan: NotRequired[str]
     stay: NotRequired[StayNote]
     program: NotRequired[list[SegmentNote]]

@@ -26,7 +26,6 @@ from dpcontrol.references.reference import PlanNotes, Reference, StopNote, load_
 Array = NDArray[np.float64]
 Number = TypeVar("Number", int, float)
 
-REST = "down-down"
 _SAME = 1e-4
 """rad."""
 
@@ -464,7 +463,8 @@ def _done(wraps: tuple[int | None, ...], notes: PlanNotes) -> str:
     if not total and "stay" in notes:
         kind = "at" if notes["stay"]["kind"] == "hold" else "on the orbit about"
         return f"stayed {kind} {name} to the end"
-    end = "at rest" if name == REST else "on the last orbit"
+    lowest = min(notes["saddles"].values(), key=lambda saddle: saddle["energy"])
+    end = "at rest" if notes["saddles"].get(name) == lowest else "on the last orbit"
     symbols = "the symbol done" if total == 1 else f"all {total} symbols done in order"
     counted = [count for count in wraps if count is not None]
     asked = f", wraps {counted} as asked" if counted else ""

@@ -21,18 +21,18 @@ from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import OrbitCurve
-from dpcontrol.orbits.symmetric_shooting import equilibria
-from dpcontrol.references.find import find_reference, find_transfer, shadowed
+from dpcontrol.orbits.symmetric_shooting import equilibria, resting_place
+from dpcontrol.references.find import find_reference, shadowed
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import EndConditions, Guess, ReferenceProblem
 from dpcontrol.references.reference import OrbitNote, PlanNotes, Reference, StopNote, SymbolNote, still
 from dpcontrol.scenes.itinerary import Itinerary
+from dpcontrol.scenes.transfers import kept_transfer, turned
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
 Array = NDArray[np.float64]
 
-REST = "down-down"
 REST_BEFORE, REST_AFTER = 0.5, 1.0
 """Seconds for which the pendulum hangs still before it starts and after it is back."""
 WOBBLES = 2
@@ -106,14 +106,17 @@ def walk_goal(
 
 def stay_goal(itinerary: Itinerary, name: str, seconds: float) -> Goal:
     """Return the goal of staying at an equilibrium."""
-    state = itinerary.model.system.equilibrium(name)
+    system = itinerary.model.system
+    state = system.equilibrium(name)
     angles = state[: len(state) // 2]
-    text = "at rest" if name == REST else f"hold {name}"
+    text = "at rest" if name == resting_place(system) else f"hold {name}"
     return Goal(text, (name, name), angles, angles, state, state, seconds=seconds)
 
 
-def solve_pieces(itinerary: Itinerary, goals: Sequence[Goal], *, progress: Progress = no_progress) -> list[SolvedPiece]:
-    """Return the pieces that do all goals in order, with the transfers between them.
+def solve_pieces(
+    itinerary: Itinerary, goals: Sequence[Goal], *, fresh: bool = False, progress: Progress = no_progress
+) -> list[SolvedPiece]:
+    """Return the pieces that do all goals in order, with the transfers between them; fresh: none of them kept ones.
 
     A reference that did not converge ends the list: what follows starts where it should have led.
 
@@ -125,7 +128,7 @@ def solve_pieces(itinerary: Itinerary, goals: Sequence[Goal], *, progress: Progr
         here = part_of(progress, k / len(goals), (k + 0.5) / len(goals))
         lift = np.zeros(len(goal.first))
         if k > 0:
-            moved = _transfer(itinerary, goals[k - 1], pieces[-1].lift, goal, here)
+            moved = _transfer(itinerary, goals[k - 1], pieces[-1].lift, goal, fresh=fresh, progress=here)
             pieces.append(moved)
             lift = moved.lift
             if not moved.reference.converged:
@@ -178,36 +181,35 @@ def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress) -> S
     return SolvedPiece(goal.text, goal, lift, find_reference(problem, settings, progress=progress))
 
 
-def _transfer(itinerary: Itinerary, before: Goal, lift: Array, after: Goal, progress: Progress) -> SolvedPiece:
+def _transfer(
+    itinerary: Itinerary, before: Goal, lift: Array, after: Goal, *, fresh: bool, progress: Progress
+) -> SolvedPiece:
     """Return the piece from the end of one goal to the start of the next, and the lift of that."""
-    text = f"{_place(before.where[1])} to {_place(after.where[0])}"
-    apart = (before.last + lift - after.first) / (2 * np.pi)
+    rest = resting_place(itinerary.model.system)
+    text = " to ".join("rest" if name == rest else name for name in (before.where[1], after.where[0]))
+    apart = (before.last - after.first) / (2 * np.pi)
     if before.where[1] == after.where[0] and before.shadowing is not None and after.shadowing is not None:
-        onward = np.rint(apart) * 2 * np.pi
+        onward = np.rint(apart) * 2 * np.pi + lift
         found = _blend(itinerary, before, lift, after, onward, progress)
         return SolvedPiece(f"change of energy at {after.where[0]}", None, onward, found)
     # Half a turn apart, both ways round are tried.
     choices = [sorted({np.floor(a), np.ceil(a)}, key=abs) if 0.1 < a % 1 < 0.9 else [np.rint(a)] for a in apart]
-    lifts = [np.array(turns) * 2 * np.pi for turns in product(*choices)]
-    ends = [lifted(after.start, turns) for turns in lifts]
+    turns = [np.array(ways) for ways in product(*choices)]
+    if before.shadowing is None and after.shadowing is None:
+        # Between equilibria one way is as good as its mirror image.
+        turns = [way for k, way in enumerate(turns) if not any(np.allclose(way - apart, apart - w) for w in turns[:k])]
+    ends = [lifted(after.start, way * 2 * np.pi) for way in turns]
+
+    def here(_: str, done: float) -> None:
+        progress(text, done)
+
     try:
-        found = find_transfer(
-            equations_of(itinerary.model.arms, Level.CART),
-            itinerary.model.arms.base(),
-            start=lifted(before.end, lift),
-            ends=ends,
-            limits=itinerary.limits,
-            settings=itinerary.reference,
-            progress=progress,
-        )
+        found = kept_transfer(itinerary, lifted(before.end, np.zeros_like(lift)), ends, fresh=fresh, progress=here)
     except GoalMissed as error:
         raise GoalMissed(f"{text}: {error}") from error
     landed = found.state(found.duration)
-    return SolvedPiece(text, None, lifts[int(np.argmin([np.abs(landed - end).max() for end in ends]))], found)
-
-
-def _place(name: str) -> str:
-    return "rest" if name == REST else name
+    onward = turns[int(np.argmin([np.abs(landed - end).max() for end in ends]))] * 2 * np.pi + lift
+    return SolvedPiece(text, None, onward, turned(found, lift))
 
 
 def _blend(

@@ -124,6 +124,7 @@ class Plan:
         )  # fmt: skip
         return {
             **{key: self.notes[key] for key in ("walk", "wraps", "shadowing")},
+            "transfers": self.notes.get("taken", []),
             "reference": {"intervals": len(self.reference.mesh) - 1, **picked(self.reference, *figures)},
             "file": self.file if self.converged and self.file.is_file() else None,
             **picked(self, "cached", "status"),
@@ -193,7 +194,7 @@ def make_plan(
     # A plan that is kept needs nothing of what makes plans.
     from dpcontrol.scenes.planning import planned
 
-    reference, notes, arrays = planned(itinerary, orbits, progress=progress)
+    reference, notes, arrays = planned(itinerary, orbits, fresh=fresh, progress=progress)
     notes["plan"], notes["made_from"]["code"] = plan_key(itinerary), code_hash(__name__)
     reference = replace(reference, notes={**reference.notes, **notes}, extra={**reference.extra, **arrays})
     plan = Plan(itinerary, reference, file, cached=False)

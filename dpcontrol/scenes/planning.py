@@ -25,13 +25,13 @@ from dpcontrol.control.interface import whole_turns
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.symmetric_shooting import resting_place
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import EndConditions
 from dpcontrol.references.reference import PlanNotes, Reference, SegmentNote, joined
 from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
-from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, Part, WalkPart
+from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart
 from dpcontrol.scenes.pieces import (
-    REST,
     REST_AFTER,
     REST_BEFORE,
     Goal,
@@ -43,6 +43,7 @@ from dpcontrol.scenes.pieces import (
     stay_goal,
     walk_goal,
 )
+from dpcontrol.scenes.transfers import transfer_notes
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver, phase_gap
@@ -53,9 +54,14 @@ Array = NDArray[np.float64]
 
 
 def planned(
-    itinerary: Itinerary, orbits: Sequence[ShadowingOrbit] = (), *, progress: Progress = no_progress
+    itinerary: Itinerary,
+    orbits: Sequence[ShadowingOrbit] = (),
+    *,
+    fresh: bool = False,
+    progress: Progress = no_progress,
 ) -> tuple[Reference, PlanNotes, dict[str, Array]]:
-    """Return the reference of an itinerary, its notes and arrays; orbits: that shadow its walks, where they are known.
+    """Return the reference of an itinerary, its notes and arrays; orbits: that shadow its walks, where they are known;
+    fresh: without transfers that were kept.
 
     Raises:
         InputError: the walk asks for connections that do not exist at this energy.
@@ -67,10 +73,14 @@ def planned(
         walk = itinerary.walks[0]
         chain, solver = _connections(itinerary, walk, part_of(progress, 0.0, 0.5))
         return _kept_walk(itinerary, walk, chain, solver, part_of(progress, 0.5, 1.0))
-    goals = _goals(itinerary, list(orbits), part_of(progress, 0.0, 0.4))
-    pieces = solve_pieces(itinerary, goals, progress=part_of(progress, 0.4, 1.0))
+    ready = 0.4 if itinerary.walks else 0.0
+    goals = _goals(itinerary, list(orbits), part_of(progress, 0.0, ready))
+    pieces = solve_pieces(itinerary, goals, fresh=fresh, progress=part_of(progress, ready, 0.9))
     reference, begins = joined([piece.reference for piece in pieces])
     notes, arrays = notes_of_pieces(itinerary, pieces, begins)
+    ways = [(p.text, float(begin), p.reference) for p, begin in zip(pieces, begins, strict=False) if p.goal is None]
+    if ways and reference.converged:
+        notes["taken"] = transfer_notes(itinerary.model.system, ways, progress=part_of(progress, 0.9, 1.0))
     if isinstance(itinerary.stay, HoldPart):
         notes["stay"] = {"kind": "hold", "hold": itinerary.stay.hold}
         notes["energy"] = notes["orbits"][0]["energy"]
@@ -79,9 +89,10 @@ def planned(
 
 def _goals(itinerary: Itinerary, orbits: list[ShadowingOrbit], progress: Progress) -> list[Goal]:
     """Return what the itinerary is to do, one goal for each part, and rests at its ends where it asks for them."""
-    first, last = itinerary.parts[0], itinerary.parts[-1]
+    rest = resting_place(itinerary.model.system)
     # A hold there is the rest itself, for as long as it says.
-    goals = [stay_goal(itinerary, REST, REST_BEFORE)] if itinerary.start == "rest" and not _rests(first) else []
+    rests = [isinstance(part, HoldPart) and part.hold == rest for part in (itinerary.parts[0], itinerary.parts[-1])]
+    goals = [stay_goal(itinerary, rest, REST_BEFORE)] if itinerary.start == "rest" and not rests[0] else []
     for k, part in enumerate(itinerary.parts):
         if isinstance(part, WalkPart):
             here = part_of(progress, k / len(itinerary.parts), (k + 1) / len(itinerary.parts))
@@ -93,13 +104,9 @@ def _goals(itinerary: Itinerary, orbits: list[ShadowingOrbit], progress: Progres
             goals.append(walk_goal(orbit, part.walk, round_off=(next(apart), next(apart))))
         elif isinstance(part, HoldPart):
             goals.append(stay_goal(itinerary, part.hold, part.seconds))
-    if itinerary.finish == "rest" and not _rests(last):
-        goals.append(stay_goal(itinerary, REST, REST_AFTER))
+    if itinerary.finish == "rest" and not rests[1]:
+        goals.append(stay_goal(itinerary, rest, REST_AFTER))
     return goals
-
-
-def _rests(part: Part) -> bool:
-    return isinstance(part, HoldPart) and part.hold == REST
 
 
 def shadowing_orbit(

@@ -1,0 +1,142 @@
+"""Transfers of an itinerary: found once and kept, and told apart by what each of them takes and passes.
+
+A transfer is kept by content as soon as it is found, at the turns that its start is named at, so that planning that was
+interrupted goes on where it was, and a motion that comes again, in the same itinerary or another, costs nothing.
+
+What each takes is its time, the cart's effort ∫u² and stroke. What it passes are the families of Lyapunov orbits: of
+each, the orbit to which the pendulum comes closest, the distance being the largest component of the scaled gap. A
+family shrinks to its saddle, so that is at no distance from a transfer that begins or ends there.
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+from io import BytesIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.chain import Level, equations_of
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import content_hash
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.orbits.family import lyapunov_family
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.orbits.manifold import OrbitCurve
+from dpcontrol.orbits.symmetric_shooting import equilibrium
+from dpcontrol.references.find import find_transfer
+from dpcontrol.references.reference import (
+    ApproachNote,
+    Reference,
+    TransferNote,
+    load_reference,
+    save_reference,
+)
+from dpcontrol.scenes.itinerary import Itinerary
+
+Array = NDArray[np.float64]
+
+_SAMPLING = 2e-3
+"""s between the states that are held against the orbits."""
+_MET = 1e-6
+"""Scaled distance from a saddle at which a transfer's end is at it."""
+
+
+def kept_transfer(
+    itinerary: Itinerary, start: Array, ends: Sequence[Array], *, fresh: bool = False, progress: Progress = no_progress
+) -> Reference:
+    """Return a transfer from `start` (N,) to one of `ends` (N,), from the cache unless `fresh`.
+
+    Raises:
+        GoalMissed: there is none within the limits; says what stood in the way.
+    """
+    arms = itinerary.model.arms
+    content = {
+        "code": code_hash("dpcontrol.references.find"),
+        "parameters": asdict(arms),
+        "start": start.tolist(),
+        "ends": [end.tolist() for end in ends],
+        "limits": asdict(itinerary.limits),
+        "reference": asdict(itinerary.reference),
+    }
+    file = cache_file("transfers", itinerary.model.name, content_hash(json.dumps(content, sort_keys=True)))
+    if not fresh and (known := kept(file)) is not None:
+        return load_reference(BytesIO(known))
+    found = find_transfer(
+        equations_of(arms, Level.CART), arms.base(), start=start, ends=ends, limits=itinerary.limits,
+        settings=itinerary.reference, progress=progress,
+    )  # fmt: skip
+    archive = BytesIO()
+    save_reference(archive, found)
+    keep(file, archive.getvalue())
+    return found
+
+
+def turned(reference: Reference, angles: Array) -> Reference:
+    """Return a reference with `angles` (n,) added to its own."""
+    turns = np.zeros(reference.states.shape[-1])
+    turns[: len(angles)] = angles
+    return replace(reference, states=reference.states + turns)
+
+
+def transfer_notes(
+    system: System,
+    transfers: Sequence[tuple[str, float, Reference]],
+    *,
+    progress: Progress = no_progress,
+) -> list[TransferNote]:
+    """Return what transfers take and pass, each given by its text, the time at which it begins, s, and its motion."""
+    times = [np.linspace(0.0, one.duration, round(one.duration / _SAMPLING) + 1) for _, _, one in transfers]
+    states = [one.state(at) for (_, _, one), at in zip(transfers, times, strict=True)]
+    notes: list[TransferNote] = [
+        {
+            "text": text, "begin": begin, "duration": one.duration,
+            "effort": one.rms_cart_acceleration**2 * one.duration, "stroke": float(np.ptp(rows[:, -2])),
+            "closest": [],
+        }
+        for (text, begin, one), rows in zip(transfers, states, strict=True)
+    ]  # fmt: skip
+    pendulum = [rows[:, :-2] for rows in states]
+    energies = [system.numeric.hamiltonian(rows) for rows in pendulum]
+    span = min(float(e.min()) for e in energies), max(float(e.max()) for e in energies)
+    for k, saddle in enumerate(system.saddles):
+        progress(f"closest approach to the orbits about {saddle}", k / len(system.saddles))
+        here = part_of(progress, k / len(system.saddles), (k + 1) / len(system.saddles))
+        for orbits in _families(system, saddle, span, here):
+            for note, at, rows in zip(notes, times, pendulum, strict=True):
+                note["closest"].append(_closest(orbits, at, rows))
+    return notes
+
+
+def _families(
+    system: System, saddle: str, energies: tuple[float, float], progress: Progress
+) -> list[Sequence[LyapunovOrbit]]:
+    """Return the families of orbits about a saddle, as far as they exist at these energies (lowest, highest) in J."""
+    values = equilibrium(system, saddle).eigenvalues
+    found: list[Sequence[LyapunovOrbit]] = []
+    for family in range(sum(v.imag > 1e-6 * abs(v) for v in values)):
+        try:
+            found.append(lyapunov_family(system, saddle, energies=energies, family=family, progress=progress).members)
+        except InputError:
+            # It begins above all that the transfers reach.
+            continue
+    return found
+
+
+def _closest(orbits: Sequence[LyapunovOrbit], times: Array, states: Array) -> ApproachNote:
+    """Return where states (K, 2n) at `times` (K,) come closest to one of a family's orbits, or to its saddle."""
+    first = orbits[0]
+    away = first.system.scaled_distance(states[[0, -1]], first.centre)
+    if away.min() < _MET:
+        end = int(np.argmin(away))
+        energy = equilibrium(first.system, first.saddle).energy
+        return {"orbit": first.name, "distance": 0.0, "energy": energy, "time": float(times[-end])}
+    found: list[tuple[float, float, float]] = []
+    for orbit in orbits:
+        distances = OrbitCurve(orbit).distances(states)[1]
+        k = int(np.argmin(distances))
+        found.append((float(distances[k]), orbit.energy, float(times[k])))
+    distance, energy, time = min(found)
+    return {"orbit": first.name, "distance": distance, "energy": energy, "time": time}
