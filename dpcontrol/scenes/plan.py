@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from importlib import import_module
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.references.reference import PlanNotes, Reference, load_reference, plan_notes, save_reference
-from dpcontrol.scenes.itinerary import Itinerary, itinerary_from
+from dpcontrol.scenes.itinerary import HoldPart, Itinerary, itinerary_from
 from dpcontrol.scenes.model import model_from
 from dpcontrol.scenes.run_options import RunOptions
 
@@ -153,10 +154,15 @@ _SECONDS, _MEMORY = 0.25, 3.5e6
 """What each period of a walk takes to plan, in s and bytes, measured over 200 of them."""
 _FLIGHT = 4
 """Periods that a symbol takes."""
+_TRANSFER = 3.0
+"""Seconds that a transfer takes to plan."""
 
 
 def plan_cost(itinerary: Itinerary) -> Cost:
     """Return what planning an itinerary will take; stays at an equilibrium or on an orbit hardly count."""
+    ends = (itinerary.start, itinerary.finish)
+    apart = (any(isinstance(part, HoldPart) for part in pair) for pair in pairwise(itinerary.parts))
+    transfers = ends.count("rest") + sum(apart)
     amounts = {
         "wraps": sum(itinerary.wraps),
         "walk": len(itinerary.walk),
@@ -167,7 +173,11 @@ def plan_cost(itinerary: Itinerary) -> Cost:
     longest = max(amounts, key=lambda name: amounts[name])
     of = "symbols" if longest == "walk" else "in all"
     key = f"{itinerary.path}: {longest}, {amounts[longest]:,} {of}"
-    return Cost(f"a reference of {periods:,} periods", _SECONDS * periods, _MEMORY * periods, key)
+    if _TRANSFER * transfers > _SECONDS * periods:
+        key = f"{itinerary.path}: parts, {len(itinerary.parts):,} in all"
+    seconds, memory = _SECONDS * periods + _TRANSFER * transfers, _MEMORY * (periods + _FLIGHT * transfers)
+    work = f"a reference of {periods:,} periods" + (f" and {transfers:,} transfers" if transfers else "")
+    return Cost(work, seconds, memory, key)
 
 
 def make_plan(

@@ -17,7 +17,7 @@ from dpcontrol.scenes.run_options import RunOptions
 pytestmark = pytest.mark.benchmark
 
 ITINERARIES = (
-    "turn-from-rest", "cross-from-rest", "up-up", "two-energies", "round-trip-from-rest",
+    "turn-from-rest", "cross-from-rest", "up-up", "two-energies", "round-trip-from-rest", "twelve",
     "outer-turn", "cross", "double-turn", "triple-turn", "turn-cross-turn-return", "round-trip", "dance", "linger",
 )  # fmt: skip
 BENCH = RunOptions(

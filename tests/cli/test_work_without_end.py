@@ -162,3 +162,15 @@ def test_the_cost_of_a_plan_grows_with_each_thing_that_lengthens_it() -> None:
         for numbers in ((3, 2, 2), (4, 2, 2), (3, 3, 2), (3, 2, 3))
     )
     assert all(one > plain for one in longer)
+
+
+def test_transfers_between_holds_count_in_the_cost_of_a_plan() -> None:
+    model = load_model("lab")
+    ends = 'start = "rest"\nfinish = "rest"\n'
+    costs = [
+        plan_cost(itinerary_from(ends + '[[parts]]\nhold = "up-up"\n' * count, "x", model)) for count in (1, 2, 2000)
+    ]
+    assert costs[0].seconds < costs[1].seconds
+    assert "2,001 transfers" in costs[2].work
+    with pytest.raises(InputError, match=r"x.toml: parts, 2,000 in all: .*will take about"):
+        announce(costs[2], yes=False)

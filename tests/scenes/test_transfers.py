@@ -1,0 +1,198 @@
+"""Itineraries of transfers between equilibria: found once and kept, each with what it takes and passes."""
+
+from dataclasses import replace
+from itertools import pairwise, permutations
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import dpcontrol
+from scipy.integrate import solve_ivp
+
+from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.symmetric_shooting import resting_place
+from dpcontrol.references.method import method_named
+from dpcontrol.references.problem import Limits
+from dpcontrol.references.reference import Reference
+from dpcontrol.scenes import transfers
+from dpcontrol.scenes.itinerary import HoldPart, load_itinerary
+from dpcontrol.scenes.model import load_model
+from dpcontrol.scenes.plan import Plan, make_plan
+from dpcontrol.scenes.transfers import transfer_notes
+
+SYSTEM = load_model("lab").system
+QUICK = '[reference]\nmethod = "radau-5"\ninterval = 0.1\ntolerance = 1e-3\n'
+"""Coarse: what is asked here is where transfers lead and what becomes of them, not how exact they are."""
+QUADRATURE = 1e-4  # relative, of sums over milliseconds
+BETWEEN_ORBITS = 0.02  # scaled, of neighbours among the orbits of a family
+
+
+def scene(folder: Path, *holds: str, model: str = "lab") -> Path:
+    parts = "".join(f'[[parts]]\nhold = "{name}"\nseconds = 0.5\n' for name in holds)
+    file = folder / "tour.toml"
+    file.write_text(f'model = "{model}"\nstart = "rest"\nfinish = "rest"\n{parts}{QUICK}')
+    return file
+
+
+@pytest.fixture(scope="module")
+def there_and_back(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+    folder = tmp_path_factory.mktemp("tour")
+    return make_plan(load_itinerary(str(scene(folder, "down-down", "down-up", "down-down"))))
+
+
+def flown_again(plan: Plan, number: int) -> Reference:
+    """Return one of a plan's transfers by itself, at the turns that its start is named at."""
+    reference, (begin, end) = plan.reference, plan.notes["transfers"][number]
+    first, last = np.searchsorted(reference.mesh, (begin - 1e-9, end - 1e-9))
+    states = reference.states[first:last]
+    lift = np.append(np.rint(states[0, 0, :2] / (2 * np.pi) - [0, 0.25 * number]) * 2 * np.pi, np.zeros(4))
+    return replace(
+        reference, mesh=reference.mesh[first : last + 1] - begin, states=states - lift,
+        inputs=reference.inputs[first:last], notes={}, extra={},
+    )  # fmt: skip
+
+
+def test_a_hold_where_arms_rest_is_the_rest_at_an_end(there_and_back: Plan) -> None:
+    notes = there_and_back.notes
+    assert [stop["saddle"] for stop in notes["stops"]] == ["down-down", "down-up", "down-down"]
+    assert [symbol["text"] for symbol in notes["symbols"]] == ["rest to down-up", "down-up to rest"]
+    (begin, _), (_, end) = notes["transfers"]
+    assert begin == pytest.approx(0.5)
+    assert there_and_back.reference.duration - end == pytest.approx(0.5)
+
+
+def test_what_a_transfer_takes_is_what_its_reference_does(there_and_back: Plan) -> None:
+    reference, document = there_and_back.reference, there_and_back.document()
+    assert len(document["transfers"]) == 2
+    for note, (begin, end) in zip(document["transfers"], there_and_back.notes["transfers"], strict=True):
+        assert (note["begin"], note["duration"]) == pytest.approx((begin, end - begin))
+        times = np.linspace(begin, end, 20_001)
+        middle = (times[1:] + times[:-1]) / 2
+        assert note["effort"] == pytest.approx((reference.input(middle) ** 2).mean() * (end - begin), rel=QUADRATURE)
+        positions = reference.state(times)[:, -2]
+        assert note["stroke"] == pytest.approx(positions.max() - positions.min(), rel=QUADRATURE)
+
+
+def standing(states: np.ndarray) -> Reference:
+    """Return a reference that passes pendulum states (K, 4), its cart at rest."""
+    method = method_named("radau-3")
+    mesh = np.linspace(0.0, 1.0, len(states))
+    carts = np.hstack([states, np.zeros((len(states), 2))])
+    share = method.support[:, None]
+    rows = carts[:-1, None] * (1 - share) + carts[1:, None] * share
+    inputs = np.zeros((len(states) - 1, len(method.points), 1))
+    return Reference(method, mesh, rows, inputs, Limits(), "", converged=True, max_error_between_nodes=0.0)
+
+
+def test_the_closest_approach_is_to_the_nearest_of_all_orbits_of_a_family() -> None:
+    """Along an orbit itself: none of another energy is nearer; and beside it, as far as brute force finds it."""
+    orbit = lyapunov_orbit(SYSTEM, "down-up", energy=0.1)
+    flown = solve_ivp(
+        lambda _, x: SYSTEM.numeric.rate(x), (0, orbit.period), orbit.state, t_eval=np.linspace(0, orbit.period, 400),
+        rtol=1e-10, atol=1e-10,
+    ).y.T  # fmt: skip
+    (on,) = transfer_notes(SYSTEM, [("on it", 0.0, standing(flown))])
+    (near,) = [one for one in on["closest"] if one["orbit"] == "down-up"]
+    assert near["distance"] < BETWEEN_ORBITS
+    assert near["energy"] == pytest.approx(0.1, abs=0.05)
+    place = flown[120] + np.array([0.0, 0.0, 3.0, 0.0])
+    (beside,) = transfer_notes(SYSTEM, [("beside it", 0.0, standing(np.array([place, place])))])
+    nearest = np.inf
+    for energy in np.linspace(-0.17, 0.48, 60):
+        other = lyapunov_orbit(SYSTEM, "down-up", energy=energy)
+        times = np.linspace(0, other.period, 400)
+        nearest = min(nearest, SYSTEM.scaled_distance(SYSTEM.propagator.sample(other.state, times), place).min())
+    (near,) = [one for one in beside["closest"] if one["orbit"] == "down-up"]
+    assert near["distance"] == pytest.approx(nearest, abs=BETWEEN_ORBITS)
+
+
+def test_a_transfer_that_begins_at_a_saddle_is_at_no_distance_from_its_orbits(there_and_back: Plan) -> None:
+    for note, end in zip(there_and_back.document()["transfers"], (1, 0), strict=True):
+        near = {one["orbit"]: one for one in note["closest"]}
+        assert set(near) == {"down-up"}, "up-down lies higher than these transfers reach"
+        assert near["down-up"]["distance"] == 0
+        assert near["down-up"]["time"] == pytest.approx(end * note["duration"])
+
+
+def test_the_table_of_transfers_is_printed(tmp_path: Path) -> None:
+    shown = dpcontrol("plan", scene(tmp_path, "down-down", "down-up", "down-down")).stdout
+    for text in ("rest to down-up", "down-up to rest", "∫u²", "stroke", "closest to", "0.00 at -0.175 J"):
+        assert text in shown
+
+
+def test_planning_that_was_interrupted_goes_on_with_the_transfers_it_had(
+    tmp_path: Path, there_and_back: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
+    sought: list[int] = []
+
+    def interrupted(*_: object, start: np.ndarray, **__: object) -> Reference:
+        sought.append(len(sought))
+        if len(sought) == 2:
+            raise KeyboardInterrupt
+        return flown_again(there_and_back, int(start.any()))
+
+    monkeypatch.setattr(transfers, "find_transfer", interrupted)
+    itinerary = there_and_back.itinerary
+    with pytest.raises(KeyboardInterrupt):
+        make_plan(itinerary)
+    again = make_plan(itinerary)
+    assert len(sought) == 3, "the first of two transfers was found once"
+    assert again.reference.states == pytest.approx(there_and_back.reference.states, abs=1e-12)
+    assert make_plan(itinerary).cached
+    make_plan(itinerary, fresh=True)
+    assert len(sought) == 5, "--fresh searches for both"
+
+
+def test_of_two_ways_between_equilibria_that_mirror_each_other_one_is_tried(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
+    tried: list[list[np.ndarray]] = []
+
+    def nowhere(*_: object, start: np.ndarray, ends: list[np.ndarray], **__: object) -> Reference:
+        tried.append([end - start for end in ends])
+        raise GoalMissed("none")
+
+    monkeypatch.setattr(transfers, "find_transfer", nowhere)
+    for name, ways in (("down-up", 1), ("up-up", 2)):
+        with pytest.raises(GoalMissed, match=f"rest to {name}: none"):
+            make_plan(load_itinerary(str(scene(tmp_path, "down-down", name))))
+        assert len(tried[-1]) == ways
+        assert not any(np.allclose(a, -b) for a in tried[-1] for b in tried[-1])
+
+
+@pytest.mark.parametrize("name", ["lab", "triple"])
+def test_arms_rest_where_all_of_them_hang(name: str) -> None:
+    system = load_model(name).system
+    assert not system.equilibrium(resting_place(system)).any()
+
+
+def test_twelve_goes_once_from_each_equilibrium_to_each_other() -> None:
+    itinerary = load_itinerary("twelve")
+    holds = [part for part in itinerary.parts if isinstance(part, HoldPart)]
+    assert len(holds) == len(itinerary.parts) == 13
+    assert {part.seconds for part in holds} == {1.0}
+    done = [(a.hold, b.hold) for a, b in pairwise(holds)]
+    assert sorted(done) == sorted(permutations(SYSTEM.equilibria, 2))
+
+
+@pytest.mark.slow
+def test_twelve_is_planned_from_its_file_alone_within_its_limits() -> None:
+    """Half a minute."""
+    plan = make_plan(load_itinerary("twelve"))
+    assert plan.converged
+    assert [stop["saddle"] for stop in plan.notes["stops"]] == [part.hold for part in plan.itinerary.parts]
+    assert plan.reference.max_cart_position <= plan.itinerary.limits.position
+    for note in plan.document()["transfers"]:
+        assert 0 < note["duration"] <= 3
+        assert {one["orbit"] for one in note["closest"]} <= set(SYSTEM.saddles)
+
+
+@pytest.mark.slow
+def test_three_arms_are_led_between_their_equilibria_as_two_are(tmp_path: Path) -> None:
+    """A minute."""
+    plan = make_plan(load_itinerary(str(scene(tmp_path, "down-down-down", "down-down-up", model="triple"))))
+    assert [stop["saddle"] for stop in plan.notes["stops"]] == ["down-down-down", "down-down-up", "down-down-down"]
+    assert plan.converged
