@@ -13,16 +13,18 @@ Pushes on the arms and knocks on the cart, which act in no time at a tick, right
 
     push:  M(θ) Δω = impulse          knock:  Δẋ given, arms keep their momenta          tilt:  gravity (g sin, -g cos)
 
-Everything random in a run is drawn beforehand from its seed, from one stream of numbers for each use: a change of one
-setting leaves all other draws as they were, and a longer run begins like a shorter one.
+Everything random in a run is drawn from its seed, from one stream of numbers for each use: a change of one setting
+leaves all other draws as they were, and a longer run begins like a shorter one. What is drawn for each tick comes in
+blocks, so that a night takes no more memory than a minute.
 
 Sources: the rig's data sheets as read for its parameters: 40,000 counts per turn, 1 µm on the cart; commanded in
 velocity, 3 m/s, limit switches at both ends; O'Neill's seed sequences as in numpy.random.SeedSequence.
 """
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -51,8 +53,9 @@ class SensorSettings(Settings, table="sensors"):
     zero_error: rad, uniform ± on the zero of each arm's encoder, so that outer angles carry the sum. noise: standard
     deviation on each relative angle, rad; cart_noise: on the cart, m. missed_counts: per s that each encoder loses
     while its joint moves. dropout: share of ticks at which no sensor is read. stuck_at s: from when the sensor
-    `stuck_sensor` (0, 1 … the arms, then the cart) repeats its value. jitter s: a reading is up to so old, uniform.
-    rate_noise rad/s: standard deviation of what is added to estimated rates, as where rates are measured.
+    `stuck_sensor` (0, 1 … the arms, then the cart) repeats its value, for stuck_for s. jitter s: a reading is up to so
+    old, uniform. rate_noise rad/s: standard deviation of what is added to estimated rates, as where rates are measured.
+    zero_drift rad/h: at which the zero of each arm's encoder drifts, either way.
     """
 
     counts: int = setting(40_000, least=1, zero="no rounding")
@@ -64,8 +67,10 @@ class SensorSettings(Settings, table="sensors"):
     dropout: float = setting(0.0, least=0, most=1)
     stuck_at: float = setting(math.inf, least=0, infinite="never", unit="s")
     stuck_sensor: int = setting(0, least=0)
+    stuck_for: float = setting(math.inf, above=0, infinite="for good", unit="s")
     jitter: float = setting(0.0, least=0, most=1, unit="s")
     rate_noise: float = setting(0.0, least=0, most=1000, unit="rad/s")
+    zero_drift: float = setting(0.0, least=0, most=1000, unit="rad/h")
 
     def __post_init__(self) -> None:
         """Check the bounds, and that an encoder which loses counts has some.
@@ -191,14 +196,18 @@ class DisturbanceSettings(Settings, table="disturbances"):
     """Seeded and explicit disturbances.
 
     pushes: how many blows on arms in a run, at random times on random arms, each of a uniform ± push_impulse N m s;
-    knocks: how many on the cart, each a uniform ± knock_velocity m/s. tilt rad of the track, positive with the right
-    end down; angles are measured from the track's normal, so hanging arms read `tilt`. explicit: further blows.
+    knocks: how many on the cart, each a uniform ± knock_velocity m/s. knocks_per_minute: blows on random arms at random
+    times (a Poisson process), for as long as the run lasts, each of a uniform ± knock_impulse N m s. tilt rad of the
+    track, positive with the right end down; angles are measured from the track's normal, so hanging arms read `tilt`.
+    explicit: further blows.
     """
 
     pushes: int = setting(0, least=0, most=10_000)
     push_impulse: float = setting(0.0, least=0, most=1000, unit="N m s")
     knocks: int = setting(0, least=0, most=10_000)
     knock_velocity: float = setting(0.0, least=0, most=1000, unit="m/s")
+    knocks_per_minute: float = setting(0.0, least=0, most=6000, unit="1/min")
+    knock_impulse: float = setting(0.03, least=0, most=1000, unit="N m s")
     tilt: float = setting(0.0, least=-np.pi / 4, most=np.pi / 4, unit="rad")
     explicit: tuple[Push, ...] = ()
 
@@ -225,7 +234,7 @@ class BenchSettings:
 
 # Their order is that of the seed's streams: append only, or old seeds give other runs.
 _STREAMS = ("plant", "initial_error", "zero_errors", "command_noise", "ages", "dropped", "missed", "noise",
-            "rate_noise", "pushes", "knocks", "model")  # fmt: skip
+            "rate_noise", "pushes", "knocks", "model", "zero_drift", "random_blows")  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -237,13 +246,71 @@ class Blow:
     knock: float
 
 
+_BLOCK = 1 << 14
+"""Ticks drawn at once."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """What is drawn for each tick of a run: `make` turns a generator and a count into as many ticks' (count, …).
+
+    Blocks one after the other hold the numbers of one long draw.
+    """
+
+    seed: np.random.SeedSequence
+    make: Callable[[np.random.Generator, int], NDArray[Any]]
+
+    def first(self, count: int) -> NDArray[Any]:
+        """Return the first `count` ticks."""
+        return self.make(np.random.default_rng(self.seed), count)
+
+    def reader(self, rows: Callable[[NDArray[Any]], Any], *, begin: int = 0, ticks: int = _BLOCK) -> "StreamReader":
+        """Return a reader from tick `begin` on; rows: what becomes of a block; ticks: as many as it will be asked for.
+        """
+        return StreamReader(self, rows, begin=begin, block=min(max(ticks, 1), _BLOCK))
+
+
+class StreamReader:
+    """Gives a stream tick by tick, `reader[k]`, without end, in order; it keeps one block of it."""
+
+    def __init__(self, stream: Stream, rows: Callable[[NDArray[Any]], Any], *, begin: int, block: int) -> None:
+        self._random, self._make, self._rows = np.random.default_rng(stream.seed), stream.make, rows
+        self._block, self._first, self._end = block, 0, 0
+        self._values: Any = ()
+        while self._end < begin:
+            self._go_on(min(begin - self._end, _BLOCK))
+
+    def _go_on(self, count: int) -> None:
+        self._values = self._rows(self._make(self._random, count))
+        self._first, self._end = self._end, self._end + count
+
+    def __getitem__(self, tick: int) -> Any:
+        while tick >= self._end:
+            self._go_on(self._block)
+        if tick < self._first:
+            raise IndexError(f"tick {tick} of a stream is asked for after tick {self._first}")
+        return self._values[tick - self._first]
+
+
+def _drawn(name: str) -> Any:
+    """Return a property of a `BenchDraw`: the first of its ticks of a stream, or None."""
+
+    def first(draw: "BenchDraw") -> NDArray[Any] | None:
+        stream = draw.streams.get(name)
+        return None if stream is None else stream.first(draw.ticks)
+
+    return cached_property(first)
+
+
 @dataclass(frozen=True, eq=False)
 class BenchDraw:
-    """One run's draws for n arms and K ticks; None stands for none of the kind, which costs nothing.
+    """One run's draws for n arms and K ticks.
 
-    plant; initial_error (n,) rad on the angles; zeros (n,) rad of the encoders; command_noise (K,) m/s²; ages (K,) s of
-    the readings; dropped (K,): ticks without reading; missed (K, n): counts lost where the joint moves; noise (K, n+1)
-    on relative angles, rad, and cart, m; rate_noise (K, n) rad/s on estimated rates; blows by their tick.
+    plant; initial_error (n,) rad on the angles; zeros (n,) rad of the encoders, drift (n,) rad/s of them; blows by
+    their tick. streams: by name what is drawn for each tick, also beyond the K; None stands below for none of the kind,
+    which costs nothing. command_noise (K,) m/s²; ages (K,) s of the readings; dropped (K,): ticks without reading;
+    missed (K, n): counts lost where the joint moves; noise (K, n+1) on relative angles, rad, and cart, m; rate_noise
+    (K, n) rad/s on estimated rates.
     """
 
     seed: int
@@ -252,13 +319,32 @@ class BenchDraw:
     plant: PlantParameters
     initial_error: Array
     zeros: Array
-    command_noise: Array | None
-    ages: Array | None
-    dropped: NDArray[np.bool_] | None
-    missed: NDArray[np.int64] | None
-    noise: Array | None
-    rate_noise: Array | None
+    drift: Array
+    streams: Mapping[str, Stream]
     blows: Mapping[int, Blow]
+    random_blows: Callable[[], Iterator[tuple[int, Blow]]]
+    """Gives blows at random times with their ticks, in order, without end where there are any."""
+
+    command_noise = _drawn("command_noise")
+    ages = _drawn("ages")
+    dropped = _drawn("dropped")
+    missed = _drawn("missed")
+    noise = _drawn("noise")
+    rate_noise = _drawn("rate_noise")
+
+    def reader(
+        self, name: str, rows: Callable[[NDArray[Any]], Any] = np.ndarray.tolist, *, begin: int = 0
+    ) -> StreamReader | None:
+        """Return what gives a stream tick by tick from `begin` on, None where there is none; see `Stream.reader`."""
+        stream = self.streams.get(name)
+        return None if stream is None else stream.reader(rows, begin=begin, ticks=self.ticks)
+
+    def endless(self) -> "BenchDraw":
+        """Return the same for a run of any length."""
+        return replace(self, ticks=_ENDLESS)
+
+
+_ENDLESS = 1 << 60
 
 
 def draw_bench(
@@ -300,8 +386,14 @@ def draw_bench(
         return np.random.default_rng(children[name])
 
     # What is not asked for is not drawn: making a generator takes longer than most draws.
-    def normal(name: str, sigmas: Array) -> Array | None:
-        return random(name).standard_normal((ticks, len(sigmas))) * sigmas if sigmas.any() else None
+    streams: dict[str, Stream] = {}
+
+    def stream(name: str, make: Callable[[np.random.Generator, int], NDArray[Any]], wanted: Any) -> None:
+        if wanted:
+            streams[name] = Stream(children[name], make)
+
+    def normal(name: str, sigmas: Array) -> None:
+        stream(name, lambda source, count: source.standard_normal((count, len(sigmas))) * sigmas, sigmas.any())
 
     def within(name: str, most: float) -> Array:
         return random(name).uniform(-most, most, n) if most else np.zeros(n)
@@ -309,8 +401,14 @@ def draw_bench(
     def shares(name: str, count: int, width: int) -> Array:
         return random(name).uniform(size=(count, width)) if count else np.zeros((0, width))
 
-    command_noise = normal("command_noise", np.array([drive.command_noise]))
-    lost = sensors.missed_counts * period
+    lost, noisy = sensors.missed_counts * period, drive.command_noise
+    stream("command_noise", lambda source, count: source.standard_normal(count) * noisy, noisy)
+    stream("ages", lambda source, count: source.uniform(0.0, sensors.jitter, count), sensors.jitter)
+    stream("dropped", lambda source, count: source.uniform(size=count) < sensors.dropout, sensors.dropout)
+    # Whole counts of the right mean: the whole part always, one more with the rest's probability.
+    stream("missed", lambda source, count: np.floor(source.uniform(size=(count, n)) + lost).astype(np.int64), lost)
+    normal("noise", np.array([*[sensors.noise] * n, sensors.cart_noise]))
+    normal("rate_noise", np.full(n, sensors.rate_noise))
     if model_uncertainty and uncertainty is None:
         raise InputError(
             f"run: model_uncertainty = {model_uncertainty!r}: the model has no [uncertainty] to draw from; identify it "
@@ -327,15 +425,23 @@ def draw_bench(
         seed=seed, ticks=ticks, period=period, plant=settings.plant(true_arms),
         initial_error=within("initial_error", initial_error),
         zeros=within("zero_errors", sensors.zero_error),
-        command_noise=None if command_noise is None else command_noise[:, 0],
-        ages=random("ages").uniform(0.0, sensors.jitter, ticks) if sensors.jitter else None,
-        dropped=random("dropped").uniform(size=ticks) < sensors.dropout if sensors.dropout else None,
-        # Whole counts of the right mean: the whole part always, one more with the rest's probability.
-        missed=np.floor(random("missed").uniform(size=(ticks, n)) + lost).astype(np.int64) if lost else None,
-        noise=normal("noise", np.array([*[sensors.noise] * n, sensors.cart_noise])),
-        rate_noise=normal("rate_noise", np.full(n, sensors.rate_noise)),
+        drift=np.copysign(sensors.zero_drift / 3600, within("zero_drift", sensors.zero_drift)),
+        streams=streams,
         blows=_blows(settings, n, (ticks, period), *strokes),
+        random_blows=lambda: _random_blows(blows, n, period, random("random_blows")),
     )  # fmt: skip
+
+
+def _random_blows(
+    settings: DisturbanceSettings, arms: int, period: float, random: np.random.Generator
+) -> Iterator[tuple[int, Blow]]:
+    """Yield blows on arms at random times, in order; none where none are asked for."""
+    now = 0.0
+    while settings.knocks_per_minute and settings.knock_impulse:
+        now += random.exponential(60 / settings.knocks_per_minute)
+        impulses = np.zeros(arms)
+        impulses[random.integers(arms)] = random.uniform(-settings.knock_impulse, settings.knock_impulse)
+        yield int(now / period), Blow(impulses, np.zeros(arms), 0.0)
 
 
 def _blows(

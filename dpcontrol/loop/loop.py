@@ -34,6 +34,7 @@ from dpcontrol.loop.bench import (
     DisturbanceSettings,
     DriveSettings,
     SensorSettings,
+    StreamReader,
     draw_bench,
 )
 from dpcontrol.loop.controllers import KEEPERS, ControllerSettings, make_controller, make_estimator, nearest_keeper
@@ -68,7 +69,7 @@ _TELL_EVERY = 1.0
 class ControlLoop:
     """One run of a controller and an estimator on a rig; `run` may be called once.
 
-    rate_noise (K, n) rad/s: what is added at each tick to the rates that the controller steers by, as where rates are
+    rate_noise, (n, 1) rad/s by tick: what is added to the rates that the controller steers by, as where rates are
     measured and not estimated (Wiebe et al., Open-source dual-purpose acrobot and pendubot platform, IEEE RAM 2024);
     the estimator itself goes on without it. fallback: used when the supervisor gives the reference up; without one the
     run ends then. The rig's `truth`, where it has one, is recorded and never used.
@@ -80,7 +81,7 @@ class ControlLoop:
         *,
         limits: Limits,
         sink: LoopSink,
-        rate_noise: Array | None = None,
+        rate_noise: StreamReader | None = None,
         fallback: Fallback | None = None,
         progress: Progress = no_progress,
     ) -> None:
@@ -127,7 +128,7 @@ class ControlLoop:
         late, quiet_until = 0, 0.0
         at, take = ticker.at, rows.take
         command, notable, news, done_at = at["command"], at["notable"], at["news"], at["done"]
-        noise = None if self._rate_noise is None else self._rate_noise[:, :, None]
+        noise = self._rate_noise
         clock, thinking = time.perf_counter, list[float]()
         thought = thinking.append
         began = clock()
@@ -389,7 +390,7 @@ def control_loop(
     *,
     limits: Limits,
     believed_delay: float | None = None,
-    rate_noise: Array | None = None,
+    rate_noise: StreamReader | None = None,
     sink: LoopSink | None = None,
     fallback: Fallback | None = None,
     library: Path | None = None,
@@ -397,7 +398,7 @@ def control_loop(
 ) -> ControlLoop:
     """Return a loop for any rig, simulated or real; believed_delay in periods, the drive's own by default.
 
-    rate_noise (K, n) rad/s: see `ControlLoop`. library: see `make_ticker`.
+    rate_noise, (n, 1) rad/s by tick: see `ControlLoop`. library: see `make_ticker`.
 
     Raises:
         InputError: the delay is impossible, or the controller is not for these arms; or the library is not for this.
@@ -444,7 +445,8 @@ def run_loop(
     limits, first = settings.limits(reference), controller.first_state
     draw = settings.draw(parameters, ticks=controller.ticks + 1, uncertainty=uncertainty)
     loop = control_loop(
-        parameters, settings, controller, limits=limits, rate_noise=draw.rate_noise, sink=sink, fallback=fallback,
+        parameters, settings, controller, limits=limits,
+        rate_noise=draw.reader("rate_noise", lambda rows: rows[:, :, None]), sink=sink, fallback=fallback,
         library=library, progress=progress,
     )  # fmt: skip
     rig = SimulatedRig(draw, settings.bench, limits=limits, start=first, queued=loop.queued)

@@ -28,14 +28,17 @@ Array = NDArray[np.float64]
 class Encoders:
     """Relative encoders of `arms` joints and the cart's scale, during a run: they remember what went wrong.
 
-    zeros (n,) rad: the encoders' zero errors, or (n, S) with `MANY` lanes; counts are lost, and sensors stick, in one
-    run only.
+    zeros (n,) rad: the encoders' zero errors, drift (n,) rad/s of them, or (n, S) with `MANY` lanes; counts are lost,
+    and sensors stick, in one run only.
 
     Raises:
         InputError: the sensor that sticks is none of these.
     """
 
-    def __init__(self, arms: int, settings: SensorSettings, *, zeros: Array | None = None, lanes: Lanes = ONE) -> None:
+    def __init__(
+        self, arms: int, settings: SensorSettings, *, zeros: Array | None = None, drift: Array | None = None,
+        lanes: Lanes = ONE,
+    ) -> None:  # fmt: skip
         if math.isfinite(settings.stuck_at) and settings.stuck_sensor > arms:
             raise InputError(
                 f"sensors: stuck_sensor = {settings.stuck_sensor!r}: must be 0 to {arms}; {arms} is the cart's scale"
@@ -44,9 +47,10 @@ class Encoders:
         self._arms, self._lanes = arms, lanes
         self._angle, self._cart = settings.steps
         self._zeros: list[Any] = [0.0] * arms if zeros is None else lanes.rows(np.asarray(zeros, dtype=float))
+        self._drift: list[Any] | None = None if drift is None or not drift.any() else lanes.rows(drift)
         self._missed = [0] * arms
         self._stuck: float | None = None
-        self._stuck_at = settings.stuck_at
+        self._stuck_at, self._stuck_until = settings.stuck_at, settings.stuck_at + settings.stuck_for
 
     def measure(
         self,
@@ -68,7 +72,10 @@ class Encoders:
             self._miss(state, missed.tolist())
         readings: list[Any] = []
         inner: Any = 0.0
-        for k, zero in enumerate(self._zeros):
+        zeros, drift = self._zeros, self._drift
+        if drift is not None:
+            zeros = [zero + rate * time for zero, rate in zip(zeros, drift, strict=True)]
+        for k, zero in enumerate(zeros):
             outer = state[k]
             value = outer - inner + zero
             inner = outer
@@ -77,7 +84,7 @@ class Encoders:
             readings.append(step * (nearest(value / step) - lost[k]) if step else value)
         cart = state[2 * arms] if added is None else state[2 * arms] + added[arms]
         readings.append(self._cart * nearest(cart / self._cart) if self._cart else cart)
-        if time >= self._stuck_at:
+        if self._stuck_at <= time < self._stuck_until:
             which = self.settings.stuck_sensor
             if self._stuck is None:
                 self._stuck = readings[which]
@@ -233,7 +240,11 @@ class SimulatedBench:
             drawn = [getattr(d, name) for d in draws]
             return None if drawn[0] is None else np.stack(drawn, axis=-1) if lanes is MANY else drawn[0]
 
-        errors, zeros, commands = joined("initial_error"), joined("zeros"), joined("command_noise")
+        def by_tick(name: str, rows: Any = np.ndarray.tolist) -> Any:
+            """Likewise of what is drawn for each tick, to be asked tick by tick."""
+            return joined(name) if lanes is MANY else draw.reader(name, rows)
+
+        errors, zeros = joined("initial_error"), joined("zeros")
         assert errors is not None
         self.period = draw.period
         """Time between ticks, s."""
@@ -248,10 +259,9 @@ class SimulatedBench:
         # From the one that acts first; the one at place k + 1 begins to act in period k.
         self._demands = demands[-(whole + 1) :]
         self._sent_before = whole + 1
-        self._command_noise = None if commands is None else lanes.rows(commands)
-        self._noise, self._missed = joined("noise"), draw.missed
-        self._ages = None if draw.ages is None else draw.ages.tolist()
-        self._encoders = Encoders(n, settings.sensors, zeros=zeros, lanes=lanes)
+        self._command_noise, self._noise = by_tick("command_noise"), by_tick("noise", np.asarray)
+        self._missed, self._ages = draw.reader("missed", np.asarray), draw.reader("ages")
+        self._encoders = Encoders(n, settings.sensors, zeros=zeros, drift=joined("drift"), lanes=lanes)
         first = np.array(start if lanes is ONE else np.broadcast_to(start, (len(draws), 2 * n + 2)), dtype=float).T
         first[:n] += errors
         if draw.plant.lag:
@@ -267,6 +277,19 @@ class SimulatedBench:
         for run, d in enumerate(draws):
             for tick, blow in d.blows.items():
                 self._blows.setdefault(tick, []).append((run, blow))
+        self._random_blows = [d.random_blows() for d in draws]
+        self._coming = [next(blows, None) for blows in self._random_blows]
+        self._soonest = self._next_random()
+
+    def _next_random(self) -> float:
+        return min((coming[0] for coming in self._coming if coming is not None), default=math.inf)
+
+    def _strike_at_random(self, k: int) -> None:
+        for run, blows in enumerate(self._random_blows):
+            while (coming := self._coming[run]) is not None and coming[0] <= k:
+                self._plant.strike(coming[1], run)
+                self._coming[run] = next(blows, None)
+        self._soonest = self._next_random()
 
     def _measured(self, k: int) -> Array:
         return self._encoders.measure(
@@ -291,6 +314,8 @@ class SimulatedBench:
             demands.append(demands[-1])
         for run, blow in self._blows.get(k, ()):
             plant.strike(blow, run)
+        if k >= self._soonest:
+            self._strike_at_random(k)
         self._began, fraction = plant.values[self._cart + 1], self._fraction
         if not fraction and self._ages is None:
             plant.move(self._acting(demands[k + 1], period), period, time=k * period)
@@ -336,7 +361,7 @@ class SimulatedRig(SimulatedBench):
         self, draw: BenchDraw, settings: BenchSettings, *, limits: Limits, start: Array, queued: Sequence[float] = ()
     ) -> None:
         super().__init__([draw], settings, limits=limits, start=start, queued=queued)
-        self._dropped = None if draw.dropped is None else draw.dropped.tolist()
+        self._dropped = draw.reader("dropped")
         self._positions = np.zeros(draw.plant.arms.count + 1)
         self._nothing = np.zeros(len(self._positions), dtype=bool)
 

@@ -388,12 +388,19 @@ def _plan(log: RunLog, folder: Path, *, repeats: bool = True) -> Plan:
     return Plan(_with_settings(itinerary, log, cannot=cannot), load_reference(file), file, cached=True)
 
 
+def _says(now: Any, noted: Any) -> bool:
+    """Return whether settings are as a log notes them; those that came later are at their defaults."""
+    if isinstance(now, dict) and isinstance(noted, dict):
+        return all(key in now and _says(now[key], value) for key, value in noted.items())
+    return bool(now == noted)
+
+
 def _with_settings(itinerary: Itinerary, log: RunLog, *, cannot: str) -> Itinerary:
     """Return the itinerary with the run's settings as the log notes them: overrides and all."""
     text = log.metadata["run_settings"]
     try:
         loop = _settings(LoopSettings, json.loads(text))
-        same = json.loads(json.dumps(asdict(loop))) == json.loads(text)
+        same = _says(json.loads(json.dumps(asdict(loop))), json.loads(text))
     except (TypeError, ValueError, LookupError) as error:
         raise InputError(f"{log.path} cannot {cannot}: its run settings do not read: {error}") from error
     if not same:

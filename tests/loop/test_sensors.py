@@ -114,3 +114,19 @@ def test_impossible_sensors_are_named(given: dict[str, float], message: str) -> 
 def test_a_sensor_that_is_not_there_cannot_stick() -> None:
     with pytest.raises(InputError, match="stuck_sensor = 3: must be 0 to 2; 2 is the cart"):
         Encoders(2, SensorSettings(stuck_at=0.0, stuck_sensor=3))
+
+
+def test_a_sensor_that_sticks_for_a_while_comes_back() -> None:
+    encoders = Encoders(2, SensorSettings(stuck_at=0.5, stuck_sensor=1, stuck_for=10.0))
+    free = Encoders(2, SensorSettings())
+    for time, same in ((0.4, True), (0.5, True), (3.0, False), (10.4, False), (10.5, True), (50.0, True)):
+        state = np.array([0.3, 0.9 + time / 50, 0.0, 0.0, 0.2, 0.0])
+        assert np.array_equal(encoders.measure(state, time), free.measure(state, time)) == same, time
+
+
+def test_zeros_drift_from_where_they_were_at_the_rate_asked_for() -> None:
+    state = np.array([0.3, 0.9, 0.0, 0.0, 0.2, 0.0])
+    settings = SensorSettings(counts=0, zero_drift=0.01)
+    encoders = Encoders(2, settings, zeros=np.array([0.002, 0.0]), drift=np.array([0.01, -0.01]) / 3600)
+    assert encoders.measure(state, 0.0)[:2] - state[:2] == pytest.approx([0.002, 0.002], abs=EXACT)
+    assert encoders.measure(state, 7200.0)[:2] - state[:2] == pytest.approx([0.022, 0.002], abs=EXACT)

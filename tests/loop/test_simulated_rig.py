@@ -1,7 +1,9 @@
 """The simulated bench as the loop sees it, tick by tick."""
 
 import math
+import sys
 from dataclasses import replace
+from itertools import takewhile
 
 import numpy as np
 import pytest
@@ -292,6 +294,40 @@ def test_a_seed_gives_the_same_run_bit_for_bit_and_another_seed_another() -> Non
     assert np.abs(run(5) - run(6)).max() > 1e-3
 
 
+def test_blows_of_a_night_come_at_random_times_to_its_end() -> None:
+    def blows(hours: float, seed: int = 3) -> list[tuple[float, float, float]]:
+        settings = BenchSettings(disturbances=DisturbanceSettings(knocks_per_minute=1.0, knock_impulse=0.03))
+        coming = drawn(settings, seed=seed).random_blows()
+        ticks = takewhile(lambda blow: blow[0] * PERIOD < 3600 * hours, coming)
+        return [(tick * PERIOD, *blow.impulses.tolist()) for tick, blow in ticks]
+
+    night = np.array(blows(8.0))
+    assert blows(1.0) == [tuple(row) for row in night[night[:, 0] < 3600].tolist()]
+    assert blows(1.0) != blows(1.0, seed=4)
+    assert len(night) == pytest.approx(480, abs=90)
+    assert np.diff(night[:, 0]).std() == pytest.approx(60.0, rel=0.2)
+    assert np.abs(night[:, 1:]).max() == pytest.approx(0.03, rel=0.02)
+    assert (np.count_nonzero(night[:, 1:], axis=0) > 190).all()
+    assert not list(drawn(BenchSettings()).random_blows())
+
+
+def test_a_run_of_any_length_is_drawn_in_blocks_as_it_would_be_at_once() -> None:
+    everything = BenchSettings(
+        SensorSettings(noise=1e-4, missed_counts=50.0, dropout=0.1, jitter=1e-4, rate_noise=0.1),
+        DriveSettings(command_noise=0.3),
+    )
+    once, night = drawn(everything, ticks=50_000), drawn(everything, ticks=50).endless()
+    for name in ("command_noise", "ages", "dropped", "missed", "noise", "rate_noise"):
+        reader, later = night.reader(name), night.reader(name, begin=40_000)
+        assert reader is not None
+        assert later is not None
+        assert [reader[k] for k in range(50_000)] == getattr(once, name).tolist(), name
+        assert [later[k] for k in range(40_000, 50_000)] == getattr(once, name)[40_000:].tolist(), name
+        assert sys.getsizeof(reader._values) < 200_000
+        with pytest.raises(IndexError, match="tick 3 of a stream"):
+            reader[3]
+
+
 def test_command_noise_and_missed_counts_have_the_size_that_was_asked_for() -> None:
     draw = drawn(BenchSettings(SensorSettings(missed_counts=250.0), DriveSettings(command_noise=0.3)), ticks=20_000)
     assert draw.command_noise is not None
@@ -309,6 +345,9 @@ def test_what_is_not_finite_or_beyond_the_draw_is_named() -> None:
     rig.read()
     with pytest.raises(ArithmeticError, match="drawn for 3 ticks"):
         rig.read()
+    night = SimulatedRig(drawn(BenchSettings(), ticks=3).endless(), BenchSettings(), limits=LIMITS, start=START)
+    for _ in range(10):
+        night.read()
     wild = rig_of(BenchSettings(), start=np.array([0, 0, 1e200, -1e200, 0, 0]))
     wild.read()
     with pytest.raises(ArithmeticError, match=r"plant failed at t = 0\.001 s"):
