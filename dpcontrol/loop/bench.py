@@ -265,8 +265,7 @@ class Stream:
         return self.make(np.random.default_rng(self.seed), count)
 
     def reader(self, rows: Callable[[NDArray[Any]], Any], *, begin: int = 0, ticks: int = _BLOCK) -> "StreamReader":
-        """Return a reader from tick `begin` on; rows: what becomes of a block; ticks: as many as it will be asked for.
-        """
+        """Return a reader from tick `begin` on; rows: what becomes of a block; ticks: how many, if known."""
         return StreamReader(self, rows, begin=begin, block=min(max(ticks, 1), _BLOCK))
 
 
