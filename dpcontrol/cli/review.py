@@ -20,10 +20,11 @@ if TYPE_CHECKING:
 @verb("score", example="dpcontrol score logs/outer-turn-0.mcap --why")
 def score_command(
     *,
-    logs: tuple[Path, ...] = argument(),
+    logs: tuple[Path, ...] = argument(metavar="LOG|FOLDER..."),
     why: bool = option(default=False, help="Simulate each failed run again, one setting changed at a time."),
 ) -> Answer:
-    """Score logged runs: symbols done, wraps, limits, tracking, consistency of the estimator.
+    """Score logged runs: symbols done, wraps, limits, tracking, consistency of the estimator. Of a long run's folder:
+    uptime, falls and their causes, times to return, repetitions, drift of what was estimated.
 
     With --why it says which single change (more travel, half the lag, another law …) would have saved a failed run's
     seed, or that none of those tried would; only what was simulated can be tried again. With --json, one log gives one
@@ -31,6 +32,8 @@ def score_command(
     """
     from dpcontrol import api
 
+    if nights := [path for path in logs if path.is_dir()]:
+        return _nights(nights, [path for path in logs if not path.is_dir()], why=why)
     runs = [api.open_log(path) for path in logs]
     verdicts = [run.score() for run in runs]
     documents = [verdict.document() for verdict in verdicts]
@@ -48,6 +51,18 @@ def score_command(
         (line for text in lines for line in text),
         f"{len(failed)} of {len(verdicts)} not completed; {failed[0].log}: {failed[0].reason}" if failed else "",
     )
+
+
+def _nights(folders: list[Path], others: list[Path], *, why: bool) -> Answer:
+    from dpcontrol.review.night import read_night
+
+    if others or why:
+        what = "--why tries single runs" if why else f"{others[0]} is a single log"
+        raise InputError(f"{folders[0]} is the folder of a long run, and {what}; score the folder alone")
+    nights = [read_night(folder) for folder in folders]
+    documents = [night.document() for night in nights]
+    text = (line for night in nights for line in night.lines())
+    return Answer(documents[0] if len(documents) == 1 else {"runs": documents}, text)
 
 
 _WHY = "  why      "
@@ -162,7 +177,7 @@ def _opened(files: tuple[Path, ...], symbol: int) -> Any:
 @verb("report", example="dpcontrol report logs/outer-turn-0.mcap --picture outer-turn.pdf")
 def report_command(
     *,
-    file: Path = argument(metavar="LOG|CAMPAIGN.parquet"),
+    file: Path = argument(metavar="LOG|FOLDER|CAMPAIGN.parquet"),
     picture: Path | None = file_option(
         suffix=(".png", ".pdf"), help="Page to write [beside FILE, as NAME-report.png]."
     ),
@@ -170,16 +185,21 @@ def report_command(
         help="Of a log: also what gain, delay and lag its loop bears along the reference; takes some seconds."
     ),
 ) -> Answer:
-    """Write one page on a log or on a campaign, for those who do not open a viewer; matplotlib draws it.
+    """Write one page on a log, a long run or a campaign, for those who do not open a viewer; matplotlib draws it.
 
     Of a log: the itinerary as asked and as done, a film, angles, rates, cart, command, errors, energy, phase planes,
-    and what was estimated besides the state, with the truth where it is known. Of a campaign: shares of success by
-    group with Wilson's intervals, failures by symbol and reason.
+    and what was estimated besides the state, with the truth where it is known. Of a long run's folder: a strip of each
+    hour that shows when it was on its itinerary, when not and why; times to return, causes, drift. Of a campaign:
+    shares of success by group with Wilson's intervals, failures by symbol and reason.
     """
     from dpcontrol.foundation.files import checked_source
 
-    checked_source(file)
     picture = picture or file.with_name(f"{file.stem}-report.png")
+    if file.is_dir():
+        if margins:
+            raise InputError(f"{file}: --margins are those of one log's loop; give a log of the folder")
+        return _night(file, picture)
+    checked_source(file)
     of_campaign = file.suffix.lower() == ".parquet"
     if of_campaign and margins:
         raise InputError(f"{file}: --margins are those of one log's loop; give a log, or use plan --margins")
@@ -209,6 +229,15 @@ def _log(file: Path, picture: Path, *, margins: bool) -> Answer:
         text = [*score_text(verdict), f"  margins  {borne.status}"]
         return Answer({**verdict.document(), "margins": borne.document()}, text)
     return Answer({"log": file, "completed": None, "reason": view.verdict}, [str(file), f"  {view.verdict}"])
+
+
+def _night(folder: Path, picture: Path) -> Answer:
+    from dpcontrol.review.night import draw_night, read_night
+    from dpcontrol.review.page import save_figure
+
+    night = read_night(folder)
+    save_figure(draw_night(night), picture)
+    return Answer({**night.document(), "picture": picture}, [*night.lines(), f"page       {picture}"])
 
 
 def _campaign(file: Path, picture: Path) -> Answer:

@@ -644,9 +644,26 @@ def check_replaced(
         raise in_the_way(path, "holds what a rig did")
     if file.values(layout.RECOVERY_RECORD).get("source") != (recovers and recovers.name):
         raise in_the_way(path, "holds another log")
-    differing = [k for k in {**metadata, **there} if k not in _INCIDENTAL and metadata.get(k) != there.get(k)]
-    if differing:
-        raise in_the_way(path, f"holds another log (not the same: {', '.join(differing)})")
+    if differing := _differing(metadata, there):
+        raise in_the_way(path, f"holds another log (not the same: {differing})")
+
+
+def _differing(metadata: Mapping[str, str], there: Mapping[str, str], *, also: tuple[str, ...] = ()) -> str:
+    """Return by which names two records tell different runs; also: what does not count besides."""
+    names = [k for k in {**metadata, **there} if k not in (*_INCIDENTAL, *also)]
+    return ", ".join(name for name in names if metadata.get(name) != there.get(name))
+
+
+def check_same_run(path: Path, metadata: Mapping[str, str], *, also: tuple[str, ...] = ()) -> None:
+    """Reject the log of a run that another command made than one of this record; also: names that do not count.
+
+    Raises:
+        InputError: it does not read, or says which entries differ.
+    """
+    if differing := _differing(metadata, open_verified(path).values(layout.RUN_RECORD), also=also):
+        raise InputError(
+            f"{path} is of another run (not the same: {differing}); go on with the command and the options that made it"
+        )
 
 
 def _decode(file: VerifiedFile) -> RunLog:

@@ -259,25 +259,28 @@ class Stream:
 
     seed: np.random.SeedSequence
     make: Callable[[np.random.Generator, int], NDArray[Any]]
+    begin: int = 0
+    """Ticks that were before the first."""
 
     def first(self, count: int) -> NDArray[Any]:
         """Return the first `count` ticks."""
-        return self.make(np.random.default_rng(self.seed), count)
+        return self.make(np.random.default_rng(self.seed), self.begin + count)[self.begin :]
 
-    def reader(self, rows: Callable[[NDArray[Any]], Any], *, begin: int = 0, ticks: int = _BLOCK) -> "StreamReader":
-        """Return a reader from tick `begin` on; rows: what becomes of a block; ticks: how many, if known."""
-        return StreamReader(self, rows, begin=begin, block=min(max(ticks, 1), _BLOCK))
+    def reader(self, rows: Callable[[NDArray[Any]], Any], *, ticks: int = _BLOCK) -> "StreamReader":
+        """Return a reader from the first tick on; rows: what becomes of a block; ticks: how many, if known."""
+        return StreamReader(self, rows, block=min(max(ticks, 1), _BLOCK))
 
 
 class StreamReader:
     """Gives a stream tick by tick, `reader[k]`, without end, in order; it keeps one block of it."""
 
-    def __init__(self, stream: Stream, rows: Callable[[NDArray[Any]], Any], *, begin: int, block: int) -> None:
+    def __init__(self, stream: Stream, rows: Callable[[NDArray[Any]], Any], *, block: int) -> None:
         self._random, self._make, self._rows = np.random.default_rng(stream.seed), stream.make, rows
-        self._block, self._first, self._end = block, 0, 0
+        self._block, self._first, self._end, left = block, 0, 0, stream.begin
         self._values: Any = ()
-        while self._end < begin:
-            self._go_on(min(begin - self._end, _BLOCK))
+        while left:
+            self._make(self._random, min(left, _BLOCK))
+            left -= min(left, _BLOCK)
 
     def _go_on(self, count: int) -> None:
         self._values = self._rows(self._make(self._random, count))
@@ -331,16 +334,22 @@ class BenchDraw:
     noise = _drawn("noise")
     rate_noise = _drawn("rate_noise")
 
-    def reader(
-        self, name: str, rows: Callable[[NDArray[Any]], Any] = np.ndarray.tolist, *, begin: int = 0
-    ) -> StreamReader | None:
-        """Return what gives a stream tick by tick from `begin` on, None where there is none; see `Stream.reader`."""
+    def reader(self, name: str, rows: Callable[[NDArray[Any]], Any] = np.ndarray.tolist) -> StreamReader | None:
+        """Return what gives a stream tick by tick, None where there is none; see `Stream.reader`."""
         stream = self.streams.get(name)
-        return None if stream is None else stream.reader(rows, begin=begin, ticks=self.ticks)
+        return None if stream is None else stream.reader(rows, ticks=self.ticks)
 
-    def endless(self) -> "BenchDraw":
-        """Return the same for a run of any length."""
-        return replace(self, ticks=_ENDLESS)
+    def endless(self, *, since: int = 0) -> "BenchDraw":
+        """Return the same for a run of any length, or for the rest of it that begins with tick `since`."""
+
+        def later() -> Iterator[tuple[int, Blow]]:
+            return ((tick - since, blow) for tick, blow in self.random_blows() if tick >= since)
+
+        return replace(
+            self, ticks=_ENDLESS, zeros=self.zeros + self.drift * since * self.period,
+            streams={name: replace(stream, begin=stream.begin + since) for name, stream in self.streams.items()},
+            blows={tick - since: blow for tick, blow in self.blows.items() if tick >= since}, random_blows=later,
+        )  # fmt: skip
 
 
 _ENDLESS = 1 << 60

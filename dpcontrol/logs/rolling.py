@@ -1,0 +1,316 @@
+"""A log of many files: each is a whole log of some minutes, and beside each stands a digest of what happened in it.
+
+    logs/NAME-SEED/NAME-SEED-0001.mcap      a log that opens by itself, with all metadata and attachments
+    logs/NAME-SEED/NAME-SEED-0001.json      its digest; it stays where the log was thinned
+
+Times go on from file to file. A digest holds what a night is judged by: when the run was on its itinerary, when not and
+why, how far the cart went, what was estimated besides the state. It is made of ticks and events as they come, by the
+same lines whether they are being written or are read back.
+
+Where a file cannot be written, as on a full disk, the run goes on without a log; with the next file it is tried again.
+What is finished is never opened again.
+"""
+
+import json
+import math
+import os
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.errors import InputError, remark
+from dpcontrol.foundation.files import write_whole
+from dpcontrol.logs.layout import LEVELS
+from dpcontrol.logs.reader import RunLog
+from dpcontrol.logs.writer import LogWriter
+
+Array = NDArray[np.float64]
+
+NIGHT_METADATA = "night"
+"""Metadata of each file, as JSON: its place in the night, see `RollingLog`."""
+RETURN, REST, START, RESUME, LAP = "return", "at rest", "start", "resume", "lap"
+"""Names of the events by which a run leaves its itinerary, and comes back to it."""
+_TOLD = (RETURN, REST, START, RESUME, LAP)
+_LEAST_LEVEL = LEVELS["error"]
+_SOON = 1e-6
+"""s: rounding of times, far less than a period."""
+
+
+@dataclass
+class Digest:
+    """What happened in one file of a night.
+
+    number of the file, from 1; session: how often the night was begun or resumed; first, end: s since the night began,
+    of its first tick and of a period after its last; ticks. on: whether the itinerary was being followed at `first`.
+    events: (time s, level, name, text) of what a run chose to do, and of how it ended; others: how many by name.
+    repetitions: of the itinerary, completed. cart m: its greatest distance from the centre; limit m, zero where not
+    known. squares rad² and followed: summed over the angles of as many ticks on the itinerary, against the reference.
+    extras: what was estimated besides the state: its mean over the file, and the last standard deviation. memory: of
+    the process at the end, bytes. size of the file in bytes, zero of what could not be written. loss: why not.
+    """
+
+    number: int
+    session: int = 1
+    first: float = math.nan
+    end: float = math.nan
+    ticks: int = 0
+    on: bool = False
+    events: list[tuple[float, str, str, str]] = field(default_factory=list)
+    others: dict[str, int] = field(default_factory=dict)
+    repetitions: int = 0
+    cart: float = 0.0
+    limit: float = 0.0
+    squares: float = 0.0
+    followed: int = 0
+    extras: dict[str, tuple[float, float]] = field(default_factory=dict)
+    memory: float = 0.0
+    size: int = 0
+    loss: str = ""
+
+    def __post_init__(self) -> None:
+        """Begin."""
+        self._now_on = self.on
+        self._sums: Array = np.zeros(0)
+        self._counted = 0
+
+    def text(self) -> str:
+        """Return it as JSON."""
+        return json.dumps(asdict(self), indent=1)
+
+    @classmethod
+    def of(cls, text: str) -> "Digest":
+        """Return the digest of a JSON text.
+
+        Raises:
+            ValueError, TypeError, KeyError: it is none.
+        """
+        values = json.loads(text)
+        values["events"] = [(float(t), str(level), str(name), str(what)) for t, level, name, what in values["events"]]
+        values["extras"] = {str(k): (float(v), float(s)) for k, (v, s) in values["extras"].items()}
+        return cls(**values)
+
+    def following(self, number: int) -> "Digest":
+        """Return the digest of the next file of the same session."""
+        return Digest(number, self.session, on=self._now_on, limit=self.limit)
+
+    def take_event(self, time: float, level: str, name: str, text: str) -> None:
+        """Take an event; all ticks before it have been taken."""
+        # The first event of a run has the name of a start, and no motion.
+        if name in _TOLD or LEVELS[level] >= _LEAST_LEVEL or name == "finished":
+            self.events.append((time, level, name, text))
+        else:
+            self.others[name] = self.others.get(name, 0) + 1
+        self.repetitions += name == LAP or (name == RETURN and level == "info")
+        if name in (RESUME, LAP):
+            self._now_on = True
+        elif name == RETURN or LEVELS[level] >= _LEAST_LEVEL or name == "finished":
+            self._now_on = False
+
+    def take_ticks(self, times: Array, period: float, state: Array, reference: Array, extras: Array | None) -> None:
+        """Take ticks: times (K,) s, state and reference (K, N), extras (K, E) values or (K, 2E), the sigmas first."""
+        if not len(times):
+            return
+        if not self.ticks:
+            self.first = float(times[0])
+        self.end, self.ticks = float(times[-1]) + period, self.ticks + len(times)
+        self.cart = max(self.cart, float(np.abs(state[:, -2]).max()))
+        if self._now_on:
+            arms = state.shape[1] // 2 - 1
+            self.squares += float(((state[:, :arms] - reference[:, :arms]) ** 2).sum())
+            self.followed += len(times)
+        if extras is not None and extras.size:
+            sums = extras.sum(axis=0)
+            self._sums = sums if not self._counted else self._sums + sums
+            self._counted += len(extras)
+            self._last_sigmas = extras[-1]
+
+    def close(self, names: tuple[str, ...]) -> None:
+        """Note what is known at the end of the file; names: of the extras."""
+        if self._counted and names:
+            sigmas, means = self._last_sigmas[: len(names)], self._sums[len(names) :] / self._counted
+            self.extras = {
+                name: (float(mean), float(sigma)) for name, mean, sigma in zip(names, means, sigmas, strict=True)
+            }
+        self.memory = resident_memory()
+
+
+def resident_memory() -> float:
+    """Return how much memory this process has now, bytes; not-a-number where the system does not say."""
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except (OSError, ValueError, IndexError):
+        return math.nan
+    return float(pages * os.sysconf("SC_PAGE_SIZE"))
+
+
+def digest_of_log(log: RunLog, *, size: int) -> Digest:
+    """Return the digest of a file of a night, from what is in the log.
+
+    Raises:
+        InputError: it is no file of a night.
+    """
+    try:
+        place = json.loads(log.metadata[NIGHT_METADATA])
+        digest = Digest(int(place["number"]), int(place["session"]), on=bool(place["on"]))
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(f"{log.path} is no file of a long run; give a folder that `dpcontrol run --hours` made") from (
+            error
+        )
+    digest.limit = 0.0 if log.limits is None else log.limits[0]
+    state, period, done = log.truth if log.truth is not None else log.estimate, 1 / log.rate_hz, 0
+    for event in log.events:
+        until = int(np.searchsorted(log.time, event.time - _SOON))
+        digest.take_ticks(log.time[done:until], period, state[done:until], log.reference[done:until], None)
+        digest.take_event(*event)
+        done = max(done, until)
+    digest.take_ticks(log.time[done:], period, state[done:], log.reference[done:], None)
+    if log.extras is not None and len(log.extras.time):
+        both = np.concatenate([log.extras.sigmas, log.extras.values], axis=1)
+        digest._sums, digest._counted, digest._last_sigmas = both.sum(axis=0), len(both), both[-1]
+        digest.close(log.extras.names)
+    digest.memory, digest.size = math.nan, size
+    return digest
+
+
+class RollingLog:
+    """Writes a log of many files; a context manager, and to its caller a `LogWriter`.
+
+    folder, name: of the files. make: opens the writer of a file, given its path and more metadata. seconds: of a file.
+    keep_every: of the older files each so many-th is kept, the others are removed once they are thinned. rate_hz, limit
+    m and extras: of the loop, the cart and the estimator. session, number, begin s: where a night is resumed.
+
+    Raises:
+        InputError: the first file cannot be written.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        name: str,
+        make: Callable[[Path, Mapping[str, str]], LogWriter],
+        *,
+        seconds: float,
+        rate_hz: float,
+        limit: float,
+        extras: tuple[str, ...] = (),
+        keep_every: int = 1,
+        session: int = 1,
+        number: int = 1,
+        begin: float = 0.0,
+    ) -> None:
+        self.folder, self.name, self.extras = folder, name, extras
+        self._make, self._seconds, self._keep_every, self._begin = make, seconds, keep_every, begin
+        self._period = 1 / rate_hz
+        self._writer: LogWriter | None = None
+        self._digest = Digest(number, session, limit=limit)
+        self._until = (math.floor(begin / seconds + _SOON) + 1) * seconds
+        self._outcome: dict[str, str] = {}
+
+    def path(self, number: int, suffix: str = ".mcap") -> Path:
+        """Return the place of a file, or with another suffix of what stands beside it."""
+        return self.folder / f"{self.name}-{number:04d}{suffix}"
+
+    def __enter__(self) -> "RollingLog":
+        self._open()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        # Also an interrupted night leaves whole files.
+        self._close()
+
+    def ticks(self, time_s: Any, **parts: Array | None) -> None:
+        """Log K periods of the loop; see `LogWriter.ticks`. Times count from the beginning of this session."""
+        times = np.asarray(time_s, dtype=float) + self._begin
+        done = 0
+        while done < len(times):
+            if times[done] >= self._until - _SOON:
+                self._roll(float(times[done]))
+            until = int(np.searchsorted(times, self._until - _SOON))
+            rows = {name: None if part is None else part[done:until] for name, part in parts.items()}
+            state = rows["estimate"] if rows.get("truth") is None else rows["truth"]
+            assert state is not None
+            reference = rows["reference"]
+            assert reference is not None
+            self._digest.take_ticks(times[done:until], self._period, state, reference, rows.get("extras"))
+            self._try(lambda writer, span=slice(done, until), own=rows: writer.ticks(times[span], **own))
+            done = until
+
+    def event(self, time_s: float, level: str, name: str, text: str) -> None:
+        """Log an event; see `LogWriter.event`."""
+        time = time_s + self._begin
+        if time >= self._until - _SOON:
+            self._roll(time)
+        self._digest.take_event(time, level, name, text)
+        self._try(lambda writer: writer.event(time, level, name, text))
+
+    def result(self, **values: str) -> None:
+        """Note how the run went, in the last file."""
+        self._try(lambda writer: writer.result(**values))
+
+    def _roll(self, now: float) -> None:
+        self._close()
+        self._digest = self._digest.following(self._digest.number + 1)
+        self._until = (math.floor(now / self._seconds + _SOON) + 1) * self._seconds
+        self._thin()
+        try:
+            self._open()
+        except InputError as error:
+            self._lose(error)
+
+    def _open(self) -> None:
+        digest = self._digest
+        path = self.path(digest.number)
+        place = {"number": digest.number, "session": digest.session, "on": digest.on}
+        writer = self._make(path, {NIGHT_METADATA: json.dumps(place)})
+        writer.__enter__()
+        self._writer = writer
+
+    def _try(self, write: Callable[[LogWriter], None]) -> None:
+        if self._writer is None:
+            return
+        try:
+            write(self._writer)
+        except InputError as error:
+            self._lose(error)
+
+    def _lose(self, error: InputError) -> None:
+        """Go on without a log."""
+        writer, self._writer = self._writer, None
+        self._digest.loss = str(error)
+        if writer is not None:
+            with suppress(InputError, OSError):
+                writer.__exit__(type(error), error, None)
+        remark(f"{error}; the run goes on, without a log up to {self._until / 60:g} minutes at least")
+
+    def _close(self) -> None:
+        """Finish the file that is open, and write its digest."""
+        writer, digest = self._writer, self._digest
+        path = self.path(digest.number)
+        if writer is not None:
+            try:
+                writer.__exit__(None, None, None)
+                digest.size = path.stat().st_size
+                self._writer = None
+            except (InputError, OSError) as error:
+                self._lose(error if isinstance(error, InputError) else InputError(f"cannot finish {path}: {error}"))
+        digest.close(self.extras)
+        if digest.ticks:
+            with suppress(InputError):
+                write_whole(self.path(digest.number, ".json"), digest.text())
+
+    def _thin(self) -> None:
+        """Remove the file before the last one, if it is none of those that are kept and its digest is there."""
+        number = self._digest.number - 2
+        if number < 1 or (number - 1) % self._keep_every == 0:
+            return
+        with suppress(OSError, ValueError, TypeError, KeyError):
+            if Digest.of(self.path(number, ".json").read_text()).number == number:
+                self.path(number).unlink(missing_ok=True)

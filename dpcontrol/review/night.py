@@ -1,0 +1,439 @@
+"""What a long run did, from the folder of its logs: when it was on its itinerary, when not and why.
+
+    uptime = time on the itinerary / time that is known
+
+A fall is a tick at which the supervisor gave the itinerary up; what comes before the itinerary is joined again is one
+absence, however many falls are in it. The files' digests are read one by one; where one is missing, as of a file that
+a killed run left, it is made from the log itself.
+"""
+
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.logs.container import partials_of
+from dpcontrol.logs.reader import read_log
+from dpcontrol.logs.rolling import LAP, REST, RESUME, RETURN, START, Digest, digest_of_log
+from dpcontrol.review import style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+Array = NDArray[np.float64]
+
+ITINERARY, CALMING, STARTING = "on the itinerary", "arms calmed", "rising"
+BETWEEN, UNKNOWN = "between repetitions", "no log"
+"""Kinds of spans, in words."""
+STOPPED = "ended"
+_GAP = 0.5
+"""s: times between two files that are farther apart are a gap."""
+
+
+@dataclass(frozen=True)
+class Span:
+    """A part of a night, from first to end s, of one kind; cause of the fall that it follows, empty for none."""
+
+    first: float
+    end: float
+    kind: str
+    cause: str = ""
+
+
+@dataclass(frozen=True)
+class Fall:
+    """A fall at a time s; cause in a few words, text as it was logged. back: s until the itinerary was joined again,
+    counted from the first of several falls without that between them; None where it was not.
+    """
+
+    time: float
+    cause: str
+    text: str
+    back: float | None = None
+
+
+@dataclass(frozen=True)
+class Drift:
+    """How one estimated parameter went: its mean over the first file and the last, and by how much it changes in an
+    hour, by a straight line through the files' means; not-a-number of a single file.
+    """
+
+    name: str
+    first: float
+    last: float
+    per_hour: float
+
+
+def cause_of(text: str) -> str:
+    """Return in a few words why the itinerary was given up."""
+    for mark, words in (("is stuck", "sensor stuck"), ("no measurement", "no measurement"),
+                        ("limit switch", "limit switch")):  # fmt: skip
+        if mark in text:
+            return words
+    for words in ("tracking lost", "estimate lost", "cart at its stop", "plant failed"):
+        if text.startswith(words):
+            return words
+    return "other"
+
+
+@dataclass(frozen=True, eq=False)
+class Night:
+    """A long run, by its digests in order."""
+
+    folder: Path
+    digests: tuple[Digest, ...]
+    partials: tuple[Path, ...] = ()
+    spans: tuple[Span, ...] = field(init=False)
+    falls: tuple[Fall, ...] = field(init=False)
+    endings: tuple[tuple[float, str], ...] = field(init=False)
+    """Times and texts of what ended it, other than its time."""
+
+    def __post_init__(self) -> None:
+        """Find spans and falls."""
+        spans, falls, endings = _followed(self.digests)
+        for name, value in (("spans", spans), ("falls", falls), ("endings", endings)):
+            object.__setattr__(self, name, tuple(value))
+
+    def _time(self, *kinds: str) -> float:
+        return sum(span.end - span.first for span in self.spans if span.kind in kinds)
+
+    @property
+    def known(self) -> float:
+        """The time of which it is known what it did, s."""
+        return sum(digest.end - digest.first for digest in self.digests)
+
+    @property
+    def uptime(self) -> float:
+        """The share of the known time that it was on the itinerary."""
+        return self._time(ITINERARY) / self.known
+
+    @property
+    def falls_per_hour(self) -> float:
+        """Falls in an hour of the known time."""
+        return 3600 * len(self.falls) / self.known
+
+    @property
+    def causes(self) -> dict[str, int]:
+        """How many falls were of which cause, the commonest first."""
+        return dict(Counter(fall.cause for fall in self.falls).most_common())
+
+    @property
+    def returns(self) -> Array:
+        """How long each absence after a fall took until the itinerary was joined again, s."""
+        return np.array([fall.back for fall in self.falls if fall.back is not None])
+
+    @property
+    def repetitions(self) -> int:
+        """How often the itinerary was completed."""
+        return sum(digest.repetitions for digest in self.digests)
+
+    @property
+    def tracking(self) -> float:
+        """The rms distance of the angles from the reference on the itinerary, rad."""
+        followed = sum(digest.followed for digest in self.digests)
+        return math.sqrt(sum(digest.squares for digest in self.digests) / followed / 2) if followed else math.nan
+
+    @property
+    def cart(self) -> float:
+        """The cart's greatest distance from the centre, m."""
+        return max(digest.cart for digest in self.digests)
+
+    @property
+    def stop_hits(self) -> int:
+        """How often the cart met an end stop of its track."""
+        return sum("hit its hard stop" in text for _, text in self.endings)
+
+    @property
+    def drifts(self) -> tuple[Drift, ...]:
+        """How the estimated parameters went."""
+        names = [name for digest in self.digests[:1] for name in digest.extras]
+        out = []
+        for name in names:
+            known = [((d.first + d.end) / 7200, d.extras[name][0]) for d in self.digests if name in d.extras]
+            hours, values = np.array(known).T
+            slope = float(np.polyfit(hours, values, 1)[0]) if len(values) > 1 else math.nan
+            out.append(Drift(name, float(values[0]), float(values[-1]), slope))
+        return tuple(out)
+
+    @property
+    def memory_growth(self) -> float:
+        """The process's memory at the end over that after the first file, of one session; not-a-number where unknown."""
+        last = self.digests[-1]
+        of_session = [d.memory for d in self.digests if d.session == last.session and math.isfinite(d.memory)]
+        return of_session[-1] / of_session[0] if of_session else math.nan
+
+    @property
+    def sentence(self) -> str:
+        """The night in one line."""
+        hours = self.known / 3600
+        returns = self.returns
+        back = ""
+        if len(returns):
+            median, slowest = np.quantile(returns, [0.5, 0.99])
+            back = f", back on it after {median:.1f} s in the median, 99 % within {slowest:.1f} s"
+        return (
+            f"{hours:.3g} hours: {self.uptime:.1%} of the time on the itinerary, {self.repetitions} repetitions; "
+            f"{len(self.falls)} falls ({self.falls_per_hour:.3g} an hour){back}"
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol score FOLDER --json` prints."""
+        returns = self.returns
+        quantiles = np.quantile(returns, [0.5, 0.99]).tolist() if len(returns) else [None, None]
+        lost = [{"first": s.first, "end": s.end} for s in self.spans if s.kind == UNKNOWN]
+        return {
+            "log": self.folder, "hours": self.known / 3600, "files": len(self.digests),
+            "files_kept": len([*self.folder.glob("*.mcap")]),
+            "sessions": len({d.session for d in self.digests}),
+            "uptime": self.uptime, "repetitions": self.repetitions, "falls": len(self.falls),
+            "falls_per_hour": self.falls_per_hour, "causes": self.causes,
+            "return_median": quantiles[0], "return_99": quantiles[1],
+            "not_back": sum(fall.back is None for fall in _firsts(self.falls, self.spans)),
+            "stop_hits": self.stop_hits, "max_cart_position": self.cart, "rms_tracking_error": self.tracking,
+            "seconds": {kind: self._time(kind) for kind in (ITINERARY, CALMING, STARTING, BETWEEN)},
+            "not_logged": lost, "endings": [{"time": time, "text": text} for time, text in self.endings],
+            "drift": [asdict(drift) for drift in self.drifts],
+            "memory_growth": self.memory_growth, "partials": list(self.partials),
+        }  # fmt: skip
+
+    def lines(self) -> Iterator[str]:
+        """Yield it for people."""
+        yield str(self.folder)
+        yield f"  {self.sentence}"
+        if self.falls:
+            yield f"  falls    {', '.join(f'{cause} {count}' for cause, count in self.causes.items())}"
+        limit = self.digests[0].limit
+        of = f" of {1e3 * limit:.0f}" if limit else ""
+        hits = self.stop_hits
+        yield (
+            f"  cart     {1e3 * self.cart:.1f}{of} mm at most, {hits or 'no'} end stop{'s' if hits > 1 else ''} hit; "
+            f"tracking {1e3 * self.tracking:.1f} mrad rms on the itinerary"
+        )
+        if self.drifts:
+            shown = (f"{d.name} {d.first:+.4f} to {d.last:+.4f}" for d in self.drifts)
+            yield f"  drift    {', '.join(shown)}"
+        if math.isfinite(self.memory_growth):
+            yield f"  memory   {self.memory_growth:.0%} of what it was after the first file"
+        for span in self.spans:
+            if span.kind == UNKNOWN:
+                yield f"  no log from {span.first / 60:.2f} to {span.end / 60:.2f} minutes"
+        for time, text in self.endings:
+            yield f"  ended at {time / 60:.2f} minutes: {text}"
+        for file in self.partials:
+            yield f"  beside it: {file}, of a night that was interrupted or is under way"
+
+
+def _firsts(falls: Sequence[Fall], spans: Sequence[Span]) -> list[Fall]:
+    """Return the falls that took a run off its itinerary."""
+    ends = [span.end for span in spans if span.kind == ITINERARY]
+    return [fall for fall in falls if any(abs(fall.time - end) < 1e-6 for end in ends)]
+
+
+def _followed(digests: Sequence[Digest]) -> tuple[list[Span], list[Fall], list[tuple[float, str]]]:
+    spans: list[Span] = []
+    falls: list[Fall] = []
+    endings: list[tuple[float, str]] = []
+    kind, cause, since, left = STOPPED, "", digests[0].first, None
+    end = digests[0].first
+
+    def turn(time: float, following: str, why: str) -> None:
+        nonlocal kind, cause, since
+        if time > since:
+            if spans and (spans[-1].kind, spans[-1].cause, spans[-1].end) == (kind, cause, since):
+                spans[-1] = Span(spans[-1].first, time, kind, cause)
+            else:
+                spans.append(Span(since, time, kind, cause))
+        kind, cause, since = following, why, time
+
+    for digest in digests:
+        if digest.first > end + _GAP:
+            turn(end, UNKNOWN, "")
+            turn(digest.first, ITINERARY if digest.on else STOPPED, "")
+            left = None
+        for time, level, name, text in digest.events:
+            if name in (RESUME, LAP):
+                if left is not None:
+                    falls[left] = Fall(falls[left].time, falls[left].cause, falls[left].text, time - falls[left].time)
+                    left = None
+                turn(time, ITINERARY, "")
+            elif name == RETURN and level == "info":
+                turn(time, BETWEEN, "")
+            elif name == RETURN:
+                left = len(falls) if left is None else left
+                falls.append(Fall(time, cause_of(text), text))
+                turn(time, CALMING, falls[left].cause)
+            elif name == START and kind not in (STOPPED, ITINERARY):
+                turn(time, BETWEEN if kind == BETWEEN else STARTING, cause)
+            elif name not in (REST, START):
+                if name != "finished":
+                    endings.append((time, text))
+                turn(time, STOPPED, "")
+        end = digest.end
+    turn(end, STOPPED, "")
+    return spans, falls, endings
+
+
+def is_night(path: Path) -> bool:
+    """Tell whether `path` is a folder, as long runs make."""
+    return path.is_dir()
+
+
+def read_night(folder: Path) -> Night:
+    """Return the long run in a folder, one file after the other.
+
+    Raises:
+        InputError: it holds none, or a file of it is damaged or of another run.
+    """
+    folder = Path(folder)
+    digests = [*_digests(folder)]
+    if not digests:
+        raise InputError(f"{folder} holds no logs of a long run; give a folder that `dpcontrol run --hours` made")
+    return Night(folder, tuple(digests), partials_of(folder / folder.resolve().name))
+
+
+def _digests(folder: Path) -> Iterator[Digest]:
+    name = folder.resolve().name
+    numbers = sorted({file.stem for file in folder.glob(f"{name}-[0-9]*") if file.suffix in (".mcap", ".json")})
+    for stem in numbers:
+        log, beside = folder / f"{stem}.mcap", folder / f"{stem}.json"
+        size = log.stat().st_size if log.is_file() else None
+        digest = None
+        with suppress(OSError, ValueError, TypeError, KeyError):
+            digest = Digest.of(beside.read_text())
+        if digest is not None and size in (None, digest.size):
+            yield digest
+        elif size is not None:
+            yield digest_of_log(read_log(log), size=size)
+        else:
+            raise InputError(f"{beside} is damaged, and its log was thinned; remove it to score the other files")
+
+
+_COLOURS = {
+    ITINERARY: "#9fd3a8", CALMING: "#e8877f", STARTING: "#f2c46d", BETWEEN: "#8fbce6", UNKNOWN: "#22262b",
+    STOPPED: "#ffffff",
+}  # fmt: skip
+_ROW = 3600.0
+"""s of a row of the strip."""
+
+
+def draw_night(night: Night) -> "Figure":
+    """Return one page on a night: a strip of each hour, times to return, causes, drift of what was estimated."""
+    from dpcontrol.review.page import new_figure
+
+    last = max(span.end for span in night.spans)
+    row = _ROW if last > _ROW else max(600.0, 600.0 * math.ceil(last / 6 / 600.0)) if last > 600.0 else last
+    rows = max(1, math.ceil(last / row - 1e-9))
+    height = 4.6 + 0.42 * rows
+    figure = new_figure(12.0, height)
+    grid = figure.add_gridspec(
+        3, 2, height_ratios=[max(1.0, 0.42 * rows), 1.7, 1.7], left=0.09, right=0.94, top=1 - 0.75 / height,
+        bottom=0.09, hspace=0.5, wspace=0.25,
+    )  # fmt: skip
+    figure.text(0.03, 1 - 0.22 / height, f"{night.folder.name}: {night.sentence}", fontsize=10.5, va="center")
+    _draw_strip(figure.add_subplot(grid[0, :]), night, row, rows)
+    _draw_returns(figure.add_subplot(grid[1, 0]), night)
+    _draw_causes(figure.add_subplot(grid[1, 1]), night)
+    _draw_drift(figure.add_subplot(grid[2, :]), night)
+    return figure
+
+
+_FALLS = {
+    "tracking lost": "#b3261e", "estimate lost": "#8a4fa3", "cart at its stop": "#d9640d", "limit switch": "#d9640d",
+    "sensor stuck": "#1f6fb4", "no measurement": "#0f8b8d",
+}  # fmt: skip
+
+
+def _draw_strip(axes: "Axes", night: Night, row: float, rows: int) -> None:
+    from matplotlib.patches import Patch
+
+    from dpcontrol.review.page import quiet
+
+    quiet(axes)
+    scale = 60.0
+    for span in night.spans:
+        first = span.first
+        while first < span.end - 1e-9:
+            k = int(first / row + 1e-9)
+            end = min(span.end, (k + 1) * row)
+            axes.barh(k, (end - first) / scale, left=(first - k * row) / scale, height=0.78, color=_COLOURS[span.kind],
+                      linewidth=0)  # fmt: skip
+            first = end
+    for fall in night.falls:
+        k = int(fall.time / row)
+        axes.plot((fall.time - k * row) / scale, k - 0.42, marker="v", markersize=4.5, clip_on=False,
+                  color=_FALLS.get(fall.cause, style.INK), linewidth=0)  # fmt: skip
+    for k in range(rows):
+        within = [(max(s.first, k * row), min(s.end, (k + 1) * row), s.kind) for s in night.spans]
+        total = sum(max(b - a, 0.0) for a, b, kind in within if kind != UNKNOWN)
+        on = sum(max(b - a, 0.0) for a, b, kind in within if kind == ITINERARY)
+        if total:
+            axes.text(1.008, k, f"{on / total:.0%}", transform=axes.get_yaxis_transform(), va="center", fontsize=8.5)
+    unit = "h" if row == _ROW else "min"
+    labels = [f"{k if row == _ROW else k * row / 60:.3g} {unit}" for k in range(rows)]
+    axes.set_yticks(range(rows), labels)
+    axes.set(xlim=(0, row / scale), ylim=(rows - 0.5, -0.65))
+    axes.set_xlabel("minutes", fontsize=8.5)
+    axes.set_title("up", loc="right", fontsize=8.5, color=style.NOTE)
+    shown = [kind for kind in _COLOURS if any(s.kind == kind for s in night.spans) and kind != STOPPED]
+    handles: list[Any] = [Patch(color=_COLOURS[kind], label=kind) for kind in shown]
+    handles += [
+        axes.plot([], [], marker="v", linewidth=0, markersize=5, color=_FALLS.get(cause, style.INK),
+                  label=f"fall: {cause}")[0]
+        for cause in night.causes
+    ]  # fmt: skip
+    axes.legend(handles=handles, ncols=len(handles), loc="lower left", bbox_to_anchor=(0, 1.0), fontsize=8.5,
+                frameon=False, handlelength=1.2, columnspacing=1.4)  # fmt: skip
+
+
+def _draw_returns(axes: "Axes", night: Night) -> None:
+    from dpcontrol.review.page import quiet
+
+    quiet(axes, "From the fall back onto the itinerary", x="s", y="share of falls within")
+    returns = np.sort(night.returns)
+    if not len(returns):
+        axes.text(0.5, 0.5, "no falls", transform=axes.transAxes, ha="center", color=style.NOTE)
+        return
+    shares = np.arange(1, len(returns) + 1) / len(returns)
+    axes.step(np.r_[0, returns], np.r_[0, shares], where="post", color=style.ARMS[0])
+    for share, name in ((0.5, "median"), (0.99, "99 %")):
+        value = float(np.quantile(returns, share))
+        axes.axvline(value, color=style.MARK, linewidth=0.8, linestyle=":")
+        axes.text(value, 0.04, f" {name} {value:.1f} s", fontsize=8, color=style.NOTE)
+    axes.set(xlim=(0, 1.3 * returns[-1]), ylim=(0, 1.03))
+
+
+def _draw_causes(axes: "Axes", night: Night) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    from dpcontrol.review.page import quiet
+
+    quiet(axes, "Falls by cause")
+    causes = night.causes
+    axes.barh(range(len(causes)), list(causes.values()), color=[_FALLS.get(c, style.INK) for c in causes], height=0.6,
+              alpha=0.8)  # fmt: skip
+    axes.set_yticks(range(len(causes)), list(causes))
+    axes.set_ylim(max(len(causes) - 0.4, 0.6), -0.6)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+
+
+def _draw_drift(axes: "Axes", night: Night) -> None:
+    from dpcontrol.review.page import quiet
+
+    quiet(axes, "What was estimated besides the state: change since the first file", x="hours", y="rad, or share")
+    first = night.digests[0].extras
+    for k, name in enumerate(first):
+        known = [((d.first + d.end) / 7200, d.extras[name][0]) for d in night.digests if name in d.extras]
+        hours, values = np.array(known).T
+        colour = style.RUNS[k % len(style.RUNS)]
+        line = "-" if k < len(style.RUNS) else "--"
+        axes.plot(hours, values - values[0], line, color=colour, marker="o", markersize=2.5, linewidth=1.1, label=name)
+    if first:
+        axes.legend(ncols=min(len(first), 9), fontsize=8, frameon=False, loc="upper left")
