@@ -165,7 +165,7 @@ class Night:
 
     @property
     def memory_growth(self) -> float:
-        """The process's memory at the end over that after the first file, of one session; not-a-number where unknown."""
+        """The process's memory at the end over that after the first file of that session; not-a-number if unknown."""
         last = self.digests[-1]
         of_session = [d.memory for d in self.digests if d.session == last.session and math.isfinite(d.memory)]
         return of_session[-1] / of_session[0] if of_session else math.nan
