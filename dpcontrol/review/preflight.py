@@ -65,6 +65,10 @@ class Point:
         return self.completed / self.reference if self.reference else math.nan
 
 
+_NEAR = 1.25
+"""The factor from a border to the ends of its interval up to which it counts as known."""
+
+
 @dataclass(frozen=True)
 class Border:
     """Where a trouble lets half as many runs complete as on the bench as it is.
@@ -104,11 +108,18 @@ class Border:
         return "" if self.border is None else " … ".join(ends)
 
     @property
+    def sure(self) -> bool:
+        """Whether its interval is known, and within a quarter of it: not so where what completes falls slowly."""
+        if self.border is None or self.low is None or self.high is None:
+            return False
+        return max(self.low, self.high) <= _NEAR * self.border and min(self.low, self.high) >= self.border / _NEAR
+
+    @property
     def sentence(self) -> str:
         """Where the border is."""
         if self.border is None:
             return f"{'below' if self.falling else 'beyond'} {shown_number(self.end)} {self.unit}"
-        return f"{shown_number(self.border)} {self.unit}"
+        return f"{'' if self.sure else 'about '}{shown_number(self.border)} {self.unit}"
 
 
 @dataclass(frozen=True)
@@ -203,7 +214,7 @@ class Preflight:
             "known": [asdict(one) for one in self.known],
             "notes": list(self.notes),
             "endings": [{**asdict(one), "share": one.runs / s.runs} for one in self.endings],
-            "borders": [{**asdict(one), "margin": one.margin} for one in self.borders],
+            "borders": [{**asdict(one), "margin": one.margin, "sure": one.sure} for one in self.borders],
             "changes": [{**asdict(one), "gain": one.gain, "error": one.error} for one in self.changes],
             "seconds": self.seconds,
         }
