@@ -1,8 +1,8 @@
 """What a new plan buys where the arms are not the model's: campaigns at ±20 and ±30 %, and the same seeds planned anew.
 
-*As it comes*: the plan of the model's arms, the plant's parameters off by up to so much. *At a stop*: what a plan of the
-rest could save at most, if it never failed: runs that did a symbol and then failed. *Between runs*: a plan made before
-the run for arms known to 2 %, for seeds that failed and, as a check, for seeds that completed.
+*As it comes*: the plan of the model's arms, the plant's parameters off by up to so much. *At a stop*: what a plan of
+the rest could save at most, if it never failed: runs that did a symbol and then failed. *Between runs*: a plan made
+before the run for arms known to 2 %, for seeds that failed and, as a check, for seeds that completed.
 
 A new plan keeps the symbols: the shadowing orbit is carried over by homotopy from the model's parameters to those
 known, its energy kept in proportion to the saddle's, its ends on the local manifolds of the new orbits; then
