@@ -12,7 +12,8 @@ A transfer (swing up from rest, come down to rest, change of orbit) follows noth
 travel. The guess turns each arm by a smooth curve without its ends' rates, from which direct collocation finds a
 swing-up as well as a landing (35 of 36 tried; with the ends' rates in the guess 30, and half as gentle). Several
 durations, and several lattice points to end on, are tried on a coarse mesh; the first that leaves the feedback room is
-refined, or else the gentlest.
+refined, or else the gentlest. Where it is known how errors grow along a motion under feedback, all are tried, and the
+one is refined whose errors are smallest beside the room that it leaves.
 
 Sources: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7; Nocedal &
 Wright, Numerical Optimization, 2nd ed., section 11.3, for continuation; Kelly, An introduction to trajectory
@@ -20,7 +21,7 @@ optimization, SIAM Review 59 (2017), for transfers.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -399,7 +400,8 @@ def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Referenc
 class TransferSettings:
     """How transfers are sought. durations: tried in turn, s; cart_weight: of the cart's position in the cost.
 
-    gentle: a transfer that uses at most this share of every limit is taken at once. iterations: of the solver in one
+    gentle: a transfer that uses at most this share of every limit is taken at once, where nothing is known of its
+    sensitivity. iterations: of the solver in one
     try; interval: s, of the mesh on which tries are made.
     """
 
@@ -408,6 +410,10 @@ class TransferSettings:
     gentle: float = 0.6
     iterations: int = 100
     interval: float = 0.05
+
+
+_NO_ROOM = 1e-3
+"""Share of a limit that counts as left where a motion uses all of it."""
 
 
 def smooth_guess(start: Array, end: Array, duration: float) -> Guess:
@@ -431,9 +437,12 @@ def find_transfer(
     limits: Limits,
     settings: ReferenceSettings,
     transfer: TransferSettings | None = None,
+    sensitivity: Callable[[Trajectory], float] | None = None,
     progress: Progress = no_progress,
 ) -> Reference:
     """Return a reference from `start` (N,) to one of `ends` (N,), with friction, cart and limits.
+
+    sensitivity: how large errors become along a motion under feedback, in any unit.
 
     Raises:
         GoalMissed: none of the durations and ends gave one; says what stood in the way of the last.
@@ -461,8 +470,10 @@ def find_transfer(
         if attempt.succeeded:
             largest = largest_values(attempt.trajectory, limits)
             share = max(largest[name] / bound for name, bound in limits.named().items())
-            solved.append((share, problem, attempt.trajectory))
-            if share <= transfer.gentle:
+            room = max(1 - share, _NO_ROOM)
+            grown = 1.0 if sensitivity is None else sensitivity(attempt.trajectory)
+            solved.append((grown / room, problem, attempt.trajectory))
+            if sensitivity is None and share <= transfer.gentle:
                 break
     for _, chosen, trajectory in sorted(solved, key=lambda entry: entry[0]):
         found = find_reference(chosen, wanted, near=trajectory)

@@ -56,6 +56,23 @@ def test_a_transfer_that_no_duration_allows_says_what_stands_in_the_way():
         )  # fmt: skip
 
 
+def test_the_least_sensitive_motion_beside_its_room_is_taken():
+    """Of two durations the one that is said to let errors grow less, though the other comes first and is gentler."""
+    asked = {}
+
+    def sensitivity(motion):
+        asked[motion.duration] = 100.0 if motion.duration == 2.5 else 1.0
+        return asked[motion.duration]
+
+    coarse = ReferenceSettings(method="radau-5", interval=0.1, tolerance=1e-3)
+    found = find_transfer(
+        EQUATIONS, LAB.base(), start=HANGING, ends=[UP], limits=Limits(), settings=coarse,
+        transfer=TransferSettings(durations=(2.5, 2.0), gentle=1.0, interval=0.1), sensitivity=sensitivity,
+    )  # fmt: skip
+    assert set(asked) == {2.5, 2.0}
+    assert found.duration == 2.0
+
+
 def test_the_guess_turns_the_arms_smoothly():
     start, end = np.array([0.1, -0.2, 3.0, 4.0]), np.array([2.0, 1.0, -5.0, 6.0])
     guess = smooth_guess(start, end, 1.7)

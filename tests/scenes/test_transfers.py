@@ -1,14 +1,18 @@
 """Itineraries of transfers between equilibria: found once and kept, each with what it takes and passes."""
 
 from dataclasses import replace
-from itertools import pairwise, permutations
+from itertools import pairwise, permutations, product
 from pathlib import Path
 
 import numpy as np
 import pytest
 from command_line import dpcontrol
+from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
+from dpcontrol.control.interface import SampledModel
+from dpcontrol.control.tracking import TvlqrSettings, riccati_gains, terminal_cost
+from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.symmetric_shooting import resting_place
@@ -19,9 +23,10 @@ from dpcontrol.scenes import transfers
 from dpcontrol.scenes.itinerary import HoldPart, load_itinerary
 from dpcontrol.scenes.model import load_model
 from dpcontrol.scenes.plan import Plan, make_plan
-from dpcontrol.scenes.transfers import transfer_notes
+from dpcontrol.scenes.transfers import sensitivity, transfer_notes
 
-SYSTEM = load_model("lab").system
+LAB = load_model("lab")
+SYSTEM = LAB.system
 QUICK = '[reference]\nmethod = "radau-5"\ninterval = 0.1\ntolerance = 1e-3\n'
 """Coarse: what is asked here is where transfers lead and what becomes of them, not how exact they are."""
 QUADRATURE = 1e-4  # relative, of sums over milliseconds
@@ -161,6 +166,36 @@ def test_of_two_ways_between_equilibria_that_mirror_each_other_one_is_tried(
             make_plan(load_itinerary(str(scene(tmp_path, "down-down", name))))
         assert len(tried[-1]) == ways
         assert not any(np.allclose(a, -b) for a in tried[-1] for b in tried[-1])
+
+
+def test_a_motions_sensitivity_is_how_far_plants_stray_whose_arms_are_a_little_off(there_and_back: Plan) -> None:
+    """With the feedback of a controller that follows it, on a plant stepped by another integrator."""
+    motion, arms = flown_again(there_and_back, 0), LAB.arms
+    model = SampledModel(equations_of(arms, Level.CART), arms.base(), period=0.005)
+    ticks = np.arange(round(motion.duration / 0.005)) * 0.005
+    states, commands = motion.state(ticks), motion.input(ticks + 0.0025)[:, 0]
+    a, b = model.linearised(states, commands)
+    weights, effort = TvlqrSettings().weights(2, 0.005)
+    terminal = terminal_cost(a[-1], b[-1], weights=np.diag(weights), effort=effort)
+    gains, _, _ = riccati_gains(a, b, weights=weights, effort=effort, terminal=terminal)
+    rate = quick_rate(equations_of(arms, Level.CART))
+
+    def flown(base: np.ndarray) -> np.ndarray:
+        state, angles = states[0], []
+        for wanted, command, gain in zip(states, commands, gains, strict=True):
+            held = [command - gain @ (state - wanted)]
+            done = solve_ivp(lambda _, x, u=held: np.array(rate(x, u, base)).ravel(), (0, 0.005), state, rtol=1e-8)
+            state = done.y[:, -1]
+            angles.append(state[:2])
+        return np.array(angles)
+
+    off, nominal, strayed = 1e-3, flown(arms.base()), []
+    for name, i in product(("mass", "centre_of_mass", "length", "inertia"), range(2)):
+        values = list(getattr(arms, name))
+        values[i] *= 1 + off
+        strayed.append((flown(replace(arms, **{name: tuple(values)}).base()) - nominal) / off)
+    expected = np.sqrt(np.square(strayed).sum((0, 2))).max()
+    assert sensitivity(arms, motion) == pytest.approx(expected, rel=0.05)
 
 
 @pytest.mark.parametrize("name", ["lab", "triple"])
