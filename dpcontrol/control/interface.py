@@ -10,7 +10,7 @@ The casadi function is called through its buffers, without a copy: 2 µs a step 
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 from functools import cached_property
 from typing import Any, NamedTuple, Protocol
@@ -234,6 +234,14 @@ class GainSchedule:
     shares: tuple[bool, ...] | None = None
     names: tuple[str, ...] = ()
     trust: float = 0.0
+
+    def turned(self, turns: Array) -> "GainSchedule":
+        """Return the same with `turns` (n,) rad added to all its angles."""
+        n, size = len(turns), self.references.shape[1]
+        rows, references = self.rows.copy(), self.references.copy()
+        for angles in (rows[:, 1 + size : 1 + size + n], rows[:, -n:], references[:, :n]):
+            angles += turns
+        return replace(self, rows=rows, references=references)
 
 
 class Controller(Protocol):

@@ -2,7 +2,7 @@
 
 from dpcontrol.control.interface import Mode
 from dpcontrol.logs.container import partials_of
-from dpcontrol.logs.layout import LEVELS, control_fields, joint_names
+from dpcontrol.logs.layout import LEVELS, Flight, control_fields, joined_at, joined_text, joint_names
 from dpcontrol.logs.reader import (
     Comparison,
     Event,
@@ -22,6 +22,7 @@ __all__ = [
     "Comparison",
     "Event",
     "Extras",
+    "Flight",
     "LogSummary",
     "LogWriter",
     "Mode",
@@ -30,6 +31,8 @@ __all__ = [
     "check_replaced",
     "compare_messages",
     "control_fields",
+    "joined_at",
+    "joined_text",
     "joint_names",
     "partials_of",
     "read_log",

@@ -18,10 +18,12 @@ Numbers are little-endian and aligned to their own size, counted from the end of
 Source: OMG DDS-RTPS 2.3, section 10 (CDR, representation identifier CDR_LE).
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate
+from typing import NamedTuple
 
 import numpy as np
 
@@ -403,3 +405,29 @@ def record_type(message: Message) -> np.dtype:
     formats, offsets = zip(*places.values(), strict=True)
     size = RECORD_HEADER.itemsize + len(message.data)
     return np.dtype({"names": list(places), "formats": formats, "offsets": offsets, "itemsize": size})
+
+
+class Flight(NamedTuple):
+    """Ticks of a run on its itinerary, from `first` up to `end`, from the time `at` s of the plan's reference on."""
+
+    first: int
+    end: int
+    at: float
+
+
+_JOINED = "on the itinerary from t = {:.4f} s of the reference: {}"
+_JOINS = re.compile(r"on the itinerary from t = (\d+\.\d+) s of the reference: (?:symbol (\d+) of .*attempt (\d+))?")
+
+
+def joined_text(at: float, what: str) -> str:
+    """Return what a log says where a run joins its itinerary at the time `at` s of the reference, and for what."""
+    return _JOINED.format(at, what)
+
+
+def joined_at(text: str) -> tuple[float, int, int] | None:
+    """Return the time s of the reference that an event says is joined, and which symbol's attempt, each from 1.
+
+    Symbol and attempt are 0 where it says none; None of any other text.
+    """
+    found = _JOINS.match(text)
+    return None if found is None else (float(found[1]), int(found[2] or 0), int(found[3] or 0))

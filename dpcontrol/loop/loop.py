@@ -8,8 +8,10 @@ and events are made where an outcome asks for them, and a run ends where its car
 in step with its chunks, every twenty milliseconds: a run that is killed loses no more.
 """
 
+import itertools
 import time
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
@@ -18,8 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.control.calming import CalmingSettings, calming_controller
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterSettings
 from dpcontrol.control.interface import MANY, Controller, Mode, SampledModel, schedule_of
+from dpcontrol.control.lqr import HoldSettings
 from dpcontrol.control.margins import Margins, law_margins
 from dpcontrol.control.tick import Outcome, TickProgram, whole_periods
 from dpcontrol.control.tracking import TvlqrSettings
@@ -38,6 +42,8 @@ from dpcontrol.loop.bench import (
     draw_bench,
 )
 from dpcontrol.loop.controllers import KEEPERS, ControllerSettings, make_controller, make_estimator, nearest_keeper
+from dpcontrol.loop.recovery import RETURN_SECONDS, Recovery, RecoveryPlan, Start, started
+from dpcontrol.loop.recovery import Event as Told
 from dpcontrol.loop.result import (
     EVENTS,
     BatchRun,
@@ -55,13 +61,15 @@ from dpcontrol.loop.result import (
 from dpcontrol.loop.simulated import BatchBench, SimulatedRig
 from dpcontrol.loop.ticker import Fallback, Ticker
 from dpcontrol.references.problem import Limits
-from dpcontrol.references.reference import Reference
+from dpcontrol.references.reference import Reference, StartNote, joined, plan_notes, start_reference
 
 Array = NDArray[np.float64]
 
 _FLUSH_SECONDS = 0.02
 """Between two handings over of rows to the sink; a log's writer makes a chunk of as many."""
 _PROGRESS_EVERY = 500
+_THOUGHTS = 1_000_000
+"""Ticks, the last, of which it is kept how long they took."""
 _TELL_EVERY = 1.0
 """Seconds between events that deadlines were missed."""
 
@@ -72,7 +80,8 @@ class ControlLoop:
     rate_noise, (n, 1) rad/s by tick: what is added to the rates that the controller steers by, as where rates are
     measured and not estimated (Wiebe et al., Open-source dual-purpose acrobot and pendubot platform, IEEE RAM 2024);
     the estimator itself goes on without it. fallback: used when the supervisor gives the reference up; without one the
-    run ends then. The rig's `truth`, where it has one, is recorded and never used.
+    run ends then, or `recovery` says how it goes on. keep: whether the result holds all ticks, or only the last block
+    of them. The rig's `truth`, where it has one, is recorded and never used.
     """
 
     def __init__(
@@ -83,16 +92,19 @@ class ControlLoop:
         sink: LoopSink,
         rate_noise: StreamReader | None = None,
         fallback: Fallback | None = None,
+        recovery: Recovery | None = None,
+        keep: bool = True,
         progress: Progress = no_progress,
     ) -> None:
         self.ticker, self.limits, self.sink, self.fallback, self.progress = ticker, limits, sink, fallback, progress
-        self._rate_noise = rate_noise
+        self._rate_noise, self._recovery, self._keep = rate_noise, recovery, keep
         self.count = ticker.count
-        self.ending, self.reason = Ending.FINISHED, "came to the reference's end"
+        self.ending, self.reason, self._stopped = Ending.FINISHED, "came to the reference's end", False
         self._period, self._arms = ticker.program.period, ticker.program.model.arms
         self._rows = Ticks.empty(0, self._arms, has_truth=False, period=self._period)
+        self._full: list[Ticks] = []
         self._flush_every = max(1, round(_FLUSH_SECONDS / self._period))
-        self._done = self._flushed = 0
+        self._done = self._flushed = self._first = 0
         if fallback is not None:
             ticker.prepare_to_hold()
 
@@ -108,6 +120,8 @@ class ControlLoop:
     def run(self, rig: Rig) -> LoopResult:
         """Run to the controller's last tick, or to where the supervisor ends it and the cart stands.
 
+        With a recovery it goes on after a fall, for as long as that says.
+
         Interrupted, the sink gets the rows so far.
 
         Raises:
@@ -120,19 +134,25 @@ class ControlLoop:
 
     def _run(self, rig: Rig) -> LoopResult:
         ticker, period = self.ticker, self._period
+        block, recovery = self.count, self._recovery
         self._rows = rows = Ticks.empty(
-            self.count, self._arms, has_truth=rig.truth is not None, period=period, extras=len(ticker.extra_names)
+            block, self._arms, has_truth=rig.truth is not None, period=period, extras=len(ticker.extra_names)
         )
         ticks = f"{self.count - 1} ticks at {1 / period:g} Hz"
         self._event(0.0, "info", "start", f"{ticker.kind}, {ticker.estimator_kind}, {ticks}")
+        if recovery is not None:
+            self._tell_all(0, [recovery.begin(ticker)])
         late, quiet_until = 0, 0.0
         at, take = ticker.at, rows.take
         command, notable, news, done_at = at["command"], at["notable"], at["news"], at["done"]
         noise = self._rate_noise
-        clock, thinking = time.perf_counter, list[float]()
+        clock, thinking = time.perf_counter, deque[float](maxlen=_THOUGHTS)
         thought = thinking.append
         began = clock()
-        for k in range(self.count):
+        for k in itertools.count():
+            if k - self._first == block:
+                self._flush(k)
+                rows, take = self._next_block(k)
             try:
                 reading = rig.read()
             except ArithmeticError as failure:
@@ -142,7 +162,7 @@ class ControlLoop:
             report = ticker(k, reading, None if noise is None else noise[k])
             thought(clock() - asked)
             rig.command(report.item(command, 0))
-            take(k, reading, report, rig.truth)
+            take(k - self._first, reading, report, rig.truth, ticker.references[k - ticker.began])
             self._done = done = k + 1
             if report.item(notable, 0):
                 self._heed(k, rig)
@@ -159,7 +179,16 @@ class ControlLoop:
                 break
             if report.item(news, 0):
                 self._tell(k)
-            if report.item(done_at, 0):
+            if recovery is not None:
+                self._tell_all(done, recovery.follow_up(k, report, ticker, period))
+                if done == ticker.began + ticker.count:
+                    following = recovery.ended(k, report, ticker)
+                    if not following:
+                        break
+                    self._tell_all(done, following)
+                if self._stopped and report.item(done_at, 0):
+                    break
+            elif done == self.count or report.item(done_at, 0):
                 break
             if done % self._flush_every == 0:
                 self._flush(done)
@@ -171,7 +200,21 @@ class ControlLoop:
         fine = self.ending is Ending.FINISHED
         self._event(max(done - 1, 0) * period, "info" if fine else "error", self.ending.value, self.reason)
         self.progress("run", 1.0)
-        return LoopResult(rows.between(0, done), self.ending, self.reason, late, elapsed, np.array(thinking))
+        kept = Ticks.joined([*self._full, self._rows.between(0, done - self._first)])
+        result = LoopResult(kept, self.ending, self.reason, late, elapsed, np.array(thinking))
+        return result if recovery is None else replace(result, falls=recovery.falls, flights=recovery.flights(done))
+
+    def _next_block(self, k: int) -> tuple[Ticks, Callable[..., None]]:
+        """Make room for further ticks, from tick k on."""
+        before = self._rows
+        if self._keep:
+            self._full.append(before)
+        has_truth, extras = before.truth is not None, len(self.ticker.extra_names)
+        self._rows = rows = Ticks.empty(
+            len(before.times), self._arms, has_truth=has_truth, period=self._period, extras=extras, first=k
+        )
+        self._first = k
+        return rows, rows.take
 
     def _heed(self, k: int, rig: Rig) -> None:
         """Do what the outcome of tick k asks for."""
@@ -180,9 +223,15 @@ class ControlLoop:
         outcome = Outcome(int(report.item(ticker.at["outcome"], 0)))
         if outcome is not Outcome.GO_ON:
             why = explained(outcome, now, ticker.figures(k), arms=self._arms, period=self._period)
+            if self._recovery is not None and outcome >= Outcome.ESTIMATE_LOST:
+                told = self._recovery.fell(k, outcome, why, ticker, self._period)
+                if told is not None:
+                    self._tell_all(k, [told])
+                    return
+                why += f"; given up after {self._recovery.falls} falls"
             self._event(now, "warn", EVENTS.get(outcome, "stop"), why)
             if outcome is Outcome.RESTART:
-                self._rows.without_nis(k)
+                self._rows.without_nis(k - self._first)
             elif outcome is Outcome.RESYNCHRONISE:
                 moved = ticker.resynchronise(k)
                 self._event(now, "info", "re-synchronise", moved or "the controller has no clock to move")
@@ -192,12 +241,18 @@ class ControlLoop:
                 self._event(now, "warn", "fallback", held)
                 self.ending, self.reason = Ending.FELL_BACK, f"{why}; {held}"
             else:
-                self.ending, self.reason = ending(outcome), why
+                self.ending, self.reason, self._stopped = ending(outcome), why, True
                 # From here on the reference stands.
                 ticker.stand(k)
-        if report.item(ticker.at["stop"], 0):
+        if report.item(ticker.at["stop"], 0) and (self._stopped or self._recovery is None):
             # The drive brakes by itself; what is sent meanwhile is what the loop believes it does.
             rig.stop()
+
+    def _tell_all(self, k: int, told: Sequence[Told]) -> None:
+        """Make events of what is told at tick k."""
+        for one in told:
+            if one.name:
+                self._event(k * self._period, one.level, one.name, one.text)
 
     def _tell(self, k: int) -> None:
         """Make events of what is new in tick k and changes nothing."""
@@ -220,8 +275,7 @@ class ControlLoop:
         if until > first:
             # Noted first, so that rows on which an interrupt falls are not written twice.
             self._flushed = until
-            self._rows.references[first:until] = self.ticker.references[first:until]
-            self.sink.ticks(self._rows.between(first, until))
+            self.sink.ticks(self._rows.between(first - self._first, until - self._first))
 
 
 @dataclass(frozen=True)
@@ -329,6 +383,69 @@ def loop_fallback(reference: Reference, parameters: ArmChainParameters, settings
     return nearest_keeper(reference, parameters, model, flies=flies)
 
 
+def loop_recovery(
+    reference: Reference, parameters: ArmChainParameters, settings: LoopSettings, controller: Controller
+) -> RecoveryPlan | None:
+    """Return how runs of these settings recover from a fall, which any number of them may share; None if they end.
+
+    controller: of `loop_controller`. The ways from rest to the stops are the reference's own (notes, `starts`).
+
+    Raises:
+        InputError: the reference has none, or the controller keeps a clock of its own.
+        GoalMissed: no controller can be made for a start.
+    """
+    s = settings.supervisor
+    if s.on_fall == "stop":
+        return None
+    lead = whole_periods(settings.drive.delay)[1]
+    main = schedule_of(controller, lead)
+    if main is None:
+        raise InputError(
+            f'supervisor: on_fall = "{s.on_fall}": {controller.kind} keeps a clock of its own, and cannot be taken up '
+            'anywhere; use kind = "adaptive", "tvlqr" or "lqr" without keep'
+        )
+    starts: Sequence[StartNote] = plan_notes(reference).get("starts", ())
+    if not starts:
+        raise InputError(
+            f'supervisor: on_fall = "{s.on_fall}": the reference was planned without ways from rest to its stops; plan '
+            "the itinerary again with that setting"
+        )
+    # Runs that do not recover do without what finds references.
+    from dpcontrol.references.find import tail
+
+    model = sampled_model(parameters, settings.rate, settings.drive_lag)
+    limits = settings.limits(reference)
+    law = TvlqrSettings() if isinstance(settings.controller, HoldSettings) else settings.controller
+    ways = []
+    for k, note in enumerate(starts):
+        lead_in, place = start_reference(reference, k), round(note["at"] * settings.rate)
+        turns = 2 * np.pi * np.array(note["turns"], dtype=float)
+        gains, ticks = main, 0
+        if lead_in is not None:
+            ticks = round(lead_in.duration * settings.rate)
+            onward = tail(reference, note["at"], seconds=_ONWARD, turns=turns)
+            flown = make_controller(
+                joined([lead_in, onward])[0], parameters, model, settings=law, estimator=settings.estimator
+            )
+            before = schedule_of(flown, lead)
+            assert before is not None
+            gains = before
+        ways.append(
+            Start(note["stop"], note["at"], ticks, turns, started(gains, main, lead_in=ticks, place=place, turns=turns))
+        )
+    reaction = (settings.drive.delay + 1) / settings.rate + settings.drive_lag
+    calming = calming_controller(model, limits, CalmingSettings(), reaction=reaction, seconds=RETURN_SECONDS)
+    notes = plan_notes(reference)
+    return RecoveryPlan(
+        calming, tuple(ways), tuple(stop["saddle"] for stop in notes["stops"]),
+        tuple(symbol["text"] for symbol in notes["symbols"]), limits, s.on_fall == "restart", s.attempts,
+    )  # fmt: skip
+
+
+_ONWARD = 4.0
+"""Seconds of the itinerary after a start joins it that the start's gains look ahead to: these forget what is later."""
+
+
 def make_ticker(
     parameters: ArmChainParameters,
     settings: LoopSettings,
@@ -393,26 +510,30 @@ def control_loop(
     rate_noise: StreamReader | None = None,
     sink: LoopSink | None = None,
     fallback: Fallback | None = None,
+    recovery: Recovery | None = None,
+    keep: bool = True,
     library: Path | None = None,
     progress: Progress = no_progress,
 ) -> ControlLoop:
     """Return a loop for any rig, simulated or real; believed_delay in periods, the drive's own by default.
 
-    rate_noise, (n, 1) rad/s by tick: see `ControlLoop`. library: see `make_ticker`.
+    rate_noise, (n, 1) rad/s by tick, recovery, keep: see `ControlLoop`. library: see `make_ticker`.
 
     Raises:
         InputError: the delay is impossible, or the controller is not for these arms; or the library is not for this.
     """
-    if library is not None and (rate_noise is not None or fallback is not None):
+    if library is not None and (rate_noise is not None or fallback is not None or recovery is not None):
         what = "noise on measured rates" if fallback is None else 'hold = "nearest"'
+        what = what if recovery is None else "on_fall"
         raise InputError(f"run: a controller's library knows nothing of {what}; run it without")
     delay = settings.drive.delay if believed_delay is None else believed_delay
     ticker = make_ticker(
         parameters, settings, controller, limits=limits, delay=delay, can_hold=fallback is not None, library=library
     )
     return ControlLoop(
-        ticker, limits=limits, sink=sink or NoSink(), rate_noise=rate_noise, fallback=fallback, progress=progress
-    )
+        ticker, limits=limits, sink=sink or NoSink(), rate_noise=rate_noise, fallback=fallback, recovery=recovery,
+        keep=keep, progress=progress,
+    )  # fmt: skip
 
 
 def run_loop(
@@ -424,14 +545,15 @@ def run_loop(
     uncertainty: Uncertainty | None = None,
     sink: LoopSink | None = None,
     fallback: Fallback | None = None,
+    recovery: RecoveryPlan | None = None,
     library: Path | None = None,
     progress: Progress = no_progress,
 ) -> LoopResult:
     """Track `reference` on a simulated bench, with `parameters` as the model of controller and estimator.
 
-    controller, fallback: made before, by `loop_controller` and `loop_fallback` with the same settings, to spare making
-    them for each of many seeds. uncertainty: of the model, for settings that draw the plant from it. library: see
-    `make_ticker`.
+    controller, fallback, recovery: made before, by `loop_controller` and the like with the same settings, to spare
+    making them for each of many seeds. uncertainty: of the model, for settings that draw the plant from it. library:
+    see `make_ticker`.
 
     Raises:
         InputError: the reference did not converge, or is not one of these arms; an uncertainty is asked for and not
@@ -442,12 +564,14 @@ def run_loop(
         controller = loop_controller(reference, parameters, settings)
     if fallback is None:
         fallback = loop_fallback(reference, parameters, settings)
+    if recovery is None:
+        recovery = loop_recovery(reference, parameters, settings, controller)
     limits, first = settings.limits(reference), controller.first_state
     draw = settings.draw(parameters, ticks=controller.ticks + 1, uncertainty=uncertainty)
     loop = control_loop(
         parameters, settings, controller, limits=limits,
         rate_noise=draw.reader("rate_noise", lambda rows: rows[:, :, None]), sink=sink, fallback=fallback,
-        library=library, progress=progress,
+        recovery=None if recovery is None else Recovery(recovery, controller), library=library, progress=progress,
     )  # fmt: skip
     rig = SimulatedRig(draw, settings.bench, limits=limits, start=first, queued=loop.queued)
     return replace(loop.run(rig), plant=draw.plant.arms)
@@ -491,6 +615,7 @@ def can_batch(settings: LoopSettings, controller: Controller | None = None) -> b
     sensors = settings.sensors
     faults = sensors.missed_counts or sensors.dropout or sensors.jitter or np.isfinite(sensors.stuck_at)
     hands_over = settings.keep != "none" or settings.supervisor.hold != "none" or settings.supervisor.resynchronise
+    hands_over = hands_over or settings.supervisor.on_fall != "stop"
     compiled = isinstance(settings.estimator, EkfSettings)
     return compiled and not faults and not hands_over and (controller is None or _answers_many(controller))
 

@@ -3,15 +3,53 @@
 A run is a sequence of motions on one rig without interruption, one after the other by one `Ticker`, whose filter and
 commands on their way go on:
 
-    itinerary   the plan's reference, from some tick of it on
-    return      brake, and calm the arms, from anywhere
+    itinerary   the plan's reference, from some time of it on
+    return      brake, and calm the arms, from anywhere, until they hang at rest
     start       from hanging at rest to a stop of the walk, by a transfer planned beforehand; then the itinerary
+
+After a fall the symbol that failed is done again from the stop before it; what was completed stays completed.
 """
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
 
-from dpcontrol.control.tick import BRAKING
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.control.calming import CalmingController
+from dpcontrol.control.interface import Controller, GainSchedule, whole_turns
+from dpcontrol.control.tick import BRAKING, Outcome
+from dpcontrol.logs import Flight, joined_text
+from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
+
+Array = NDArray[np.float64]
+
+RETURN_SECONDS = 60.0
+"""After which a return that has not come to rest begins anew."""
+FOLLOWED = 0.15
+"""rad: while the mean distance from the reference is below this it is followed; and `_BEFORE` s before, it was."""
+_BEFORE = 0.5
+REST_ANGLE, REST_RATE, REST_CART = 0.05, 0.1, 0.01
+"""rad, rad/s, m and m/s: by the estimate, what counts as hanging at rest, the cart in the middle."""
+REST_SECONDS = 0.3
+"""For so long."""
+_TRIED = 0.3
+"""s for which a filter that began anew is watched before it is believed."""
+_STUCK = 20.0
+"""s after which a sensor that still repeats itself is taken for one whose arm hangs still."""
+_MEETS = 0.05
+"""Between the states (rad, rad/s, m, m/s) at which a reference ends and begins for laps without a rest."""
+
+
+class Motion(StrEnum):
+    """What a run is doing."""
+
+    ITINERARY = "itinerary"
+    RETURN = "return"
+    START = "start"
 
 
 def calming_bounds(limits: Limits) -> Mapping[str, float]:
@@ -24,3 +62,235 @@ def calming_bounds(limits: Limits) -> Mapping[str, float]:
         "lost_tracking": 1e9, "resynchronise": 0.0, "can_hold": 0.0, "restarts": 1e9,
         "brake": 2 * BRAKING * limits.acceleration, "margin": 0.0,
     }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """A way from hanging at rest to one stop of the walk, and on with the itinerary.
+
+    stop: which; at s: the time of the plan's reference at which that is joined, after `lead_in` ticks. turns (n,) rad:
+    of the plan's reference against this one. gains: of all of it.
+    """
+
+    stop: int
+    at: float
+    lead_in: int
+    turns: Array
+    gains: GainSchedule
+    kind: str = "start"
+
+    @property
+    def first_state(self) -> Array:
+        """Return the state (N,) from which it starts."""
+        return self.gains.references[0]
+
+    @property
+    def ticks(self) -> int:
+        """Return for how many periods it has something to do."""
+        return len(self.gains.references) - 1
+
+    def schedule(self, lead: int) -> GainSchedule:
+        """Return what the loop needs; it was made for this lead."""
+        return self.gains
+
+
+def started(before: GainSchedule, main: GainSchedule, *, lead_in: int, place: int, turns: Array) -> GainSchedule:
+    """Return `before` for `lead_in` ticks, then `main` from its tick `place` on, whole `turns` (n,) rad taken off."""
+    rest = main.turned(-turns)
+    return replace(
+        main,
+        rows=np.concatenate([before.rows[:lead_in], rest.rows[place:]]),
+        references=np.concatenate([before.references[:lead_in], rest.references[place:]]),
+        queued=before.queued if lead_in else main.queued,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class RecoveryPlan:
+    """What recoveries of an itinerary share: the law that calms, ways from rest to its stops, in their order.
+
+    restarts: whether the itinerary begins anew after a fall. attempts: of one symbol, 0 for no limit. names: of the
+    stops; symbols: their texts, fewer by one. limits: the cart's.
+    """
+
+    calming: CalmingController
+    starts: tuple[Start, ...]
+    names: tuple[str, ...]
+    symbols: tuple[str, ...]
+    limits: Limits
+    restarts: bool = False
+    attempts: int = 10
+
+
+@dataclass(frozen=True)
+class Event:
+    """What is told of a choice: level, name, text."""
+
+    level: str
+    name: str
+    text: str
+
+
+class Recovery:
+    """The choice of motions in one run.
+
+    laps: whether the itinerary begins anew where its reference ends, without end.
+    """
+
+    def __init__(self, plan: RecoveryPlan, main: Controller, *, laps: bool = False) -> None:
+        self._plan, self._main, self._laps = plan, main, laps
+        self.motion = Motion.ITINERARY
+        self.falls = 0
+        self._attempts: dict[int, int] = {}
+        self._stop, self._lap = 0, 1
+        self._at, self._joins = 0.0, 0
+        self._followed, self._rested, self._lost_at = 0, 0, 0
+        self._calms, self._began, self._bounds = False, 0, dict[str, float]()
+        self._why, self._sensor = Outcome.GO_ON, 0
+        self._flown: list[Flight] = []
+
+    def flights(self, end: int) -> tuple[Flight, ...]:
+        """Return when the run was on its itinerary, up to the tick `end`."""
+        under_way = [Flight(self._joins, end, self._at)] if self.motion is Motion.ITINERARY else []
+        return (*self._flown, *under_way)
+
+    def begin(self, ticker: Ticker) -> Event:
+        """Remember by what flights are judged; return what is told of the first motion."""
+        self._bounds = {name: ticker.number(name) for name in calming_bounds(self._plan.limits)}
+        ticker.prepare_to_hold()
+        return self._resumed("resume")
+
+    def _progress(self) -> str:
+        symbols, place = self._plan.symbols, self._stop
+        last = place == len(symbols)
+        what = "the last stop" if last else f"symbol {place + 1} of {len(symbols)} ({symbols[place]!r})"
+        return f"{what}, attempt {self._attempts.get(self._stop, 0) + 1}"
+
+    def _resumed(self, name: str) -> Event:
+        what = self._progress() if name == "resume" else f"lap {self._lap}"
+        return Event("info", name, joined_text(self._at, what))
+
+    def fell(self, k: int, outcome: Outcome, why: str, ticker: Ticker, period: float) -> Event | None:
+        """Return what is told of a fall at tick k, from which a return begins; None where no attempt is left."""
+        plan = self._plan
+        if self.motion is not Motion.RETURN:
+            self.falls += 1
+            if self.motion is Motion.ITINERARY:
+                self._flown.append(Flight(self._joins, k + 1, self._at))
+                good = self._at + (self._followed - self._joins) * period - _BEFORE
+                # Stops that no start leads to are passed over.
+                reached = [start.stop for start in plan.starts if start.at <= good]
+                self._stop = 0 if plan.restarts else max([self._stop, *reached])
+            tried = self._attempts[self._stop] = self._attempts.get(self._stop, 0) + 1
+            if plan.attempts and tried >= plan.attempts:
+                self.motion = Motion.RETURN
+                return None
+        told = self.motion is not Motion.RETURN or k * period - self._began * period > 1.0
+        self.motion, self._why, self._began = Motion.RETURN, outcome, k
+        self._sensor = int(ticker.program.report[ticker.at["sensor"], 0])
+        self._rested, self._lost_at = k, k
+        if outcome in (Outcome.ESTIMATE_LOST, Outcome.SILENT, Outcome.STUCK):
+            # The cart stands until the estimate may be believed again.
+            self._calms = False
+            ticker.lose()
+        else:
+            self._calm(k, ticker)
+        return Event("warn", "return", f"{why}; {self._progress_lost()}") if told else Event("", "", "")
+
+    def _progress_lost(self) -> str:
+        total, number = len(self._plan.symbols), self._stop + 1
+        if self._plan.restarts:
+            return "the itinerary begins anew from rest"
+        return f"symbol {number} of {total} is done again" if number <= total else "the last stop is gone to again"
+
+    def _calm(self, k: int, ticker: Ticker) -> None:
+        self._calms, self._rested = True, k
+        ticker.follow(
+            k + 1, self._plan.calming, lift=np.zeros(len(self._plan.calming.first_state) // 2 - 1),
+            bounds=calming_bounds(self._plan.limits), heeds_switch=False,
+        )  # fmt: skip
+
+    def follow_up(self, k: int, report: Array, ticker: Ticker, period: float) -> Sequence[Event]:
+        """Look at tick k, which has just been done; return what is told, where something else begins with the next."""
+        if self.motion is Motion.ITINERARY:
+            if report.item(ticker.at["error"], 0) < FOLLOWED:
+                self._followed = k
+            return ()
+        if self.motion is Motion.START:
+            if k + 1 < self._joins:
+                return ()
+            self.motion, self._followed = Motion.ITINERARY, k
+            return [self._resumed("resume")]
+        if not self._calms:
+            if self._believed(k, report, ticker, period):
+                self._calm(k, ticker)
+            return ()
+        if not self._at_rest(k, report, period):
+            if (k - ticker.began) * period >= RETURN_SECONDS - period:
+                self._calm(k, ticker)
+            return ()
+        rested = Event("info", "at rest", f"after {(k - self._began) * period:.2f} s")
+        return [rested, *self._start(k, report, ticker)]
+
+    def _believed(self, k: int, report: Array, ticker: Ticker, period: float) -> bool:
+        """Tell whether the cart stands, and the filter agrees with the readings again."""
+        if not report.item(ticker.at["done"], 0) or (k - self._lost_at) * period < _TRIED:
+            return False
+        nis, silent = report.item(ticker.at["mean_nis"], 0), report.item(ticker.at["silent"], 0)
+        # Arms that hang still stand as one that is stuck: in the end it is tried.
+        since = k - self._began
+        stuck = self._why is Outcome.STUCK and since * period < _STUCK and ticker.repeats(self._sensor) >= since
+        if nis <= ticker.number("lost_estimate") and silent == 0 and not stuck:
+            return True
+        if not nis <= ticker.number("lost_estimate"):
+            self._lost_at = k
+            ticker.lose()
+        return False
+
+    def _at_rest(self, k: int, report: Array, period: float) -> bool:
+        n = len(self._plan.calming.first_state) // 2 - 1
+        state = report[: 2 * n + 2, 0].tolist()
+        moves = (
+            any(abs(math.remainder(angle, 2 * math.pi)) > REST_ANGLE for angle in state[:n])
+            or any(abs(rate) > REST_RATE for rate in state[n : 2 * n])
+            or any(abs(cart) > REST_CART for cart in state[2 * n :])
+        )
+        if moves:
+            self._rested = k
+        return (k - self._rested) * period >= REST_SECONDS
+
+    def _start(self, k: int, report: Array, ticker: Ticker) -> list[Event]:
+        plan = self._plan
+        start = max((one for one in plan.starts if one.stop <= self._stop), key=lambda one: one.stop)
+        self._stop = start.stop
+        n = len(start.turns)
+        ticker.follow(k + 1, start, lift=whole_turns(report[:n, 0]), bounds=self._bounds)
+        self._at, self._joins = start.at, k + 1 + start.lead_in
+        self.motion = Motion.START
+        text = f"from rest to stop {start.stop + 1} ({plan.names[start.stop]}): {self._progress()}"
+        told = [Event("info", "start", text)]
+        if start.lead_in == 0:
+            self.motion, self._followed = Motion.ITINERARY, k
+            told.append(self._resumed("resume"))
+        return told
+
+    def ended(self, k: int, report: Array, ticker: Ticker) -> Sequence[Event]:
+        """Return what is told where the reference ends with tick k and another lap follows; none: the run ends."""
+        if not self._laps or self.motion is not Motion.ITINERARY:
+            return ()
+        self._lap += 1
+        # What the run is judged by is its last lap.
+        self._flown.clear()
+        self._attempts.clear()
+        self._stop, self._at, self._joins = 0, 0.0, k + 1
+        first, n = self._main.first_state, len(self._main.first_state) // 2 - 1
+        apart = ticker.references[-1] - first
+        turns = whole_turns(apart[:n])
+        apart[:n] -= turns
+        if np.abs(apart).max() <= _MEETS:
+            ticker.follow(k + 1, self._main, lift=turns, bounds=self._bounds)
+            self._followed = k
+            return [self._resumed("lap")]
+        self.motion, self._began = Motion.RETURN, k
+        self._calm(k, ticker)
+        return [Event("info", "return", f"lap {self._lap - 1} is done; the next one begins from rest")]

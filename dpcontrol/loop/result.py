@@ -6,7 +6,7 @@ A run that cannot be saved ends with the cart at rest inside its limits.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple, Protocol
@@ -19,7 +19,7 @@ from dpcontrol.control.tick import Outcome
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
-from dpcontrol.logs import LogWriter
+from dpcontrol.logs import Flight, LogWriter
 
 Array = NDArray[np.float64]
 
@@ -100,6 +100,9 @@ class Ending(StrEnum):
 HOLDS = ("none", "nearest")
 """What may be held where the reference was given up."""
 
+ON_FALL = ("stop", "resume", "restart")
+"""What a run does after a fall: it ends, does the symbol that failed again, or the itinerary from its beginning."""
+
 
 @dataclass(frozen=True)
 class SupervisorSettings(Settings, table="supervisor"):
@@ -112,7 +115,9 @@ class SupervisorSettings(Settings, table="supervisor"):
     the estimator is restarted before it counts as lost. missing s: longest time without a measurement. braking: share
     of the greatest acceleration that is counted on to stop the cart (it brakes harder), and margin m: what must be
     left of the track then. hold: "nearest" to hold the nearest orbit or equilibrium, once, where tracking is lost;
-    "none" to stop.
+    "none" to stop. on_fall: what a run does whose cart had to be stopped: "stop" ends it; "resume" calms the arms,
+    starts from rest and does the symbol that failed again; "restart" begins the itinerary anew. attempts: of one symbol
+    until the run ends all the same.
     """
 
     lost_tracking: float = setting(1.5, least=0.05, most=100, unit="rad")
@@ -123,6 +128,8 @@ class SupervisorSettings(Settings, table="supervisor"):
     braking: float = setting(0.5, least=0.01, most=1)
     margin: float = setting(0.002, least=0, most=1, unit="m")
     hold: str = setting("none", choices=HOLDS)
+    on_fall: str = setting("stop", choices=ON_FALL)
+    attempts: int = setting(10, least=1, most=1_000_000, zero="no limit")
 
 
 EVENTS = {
@@ -211,22 +218,38 @@ class Ticks:
     extras: Array | None = None
 
     @classmethod
-    def empty(cls, count: int, arms: int, *, has_truth: bool, period: float, extras: int = 0) -> "Ticks":
-        """Return room for `count` ticks, `period` s apart; extras: how many the estimator has."""
+    def empty(
+        cls, count: int, arms: int, *, has_truth: bool, period: float, extras: int = 0, first: int = 0
+    ) -> "Ticks":
+        """Return room for `count` ticks from `first` on, `period` s apart; extras: how many the estimator has."""
         n = 2 * arms + 2
         # What a report begins with stands together.
         end = n + CONTROL_HEAD + n
         told = np.empty((count, end + 2 * extras))
-        times = np.asarray(np.arange(count) * period, dtype=np.float64)
+        times = np.asarray(np.arange(first, first + count) * period, dtype=np.float64)
         measured, references = np.empty((count, arms + 1)), np.empty((count, n))
         return cls(
             times, measured, told[:, :n], references, np.empty((count, n)) if has_truth else None, told[:, n:end], told,
             told[:, end:],
         )  # fmt: skip
 
-    def take(self, k: int, reading: Reading, report: Array, truth: Array | None) -> None:
-        """Write tick k, but for its reference; report: see `TickEquations.report`."""
+    @classmethod
+    def joined(cls, parts: "Sequence[Ticks]") -> "Ticks":
+        """Return parts one after the other; of one part, itself."""
+        if len(parts) == 1:
+            return parts[0]
+
+        def whole(name: str) -> Array | None:
+            rows = [getattr(part, name) for part in parts]
+            return None if rows[0] is None else np.concatenate(rows)
+
+        names = ("times", "measured", "estimates", "references", "truth", "control")
+        return cls(*(whole(name) for name in names), extras=whole("extras"))  # type: ignore[arg-type]
+
+    def take(self, k: int, reading: Reading, report: Array, truth: Array | None, reference: Array) -> None:
+        """Write tick k; report: see `TickEquations.report`; reference (N,)."""
         self.measured[k] = reading.positions
+        self.references[k] = reference
         if reading.present is not None:
             self.measured[k, ~reading.present] = math.nan
         if self.truth is not None:
@@ -276,7 +299,8 @@ class LoopResult:
     """A run of K ticks, n arms.
 
     ticks: its rows. ending, and reason, a sentence. late: ticks that began too late; elapsed s. thinking (K,) s: what
-    each tick of controller and estimator took. plant: the parameters that were simulated, if any.
+    each tick of controller and estimator took. plant: the parameters that were simulated, if any. falls: from which it
+    recovered, or not; flights: when it was on its itinerary, where it could recover.
     """
 
     ticks: Ticks
@@ -286,6 +310,8 @@ class LoopResult:
     elapsed: float
     thinking: Array
     plant: ArmChainParameters | None = None
+    falls: int = 0
+    flights: tuple[Flight, ...] = ()
 
     @property
     def finished(self) -> bool:
@@ -345,7 +371,8 @@ def rms(values: Array) -> float:
 class BatchRun:
     """One run of K ticks: what it is judged by, and a few of its figures.
 
-    times (K,) s; truth (K, 2n+2); references (K, n): angles; applied (K,) m/s²; ending and why. SI units.
+    times (K,) s; truth (K, 2n+2); references (K, n): angles; applied (K,) m/s²; ending and why; falls, flights: see
+    `LoopResult`. SI units.
     """
 
     times: Array
@@ -356,6 +383,8 @@ class BatchRun:
     reason: str
     nis_inside_95: float
     rms_feedback: float
+    falls: int = 0
+    flights: tuple[Flight, ...] = ()
 
     @classmethod
     def of(cls, result: LoopResult) -> "BatchRun":
@@ -370,7 +399,7 @@ class BatchRun:
         angles = ticks.references[:, : ticks.measured.shape[1] - 1]
         return cls(
             ticks.times, ticks.truth, angles, ticks.control[:, 3], result.ending, result.reason,
-            result.nis_inside_95, result.rms_feedback,
+            result.nis_inside_95, result.rms_feedback, result.falls, result.flights,
         )  # fmt: skip
 
 

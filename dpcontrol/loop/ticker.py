@@ -63,6 +63,7 @@ class Ticker:
         self._whole = schedule is not None and estimator is None and self.lead <= UNROLLED
         self.event = ""
         """What the law decided in the last tick, a sentence for the log, or empty."""
+        self._heeds_switch = True
         self.began = 0
         """The tick at which what is followed now began; `references` are from there on."""
         self.begin()
@@ -138,7 +139,7 @@ class Ticker:
         """
         program = self.program
         positions = reading.positions if self._many else reading.positions[:, None]
-        program.take(positions, reading.present, reading.switch, rate_error)
+        program.take(positions, reading.present, reading.switch if self._heeds_switch else 0, rate_error)
         if self._whole:
             program.row[:] = self._rows[k - self.began]
             program.tick()
@@ -211,13 +212,22 @@ class Ticker:
         self._whole = False
         return held
 
-    def follow(self, k: int, controller: Controller, *, lift: Array, bounds: Mapping[str, float]) -> None:
+    def follow(
+        self,
+        k: int,
+        controller: Controller,
+        *,
+        lift: Array,
+        bounds: Mapping[str, float],
+        heeds_switch: bool = True,
+    ) -> None:
         """Follow another controller from tick k on, the next, with `lift` (n,) rad added to its angles; for one run.
 
         The filter goes on, and so do the commands that are on their way; what was judged begins anew, by these bounds
         (`tick.BOUNDS`) in place of those before.
         """
-        program, n = self.program, self._arms
+        program = self.program
+        self._heeds_switch = heeds_switch
         places = program.equations.memory.slices
         for name in ("error", "restarts", "held", "moved", "stopped", "still", "silent"):
             program.memory[places[name]] = 0.0
@@ -234,18 +244,25 @@ class Ticker:
             self.references = np.empty((self.count, self._n))
             self._coming.extend([program.report[: self._n, 0].copy()] * self.lead)
             return
-        self._session = None
-        turned = np.concatenate([lift, np.zeros(self._n - n)])
-        self.references = schedule.references + turned
-        rows, places = schedule.rows.copy(), program.equations.row.slices
-        rows[:, places["state"]] += turned
-        rows[:, places["wanted"]] += lift
-        self._rows = rows[:, :, None]
+        self._session, turned = None, schedule.turned(lift)
+        self.references, self._rows = turned.references, turned.rows[:, :, None]
         program.set_number("mode", float(schedule.mode))
 
     def lose(self) -> None:
-        """Have the compiled filter begin anew with the next reading, knowing nothing else."""
-        self.program.memory[self.program.equations.memory.slices["restart"]] = 1.0
+        """Have the filter begin anew with the next reading, knowing little else."""
+        memory, places = self.program.memory, self.program.equations.memory.slices
+        memory[places["restart"]], memory[places["nis"]] = 1.0, 0.0
+        if self.estimator is not None:
+            measured = self.program.reading[self._reading["measured"], 0].copy()
+            self._estimate = self.estimator.restarted(self._estimate, measured)
+
+    def number(self, name: str) -> float:
+        """Return one of the `BOUNDS`."""
+        return float(self.program.numbers[self.program.equations.numbers.slices[name]][0])
+
+    def repeats(self, sensor: int) -> float:
+        """Return for how many ticks a sensor, counted from 1, has given one reading."""
+        return float(self.program.memory[self.program.equations.memory.slices["same"]][sensor - 1, 0])
 
     def resynchronise(self, k: int) -> str:
         """Move the law's clock to the phase nearest to the state ahead; say by how much, or "" if it has none."""

@@ -251,6 +251,22 @@ def on_mesh(trajectory: Trajectory, mesh: Array) -> Trajectory:
     return Trajectory(method, mesh, moved(method.support, trajectory.states), moved(method.points, trajectory.inputs))
 
 
+def tail(reference: Reference, begin: float, *, seconds: float, turns: Array) -> Reference:
+    """Return `seconds` of a reference from the time `begin` s on, to its end if that is sooner.
+
+    turns (n,) rad: taken off its angles.
+    """
+    end = min(begin + seconds, float(reference.mesh[-1]))
+    inside = (reference.mesh > begin + _NODE) & (reference.mesh < end - _NODE)
+    cut = on_mesh(reference, np.concatenate([[begin], reference.mesh[inside], [end]]))
+    cut.states[..., : len(turns)] -= turns
+    return replace(reference, mesh=cut.mesh - begin, states=cut.states, inputs=cut.inputs)
+
+
+_NODE = 1e-3
+"""s: no interval is shorter."""
+
+
 def _tightened(limits: Limits, asked: Limits, largest: dict[str, float]) -> Limits | None:
     """Return limits for the nodes that pull the polynomials inside `asked`, or None if they are inside."""
     changes = {}

@@ -160,6 +160,22 @@ def joined(pieces: Sequence[Reference]) -> tuple[Reference, Array]:
     return together, begins
 
 
+_START = "start_{}_{}"
+
+
+def start_arrays(which: int, lead_in: Reference) -> dict[str, Array]:
+    """Return the extra arrays of the transfer that the plan's start of this number begins with."""
+    return {_START.format(which, name): array for name, array in picked(lead_in, "mesh", "states", "inputs").items()}
+
+
+def start_reference(reference: Reference, which: int) -> Reference | None:
+    """Return the transfer that the plan's start of this number begins with, None where it is at rest already."""
+    arrays = {name: reference.extra.get(_START.format(which, name)) for name in ("mesh", "states", "inputs")}
+    if any(array is None for array in arrays.values()):
+        return None
+    return replace(reference, **arrays, extra=MappingProxyType({}), notes=MappingProxyType({}))
+
+
 FORMAT = "dpcontrol-reference"
 VERSION = 2
 READ = (1, 2)
@@ -494,6 +510,18 @@ class SegmentNote(TypedDict):
     periods: NotRequired[int]
 
 
+class StartNote(TypedDict):
+    """A way from hanging at rest to a stop: it ends on the plan's reference `at` s, the arms `turns` short of there.
+
+    status: how the transfer was found. Its arrays are extra ones (`start_reference`); a stop at rest needs none.
+    """
+
+    stop: int
+    at: float
+    turns: list[int]
+    status: str
+
+
 class PlanNotes(TypedDict):
     """All of a plan's notes. wraps: one for each interior stop, None beside a transfer, where they are not counted;
     transfers: s between which the pendulum is on its way from piece to piece, and taken: what each of them takes;
@@ -519,6 +547,7 @@ class PlanNotes(TypedDict):
     plan: NotRequired[str]
     stay: NotRequired[StayNote]
     program: NotRequired[list[SegmentNote]]
+    starts: NotRequired[list[StartNote]]
 
 
 def plan_notes(reference: Reference) -> PlanNotes:

@@ -11,7 +11,7 @@ arm passes near other lattice points on its way, but quickly. While a plan has i
 
 import io
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from typing import Any, TypeVar
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import NisMeans, chi_square_band, nis_means
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs import RunLog
+from dpcontrol.logs import Flight, RunLog, joined_at
 from dpcontrol.references.reference import PlanNotes, Reference, StopNote, load_reference, plan_notes
 
 Array = NDArray[np.float64]
@@ -264,7 +264,8 @@ class Score:
     completed: None where the true state is not known. wraps: at each interior stop that was reached, None beside a
     transfer. rms_tracking_error rad, over the angles; max_cart_position m; rms_cart_acceleration m/s²; nis_inside_95:
     share of ticks; nis_means: of its means, None of a run too short for one. real_time_factor, thinking: None where the
-    log does not say. reason: a sentence.
+    log does not say. reason: a sentence. falls: from which it came back, or not; attempts: of each symbol, where it
+    could come back, 0 of one that was not begun.
     """
 
     log: str
@@ -281,13 +282,16 @@ class Score:
     reason: str
     nis_means: NisMeans | None = None
     thinking: Thinking | None = None
+    falls: int = 0
+    attempts: tuple[int, ...] = ()
 
     @property
     def sentence(self) -> str:
         """The verdict in one line."""
         done = {True: "completed", False: "NOT completed", None: "completion unknown"}[self.completed]
         symbols = f"{self.symbols_completed} of {self.symbols_total} symbols; " if self.symbols_total else ""
-        return f"{done}: {symbols}{self.reason}"
+        falls = f" after {self.falls} fall{'s' * (self.falls > 1)}" if self.falls else ""
+        return f"{done}{falls}: {symbols}{self.reason}"
 
     def __repr__(self) -> str:
         return f"<score: {self.sentence}>"
@@ -355,7 +359,8 @@ class Flown:
 
     time (K,) s; states (K, 2n+2): true ones where they are known; reference_angles (K, n); applied (K,): the cart's
     acceleration, m/s². ended: why the run ended, for one that ended before its reference. limits: the cart's in this
-    run: position m, velocity m/s, acceleration m/s²; None without a cart.
+    run: position m, velocity m/s, acceleration m/s²; None without a cart. flights: when it was on its itinerary; none
+    of a run that could not recover, which was on it throughout.
     """
 
     time: Array
@@ -365,6 +370,7 @@ class Flown:
     rate_hz: float
     limits: tuple[float, float, float] | None
     ended: str = ""
+    flights: tuple[Flight, ...] = ()
 
     @property
     def angles(self) -> Array:
@@ -381,8 +387,35 @@ class Verdict:
     problem: str
 
 
+def spliced(flown: Flown, plan: Reference) -> Flown:
+    """Return what of a run counts, by the plan's own time and turns: each flight up to where a later one begins anew.
+
+    What was completed before a fall stays completed, and what was flown twice counts as it was flown last.
+    """
+    n, pieces = flown.reference_angles.shape[1], []
+    again = [flight.at for flight in flown.flights]
+    for k, flight in enumerate(flown.flights):
+        rows = np.arange(flight.first, flight.end)
+        times = flight.at + (rows - flight.first) / flown.rate_hz
+        rows, times = (values[times < min(again[k + 1 :], default=np.inf)] for values in (rows, times))
+        if not len(rows):
+            continue
+        turns = flown.reference_angles[rows[0]] - plan.state(plan.mesh[0] + times[0])[:n]
+        turns = np.rint(turns / (2 * np.pi)) * 2 * np.pi
+        states = flown.states[rows]
+        states[:, :n] -= turns
+        pieces.append((times, states, flown.reference_angles[rows] - turns, flown.applied[rows]))
+    if not pieces:
+        return flown
+    time, states, references, applied = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
+    return replace(flown, time=time, states=states, reference_angles=references, applied=applied, flights=())
+
+
 def verdict_on(flown: Flown, plan: Reference) -> Verdict:
     """Judge a run by its plan."""
+    if flown.flights:
+        verdict = verdict_on(spliced(flown, plan), plan)
+        return verdict if verdict.problem else replace(verdict, problem=_limits(flown))
     notes = plan_notes(plan)
     decoded = decode_run(flown.time, flown.angles, flown.reference_angles, notes=notes, rate_hz=flown.rate_hz)
     return Verdict(max(0, decoded.matched - 1), decoded.wraps, _problem(flown, plan, decoded))
@@ -405,11 +438,14 @@ def score(log: RunLog) -> Score:
         rate_hz=log.rate_hz,
         limits=log.limits if log.has_cart else None,
         ended=bad[-1].text if bad else "",
+        flights=flights_of(log),
     )
     verdict = verdict_on(flown, plan)
+    counted = spliced(flown, plan) if flown.flights else flown
     low, high = chi_square_band(log.measured.shape[1])
     nis = log.control["nis"][np.isfinite(log.control["nis"])]
-    away = flown.angles - flown.reference_angles
+    away = counted.angles - counted.reference_angles
+    falls = sum(event.name == "return" and event.level == "warn" for event in log.events)
     factor, seed = _noted(log, "real_time_factor", float), _noted(log, "seed", int)
     reason = verdict.problem or _done(verdict.wraps, plan_notes(plan))
     if not known:
@@ -431,7 +467,39 @@ def score(log: RunLog) -> Score:
         reason=reason,
         nis_means=nis_means(log.control["nis"], log.measured.shape[1]),
         thinking=_thinking(log),
+        falls=falls,
+        attempts=_attempts(log, verdict.symbols, len(plan_notes(plan)["symbols"])) if flown.flights else (),
     )
+
+
+def flights_of(log: RunLog) -> tuple[Flight, ...]:
+    """Return when a run was on its itinerary, by its events: of its last lap; none where it could not recover."""
+    flights: list[Flight] = []
+    under_way: Flight | None = None
+    for event in log.events:
+        tick = round((event.time - float(log.time[0])) * log.rate_hz) if len(log.time) else 0
+        if event.name in _JOINING and (joined := joined_at(event.text)) is not None:
+            if event.name == "lap":
+                flights.clear()
+            under_way = Flight(tick, len(log.time), joined[0])
+        elif event.name == "return" and under_way is not None:
+            flights.append(under_way._replace(end=min(tick + 1, len(log.time))))
+            under_way = None
+    return (*flights, *([under_way] if under_way is not None and under_way.first < len(log.time) else ()))
+
+
+_JOINING = ("resume", "lap")
+
+
+def _attempts(log: RunLog, done: int, symbols: int) -> tuple[int, ...]:
+    """Return how many attempts each symbol took, 0 of one that was not come to; done: how many were completed."""
+    out = [0] * symbols
+    for event in log.events:
+        joined = joined_at(event.text) if event.name == "resume" else None
+        if joined is not None and 0 < joined[1] <= symbols:
+            out[joined[1] - 1] = max(out[joined[1] - 1], joined[2])
+    # One that was flown right after the one before it took one.
+    return tuple(count or int(k < done) for k, count in enumerate(out))
 
 
 def _thinking(log: RunLog) -> Thinking | None:

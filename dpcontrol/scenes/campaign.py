@@ -200,6 +200,7 @@ def _row(job: Job, reference: Reference, seed: int, run: BatchRun, *, path: str)
         rate_hz=loop.rate,
         limits=(limits.position, limits.velocity, limits.acceleration),
         ended=ended,
+        flights=run.flights,
     )
     verdict = verdict_on(flown, reference)
     symbols = reference.notes["symbols"]

@@ -224,7 +224,7 @@ def overridden(loop: LoopSettings, options: RunOptions) -> LoopSettings:
     Raises:
         InputError: an unknown kind, or an impossible value.
     """
-    homes = {**_HOMES, "hold": "supervisor"}
+    homes = {**_HOMES, **dict.fromkeys(("hold", "on_fall", "attempts"), "supervisor")}
     kinds: Mapping[str, Mapping[str, type]] = {"controller": CONTROLLERS, "estimator": ESTIMATORS}
     changes: dict[str, dict[str, Any]] = {}
     own: dict[str, Any] = {}

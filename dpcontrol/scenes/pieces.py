@@ -192,9 +192,7 @@ def _transfer(
         onward = np.rint(apart) * 2 * np.pi + lift
         found = _blend(itinerary, before, lift, after, onward, progress)
         return SolvedPiece(f"change of energy at {after.where[0]}", None, onward, found)
-    # Half a turn apart, both ways round are tried.
-    choices = [sorted({np.floor(a), np.ceil(a)}, key=abs) if 0.1 < a % 1 < 0.9 else [np.rint(a)] for a in apart]
-    turns = [np.array(ways) for ways in product(*choices)]
+    turns = ways_round(apart)
     if before.shadowing is None and after.shadowing is None:
         # Between equilibria one way is as good as its mirror image.
         turns = [way for k, way in enumerate(turns) if not any(np.allclose(way - apart, apart - w) for w in turns[:k])]
@@ -210,6 +208,15 @@ def _transfer(
     landed = found.state(found.duration)
     onward = turns[int(np.argmin([np.abs(landed - end).max() for end in ends]))] * 2 * np.pi + lift
     return SolvedPiece(text, None, onward, turned(found, lift))
+
+
+def ways_round(apart: Array) -> list[Array]:
+    """Return the whole turns (n,) by which arms that are `apart` (n,) turns may come together.
+
+    Half a turn apart, both ways round are tried.
+    """
+    choices = [sorted({np.floor(a), np.ceil(a)}, key=abs) if 0.1 < a % 1 < 0.9 else [np.rint(a)] for a in apart]
+    return [np.array(ways) for ways in product(*choices)]
 
 
 def _blend(

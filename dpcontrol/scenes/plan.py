@@ -18,7 +18,7 @@ from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
 from dpcontrol.foundation.cost import Cost, announce
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash, picked
-from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.references.reference import PlanNotes, Reference, load_reference, plan_notes, save_reference
 from dpcontrol.scenes.itinerary import HoldPart, Itinerary, itinerary_from
 from dpcontrol.scenes.model import model_from
@@ -197,6 +197,8 @@ def make_plan(
         InputError: the walk asks for connections that do not exist at this energy, or the plan would take too long.
         GoalMissed: an orbit or the shadowing orbit did not converge.
     """
+    if itinerary.loop.supervisor.on_fall != "stop":
+        return _with_starts(itinerary, orbits, progress=progress, fresh=fresh, yes=yes)
     file = cache_file("plans", itinerary.name, plan_key(itinerary))
     if not fresh and (content := kept(file)) is not None:
         return Plan(itinerary, load_reference(BytesIO(content)), file, cached=True)
@@ -210,6 +212,32 @@ def make_plan(
     plan = Plan(itinerary, reference, file, cached=False)
     if plan.converged:
         keep(file, plan.archive)
+    return plan
+
+
+def _with_starts(
+    itinerary: Itinerary, orbits: "Sequence[ShadowingOrbit]", *, progress: Progress, fresh: bool, yes: bool
+) -> Plan:
+    """Return the plan of an itinerary with ways from rest to its stops, by which its runs go on after a fall."""
+    stops = replace(itinerary.loop, supervisor=replace(itinerary.loop.supervisor, on_fall="stop"))
+    whole = part_of(progress, 0.0, 0.7)
+    plan = make_plan(replace(itinerary, loop=stops), orbits=orbits, progress=whole, fresh=fresh, yes=yes)
+    content = [plan_key(itinerary), itinerary.loop.travel, code_hash("dpcontrol.scenes.starts")]
+    file = cache_file("plans", f"{itinerary.name}-starts", content_hash(json.dumps(content)))
+    if not fresh and (found := kept(file)) is not None:
+        return Plan(itinerary, load_reference(BytesIO(found)), file, cached=plan.cached)
+    if not plan.converged:
+        return replace(plan, itinerary=itinerary)
+    # By name, as below: a plan without starts does not depend on what makes them.
+    planned_starts = import_module("dpcontrol.scenes.starts").planned_starts
+    starts, arrays = planned_starts(itinerary, plan.reference, progress=part_of(progress, 0.7, 1.0))
+    reference = replace(
+        plan.reference,
+        notes={**plan.reference.notes, "starts": starts},
+        extra={**plan.reference.extra, **arrays},
+    )
+    plan = Plan(itinerary, reference, file, cached=False)
+    keep(file, plan.archive)
     return plan
 
 

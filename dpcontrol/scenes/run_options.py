@@ -74,6 +74,10 @@ class RunOptions:
     hold: str | None = _option(
         SUPERVISOR, "Where tracking is lost, hold the nearest orbit or equilibrium: nearest; or none."
     )
+    on_fall: str | None = _option(
+        SUPERVISOR, "After a fall: stop; resume, from rest at the symbol that failed; or restart the itinerary."
+    )
+    attempts: int | None = _option(SUPERVISOR, "Attempts of one symbol until the run ends; 0: no limit.")
 
     def given(self) -> dict[str, Any]:
         """Return the settings that are given, by name."""
