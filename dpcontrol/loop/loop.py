@@ -80,8 +80,8 @@ class ControlLoop:
     rate_noise, (n, 1) rad/s by tick: what is added to the rates that the controller steers by, as where rates are
     measured and not estimated (Wiebe et al., Open-source dual-purpose acrobot and pendubot platform, IEEE RAM 2024);
     the estimator itself goes on without it. fallback: used when the supervisor gives the reference up; without one the
-    run ends then, or `recovery` says how it goes on. keep: whether the result holds all ticks, or only the last block
-    of them. The rig's `truth`, where it has one, is recorded and never used.
+    run ends then, or `recovery` says how it goes on. until: the tick at which a run that recovers ends at the latest, 0
+    for none. keep: whether the result holds all ticks, or only the last block of them. The rig's `truth`, where it has one, is recorded and never used.
     """
 
     def __init__(
@@ -93,16 +93,18 @@ class ControlLoop:
         rate_noise: StreamReader | None = None,
         fallback: Fallback | None = None,
         recovery: Recovery | None = None,
+        until: int = 0,
         keep: bool = True,
         progress: Progress = no_progress,
     ) -> None:
         self.ticker, self.limits, self.sink, self.fallback, self.progress = ticker, limits, sink, fallback, progress
-        self._rate_noise, self._recovery, self._keep = rate_noise, recovery, keep
+        self._rate_noise, self._recovery, self._until, self._keep = rate_noise, recovery, until, keep
         self.count = ticker.count
         self.ending, self.reason, self._stopped = Ending.FINISHED, "came to the reference's end", False
         self._period, self._arms = ticker.program.period, ticker.program.model.arms
         self._rows = Ticks.empty(0, self._arms, has_truth=False, period=self._period)
         self._full: list[Ticks] = []
+        self._fall: tuple[Outcome, str] | None = None
         self._flush_every = max(1, round(_FLUSH_SECONDS / self._period))
         self._done = self._flushed = self._first = 0
         if fallback is not None:
@@ -180,14 +182,20 @@ class ControlLoop:
             if report.item(news, 0):
                 self._tell(k)
             if recovery is not None:
-                self._tell_all(done, recovery.follow_up(k, report, ticker, period))
+                if self._fall is not None:
+                    self._recover(k, *self._fall, rig)
+                elif not self._stopped:
+                    self._tell_all(done, recovery.follow_up(k, report, ticker, period))
                 if done == ticker.began + ticker.count:
-                    following = recovery.ended(k, report, ticker)
+                    following = () if self._stopped else recovery.ended(k, report, ticker)
                     if not following:
                         break
                     self._tell_all(done, following)
                 if self._stopped and report.item(done_at, 0):
                     break
+                if done == self._until and not self._stopped:
+                    self.reason, self._stopped = "the time asked for is over", True
+                    ticker.brake(k)
             elif done == self.count or report.item(done_at, 0):
                 break
             if done % self._flush_every == 0:
@@ -224,11 +232,9 @@ class ControlLoop:
         if outcome is not Outcome.GO_ON:
             why = explained(outcome, now, ticker.figures(k), arms=self._arms, period=self._period)
             if self._recovery is not None and outcome >= Outcome.ESTIMATE_LOST:
-                told = self._recovery.fell(k, outcome, why, ticker, self._period)
-                if told is not None:
-                    self._tell_all(k, [told])
-                    return
-                why += f"; given up after {self._recovery.falls} falls"
+                # The rest of this tick is still of what was followed.
+                self._fall = outcome, why
+                return
             self._event(now, "warn", EVENTS.get(outcome, "stop"), why)
             if outcome is Outcome.RESTART:
                 self._rows.without_nis(k - self._first)
@@ -247,6 +253,21 @@ class ControlLoop:
         if report.item(ticker.at["stop"], 0) and (self._stopped or self._recovery is None):
             # The drive brakes by itself; what is sent meanwhile is what the loop believes it does.
             rig.stop()
+
+    def _recover(self, k: int, outcome: Outcome, why: str, rig: Rig) -> None:
+        """Return from a fall at tick k, or bring the run to its end where no attempt is left."""
+        recovery = self._recovery
+        assert recovery is not None
+        self._fall = None
+        told = recovery.fell(k, outcome, why, self.ticker, self._period)
+        if told is not None:
+            self._tell_all(k, [told])
+            return
+        why += f"; given up after {recovery.falls} fall{'s' * (recovery.falls > 1)}"
+        self._event(k * self._period, "warn", "stop", why)
+        self.ending, self.reason, self._stopped = ending(outcome), why, True
+        self.ticker.stand(k)
+        rig.stop()
 
     def _tell_all(self, k: int, told: Sequence[Told]) -> None:
         """Make events of what is told at tick k."""
@@ -511,13 +532,14 @@ def control_loop(
     sink: LoopSink | None = None,
     fallback: Fallback | None = None,
     recovery: Recovery | None = None,
+    until: int = 0,
     keep: bool = True,
     library: Path | None = None,
     progress: Progress = no_progress,
 ) -> ControlLoop:
     """Return a loop for any rig, simulated or real; believed_delay in periods, the drive's own by default.
 
-    rate_noise, (n, 1) rad/s by tick, recovery, keep: see `ControlLoop`. library: see `make_ticker`.
+    rate_noise, (n, 1) rad/s by tick, recovery, until, keep: see `ControlLoop`. library: see `make_ticker`.
 
     Raises:
         InputError: the delay is impossible, or the controller is not for these arms; or the library is not for this.
@@ -532,7 +554,7 @@ def control_loop(
     )
     return ControlLoop(
         ticker, limits=limits, sink=sink or NoSink(), rate_noise=rate_noise, fallback=fallback, recovery=recovery,
-        keep=keep, progress=progress,
+        until=until, keep=keep, progress=progress,
     )  # fmt: skip
 
 
@@ -546,14 +568,17 @@ def run_loop(
     sink: LoopSink | None = None,
     fallback: Fallback | None = None,
     recovery: RecoveryPlan | None = None,
+    until: int = 0,
+    keep: bool = True,
     library: Path | None = None,
     progress: Progress = no_progress,
 ) -> LoopResult:
     """Track `reference` on a simulated bench, with `parameters` as the model of controller and estimator.
 
     controller, fallback, recovery: made before, by `loop_controller` and the like with the same settings, to spare
-    making them for each of many seeds. uncertainty: of the model, for settings that draw the plant from it. library:
-    see `make_ticker`.
+    making them for each of many seeds. until: the tick up to which it is done again and again, where it recovers from
+    falls; 0: it is done once. keep: whether all ticks are in the result, or the last block of them. uncertainty: of the
+    model, for settings that draw the plant from it. library: see `make_ticker`.
 
     Raises:
         InputError: the reference did not converge, or is not one of these arms; an uncertainty is asked for and not
@@ -568,10 +593,13 @@ def run_loop(
         recovery = loop_recovery(reference, parameters, settings, controller)
     limits, first = settings.limits(reference), controller.first_state
     draw = settings.draw(parameters, ticks=controller.ticks + 1, uncertainty=uncertainty)
+    if recovery is not None:
+        draw = draw.endless()
     loop = control_loop(
         parameters, settings, controller, limits=limits,
         rate_noise=draw.reader("rate_noise", lambda rows: rows[:, :, None]), sink=sink, fallback=fallback,
-        recovery=None if recovery is None else Recovery(recovery, controller), library=library, progress=progress,
+        recovery=None if recovery is None else Recovery(recovery, controller, laps=until > 0), until=until, keep=keep,
+        library=library, progress=progress,
     )  # fmt: skip
     rig = SimulatedRig(draw, settings.bench, limits=limits, start=first, queued=loop.queued)
     return replace(loop.run(rig), plant=draw.plant.arms)

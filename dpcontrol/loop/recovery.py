@@ -27,15 +27,15 @@ from dpcontrol.references.problem import Limits
 
 Array = NDArray[np.float64]
 
-RETURN_SECONDS = 60.0
-"""After which a return that has not come to rest begins anew."""
+RETURN_SECONDS = 15.0
+"""After which a return that has not come to rest begins anew: it takes 6 s at most from states that falls leave."""
 FOLLOWED = 0.15
 """rad: while the mean distance from the reference is below this it is followed; and `_BEFORE` s before, it was."""
 _BEFORE = 0.5
 REST_ANGLE, REST_RATE, REST_CART = 0.05, 0.1, 0.01
 """rad, rad/s, m and m/s: by the estimate, what counts as hanging at rest, the cart in the middle."""
-REST_SECONDS = 0.3
-"""For so long."""
+REST_SECONDS, FRESH_SECONDS = 0.3, 0.2
+"""For so long; and for how long the filter, which begins anew then, is left to find the rates."""
 _TRIED = 0.3
 """s for which a filter that began anew is watched before it is believed."""
 _STUCK = 20.0
@@ -61,6 +61,7 @@ def calming_bounds(limits: Limits) -> Mapping[str, float]:
     return {
         "lost_tracking": 1e9, "resynchronise": 0.0, "can_hold": 0.0, "restarts": 1e9,
         "brake": 2 * BRAKING * limits.acceleration, "margin": 0.0,
+        "trust": 1e9,
     }  # fmt: skip
 
 
@@ -142,10 +143,10 @@ class Recovery:
         self.motion = Motion.ITINERARY
         self.falls = 0
         self._attempts: dict[int, int] = {}
-        self._stop, self._lap = 0, 1
+        self._stop, self._lap, self._begins = 0, 1, False
         self._at, self._joins = 0.0, 0
         self._followed, self._rested, self._lost_at = 0, 0, 0
-        self._calms, self._began, self._bounds = False, 0, dict[str, float]()
+        self._calms, self._fresh, self._began, self._bounds = False, False, 0, dict[str, float]()
         self._why, self._sensor = Outcome.GO_ON, 0
         self._flown: list[Flight] = []
 
@@ -158,7 +159,7 @@ class Recovery:
         """Remember by what flights are judged; return what is told of the first motion."""
         self._bounds = {name: ticker.number(name) for name in calming_bounds(self._plan.limits)}
         ticker.prepare_to_hold()
-        return self._resumed("resume")
+        return self._resumed()
 
     def _progress(self) -> str:
         symbols, place = self._plan.symbols, self._stop
@@ -166,8 +167,9 @@ class Recovery:
         what = "the last stop" if last else f"symbol {place + 1} of {len(symbols)} ({symbols[place]!r})"
         return f"{what}, attempt {self._attempts.get(self._stop, 0) + 1}"
 
-    def _resumed(self, name: str) -> Event:
-        what = self._progress() if name == "resume" else f"lap {self._lap}"
+    def _resumed(self) -> Event:
+        name, what = ("lap", f"lap {self._lap}") if self._begins else ("resume", self._progress())
+        self._begins = False
         return Event("info", name, joined_text(self._at, what))
 
     def fell(self, k: int, outcome: Outcome, why: str, ticker: Ticker, period: float) -> Event | None:
@@ -189,10 +191,11 @@ class Recovery:
         self.motion, self._why, self._began = Motion.RETURN, outcome, k
         self._sensor = int(ticker.program.report[ticker.at["sensor"], 0])
         self._rested, self._lost_at = k, k
+        # What it has learned of the arms' parameters may be nonsense by now.
+        ticker.lose()
         if outcome in (Outcome.ESTIMATE_LOST, Outcome.SILENT, Outcome.STUCK):
             # The cart stands until the estimate may be believed again.
-            self._calms = False
-            ticker.lose()
+            self._calm(k, ticker, stands=True)
         else:
             self._calm(k, ticker)
         return Event("warn", "return", f"{why}; {self._progress_lost()}") if told else Event("", "", "")
@@ -203,12 +206,15 @@ class Recovery:
             return "the itinerary begins anew from rest"
         return f"symbol {number} of {total} is done again" if number <= total else "the last stop is gone to again"
 
-    def _calm(self, k: int, ticker: Ticker) -> None:
-        self._calms, self._rested = True, k
+    def _calm(self, k: int, ticker: Ticker, *, stands: bool = False) -> None:
+        """Calm the arms from the tick after k on; stands: or brake, and stand for the time being."""
+        self._calms, self._rested, self._fresh = not stands, k, False
         ticker.follow(
             k + 1, self._plan.calming, lift=np.zeros(len(self._plan.calming.first_state) // 2 - 1),
             bounds=calming_bounds(self._plan.limits), heeds_switch=False,
         )  # fmt: skip
+        if stands:
+            ticker.brake(k + 1)
 
     def follow_up(self, k: int, report: Array, ticker: Ticker, period: float) -> Sequence[Event]:
         """Look at tick k, which has just been done; return what is told, where something else begins with the next."""
@@ -220,13 +226,19 @@ class Recovery:
             if k + 1 < self._joins:
                 return ()
             self.motion, self._followed = Motion.ITINERARY, k
-            return [self._resumed("resume")]
+            return [self._resumed()]
+        over = k + 2 == ticker.began + ticker.count
         if not self._calms:
-            if self._believed(k, report, ticker, period):
-                self._calm(k, ticker)
+            if (believed := self._believed(k, report, ticker, period)) or over:
+                self._calm(k, ticker, stands=not believed)
             return ()
-        if not self._at_rest(k, report, period):
-            if (k - ticker.began) * period >= RETURN_SECONDS - period:
+        for_s = self._at_rest(k, report) * period
+        if for_s < REST_SECONDS + FRESH_SECONDS:
+            if for_s >= REST_SECONDS and not self._fresh:
+                ticker.lose()
+                self._fresh = True
+            if over:
+                ticker.lose()
                 self._calm(k, ticker)
             return ()
         rested = Event("info", "at rest", f"after {(k - self._began) * period:.2f} s")
@@ -234,20 +246,17 @@ class Recovery:
 
     def _believed(self, k: int, report: Array, ticker: Ticker, period: float) -> bool:
         """Tell whether the cart stands, and the filter agrees with the readings again."""
-        if not report.item(ticker.at["done"], 0) or (k - self._lost_at) * period < _TRIED:
-            return False
-        nis, silent = report.item(ticker.at["mean_nis"], 0), report.item(ticker.at["silent"], 0)
         # Arms that hang still stand as one that is stuck: in the end it is tried.
         since = k - self._began
         stuck = self._why is Outcome.STUCK and since * period < _STUCK and ticker.repeats(self._sensor) >= since
-        if nis <= ticker.number("lost_estimate") and silent == 0 and not stuck:
-            return True
-        if not nis <= ticker.number("lost_estimate"):
+        lost = not report.item(ticker.at["mean_nis"], 0) <= ticker.number("lost_estimate")
+        if stuck or lost or report.item(ticker.at["silent"], 0):
             self._lost_at = k
             ticker.lose()
-        return False
+        return bool(report.item(ticker.at["done"], 0)) and (k - self._lost_at) * period >= _TRIED
 
-    def _at_rest(self, k: int, report: Array, period: float) -> bool:
+    def _at_rest(self, k: int, report: Array) -> int:
+        """Return for how many ticks the arms hang at rest, the cart in the middle, up to tick k."""
         n = len(self._plan.calming.first_state) // 2 - 1
         state = report[: 2 * n + 2, 0].tolist()
         moves = (
@@ -255,9 +264,10 @@ class Recovery:
             or any(abs(rate) > REST_RATE for rate in state[n : 2 * n])
             or any(abs(cart) > REST_CART for cart in state[2 * n :])
         )
-        if moves:
+        # A filter that begins anew takes its time to see that rates are small.
+        if moves and not self._fresh:
             self._rested = k
-        return (k - self._rested) * period >= REST_SECONDS
+        return k - self._rested
 
     def _start(self, k: int, report: Array, ticker: Ticker) -> list[Event]:
         plan = self._plan
@@ -271,14 +281,14 @@ class Recovery:
         told = [Event("info", "start", text)]
         if start.lead_in == 0:
             self.motion, self._followed = Motion.ITINERARY, k
-            told.append(self._resumed("resume"))
+            told.append(self._resumed())
         return told
 
     def ended(self, k: int, report: Array, ticker: Ticker) -> Sequence[Event]:
         """Return what is told where the reference ends with tick k and another lap follows; none: the run ends."""
         if not self._laps or self.motion is not Motion.ITINERARY:
             return ()
-        self._lap += 1
+        self._lap, self._begins = self._lap + 1, True
         # What the run is judged by is its last lap.
         self._flown.clear()
         self._attempts.clear()
@@ -290,7 +300,7 @@ class Recovery:
         if np.abs(apart).max() <= _MEETS:
             ticker.follow(k + 1, self._main, lift=turns, bounds=self._bounds)
             self._followed = k
-            return [self._resumed("lap")]
+            return [self._resumed()]
         self.motion, self._began = Motion.RETURN, k
         self._calm(k, ticker)
         return [Event("info", "return", f"lap {self._lap - 1} is done; the next one begins from rest")]

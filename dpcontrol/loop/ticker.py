@@ -241,8 +241,9 @@ class Ticker:
         self._coming.clear()
         if schedule is None:
             self._session = self._begun()
-            self.references = np.empty((self.count, self._n))
-            self._coming.extend([program.report[: self._n, 0].copy()] * self.lead)
+            now = program.report[: self._n, 0].copy()
+            self.references = np.tile(now, (self.count, 1))
+            self._coming.extend([now] * self.lead)
             return
         self._session, turned = None, schedule.turned(lift)
         self.references, self._rows = turned.references, turned.rows[:, :, None]
@@ -276,6 +277,11 @@ class Ticker:
             stands = self.references.copy()
             stands[k - self.began :] = stands[k - self.began]
             self.references = stands
+
+    def brake(self, k: int) -> None:
+        """Bring the cart to rest from the tick after k on, whatever is followed."""
+        self.program.memory[self.program.equations.memory.slices["stopped"]] = float(Outcome.TRACKING_LOST)
+        self.stand(k)
 
     def rehearse(self) -> None:
         """Do ticks that nobody sees, so that all is in memory before the first deadline."""
