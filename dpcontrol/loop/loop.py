@@ -80,8 +80,9 @@ class ControlLoop:
     rate_noise, (n, 1) rad/s by tick: what is added to the rates that the controller steers by, as where rates are
     measured and not estimated (Wiebe et al., Open-source dual-purpose acrobot and pendubot platform, IEEE RAM 2024);
     the estimator itself goes on without it. fallback: used when the supervisor gives the reference up; without one the
-    run ends then, or `recovery` says how it goes on. until: the tick at which a run that recovers ends at the latest, 0
-    for none. keep: whether the result holds all ticks, or only the last block of them. The rig's `truth`, where it has one, is recorded and never used.
+    run ends then, or `recovery` says how it goes on. until: the tick at which a run that recovers ends at the latest,
+    0 for none. keep: whether the result holds all ticks, or only the last block of them. The rig's `truth`, where it
+    has one, is recorded and never used.
     """
 
     def __init__(
