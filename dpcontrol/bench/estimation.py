@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from dpcontrol.bench.chart import Panel, PrecisionChart
 from dpcontrol.bench.measure import Alternative, Judged, compare
 from dpcontrol.control.estimator_settings import (
+    AdaptiveEkfSettings,
     EkfSettings,
     EstimatorSettings,
     FilterpyEkfSettings,
@@ -44,7 +45,7 @@ ZERO_ERROR = 3e-3
 """rad, about what an arm's resting place is read to."""
 CUTOFFS = (10.0, 30.0, 100.0, math.inf)
 """Hz."""
-AUGMENTS: tuple[tuple[str, ...], ...] = ((), ("zeros",), ("zeros", "drive"), ("zeros", "friction", "parameters"))
+AUGMENTS = ((), ("zeros",), EkfSettings().augment, AdaptiveEkfSettings().augment)
 _METHODS: tuple[tuple[str, type[EstimatorSettings]], ...] = (
     ("EKF, compiled", EkfSettings), ("EKF, filterpy", FilterpyEkfSettings), ("UKF, filterpy", UkfSettings)
 )  # fmt: skip
@@ -128,11 +129,13 @@ def _panel(arms: ArmChainParameters, swings: list[KnownSwing], counts: int, *, q
     measured = swings[0].measured(counts)
     for name, settings in _METHODS:
         for augment in AUGMENTS[:2] if quick and settings is UkfSettings else AUGMENTS:
-            estimator = make_estimator(settings(augment=augment), model, noise=noise_of(arms, counts))
+            default = settings is EkfSettings and augment in AUGMENTS[2:]
+            kind = AdaptiveEkfSettings if default and augment == AUGMENTS[3] else settings
+            estimator = make_estimator(kind(augment=augment), model, noise=noise_of(arms, counts))
             last = estimator.update(estimator.first(np.array(_SWING)), measured[0])
             one = Alternative(
                 name, "+".join(augment) or "state only", partial(estimator.step, last, 0.1, measured[1]),
-                default=settings is EkfSettings and augment == EkfSettings().augment,
+                default=default,
             )  # fmt: skip
             tried.append(one)
             judged[one.method, one.setting] = estimator_trial(estimator, swings, counts=counts)
