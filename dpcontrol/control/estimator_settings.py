@@ -82,11 +82,11 @@ class FilterSettings(Settings, table="estimator"):
     correlation_time: float = setting(0.02, above=0, most=_MOST)
     rate_noise: float = setting(0.03, above=0, most=_MOST)
     cart_noise: float = setting(0.1, above=0, most=_MOST)
-    first_angle: float = setting(0.05, above=0, most=_MOST)
+    first_angle: float = setting(0.03, above=0, most=_MOST)
     first_rate: float = setting(0.1, above=0, most=_MOST)
     first_cart: float = setting(1e-3, above=0, most=_MOST)
     augment: tuple[str, ...] = setting(("zeros", "drive"), choices=tuple(Augment))
-    zero_error: float = setting(0.02, above=0, most=_MOST)
+    zero_error: float = setting(0.012, above=0, most=_MOST)
     disturbance: float = setting(1.0, above=0, most=_MOST)
     disturbance_time: float = setting(0.1, above=0, most=_MOST)
     drive_error: float = setting(3.0, above=0, most=_MOST)
@@ -172,9 +172,11 @@ class AdaptiveEkfSettings(EkfSettings):
     What the parameters explain need not be covered by noise; what they explain by their squares only must be.
     """
 
+    parameter_error: float = 0.02
     rate_noise: float = 0.01
     augment: tuple[str, ...] = ("zeros", "drive", "friction", "parameters")
     friction_error: float = 0.5
+    model_error: float = 0.06
 
 
 @dataclass(frozen=True)

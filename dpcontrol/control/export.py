@@ -23,6 +23,7 @@ import re
 import subprocess
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement, compress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
@@ -140,7 +141,10 @@ def _tables(equations: TickEquations, schedule: GainSchedule) -> _Tables:
     varying = np.ptp(law, axis=0) > 0
     names = ["feedforward", *(f"gain {i + 1}" for i in range(equations.filter.equations.dimension))]
     names += ["acceleration", "gain on acceleration"] if equations.lags else []
-    names += [f"gain on {name}" for name in equations.filter.extra_names] if equations.shares is not None else []
+    if equations.shares is not None:
+        extras = equations.filter.extra_names
+        pairs = combinations_with_replacement(compress(extras, equations.shares), 2)
+        names += [f"gain on {name}" for name in (*extras, *(f"{one} {other}" for one, other in pairs))]
     moving = law[:, varying] if varying.any() else np.zeros((1, 1))
     return _Tables(
         _without_end(moving), varying, law[0], _without_end(states), tuple(np.array(names)[varying]) or ("nothing",)
@@ -149,7 +153,7 @@ def _tables(equations: TickEquations, schedule: GainSchedule) -> _Tables:
 
 def _law_parts(equations: TickEquations) -> list[str]:
     lag = ["drive", "drive_gain"] if equations.lags else []
-    return ["feedforward", "gains", *lag, *([] if equations.shares is None else ["extra_gains"])]
+    return ["feedforward", "gains", *lag, *([] if equations.shares is None else ["extra_gains", "pair_gains"])]
 
 
 def _without_end(rows: Array) -> Array:

@@ -43,6 +43,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from functools import cached_property, lru_cache, partial, reduce
+from itertools import combinations_with_replacement
 from typing import Any
 
 import casadi as ca
@@ -268,11 +269,13 @@ class TickEquations:
         """What the table gives.
 
         Of the tick at which the command acts: feedforward m/s², gains (N,), state (N,), with a lag the cart's
-        acceleration m/s² and the gain on it, and for a law that has them extra_gains (E,). Of this tick:
+        acceleration m/s² and the gain on it, and for a law that has them extra_gains (E,), and pair_gains on the
+        products of shares, in the order of `combinations_with_replacement`. Of this tick:
         wanted (n,), the reference's angles.
         """
         size = self.filter.equations.dimension
-        extras = {} if self.shares is None else {"extra_gains": len(self.shares)}
+        m = sum(self.shares or ())
+        extras = {} if self.shares is None else {"extra_gains": len(self.shares), "pair_gains": m * (m + 1) // 2}
         lag = {"drive": 1, "drive_gain": 1} if self.lags else {}
         return Layout(feedforward=1, gains=size, state=size, **lag, **extras, wanted=self.filter.arms)
 
@@ -415,24 +418,14 @@ class TickEquations:
         keeps = c["lag_keeps"]
         return given + c["lag"] / period * (1 - keeps) * (drive - given), given + keeps * (drive - given)
 
-    def _known(self, e: Mapping[str, ca.SX], c: Mapping[str, ca.SX]) -> ca.SX:
-        """For each extra how far it is known: the square of the share of its first variance that readings took away.
-
-        Square: what little is known at first is mostly noise, and the law would pass it on.
-        """
-        n = self.filter.equations.dimension
-        shares = [1 - e["sigmas"][i] ** 2 / c["fresh"][i] for i in range(n, self.filter.dimension)]
-        return ca.vertcat(*(ca.fmax(share, 0) ** 2 for share in shares))
-
-    def law(
-        self, row: Mapping[str, Any], ahead: Any, drive: Any, extra: Any, known: Any, trust: Any
-    ) -> tuple[Any, Any]:
+    def law(self, row: Mapping[str, Any], ahead: Any, drive: Any, extra: Any, trust: Any) -> tuple[Any, Any]:
         """Return the feedback in m/s², and the number of the last extra that is trusted no further, from 1, else 0."""
         feedback, doubted = 0.0, 0.0
         for i in range(ahead.shape[0]):
             feedback += row["gains"][i] * (row["state"][i] - ahead[i])
         if self.lags:
             feedback += row["drive_gain"] * (row["drive"] - drive)
+        found_wrong: list[Any] = []
         for i, share in enumerate(self.shares or ()):
             value = extra[i]
             if share:
@@ -441,7 +434,10 @@ class TickEquations:
                 value = found / (1 + found / 2)
                 doubted = ca.if_else(ca.fabs(value) > trust, i + 1, doubted)
                 value = _within(value, trust)
-            feedback -= row["extra_gains"][i] * value * known[i]
+                found_wrong.append(value)
+            feedback -= row["extra_gains"][i] * value
+        for k, (one, other) in enumerate(combinations_with_replacement(found_wrong, 2)):
+            feedback -= row["pair_gains"][k] * one * other
         return feedback, doubted
 
     def _stuck(
@@ -530,7 +526,7 @@ class TickEquations:
         """
         n, size, period = self.filter.arms, self.filter.equations.dimension, self.filter.period
         forward = row["feedforward"]
-        by_row, doubted = self.law(row, ahead, drive, e["z"][size:], self._known(e, c), c["trust"])
+        by_row, doubted = self.law(row, ahead, drive, e["z"][size:], c["trust"])
         feedback = back + by_row
         was = m["stopped"] > 0
 

@@ -18,9 +18,14 @@ end count angles across their path many times. The feedback keeps the calm gains
 
     X_{k+1} = (A_k - B_k K̂_k) X_k + E_k - B_k F̂_k,   X_0 = 0,      F_k := F̂_k + (K̂_k - K_k) X_k
 
+What is left of second order along this shift, for each pair of the parameters' errors, is taken for one more lasting
+error, and leant against in the same way:
+
+    E'_k(i, j) = the coefficient of w_i w_j in f(x*_k + X_k w, u*_k - (F̂_k + K̂_k X_k) w, w) - x*_{k+1} - X_{k+1} w
+
 w: above all the relative errors of the model's parameters. N carries back from the reference's end what they will do
-along all that remains, so the feedback leans against a wrong mass before it is felt; without w it is TVLQR. To first
-order in w. The symmetric share 2 (p - p₀)/(p + p₀) stands for a parameter's relative error: it agrees with it to first
+along all that remains, so the feedback leans against a wrong mass before it is felt; without w it is TVLQR. The
+symmetric share 2 (p - p₀)/(p + p₀) stands for a parameter's relative error: it agrees with it to first
 order, and to second with the logarithm, in which the equations know no overall scale.
 Source: Anderson & Moore, section 10.3; Åström & Wittenmark, Adaptive Control, section 1.4 (certainty equivalence).
 
@@ -39,6 +44,8 @@ Source: Hauser & Hindman, Manoeuvre regulation from trajectory tracking, NOLCOS 
 """
 
 from dataclasses import dataclass, field
+from functools import partial
+from itertools import combinations_with_replacement
 from typing import Any
 
 import numpy as np
@@ -238,27 +245,28 @@ class TrackingSession:
 
 @dataclass(frozen=True)
 class AdaptiveSettings(ClosingWeights):
-    """Weights as of "tvlqr", heavier by default: what is known of the model needs no feedback, so there is room.
+    """Weights as of "tvlqr", a little lighter on the angles: what is known of the model needs no feedback.
 
     trust: the greatest share by which a parameter is taken to be wrong; masses and lengths that are off by 0.3 make
     base parameters off by 0.7 at most.
     """
 
     kind: str = "adaptive"
-    angle: float = 20_000.0
-    rate: float = 2000.0
+    angle: float = 8000.0
+    rate: float = 800.0
     closing: float = 60.0
     trust: float = setting(0.8, least=0, most=1.9)
 
 
 @dataclass(frozen=True, eq=False)
 class AdaptiveController(TimedController):
-    """Gains by time on the state and, (K, E), on the extras.
+    """Gains by time on the state, on the extras (K, E), and on the products of all pairs of shares (K, P).
 
     shares (E,): which extras are relative errors of parameters; names: of all; trust: of shares, see the settings.
     """
 
     extra_gains: Array
+    pair_gains: Array
     names: tuple[str, ...]
     shares: NDArray[np.bool_]
     trust: float
@@ -266,7 +274,7 @@ class AdaptiveController(TimedController):
     def schedule(self, lead: int) -> GainSchedule:
         """Return what the loop needs, its commands computed `lead` ticks ahead."""
         return GainSchedule(
-            self._rows(lead, self.extra_gains), self.reference_states, self.feedforward[:lead], Mode.TRACKING,
+            self._rows(lead, self.extra_gains, self.pair_gains), self.reference_states, self.feedforward[:lead], Mode.TRACKING,
             tuple(self.shares.tolist()), self.names, self.trust,
         )  # fmt: skip
 
@@ -436,20 +444,72 @@ def closing_weights(settings: ClosingWeights, states: Array, model: SampledModel
     return out
 
 
-def _shifted(a: Array, b: Array, e: Array, gains: Array, *, weights: Array, effort: float, terminal: Array) -> Array:
-    """Return F (K, E) with which feedback `gains` (K, N) follows the reference that is best for known constants.
+@dataclass(frozen=True, eq=False)
+class _Shift:
+    """What known constants do to first order: gains F (K, E); shift of states (K+1, N, E) and inputs (K, E) for one of
+    each.
+    """
 
-    To first order in them: X_{k+1} = (A - B K̂) X_k + E - B F̂, X_0 = 0, with K̂ and F̂ the gains by `weights`; then
-    F = F̂ + (K̂ - K) X.
+    gains: Array
+    states: Array
+    inputs: Array
+
+
+def _shifted(a: Array, b: Array, e: Array, gains: Array, *, weights: Array, effort: float, terminal: Array) -> _Shift:
+    """Return how feedback `gains` (K, N) follows the reference that is best by `weights` for known constants.
+
+    X_{k+1} = (A - B K̂) X_k + E - B F̂, X_0 = 0, with K̂ and F̂ the gains by `weights`; then F = F̂ + (K̂ - K) X.
     """
     best, directly, _ = riccati_gains(
         a, b, weights=weights, effort=effort, terminal=terminal, extras=(e, np.ones(e.shape[2]))
     )
-    out, moved = np.empty_like(directly), np.zeros(e.shape[1:])
+    out, inputs, states = np.empty_like(directly), np.empty_like(directly), np.zeros((len(b) + 1, *e.shape[1:]))
     for k in range(len(b)):
+        moved = states[k]
+        inputs[k] = -(best[k] @ moved + directly[k])
         out[k] = directly[k] + (best[k] - gains[k]) @ moved
-        moved = a[k] @ moved + e[k] - b[k][:, None] * (best[k] @ moved + directly[k])
-    return out
+        states[k + 1] = a[k] @ moved + e[k] + b[k][:, None] * inputs[k]
+    return _Shift(out, states, inputs)
+
+
+_SHARE = 0.05
+"""Of a parameter, by which it is moved to find what is of second order: that of fourth is a 400th of it."""
+
+
+def _of_second_order(
+    model: SampledModel, estimator: FilterSettings, states: Array, commands: Array, *, shift: _Shift, first: int
+) -> Array:
+    """Return E' (K, N, P) of all pairs of parameters, whose errors are the estimator's extras from `first` on.
+
+    shift: by one of each symmetric share; states (K+1, N) and commands (K,) without it.
+    """
+    equations = FilterEquations(model.equations, model.period, estimator.augments)
+    n, m, count = model.dimension, shift.inputs.shape[1], len(commands)
+    program = Compiled(equations.prediction(with_jacobian=False))
+    inputs, out = np.zeros((program.size_in, count)), np.empty((program.size_out, count))
+    inputs[program.slices["parameters"]] = model.parameters[:, None]
+    inputs[program.slices["process"]] = estimator.process(model.arms, model.period)[:, None]
+
+    lag = model.lag / model.period * (1 - model.lag_keeps)
+
+    def left(shares: Array) -> Array:
+        moved, pushed = shift.states @ shares, shift.inputs @ shares
+        path = states + moved[:, :n]
+        inputs[:n], inputs[program.slices["command"]] = path[:-1].T, commands + pushed
+        if model.lag:
+            inputs[program.slices["command"]] += lag * (moved[:-1, n] - pushed)
+        inputs[n + first : n + first + m] = (shares / (1 - shares / 2))[:, None]
+        return program(inputs, out)[:n].T - path[1:]
+
+    found, one = [], _SHARE * np.eye(m)
+    for i, j in combinations_with_replacement(range(m), 2):
+        if i == j:
+            twice = left(one[i]) + left(-one[i]) - 2 * left(0 * one[i])
+            found.append(twice / (2 * _SHARE**2))
+        else:
+            crossed = left(one[i] + one[j]) + left(-one[i] - one[j]) - left(one[i] - one[j]) - left(one[j] - one[i])
+            found.append(crossed / (4 * _SHARE**2))
+    return np.pad(np.stack(found, axis=2), ((0, 0), (0, int(model.lag > 0)), (0, 0)))
 
 
 def adaptive_controller(
@@ -477,15 +537,24 @@ def adaptive_controller(
     terminal = terminal_cost(a[-1], b[-1], weights=weights, effort=effort)
     every = np.broadcast_to(weights, (len(b), *weights.shape))
     gains, extra_gains, _ = riccati_gains(a, b, weights=every, effort=effort, terminal=terminal, extras=(e, kept))
-    lasting = kept == 1
-    closing = _widened(closing_weights(settings, states, model), model)
-    extra_gains[:, lasting] = _shifted(a, b, e[:, :, lasting], gains, weights=closing, effort=effort, terminal=terminal)
-    if not (np.isfinite(gains).all() and np.isfinite(extra_gains).all()):
-        raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
     names = extra_names(model.arms, estimator.augments)
     shares = np.array([name.startswith(("M", "S")) for name in names])
+    shifted = partial(
+        _shifted, a, b, gains=gains, weights=_widened(closing_weights(settings, states, model), model), effort=effort,
+        terminal=terminal,
+    )  # fmt: skip
+    lasting = kept == 1
+    shift = shifted(e[:, :, lasting])
+    extra_gains[:, lasting] = shift.gains
+    by_share = _Shift(*(x[..., shares[lasting]] for x in (shift.gains, shift.states, shift.inputs)))
+    second = _of_second_order(
+        model, estimator, states, commands, shift=by_share, first=int(np.argmax(shares))
+    )  # fmt: skip
+    pair_gains = shifted(second).gains
+    if not all(np.isfinite(found).all() for found in (gains, extra_gains, pair_gains)):
+        raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
     return AdaptiveController(
         settings.kind, states, **_by_time(reference, model, commands, drive, gains),
         status=f"gains for {len(commands)} ticks, on the state and on {', '.join(names)}",
-        extra_gains=extra_gains, names=names, shares=shares, trust=settings.trust,
+        extra_gains=extra_gains, pair_gains=pair_gains, names=names, shares=shares, trust=settings.trust,
     )  # fmt: skip

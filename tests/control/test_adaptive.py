@@ -143,7 +143,7 @@ def laws_expression() -> ca.Function:
     sizes = {"row": tick.row.size, "state": 6, "extra": 7, "trust": 1}
     row, state, extra, trust = (ca.SX.sym(name, size) for name, size in sizes.items())
     parts = {name: row[where] for name, where in tick.row.slices.items()}
-    law = tick.law(parts, state, ca.SX(0), extra, ca.SX.ones(7), trust)
+    law = tick.law(parts, state, ca.SX(0), extra, trust)
     return ca.Function("law", [row, state, extra, trust], list(law))
 
 
@@ -204,7 +204,22 @@ def test_a_known_error_of_the_model_costs_less_when_foreseen(law: AdaptiveContro
     assert costs["foreseen"] < 0.5 * costs["blind"]
 
 
+def test_what_a_known_error_does_by_its_square_is_leant_against(law: AdaptiveController, model: SampledModel) -> None:
+    diagonal, _ = SETTINGS.weights(2, PERIOD)
+    costs = {}
+    for name, controller in (("foreseen", law), ("blind", replace(law, pair_gains=np.zeros_like(law.pair_gains)))):
+        # Shares that are symmetric: the sum over both signs has what is of even order, and the sampled model's own miss.
+        shares = np.array([0.15, -0.075, 0.105, -0.15])
+        even, miss = (
+            sum(_deviation(controller, model, s / (1 - s / 2)) * np.abs(s / (1 - s / 2)).max() for s in (v, -v))
+            for v in (shares, 1e-6 * shares)
+        )
+        costs[name] = float(((even - miss) ** 2 @ diagonal).sum())
+    assert costs["foreseen"] < 0.2 * costs["blind"]
+
+
 def test_an_overall_scale_of_all_parameters_changes_almost_nothing(law: AdaptiveController) -> None:
+    law = replace(law, pair_gains=0 * law.pair_gains)
     state = law.reference_states[700]
     # A share acts as the logarithm of its factor does, in which the equations know no overall scale.
     for i, factor in ((3, 1.1), (3, 0.9), (4, 1.25), (5, 0.7), (6, 1.4)):

@@ -54,7 +54,7 @@ def test_the_folder_holds_all_that_a_target_needs_and_says_what_it_takes(exporte
     assert all(f"`{name}" in page for name in ("dpc_init", "dpc_step", "dpc_status", "dpc_queued", "dpc_reference"))
     figures, width = source.figures, 4 if precision(exported) == "float" else 8
     # Feedforward, six gains on the state, seven on what is found of drive and arms, and the reference's state.
-    assert figures.tables_per_second == pytest.approx((1 + 6 + 7 + 6) * width * 1000, rel=0.01)
+    assert figures.tables_per_second == pytest.approx((1 + 6 + 7 + 10 + 6) * width * 1000, rel=0.01)
     assert figures.code is None or figures.code < 128 * 1024
 
 
