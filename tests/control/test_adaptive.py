@@ -208,7 +208,7 @@ def test_what_a_known_error_does_by_its_square_is_leant_against(law: AdaptiveCon
     diagonal, _ = SETTINGS.weights(2, PERIOD)
     costs = {}
     for name, controller in (("foreseen", law), ("blind", replace(law, pair_gains=np.zeros_like(law.pair_gains)))):
-        # Shares that are symmetric: the sum over both signs has what is of even order, and the sampled model's own miss.
+        # The sum over both signs has what is of even order, and twice the sampled model's own miss.
         shares = np.array([0.15, -0.075, 0.105, -0.15])
         even, miss = (
             sum(_deviation(controller, model, s / (1 - s / 2)) * np.abs(s / (1 - s / 2)).max() for s in (v, -v))
