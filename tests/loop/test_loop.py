@@ -97,7 +97,7 @@ def test_the_right_model_tracks_to_encoder_counts(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:
     # Zeros that have to be found first cost their share.
-    for augment, most in (((), COUNT), (("zeros",), 2 * COUNT)):
+    for augment, most in (((), COUNT), (("zeros",), 3 * COUNT)):
         settings = LoopSettings(seed=0, estimator=EkfSettings(augment=augment))
         result = run_loop(turn[1], LAB, settings=settings, controller=controller)
         assert result.finished
@@ -217,7 +217,10 @@ def test_arms_of_another_kind_lose_the_estimate_by_name(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:
     other = replace(LAB, gravity=3 * LAB.gravity)
-    strict = replace(REAL.estimator, augment=("zeros",), parameter_error=0.0, rate_noise=1e-4, cart_noise=1e-3)
+    strict = replace(
+        REAL.estimator, augment=("zeros",), parameter_error=0.0, rate_noise=1e-4, cart_noise=1e-3, zero_error=0.02,
+        first_angle=0.05,
+    )  # fmt: skip
     settings = replace(REAL, estimator=strict, plant=other, mismatch=0.0)
     result = run_loop(turn[1], LAB, settings=settings, controller=controller)
     assert result.ending is Ending.ESTIMATE_LOST
