@@ -274,8 +274,8 @@ class AdaptiveController(TimedController):
     def schedule(self, lead: int) -> GainSchedule:
         """Return what the loop needs, its commands computed `lead` ticks ahead."""
         return GainSchedule(
-            self._rows(lead, self.extra_gains, self.pair_gains), self.reference_states, self.feedforward[:lead], Mode.TRACKING,
-            tuple(self.shares.tolist()), self.names, self.trust,
+            self._rows(lead, self.extra_gains, self.pair_gains), self.reference_states, self.feedforward[:lead],
+            Mode.TRACKING, tuple(self.shares.tolist()), self.names, self.trust,
         )  # fmt: skip
 
 
