@@ -12,8 +12,8 @@ A transfer (swing up from rest, come down to rest, change of orbit) follows noth
 travel. The guess turns each arm by a smooth curve without its ends' rates, from which direct collocation finds a
 swing-up as well as a landing (35 of 36 tried; with the ends' rates in the guess 30, and half as gentle). Several
 durations, and several lattice points to end on, are tried on a coarse mesh; the first that leaves the feedback room is
-refined, or else the gentlest. Where it is known how errors grow along a motion under feedback, all are tried, and the
-one is refined whose errors are smallest beside the room that it leaves.
+refined, or else the gentlest. Where it is known how errors grow along a motion under feedback, all are tried, and of
+those that leave room the one is refined whose errors are smallest.
 
 Sources: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., section 4.7; Nocedal &
 Wright, Numerical Optimization, 2nd ed., section 11.3, for continuation; Kelly, An introduction to trajectory
@@ -416,20 +416,15 @@ def shadowed(problem: ReferenceProblem, settings: ReferenceSettings) -> Referenc
 class TransferSettings:
     """How transfers are sought. durations: tried in turn, s; cart_weight: of the cart's position in the cost.
 
-    gentle: a transfer that uses at most this share of every limit is taken at once, where nothing is known of its
-    sensitivity. iterations: of the solver in one
-    try; interval: s, of the mesh on which tries are made.
+    gentle: the share of every limit that a transfer may use and leave the feedback room. iterations: of the solver in
+    one try; interval: s, of the mesh on which tries are made.
     """
 
     durations: tuple[float, ...] = (2.0, 2.5, 1.5, 3.0)
     cart_weight: float = 100.0
-    gentle: float = 0.6
+    gentle: float = 0.7
     iterations: int = 100
     interval: float = 0.05
-
-
-_NO_ROOM = 1e-3
-"""Share of a limit that counts as left where a motion uses all of it."""
 
 
 def smooth_guess(start: Array, end: Array, duration: float) -> Guess:
@@ -468,7 +463,7 @@ def find_transfer(
     tried = replace(wanted, iterations=transfer.iterations)
     method = method_named(settings.method)
     tries = list(product(transfer.durations, ends))
-    solved: list[tuple[float, ReferenceProblem, Trajectory]] = []
+    solved: list[tuple[bool, float, ReferenceProblem, Trajectory]] = []
 
     def sought(duration: float, end: Array) -> tuple[ReferenceProblem, Trajectory]:
         """Return one problem, and the guess on its coarse mesh."""
@@ -486,12 +481,12 @@ def find_transfer(
         if attempt.succeeded:
             largest = largest_values(attempt.trajectory, limits)
             share = max(largest[name] / bound for name, bound in limits.named().items())
-            room = max(1 - share, _NO_ROOM)
-            grown = 1.0 if sensitivity is None else sensitivity(attempt.trajectory)
-            solved.append((grown / room, problem, attempt.trajectory))
-            if sensitivity is None and share <= transfer.gentle:
+            leaves_room = share <= transfer.gentle
+            rank = sensitivity(attempt.trajectory) if leaves_room and sensitivity else share
+            solved.append((not leaves_room, rank, problem, attempt.trajectory))
+            if leaves_room and sensitivity is None:
                 break
-    for _, chosen, trajectory in sorted(solved, key=lambda entry: entry[0]):
+    for *_, chosen, trajectory in sorted(solved, key=lambda entry: entry[:2]):
         found = find_reference(chosen, wanted, near=trajectory)
         outcome = found.status
         if found.converged:

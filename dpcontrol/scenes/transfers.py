@@ -3,8 +3,9 @@
 A transfer is kept by content as soon as it is found, at the turns that its start is named at, so that planning that was
 interrupted goes on where it was, and a motion that comes again, in the same itinerary or another, costs nothing.
 
-Of several motions between the same places the least sensitive is taken. With e the state's distance from the motion
-under linear-quadratic feedback K, to first order in a relative error of one of the arms' parameters,
+Of several motions between the same places, the least sensitive of those that leave the feedback room is taken. With e
+the state's distance from the motion under linear-quadratic feedback K, to first order in a relative error of one of the
+arms' parameters,
 
     e_{k+1} = (A_k - B_k K_k) e_k + E_k,      e_0 = 0,
 

@@ -56,7 +56,7 @@ def test_a_transfer_that_no_duration_allows_says_what_stands_in_the_way():
         )  # fmt: skip
 
 
-def test_the_least_sensitive_motion_beside_its_room_is_taken():
+def test_the_least_sensitive_motion_that_leaves_room_is_taken():
     """Of two durations the one that is said to let errors grow less, though the other comes first and is gentler."""
     asked = {}
 
