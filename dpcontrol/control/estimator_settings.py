@@ -246,11 +246,14 @@ class NisMeans:
         text = f"{self.mean:.2f} on average ({self.expected} expected); {share}"
         ratio = self.mean / self.expected
         if ratio < _CAUTIOUS:
-            return f"{text}: the estimator expects more noise than there is"
-        return f"{text}: the estimator expects less noise than there is" if ratio > 1 / _CAUTIOUS else text
+            return f"{text}: the estimator expects far more noise than there is; {_LESS}"
+        return f"{text}: the estimator expects less noise than there is" if ratio > _BOLD else text
 
 
-_CAUTIOUS = 0.8
+_CAUTIOUS, _BOLD = 0.25, 1.25
+"""Shares of the expected mean. The default leaves room for worse benches than most, above all for their drives: 0.6 at
+1 kHz, 0.34 at 100 Hz. Below a quarter it is what is said of the sensors that is wrong."""
+_LESS = "set counts and noise under [sensors] as the encoders have them, or lower rate_noise and cart_noise"
 
 
 def nis_means(values: Array, freedom: int) -> NisMeans | None:

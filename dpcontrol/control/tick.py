@@ -22,7 +22,7 @@ and velocity are the drive's own, applied before it is believed.
 What is judged, tick by tick:
 
     consistency   mean of NIS / degrees of freedom over a fifth of a second; whether the estimate slipped a turn
-    tracking      mean over about a second of the largest angle's distance from the reference, by the estimate
+    tracking      mean over about a second of the largest angle's distance from the reference, by the encoders
     cart          |x| + v²/(2a) + |v| t_d: where it comes to rest if it brakes from now, after the delay t_d; where the
                   arms are lost by then it is they that end the run
     sensors       which one is stuck: it repeats one reading while the arm must have moved, or the cart was sent on
@@ -234,7 +234,7 @@ class TickEquations:
         sent: commands, oldest first, m/s²; velocity m/s of the cart once all of them have acted; with a lag, drive
         m/s²: the cart's acceleration when the coming period begins. error rad and nis: the means; silent s;
         restarts so far; held: 1 after the reference was given up; moved s since the clock was;
-        restart: 1 where the filter begins anew; stopped: the outcome that ended the run, or 0; still s: for how long
+        restart: 1 where the filter begins anew, until it has a reading to begin with; stopped: the outcome that ended the run, or 0; still s: for how long
         the cart was sent nowhere since; cut: 1 where the last command was; doubts: 1 once an extra was trusted no
         further; heading m/s: what the cart will come to; turns (n,) rad: whole ones between readings and estimate.
         Then sensor by sensor: last reading, smallest step, ticks with this reading, what it should have been when
@@ -367,6 +367,8 @@ class TickEquations:
         sigmas = ca.vertcat(*(ca.sqrt(variances[i]) for i in range(size)))
         # The last is not finite as soon as anything in the estimate is not.
         sound = _all(nis >= 0, nis <= _BIG, _finite(ca.sum1(after) + ca.sum1(sigmas)), ca.logic_not(slipped))
+        # Of an arm that makes half a turn in a period readings say nothing: such rates have run away.
+        sound = _all(sound, *(ca.fabs(after[n + i]) <= np.pi / self.filter.period for i in range(n)))
         # Where it fails the prediction is kept, which the restart begins with.
         after = ca.vertcat(*(ca.if_else(sound, after[i], z[i]) for i in range(size)))
         used = ca.sum1(r["present"])
@@ -536,13 +538,18 @@ class TickEquations:
         by_position = ca.fmin(e["nis"] / ca.fmax(e["used"], 1), _MOST_AT_ONCE * c["lost_estimate"])
         nis = m["nis"] + ca.if_else(judged, (by_position - m["nis"]) * min(period / ESTIMATE_MEMORY, 1), 0)
         silent = ca.if_else(e["used"] > 0, 0, m["silent"] + period)
-        distances = [ca.fabs(e["z"][i] - row["wanted"][i]) for i in range(n)]
-        distance = _largest(distances)
-        error = m["error"] + ca.if_else(e["sound"], (distance - m["error"]) * min(period / TRACKING_MEMORY, 1), 0)
+        angles = [e["z"][i] for i in range(n)]
+        if predicts:
+            # By what was read, which is true where an estimate is wrong. Another estimator's turns are not known here.
+            angles = [ca.if_else(r["present"][i], r["measured"][i] - e["turns"][i], angles[i]) for i in range(n)]
+        distance = _largest([ca.fabs(angles[i] - row["wanted"][i]) for i in range(n)])
+        blind = ca.logic_and(m["restart"], ca.logic_not(e["used"] > 0))
+        known = ca.logic_and(e["sound"], ca.logic_not(blind))
+        error = m["error"] + ca.if_else(known, (distance - m["error"]) * min(period / TRACKING_MEMORY, 1), 0)
         finite = ca.logic_and(e["sound"], _finite(forward + feedback))
 
         # The verdict, written so that NaN stops the run.
-        lost = ca.logic_not(_all(finite, nis <= c["lost_estimate"], _finite(sum(distances, ca.SX(0)))))
+        lost = ca.logic_not(_all(finite, nis <= c["lost_estimate"], _finite(distance + ca.sum1(e["z"][:n]))))
         restarts = ca.logic_and(lost, m["restarts"] < c["restarts"] - 0.5)
         x, v, sent = ahead[2 * n], ahead[2 * n + 1], m["velocity"]
         farthest = self._stopping_point(x, v, c)
@@ -612,8 +619,9 @@ class TickEquations:
             "error": ca.if_else(falls, 0, error), "nis": ca.if_else(again, 0, nis), "silent": silent,
             "restarts": m["restarts"] * (1 - min(period / RESTART_MEMORY, 1)) + again,
             "held": ca.if_else(falls, 1, m["held"]),
-            "moved": ca.if_else(moved, 0, m["moved"] + period), "restart": again, "stopped": stopped, "still": still,
-            "cut": saturated, "doubts": ca.logic_or(m["doubts"], doubted > 0), **watch,
+            "moved": ca.if_else(moved, 0, m["moved"] + period), "restart": ca.logic_or(again, blind),
+            "stopped": stopped, "still": still, "cut": saturated, "doubts": ca.logic_or(m["doubts"], doubted > 0),
+            **watch,
         }  # fmt: skip
         if predicts:
             start, origin = (e["relative"], self._origin(m)) if self.split else (e["z"], None)

@@ -179,6 +179,8 @@ def explained(outcome: Outcome, now: float, figures: Mapping[str, float], *, arm
 
 _ASTRAY = 1.0
 """rad: an estimate that is so far from the encoders has slipped, whatever its NIS."""
+_LEAST_LOST = 5.0
+"""Mean NIS from which an estimate may be said to be lost: see `SupervisorSettings`."""
 
 
 def _lost(figures: Mapping[str, float]) -> str:
@@ -188,6 +190,8 @@ def _lost(figures: Mapping[str, float]) -> str:
         return "it is no longer finite"
     if apart > _ASTRAY:
         return f"it is {apart:.3g} rad from the encoders"
+    if nis < _LEAST_LOST:
+        return "its rates have run away"
     return f"mean NIS {nis:.3g} for each position, where 1 or so is expected"
 
 

@@ -310,17 +310,20 @@ class Ticker:
     def figures(self, k: int, lane: int = 0) -> Mapping[str, float]:
         """Return the numbers of tick k, the last, by which an outcome is explained.
 
-        distance rad: of the estimated angle that is farthest from the reference; apart rad: of the one that is farthest
-        from its reading; position m and velocity m/s: of the cart when the command acts.
+        distance rad: of the angle that is farthest from the reference, as read, or as estimated where nothing was read;
+        apart rad: of the estimated angle that is farthest from its reading; position m and velocity m/s: of the cart.
         """
         column, references, arms = self.program.report[:, lane], self.references[k - self.began], self._arms
         names = ("mean_nis", "error", "silent", "sensor", "repeats", "wish", "command", "doubted", "newly_cut")
-        ahead, angles = column[self._ahead], column[:arms]
+        angles = column[:arms]
         wanted = references[:arms] if references.ndim == 1 else references[:, lane]
         measured, present = (self.program.reading[self._reading[name]] for name in ("measured", "present"))
-        apart = np.abs(angles - measured[:arms, lane])[present[:arms, lane] > 0]
+        apart = measured[:arms, lane] - angles
+        read = measured[:arms, lane] - 2 * np.pi * np.rint(apart / (2 * np.pi))
+        seen = present[:arms, lane] > 0
         return {
             **{name: column.item(self.at[name]) for name in names},
-            "distance": float(np.abs(angles - wanted).max()), "apart": float(apart.max(initial=0.0)),
-            "position": ahead[-2], "velocity": ahead[-1],
+            "distance": float(np.abs(np.where(seen, read, angles) - wanted).max()),
+            "apart": float(np.abs(apart[seen]).max(initial=0.0)),
+            "position": column.item(self._n - 2), "velocity": column.item(self._n - 1),
         }  # fmt: skip
