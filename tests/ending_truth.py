@@ -217,9 +217,7 @@ MOVING = (
 """The shipped itineraries that move and can go in lockstep."""
 
 
-def troubled(
-    random: np.random.Generator, *, controller: str, troubles: int, faulty: bool = False
-) -> RunOptions:
+def troubled(random: np.random.Generator, *, controller: str, troubles: int, faulty: bool = False) -> RunOptions:
     """Return a bench with so many troubles, each up to where hardly a run is completed; faulty: a sensor's too.
 
     travel m: TVLQR has the lab's 0.4 m, others 0.8 m, where the track is not the trouble.

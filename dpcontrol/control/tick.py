@@ -236,7 +236,8 @@ class TickEquations:
         restarts so far; held: 1 after the reference was given up; moved s since the clock was;
         restart: 1 where the filter begins anew, until it has a reading to begin with; stopped: the outcome that ended
         the run, or 0; still s: for how long the cart was sent nowhere since; cut: 1 where the last command was; doubts:
-        1 once an extra was trusted no further; heading m/s: what the cart will come to; turns (n,) rad: whole ones between readings and estimate.
+        1 once an extra was trusted no further; heading m/s: what the cart will come to; turns (n,) rad: whole ones
+        between readings and estimate.
         Then sensor by sensor: last reading, smallest step, ticks with this reading, what it should have been when
         they began, by how much that has moved since; of each joint pulled rad/s and held_back rad: what the filter
         has changed of its rate since, and what it would have moved by without; strained rad/s: those changes without
