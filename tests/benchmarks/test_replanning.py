@@ -5,8 +5,9 @@ the rest could save at most, if it never failed: runs that did a symbol and then
 before the run for arms known to 2 %, for seeds that failed and, as a check, for seeds that completed.
 
 A new plan keeps the symbols: the shadowing orbit is carried over by homotopy from the model's parameters to those
-known, its energy kept in proportion to the saddle's, its ends on the local manifolds of the new orbits; then
-collocation as for any plan. Where the orbit cannot be carried so far the run stays what it was.
+known, its energy above the saddle's kept in proportion, its ends on the local manifolds of the new orbits; then
+collocation as for any plan. Where a connection ends on the way it is tried with more energy; where that does not help
+either, the run stays what it was.
 
 Draws .assets/replanning.png and writes replanning.json beside this file with DPCONTROL_STORE_REPLANNING=1. About ten
 minutes of one core; `-k cross` makes one scene alone, and neither.
@@ -48,7 +49,9 @@ RUNS, FIRST_SEED = 128, 40_000
 FAILED, COMPLETED = 16, 6
 """Seeds of each kind that are planned anew, at most."""
 KNOWN = 0.02
-LEAST_STEP = 1 / 64
+LEAST_STEP = 1 / 16
+ENERGIES = (1.0, 1.6, 2.5)
+"""Times the energy above the saddle's that are tried."""
 STORED = Path(__file__).with_name("replanning.json")
 PICTURE = Path(__file__).parents[2] / ".assets" / "replanning.png"
 
@@ -122,19 +125,28 @@ def measured(name: str, mismatch: float) -> dict[str, Any]:
 
 def replanned(scene: Itinerary, orbits: Sequence[ShadowingOrbit], known: ArmChainParameters) -> Plan | None:
     """Return the plan of a scene's symbols for other arms; None where there is none."""
-    carried = [carried_over(scene, orbit, known) for orbit in orbits]
-    if any(orbit is None or not orbit.converged for orbit in carried):
-        return None
+    carried: list[ShadowingOrbit] = []
+    for orbit in orbits:
+        tried = (carried_over(scene, orbit, known, energies=energies) for energies in ENERGIES)
+        new = next((one for one in tried if one is not None and one.converged), None)
+        if new is None:
+            return None
+        carried.append(new)
     other = replace(scene, model=replace(scene.model, parameters=known))
     try:
-        plan = make_plan(other, orbits=[orbit for orbit in carried if orbit is not None], fresh=True, yes=True)
+        plan = make_plan(other, orbits=carried, fresh=True, yes=True)
     except GoalMissed:
         return None
     return plan if plan.converged else None
 
 
-def carried_over(scene: Itinerary, orbit: ShadowingOrbit, known: ArmChainParameters) -> ShadowingOrbit | None:
-    """Return a shadowing orbit of the model's arms carried over to others, step by step; None where it ends before."""
+def carried_over(
+    scene: Itinerary, orbit: ShadowingOrbit, known: ArmChainParameters, *, energies: float
+) -> ShadowingOrbit | None:
+    """Return a shadowing orbit of the model's arms carried over to others, step by step; None where it ends before.
+
+    energies: by what the energy above the saddle's is multiplied on the way.
+    """
     chain, found = orbit.connections, orbit.shot.solution
     at_ends = chain[0].source.saddle, chain[-1].target.saddle
     saddles = {name for connection in chain for name in (connection.source.saddle, connection.target.saddle)}
@@ -145,7 +157,7 @@ def carried_over(scene: Itinerary, orbit: ShadowingOrbit, known: ArmChainParamet
         goal = min(share + step, 1.0)
         system = replace(scene.model, parameters=between(scene.model.arms, known, goal)).system
         here, tall = levels(system, saddles)
-        now = here + (energy - base) * tall / height
+        now = here + (energy - base) * tall / height * energies**goal
         try:
             places = {name: lyapunov_orbit(system, name, energy=now) for name in saddles}
             manifolds = [local_manifold(places[name]) for name in at_ends]
