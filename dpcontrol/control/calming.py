@@ -10,6 +10,11 @@ it: their common energy only falls, whatever they do, and what they lose goes th
 P, Ṗ₀ and σ come from the one model: Ḣ = -P u. The spring keeps the cart near the middle. Near
 hanging still a linear-quadratic regulator takes over, which is quicker there.
 
+Arms that a blow has made fast pull harder than any drive can follow, and the law above, cut to what it can, would feed
+them. There the cart is moved against their momentum itself, for which Ḣ = -P u is enough:
+
+    u = clip(γ P / σ) - U'(x)/σ - c v/σ
+
 Sources: Ortega, van der Schaft, Mareels & Maschke, Putting energy back in control (2001), on interconnection; Den
 Hartog, Mechanical Vibrations, chapter 3, on the damper that a mass on a spring makes.
 """
@@ -33,6 +38,9 @@ Array = NDArray[np.float64]
 SWITCH_MARGIN = 0.05
 """Share of the track that is left free at its ends: the supervisor ends what comes nearer."""
 
+_DRAINING = 0.8
+"""Share of the greatest acceleration for the arms' momentum; the rest keeps the cart near the middle."""
+
 
 @dataclass(frozen=True)
 class CalmingSettings(Settings, table="calming"):
@@ -40,7 +48,8 @@ class CalmingSettings(Settings, table="calming"):
 
     mass: m = (1 + mass) σ; spring: U' = spring σ w² x (1 + stiffening (x/travel)²); damper: c = damper σ w. near:
     energy above hanging still, as a share of what turns the arms upright, below which the regulator takes over; it
-    keeps on to four times that. braking: share of the greatest acceleration that is counted on to stop the cart.
+    keeps on to four times that. fast: likewise, above which the arms' momentum alone is heeded; drain: γ, 1/s. braking:
+    share of the greatest acceleration that is counted on to stop the cart.
     """
 
     mass: float = setting(0.25, above=0, most=100)
@@ -48,6 +57,8 @@ class CalmingSettings(Settings, table="calming"):
     stiffening: float = setting(4.0, least=0, most=100)
     damper: float = setting(1.7, above=0, most=100)
     near: float = setting(0.1, above=0, most=1)
+    fast: float = setting(1.4, above=0, most=100)
+    drain: float = setting(10.0, above=0, most=1000)
     braking: float = setting(0.4, above=0, most=1)
 
 
@@ -59,6 +70,7 @@ class CalmingController:
     parameters: Array
     regulator: HoldController
     near: float
+    fast: float
     brake: float
     limits: Limits
     period: float
@@ -99,12 +111,12 @@ class CalmingSession(ClockedSession):
         columns = np.atleast_2d(states)
         self._inputs[: columns.shape[1]] = columns.T
         law.law(self._inputs, self._out)
-        far, energy = self._out
+        far, energy, swift = self._out
         wanted = np.tile(law.first_state, (len(columns), 1))
         wanted[:, :n] = whole_turns(columns[:, :n])
         held = energy < np.where(self._near, 4 * law.near, law.near)
         self._near = held if self.lanes is MANY else bool(held[0])
-        feedback = np.where(held, (wanted - columns) @ law.regulator.gain, far)
+        feedback = np.where(held, (wanted - columns) @ law.regulator.gain, np.where(energy > law.fast, swift, far))
         feedback = np.where(self._leaves(columns), -columns[:, -1] / law.period, feedback)
         if self.lanes is ONE:
             return 0.0, float(feedback[0]), wanted[0]
@@ -133,7 +145,7 @@ def calming_controller(
     equations, parameters, n = model.equations, model.parameters, model.arms
     hanging = np.zeros(model.dimension)
     regulator = hold_controller(hanging, model, HoldSettings(), seconds=seconds)
-    change, pull = _momentum(equations)
+    change, pull, momentum = _momentum(equations)
     numbers = ca.Function("numbers", [equations.state, equations.parameters], [pull, equations.hamiltonian])
     most, lowest = (float(value) for value in numbers(hanging, parameters))
     upright = hanging.copy()
@@ -143,20 +155,22 @@ def calming_controller(
     slowest = np.abs(np.angle(np.linalg.eigvals(a[0][: 2 * n, : 2 * n]))).min() / model.period
     x, v = equations.state[2 * n], equations.state[2 * n + 1]
     spring = settings.spring * most * slowest**2 * x * (1 + settings.stiffening * (x / limits.position) ** 2)
-    force = spring + settings.damper * most * slowest * v + change
-    far = -force / ((1 + settings.mass) * most - pull)
+    held = spring + settings.damper * most * slowest * v
+    far = -(held + change) / ((1 + settings.mass) * most - pull)
+    greatest = _DRAINING * limits.acceleration
+    swift = ca.fmax(-greatest, ca.fmin(settings.drain * momentum / most, greatest)) - held / most
     law = ca.Function(
-        "calming", [equations.state, equations.parameters], [ca.cse(ca.vertcat(far, equations.hamiltonian - lowest))],
-        ["state", "parameters"], ["out"],
+        "calming", [equations.state, equations.parameters],
+        [ca.cse(ca.vertcat(far, equations.hamiltonian - lowest, swift))], ["state", "parameters"], ["out"],
     )  # fmt: skip
     return CalmingController(
-        Compiled(law), parameters, regulator, settings.near * span, settings.braking * limits.acceleration, limits,
-        model.period, reaction, regulator.ticks,
+        Compiled(law), parameters, regulator, settings.near * span, settings.fast * span,
+        settings.braking * limits.acceleration, limits, model.period, reaction, regulator.ticks,
     )  # fmt: skip
 
 
-def _momentum(equations: Equations) -> tuple[ca.SX, ca.SX]:
-    """Return Ṗ₀ and σ of a cart level's equations."""
+def _momentum(equations: Equations) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """Return Ṗ₀, σ and P of a cart level's equations."""
     n = equations.dimension // 2 - 1
     angles, rates = equations.state[:n], equations.state[n : 2 * n]
     acceleration = equations.rate[n : 2 * n]
@@ -165,4 +179,4 @@ def _momentum(equations: Equations) -> tuple[ca.SX, ca.SX]:
     momentum = -ca.dot(ca.gradient(equations.hamiltonian, rates), push)
     by_rate = ca.gradient(momentum, rates)
     change = ca.dot(ca.gradient(momentum, angles), rates) + ca.dot(by_rate, free)
-    return change, -ca.dot(by_rate, push)
+    return change, -ca.dot(by_rate, push), momentum

@@ -36,12 +36,12 @@ class Calmed:
     faults: dict[int, str]
 
 
-def fallen_states(seeds: list[int]) -> Array:
-    """Return states (S, 6) that falls may leave: the cart can still be stopped on its track."""
+def fallen_states(seeds: list[int], fastest: float = FASTEST) -> Array:
+    """Return states (S, 6) that falls may leave, rates to `fastest` rad/s: the cart can be stopped on its track."""
     out = []
     for seed in seeds:
         random = np.random.default_rng([seed, 19])
-        arms = [*random.uniform(-np.pi, np.pi, 2), *random.uniform(-FASTEST, FASTEST, 2)]
+        arms = [*random.uniform(-np.pi, np.pi, 2), *random.uniform(-fastest, fastest, 2)]
         while True:
             x, v = random.uniform(-LIMITS.position, LIMITS.position), random.uniform(-LIMITS.velocity, LIMITS.velocity)
             # As the supervisor decides it, which brakes at half of the greatest acceleration.
@@ -51,7 +51,9 @@ def fallen_states(seeds: list[int]) -> Array:
     return np.array(out)
 
 
-def calmed(seeds: list[int], *, seconds: float, settings: CalmingSettings | None = None, **loop: Any) -> Calmed:
+def calmed(
+    seeds: list[int], *, seconds: float, settings: CalmingSettings | None = None, fastest: float = FASTEST, **loop: Any
+) -> Calmed:
     """Calm the arms of these seeds' plants from `fallen_states`, the filter beginning with nothing but readings."""
     arms = load_model("lab").arms
     known = {"mismatch": 0.2, **loop}
@@ -62,7 +64,7 @@ def calmed(seeds: list[int], *, seconds: float, settings: CalmingSettings | None
     law = calming_controller(
         sampled_model(arms, run.rate), LIMITS, settings or CalmingSettings(), reaction=0.002, seconds=seconds
     )
-    start = fallen_states(seeds)
+    start = fallen_states(seeds, fastest)
     draws = [run.draw(arms, ticks=law.ticks + 1, seed=seed) for seed in seeds]
     ticker = make_ticker(arms, run, law, limits=LIMITS, delay=run.drive.delay, runs=len(seeds))
     bench = BatchBench(draws, run.bench, limits=LIMITS, start=start, queued=list(ticker.queued), lanes=MANY)

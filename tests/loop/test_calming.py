@@ -24,9 +24,16 @@ def test_the_cart_never_meets_its_stop_while_it_calms(runs) -> None:
     assert runs.farthest.max() < LIMITS.position
 
 
+def test_arms_that_a_blow_has_made_fast_come_to_rest_too() -> None:
+    # 0.03 N m s on the outer arm are some 40 rad/s; the energy law alone would feed five of these.
+    runs = calmed(list(range(8)), seconds=8.0, fastest=45.0)
+    assert np.isfinite(runs.times).all()
+    assert not runs.faults
+
+
 def test_the_common_energy_of_arms_and_imitated_cart_only_falls() -> None:
     # Its law in plain arithmetic: m v + P changes by spring and damper alone, whatever the arms do.
-    model, settings = sampled_model(load_model("lab").arms, 1000.0), CalmingSettings(near=1e-9, braking=1.0)
+    model, settings = sampled_model(load_model("lab").arms, 1000.0), CalmingSettings(near=1e-9, fast=100.0, braking=1.0)
     law = calming_controller(model, LIMITS, settings, reaction=0.0, seconds=1.0)
     state, energies, m = np.array([2.0, -1.0, 5.0, -8.0, 0.1, 0.0]), [], 0.2554
     base = model.parameters
