@@ -57,6 +57,7 @@ def run_settings() -> Any:
 
 BENCH = "Bench"
 KEY_HELP = "File with the key that bench and loop share [the environment's DPCONTROL_RIG_KEY]."
+NIGHT = "Long run"
 _WITH_FROM = ("source", "out", "force", "as_json", "debug")
 
 
@@ -90,15 +91,25 @@ def run_command(
         group=BENCH,
         help="Shared library made of what `dpcontrol export` wrote with the same options; it does the ticks.",
     ),
+    hours: float | None = option(
+        group=NIGHT, help="Repeat the itinerary for so long, through falls, into the folder logs/NAME-SEED."
+    ),
+    file_minutes: float = option(default=10.0, group=NIGHT, help="Of each log of the folder."),
+    keep_every: int = option(default=1, metavar="N", group=NIGHT, help="Of the older logs keep each N-th."),
+    resume: bool = option(group=NIGHT, help="Go on with the night of this folder, which was interrupted."),
     settings: RunOptions = run_settings(),
-    out: Path | None = file_option(suffix=".mcap", help="Log to write [logs/NAME-SEED.mcap]."),
+    out: Path | None = file_option(
+        suffix=".mcap", help="Log to write [logs/NAME-SEED.mcap]; with --hours the folder of that name without .mcap."
+    ),
     force: bool = force_option(),
     yes: bool = YES,
 ) -> Answer:
     """Run an itinerary in closed loop on the simulated bench, or on a rig, and write its log.
 
     Plans first if the plan is not cached. Exits with 1 if the run is not completed; on a rig, where the true state is
-    not known, if it ended early or a symbol was not done by the estimate.
+    not known, if it ended early or a symbol was not done by the estimate. With --hours the itinerary is repeated:
+    seamlessly where its end meets its start, else from rest; after a fall the arms are calmed and the symbol is done
+    again, unless --on-fall says otherwise.
     """
     if source is not None:
         return _repeat(source, out, force)
@@ -110,6 +121,10 @@ def run_command(
         raise click.UsageError("--key-file and --insecure are for runs on a rig: give --rig as well")
     if address is not None and library is not None:
         raise click.UsageError("--controller-library is for runs on the simulated bench; on a rig run main_udp.c")
+    if hours is None and (resume or keep_every != 1 or file_minutes != 10.0):
+        raise click.UsageError("--resume, --keep-every and --file-minutes are for long runs: give --hours as well")
+    if hours is not None and (address is not None or library is not None):
+        raise click.UsageError("--hours is for runs on the simulated bench, without --rig and --controller-library")
     if program is not None and address != "udp":
         raise click.UsageError("--controller-program controls the example bench of a run: give --rig udp as well")
     if program is not None and not (program.is_file() and os.access(program, os.X_OK)):
@@ -131,6 +146,16 @@ def run_command(
 
     scene = load_itinerary(itinerary).with_run(settings, seed=seed)
     out = out or default_log(scene)
+    if hours is not None:
+        from dpcontrol.scenes.night import NightSettings, announce_night, night_folder, night_itinerary, run_night
+
+        night = NightSettings(hours, file_minutes, keep_every)
+        scene = night_itinerary(scene, asked=settings.given())
+        announce_night(scene, night, night_folder(out), yes=yes)
+        with progress_bar("night") as progress:
+            plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
+            done = run_night(plan, out, night, resume=resume, force=force, progress=part_of(progress, 0.05, 1.0))
+        return Answer(done.document(), done.lines())
     with progress_bar("run") as progress:
         plan = make_plan(scene, progress=progress, yes=yes)
         verdict = None

@@ -106,7 +106,8 @@ class Digest:
             self.events.append((time, level, name, text))
         else:
             self.others[name] = self.others.get(name, 0) + 1
-        self.repetitions += name == LAP or (name == RETURN and level == "info")
+        # Where laps meet the next is told at once, else when the itinerary has been left for it.
+        self.repetitions += self._now_on if name == LAP else name == RETURN and level == "info"
         if name in (RESUME, LAP):
             self._now_on = True
         elif name == RETURN or LEVELS[level] >= _LEAST_LEVEL or name == "finished":
@@ -203,13 +204,15 @@ class RollingLog:
         session: int = 1,
         number: int = 1,
         begin: float = 0.0,
+        end: float = math.inf,
     ) -> None:
         self.folder, self.name, self.extras = folder, name, extras
         self._make, self._seconds, self._keep_every, self._begin = make, seconds, keep_every, begin
         self._period = 1 / rate_hz
         self._writer: LogWriter | None = None
         self._digest = Digest(number, session, limit=limit)
-        self._until = (math.floor(begin / seconds + _SOON) + 1) * seconds
+        self._end, self._until = end, 0.0
+        self._file_ends(begin)
         self._outcome: dict[str, str] = {}
 
     def path(self, number: int, suffix: str = ".mcap") -> Path:
@@ -234,7 +237,7 @@ class RollingLog:
             if times[done] >= self._until - _SOON:
                 self._roll(float(times[done]))
             until = int(np.searchsorted(times, self._until - _SOON))
-            rows = {name: None if part is None else part[done:until] for name, part in parts.items()}
+            rows: dict[str, Any] = {n: None if part is None else part[done:until] for n, part in parts.items()}
             state = rows["estimate"] if rows.get("truth") is None else rows["truth"]
             assert state is not None
             reference = rows["reference"]
@@ -258,12 +261,16 @@ class RollingLog:
     def _roll(self, now: float) -> None:
         self._close()
         self._digest = self._digest.following(self._digest.number + 1)
-        self._until = (math.floor(now / self._seconds + _SOON) + 1) * self._seconds
+        self._file_ends(now)
         self._thin()
         try:
             self._open()
         except InputError as error:
             self._lose(error)
+
+    def _file_ends(self, now: float) -> None:
+        until = (math.floor(now / self._seconds + _SOON) + 1) * self._seconds
+        self._until = until if until < self._end - _SOON else math.inf
 
     def _open(self) -> None:
         digest = self._digest
@@ -288,7 +295,8 @@ class RollingLog:
         if writer is not None:
             with suppress(InputError, OSError):
                 writer.__exit__(type(error), error, None)
-        remark(f"{error}; the run goes on, without a log up to {self._until / 60:g} minutes at least")
+        until = f"up to {self._until / 60:g} minutes at least" if self._until < math.inf else "to its end"
+        remark(f"{error}; the run goes on, without a log {until}")
 
     def _close(self) -> None:
         """Finish the file that is open, and write its digest."""

@@ -202,7 +202,7 @@ class ControlLoop:
             if done % self._flush_every == 0:
                 self._flush(done)
                 if not done % _PROGRESS_EVERY:
-                    self.progress("run", done / self.count)
+                    self.progress("run", done / (self._until or self.count))
         elapsed, done = clock() - began, self._done
         rig.stop()
         self._flush(done)

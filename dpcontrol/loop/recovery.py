@@ -42,6 +42,9 @@ _STUCK = 20.0
 """s after which a sensor that still repeats itself is taken for one whose arm hangs still."""
 _MEETS = 0.05
 """Between the states (rad, rad/s, m, m/s) at which a reference ends and begins for laps without a rest."""
+_LAST = 1.5
+"""s at the end of a reference in which such a state is looked for: the last orbit need not end where the first begins.
+"""
 
 
 class Motion(StrEnum):
@@ -149,6 +152,7 @@ class Recovery:
         self._calms, self._fresh, self._began, self._bounds = False, False, 0, dict[str, float]()
         self._why, self._sensor = Outcome.GO_ON, 0
         self._flown: list[Flight] = []
+        self._meets: int | None = None
 
     def flights(self, end: int) -> tuple[Flight, ...]:
         """Return when the run was on its itinerary, up to the tick `end`."""
@@ -159,6 +163,8 @@ class Recovery:
         """Remember by what flights are judged; return what is told of the first motion."""
         self._bounds = {name: ticker.number(name) for name in calming_bounds(self._plan.limits)}
         ticker.prepare_to_hold()
+        if self._laps:
+            self._meets = meeting_tick(ticker.references, round(_LAST / ticker.program.period))
         return self._resumed()
 
     def _progress(self) -> str:
@@ -221,6 +227,8 @@ class Recovery:
         if self.motion is Motion.ITINERARY:
             if report.item(ticker.at["error"], 0) < FOLLOWED:
                 self._followed = k
+            if self._meets is not None and round(self._at / period) + k + 1 - self._joins == self._meets:
+                return self._lapped(k, ticker.references[k + 1 - ticker.began], ticker)
             return ()
         if self.motion is Motion.START:
             if k + 1 < self._joins:
@@ -288,13 +296,17 @@ class Recovery:
         """Return what is told where the reference ends with tick k and another lap follows; none: the run ends."""
         if not self._laps or self.motion is not Motion.ITINERARY:
             return ()
+        return self._lapped(k, ticker.references[-1], ticker)
+
+    def _lapped(self, k: int, state: Array, ticker: Ticker) -> Sequence[Event]:
+        """Begin another lap after tick k, where the reference is at `state` (N,)."""
         self._lap, self._begins = self._lap + 1, True
         # What the run is judged by is its last lap.
         self._flown.clear()
         self._attempts.clear()
         self._stop, self._at, self._joins = 0, 0.0, k + 1
         first, n = self._main.first_state, len(self._main.first_state) // 2 - 1
-        apart = ticker.references[-1] - first
+        apart = state - first
         turns = whole_turns(apart[:n])
         apart[:n] -= turns
         if np.abs(apart).max() <= _MEETS:
@@ -304,3 +316,17 @@ class Recovery:
         self.motion, self._began = Motion.RETURN, k
         self._calm(k, ticker)
         return [Event("info", "return", f"lap {self._lap - 1} is done; the next one begins from rest")]
+
+
+def meeting_tick(references: Array, ticks: int) -> int | None:
+    """Return at which of the last `ticks` of references (K, N) they are as at the first, whole turns apart; or None.
+
+    Of several as good the last.
+    """
+    n = references.shape[1] // 2 - 1
+    first = max(len(references) - ticks, len(references) // 2)
+    apart = references[first:] - references[0]
+    apart[:, :n] -= whole_turns(apart[:, :n])
+    distances = np.abs(apart).max(axis=1)
+    good = np.flatnonzero(distances <= max(1.2 * distances.min(), _MEETS / 10))
+    return first + int(good[-1]) if distances.min() <= _MEETS else None

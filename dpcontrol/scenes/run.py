@@ -205,17 +205,17 @@ def run_plan(
     )  # fmt: skip
     if out is None:
         return Run(_log_in_memory(plan, run(sink=sink), sink))
-    made_by = _drawn(scene)
+    made_by = drawn_metadata(scene)
     if library is not None:
         check_exportable(scene)
         made_by[_LIBRARY] = content_hash(checked_source(library).read_bytes()) if library.is_file() else str(library)
-    check_replaced(out, {**_metadata(plan.itinerary), **made_by}, force=force)
+    check_replaced(out, {**run_metadata(plan.itinerary), **made_by}, force=force)
     with log_writer(plan, out, **made_by) as writer:
-        writer.result(**_outcome(run(sink=LogSink(writer))))
+        writer.result(**outcome(run(sink=LogSink(writer))))
     return Run(read_log(out))
 
 
-def _outcome(result: LoopResult) -> dict[str, str]:
+def outcome(result: LoopResult) -> dict[str, str]:
     noted = {"real_time_factor": repr(result.real_time_factor), "ending": result.ending.value}
     if len(result.thinking):
         quantiles = np.quantile(result.thinking, [0.5, 0.99]).tolist()
@@ -223,7 +223,7 @@ def _outcome(result: LoopResult) -> dict[str, str]:
     return noted
 
 
-def _drawn(itinerary: Itinerary) -> dict[str, str]:
+def drawn_metadata(itinerary: Itinerary) -> dict[str, str]:
     """Return what a log says of the plant that is simulated, and of what else is drawn once for a run."""
     draw = itinerary.loop.draw(itinerary.model.arms, ticks=1, uncertainty=itinerary.uncertainty)
     once = {"initial_error": draw.initial_error.tolist(), "zeros": draw.zeros.tolist()}
@@ -254,7 +254,7 @@ def _log_in_memory(plan: Plan, result: LoopResult, events: _Events) -> RunLog:
         states=states if ticks.truth is None else {**states, "truth": ticks.truth},
         controls=dict(zip(control_fields(len(lengths), has_cart=True), ticks.control.T, strict=True)),
         events=tuple(events.kept),
-        metadata={**_metadata(scene), **_drawn(scene), **_outcome(result)},
+        metadata={**run_metadata(scene), **drawn_metadata(scene), **outcome(result)},
         attachments=_attachments(plan),
         joint_names=joint_names(len(lengths), has_cart=True),
         arm_lengths=lengths,
@@ -289,7 +289,7 @@ def log_writer(plan: Plan, out: Path, **more: str) -> LogWriter:
         rate_hz=itinerary.loop.rate,
         limits=(limits.position, limits.velocity, limits.acceleration),
         extras=extra_names(itinerary.model.arms.count, itinerary.loop.estimator.augments),
-        metadata={**_metadata(itinerary), **more},
+        metadata={**run_metadata(itinerary), **more},
         attachments=_attachments(plan),
     )
 
@@ -302,7 +302,7 @@ def _attachments(plan: Plan) -> dict[str, bytes]:
     }
 
 
-def _metadata(itinerary: Itinerary) -> Mapping[str, str]:
+def run_metadata(itinerary: Itinerary) -> Mapping[str, str]:
     """Return what distinguishes this run from others; settings as JSON, overriding options included."""
     return {
         "version": dpcontrol.__version__,
@@ -701,7 +701,7 @@ def run_on_rig(
     arms, settings = itinerary.model.arms, itinerary.loop
     where = None if address == OWN_BENCH else parse_address(address)
     # What a rig does is not what any log there says, whatever its settings.
-    check_replaced(out, {**_metadata(itinerary), "rig": address}, force=force)
+    check_replaced(out, {**run_metadata(itinerary), "rig": address}, force=force)
     controller = loop_controller(reference, arms, settings)
     fallback = loop_fallback(reference, arms, settings)
     if where is not None and itinerary.start == "orbit":
@@ -736,7 +736,7 @@ def run_on_rig(
         deadlines = rig.deadlines
         if deadlines.strangers:
             writer.event(float(result.ticks.times[-1]), "warn", "rig", deadlines.strangers)
-        writer.result(**_outcome(result), rig=rig.address, **deadlines.record())
+        writer.result(**outcome(result), rig=rig.address, **deadlines.record())
     return RigRun(score(read_log(out)), result, deadlines, tuple(process.said if process else ()))
 
 
@@ -757,7 +757,7 @@ def run_with_program(plan: Plan, out: Path, program: Path, *, real_time: bool = 
     """
     from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
 
-    check_replaced(out, {**_metadata(plan.itinerary), "rig": OWN_BENCH}, force=force)
+    check_replaced(out, {**run_metadata(plan.itinerary), "rig": OWN_BENCH}, force=force)
     controller = loop_controller(plan.followed().reference, plan.itinerary.model.arms, plan.itinerary.loop)
     settings = BenchServerSettings(real_time=real_time, watchdog=PROGRAM_WATCHDOG)
     # A program takes no zeros off its readings.
@@ -780,7 +780,7 @@ def _log_recorded(
     arms, settings, reference = plan.itinerary.model.arms, plan.itinerary.loop, plan.followed().reference
     if process.record is None:
         raise GoalMissed(f"the example bench did not end its run in order: {'; '.join(process.said)}")
-    with log_writer(plan, out, **_drawn(plan.itinerary)) as writer:
+    with log_writer(plan, out, **drawn_metadata(plan.itinerary)) as writer:
         loop = control_loop(
             arms, settings, controller, limits=settings.limits(reference), sink=LogSink(writer),
             fallback=loop_fallback(reference, arms, settings),
@@ -792,7 +792,7 @@ def _log_recorded(
         # What the loop took to see what had happened is not what the program took.
         result = replace(result, elapsed=float(result.ticks.times[-1]) + rig.period, thinking=np.zeros(0))
         writer.result(
-            **_outcome(result), rig=f"udp://{process.address[0]}:{process.address[1]}",
+            **outcome(result), rig=f"udp://{process.address[0]}:{process.address[1]}",
             controller_program=content_hash(program.read_bytes()), command_difference=repr(rig.difference),
             **(kept.record() if kept else {}),
         )  # fmt: skip

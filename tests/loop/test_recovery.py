@@ -8,6 +8,7 @@ import pytest
 
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.loop import LoopSettings, loop_controller, loop_recovery, run_loop
+from dpcontrol.loop.recovery import meeting_tick
 from dpcontrol.loop.result import Ending, NoSink
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
@@ -114,7 +115,9 @@ def test_a_return_begins_with_the_cart_at_rest_where_the_estimate_is_lost(ready)
     assert np.abs(away[:2]).max() < 0.2
 
 
-def test_laps_go_on_to_the_time_that_is_asked_for(ready) -> None:
+def test_laps_go_on_from_rest_to_the_time_that_is_asked_for(ready, monkeypatch) -> None:
+    # As if the turn's end met its start nowhere.
+    monkeypatch.setattr("dpcontrol.loop.recovery._MEETS", 1e-6)
     result, told = ready(until=16_000, keep=False)
     assert result.ending is Ending.FINISHED
     assert "time asked for" in result.reason
@@ -123,3 +126,25 @@ def test_laps_go_on_to_the_time_that_is_asked_for(ready) -> None:
     # The last block alone.
     assert len(result.ticks.times) < 16_000
     assert math.isclose(result.ticks.truth[-1, 5], 0.0, abs_tol=0.02)
+
+
+def test_the_next_lap_begins_at_the_phase_of_the_first_orbit(ready) -> None:
+    # The turn ends half a wobble from where it begins.
+    result, told = ready(until=10_000, keep=False)
+    assert result.falls == 0
+    laps = [time for time, name, _ in told.events if name == "lap"]
+    assert len(laps) == 2
+    assert np.diff(laps)[0] == pytest.approx(laps[0])
+    assert laps[0] < 4.5
+
+
+@pytest.mark.parametrize(("offset", "place"), [(0.0, 900), (0.04, 900), (0.06, None)])
+def test_references_meet_where_they_are_as_at_the_first_tick(offset: float, place: int | None) -> None:
+    phase = 2 * np.pi * np.arange(1000) / 300
+    angles = np.array([np.sin(phase), np.cos(phase) + 2 * np.pi * (phase > 3)]).T
+    still = np.zeros((1000, 4))
+    references = np.hstack([angles, still])
+    references[-200:, 5] = offset
+    found = meeting_tick(references, 250)
+    # As good as the nearest, to a fifth.
+    assert found is None if place is None else abs(found - place) <= 3

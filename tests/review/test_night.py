@@ -26,8 +26,9 @@ Events = list[tuple[float, str, str, str]]
 
 def digest(number: int, first: float, events: Events, *, on: bool = True, zero: float = 0.0, **more: float) -> Digest:
     one = Digest(number, first=first, end=first + 600, ticks=600_000, on=on, limit=0.4, cart=0.3, **more)  # type: ignore[arg-type]
-    one.events, one.extras, one.size = events, {"zero_1": (zero, 1e-3)}, 1
-    one.repetitions = sum(name == "lap" or (name == "return" and level == "info") for _, level, name, _ in events)
+    for event in events:
+        one.take_event(*event)
+    one.extras, one.size = {"zero_1": (zero, 1e-3)}, 1
     one.squares, one.followed, one.memory = 600_000 * 2 * 0.01**2, 600_000, 4e8 + number * 1e6
     return one
 
@@ -43,7 +44,7 @@ def night(folder: Path = Path("turn-0")) -> Night:
     ]  # fmt: skip
     second: Events = [
         (700.0, "info", "return", "lap 2 is done"), (706.0, "info", "at rest", "after 6 s"),
-        (706.0, "info", "start", "from rest to stop 1"), (710.0, "info", "resume", f"{ON}symbol 1 of 1"),
+        (706.0, "info", "start", "from rest to stop 1"), (710.0, "info", "lap", f"{ON}lap 3"),
         (1195.0, "warn", "return", STUCK),
     ]  # fmt: skip
     third: Events = [

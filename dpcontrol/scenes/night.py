@@ -1,0 +1,227 @@
+"""Long runs: an itinerary repeated for hours, through falls, into a folder of logs; begun, interrupted, resumed.
+
+Where the end of the itinerary meets its start the next repetition follows at once, else from rest. After a fall the
+arms are calmed, and the symbol that failed is done again (`dpcontrol.loop.recovery`).
+
+What is simulated goes on as drawn where a night is resumed: the same plant, the same encoders with their drift, the
+blows and noise that the uninterrupted night would have had from there on. Arms and cart begin anew, as on a bench.
+"""
+
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import ceil
+from pathlib import Path
+
+from dpcontrol.control.estimator_settings import extra_names
+from dpcontrol.foundation.cost import MOST_SECONDS, Cost
+from dpcontrol.foundation.errors import InputError, remark
+from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.settings import Settings, setting
+from dpcontrol.logs import LogWriter, partials_of, recover
+from dpcontrol.logs.reader import check_same_run
+from dpcontrol.logs.rolling import NIGHT_METADATA, RollingLog
+from dpcontrol.loop.loop import LoopSettings, control_loop, loop_controller, loop_recovery
+from dpcontrol.loop.recovery import Recovery
+from dpcontrol.loop.result import LogSink
+from dpcontrol.loop.simulated import SimulatedRig
+from dpcontrol.review.night import Night, read_night
+from dpcontrol.scenes.itinerary import Itinerary
+from dpcontrol.scenes.plan import Plan
+from dpcontrol.scenes.run import drawn_metadata, log_writer, outcome, run_metadata
+
+_BYTES_A_TICK = 430
+"""Of a log of two arms on a cart, packed."""
+_SPEED = 20_000
+"""Ticks in a second of simulation, logging included, on one core."""
+_MEMORY = 4e8
+"""Of a night, bytes, however long."""
+MOST_DISK = 2e10
+"""Bytes of logs that are begun without being asked for by name."""
+_SPARE_DISK = 1e9
+"""That must be left."""
+
+
+@dataclass(frozen=True)
+class NightSettings(Settings, table="night"):
+    """How long a run goes on, h; file_minutes of each log; of the older logs each `keep_every`-th is kept."""
+
+    hours: float = setting(above=0, most=10_000, unit="h")
+    file_minutes: float = setting(10.0, least=0.01, most=1440, unit="min")
+    keep_every: int = setting(1, least=1, most=1_000_000)
+
+    @property
+    def files(self) -> int:
+        """How many there will be, thinned ones included."""
+        return ceil(60 * self.hours / self.file_minutes - 1e-9)
+
+    def disk(self, rate: float) -> float:
+        """Return what the logs of a loop at `rate` Hz will take, bytes."""
+        a_file = min(self.file_minutes * 60, self.hours * 3600) * rate * _BYTES_A_TICK
+        # The one that is being written, and the last, are whole.
+        return a_file * min(self.files, ceil(self.files / self.keep_every) + 2)
+
+
+def night_folder(out: Path) -> Path:
+    """Return the folder of a long run whose single log would be `out`."""
+    return out.with_suffix("") if out.suffix == ".mcap" else out
+
+
+def night_itinerary(itinerary: Itinerary, *, asked: Mapping[str, object]) -> Itinerary:
+    """Return an itinerary as long runs have it, if not `asked` otherwise: after a fall they go on, without limit."""
+    supervisor = itinerary.loop.supervisor
+    if supervisor.on_fall == "stop" and "on_fall" not in asked:
+        supervisor = replace(supervisor, on_fall="resume")
+    if "attempts" not in asked:
+        supervisor = replace(supervisor, attempts=0)
+    return replace(itinerary, loop=replace(itinerary.loop, supervisor=supervisor))
+
+
+def announce_night(itinerary: Itinerary, night: NightSettings, folder: Path, *, yes: bool = False) -> None:
+    """Say what a long run will take, and refuse what is beyond the limits unless `yes`.
+
+    Raises:
+        InputError: it is beyond them; says what it takes and what is allowed.
+    """
+    rate = itinerary.loop.rate
+    disk, seconds = night.disk(rate), night.hours * 3600 * rate / _SPEED
+    cost = Cost(f"{night.hours:g} h of {itinerary.name}", seconds, _MEMORY, f"--hours {night.hours:g}")
+    files = f"{night.files:,} file{'s' if night.files > 1 else ''} of {night.file_minutes:g} minutes"
+    thinned = f", of which one in {night.keep_every} is kept" if night.keep_every > 1 else ""
+    text = f"{cost.sentence}, and {_gigabytes(disk)} of disk in {folder}: {files}{thinned}"
+    there = next(place for place in (folder.absolute(), *folder.absolute().parents) if place.exists())
+    free = shutil.disk_usage(there).free
+    if disk + _SPARE_DISK > free:
+        raise InputError(
+            f"{text}; {_gigabytes(free)} are free there: thin the logs with --keep-every, or give another --out"
+        )
+    if not yes and (disk > MOST_DISK or seconds > MOST_SECONDS):
+        raise InputError(
+            f"{text}; an hour and {_gigabytes(MOST_DISK)} are begun unasked: thin the logs with --keep-every, ask for "
+            "less, or give --yes (yes=True in Python)"
+        )
+    remark(text)
+
+
+def _gigabytes(size: float) -> str:
+    return f"{size / 1e9:.2g} GB" if size < 1e11 else f"{size / 1e9:,.0f} GB"
+
+
+@dataclass(frozen=True)
+class _Place:
+    """Where a night begins or goes on: session and number of the first file, from 1, and the time, s."""
+
+    session: int = 1
+    number: int = 1
+    begin: float = 0.0
+
+
+def run_night(
+    plan: Plan,
+    out: Path,
+    night: NightSettings,
+    *,
+    resume: bool = False,
+    force: bool = False,
+    progress: Progress = no_progress,
+) -> Night:
+    """Repeat a planned itinerary on the simulated bench for hours, into the folder of `out`; return what it did.
+
+    The itinerary is one of `night_itinerary`. resume: go on with the night in that folder, which was interrupted.
+    force: replace it.
+
+    Raises:
+        InputError: the folder holds a night already, or none or another one to be resumed, or cannot be written.
+        GoalMissed: the plan did not converge, or no controller can be made for it, or no plant drawn.
+    """
+    scene = plan.followed().itinerary
+    settings, arms = scene.loop, scene.model.arms
+    folder = night_folder(out)
+    made_by = drawn_metadata(scene)
+    place = _place(folder, {**run_metadata(scene), **made_by}, night, settings.rate, resume=resume, force=force)
+    since, until = round(place.begin * settings.rate), round(night.hours * 3600 * settings.rate)
+    controller = loop_controller(plan.reference, arms, settings)
+    recovery = loop_recovery(plan.reference, arms, settings, controller)
+    if recovery is None:
+        raise InputError(
+            f'{scene.path}: [supervisor] on_fall = "stop": a long run repeats its itinerary, by ways from rest where '
+            'need be; use on_fall = "resume" or "restart"'
+        )
+    limits = settings.limits(plan.reference)
+    draw = settings.draw(arms, ticks=controller.ticks + 1, uncertainty=scene.uncertainty).endless(since=since)
+    loop_settings = _since(settings, place.begin)
+
+    def make(path: Path, more: Mapping[str, str]) -> LogWriter:
+        return log_writer(plan, path, **made_by, **more)
+
+    rolling = RollingLog(
+        folder, folder.resolve().name, make, seconds=60 * night.file_minutes, rate_hz=settings.rate,
+        limit=limits.position, extras=extra_names(arms.count, settings.estimator.augments),
+        keep_every=night.keep_every, session=place.session, number=place.number, begin=place.begin,
+        end=night.hours * 3600,
+    )  # fmt: skip
+    with rolling:
+        loop = control_loop(
+            arms, settings, controller, limits=limits,
+            rate_noise=draw.reader("rate_noise", lambda rows: rows[:, :, None]), sink=LogSink(rolling),
+            recovery=Recovery(recovery, controller, laps=True), keep=False, until=until - since, progress=progress,
+        )  # fmt: skip
+        rig = SimulatedRig(draw, loop_settings.bench, limits=limits, start=controller.first_state, queued=loop.queued)
+        result = loop.run(rig)
+        rolling.result(**outcome(result))
+    return read_night(folder)
+
+
+def _since(settings: LoopSettings, begin: float) -> LoopSettings:
+    """Return the settings of a bench that has been running for `begin` s: what sticks may have come back meanwhile."""
+    sensors = settings.sensors
+    first, end = sensors.stuck_at - begin, sensors.stuck_at + sensors.stuck_for - begin
+    if not begin or sensors.stuck_at == float("inf"):
+        return settings
+    if end <= 0:
+        return replace(settings, sensors=replace(sensors, stuck_at=float("inf")))
+    return replace(settings, sensors=replace(sensors, stuck_at=max(first, 0.0), stuck_for=end - max(first, 0.0)))
+
+
+def _place(
+    folder: Path, metadata: Mapping[str, str], night: NightSettings, rate: float, *, resume: bool, force: bool
+) -> _Place:
+    """Return where to begin, what an interrupted session left having been closed.
+
+    Raises:
+        InputError: there is a night and it is not to be resumed, or the other way round, or it is over, or another.
+    """
+    name = folder.resolve().name
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is no folder, which a long run writes; choose another --out")
+    there = [file for file in folder.glob(f"{name}-[0-9]*") if file.suffix in (".mcap", ".json", ".partial")]
+    if not resume:
+        if there and not force:
+            raise InputError(
+                f"{folder} holds a long run already; go on with it by --resume, choose another --out, or replace it "
+                "with --force"
+            )
+        for file in there:
+            file.unlink()
+        return _Place()
+    if not there:
+        raise InputError(f"{folder} holds no long run to be resumed; leave out --resume to begin one")
+    for partial in partials_of(folder / name):
+        log = folder / f"{partial.name.partition('.mcap')[0]}.mcap"
+        if not log.exists():
+            try:
+                recover(partial, log)
+            except InputError as error:
+                # What ended before its first tick leaves nothing to recover.
+                remark(f"{error}; the night goes on without it")
+    logs = sorted(folder.glob(f"{name}-[0-9]*.mcap"))
+    if logs:
+        check_same_run(logs[-1], metadata, also=(NIGHT_METADATA,))
+    digests = read_night(folder).digests
+    last = digests[-1]
+    if last.end >= night.hours * 3600 - 1 / rate:
+        raise InputError(
+            f"{folder} is complete: {last.end / 3600:.4g} of {night.hours:g} hours; ask for more --hours to go on"
+        )
+    number = max(int(file.name[len(name) + 1 :].partition(".")[0]) for file in there)
+    return _Place(last.session + 1, number + 1, ceil(last.end * rate - 1e-6) / rate)
