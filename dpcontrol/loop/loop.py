@@ -460,7 +460,8 @@ def loop_recovery(
     notes = plan_notes(reference)
     return RecoveryPlan(
         calming, tuple(ways), tuple(stop["saddle"] for stop in notes["stops"]),
-        tuple(symbol["text"] for symbol in notes["symbols"]), limits, s.on_fall == "restart", s.attempts,
+        tuple(symbol["text"] for symbol in notes["symbols"]), limits,
+        notes["orbits"][notes["stops"][-1]["orbit"]]["period"], s.on_fall == "restart", s.attempts,
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ After a fall the symbol that failed is done again from the stop before it; what 
 """
 
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -40,6 +41,10 @@ _TRIED = 0.3
 """s for which a filter that began anew is watched before it is believed."""
 _STUCK = 20.0
 """s after which a sensor that still repeats itself is taken for one whose arm hangs still."""
+_HELD = 0.08
+"""rad: farther than that from the path of its last period a run has not held its last stop."""
+_EVERY = 10
+"""Ticks between those that are looked at for it."""
 _MEETS = 0.05
 """Between the states (rad, rad/s, m, m/s) at which a reference ends and begins for laps without a rest."""
 _LAST = 1.5
@@ -114,7 +119,7 @@ class RecoveryPlan:
     """What recoveries of an itinerary share: the law that calms, ways from rest to its stops, in their order.
 
     restarts: whether the itinerary begins anew after a fall. attempts: of one symbol, 0 for no limit. names: of the
-    stops; symbols: their texts, fewer by one. limits: the cart's.
+    stops; symbols: their texts, fewer by one. limits: the cart's. period s: of the last stop's orbit.
     """
 
     calming: CalmingController
@@ -122,6 +127,7 @@ class RecoveryPlan:
     names: tuple[str, ...]
     symbols: tuple[str, ...]
     limits: Limits
+    period: float
     restarts: bool = False
     attempts: int = 10
 
@@ -153,6 +159,8 @@ class Recovery:
         self._why, self._sensor = Outcome.GO_ON, 0
         self._flown: list[Flight] = []
         self._meets: int | None = None
+        self._arms = len(main.first_state) // 2 - 1
+        self._latest: deque[Array] = deque(maxlen=max(round(plan.period / plan.calming.period / _EVERY), 1))
 
     def flights(self, end: int) -> tuple[Flight, ...]:
         """Return when the run was on its itinerary, up to the tick `end`."""
@@ -216,7 +224,7 @@ class Recovery:
         """Calm the arms from the tick after k on; stands: or brake, and stand for the time being."""
         self._calms, self._rested, self._fresh = not stands, k, False
         ticker.follow(
-            k + 1, self._plan.calming, lift=np.zeros(len(self._plan.calming.first_state) // 2 - 1),
+            k + 1, self._plan.calming, lift=np.zeros(self._arms),
             bounds=calming_bounds(self._plan.limits), heeds_switch=False,
         )  # fmt: skip
         if stands:
@@ -227,6 +235,8 @@ class Recovery:
         if self.motion is Motion.ITINERARY:
             if report.item(ticker.at["error"], 0) < FOLLOWED:
                 self._followed = k
+            if not k % _EVERY:
+                self._latest.append(report[: self._arms, 0].copy())
             if self._meets is not None and round(self._at / period) + k + 1 - self._joins == self._meets:
                 return self._lapped(k, ticker.references[k + 1 - ticker.began], ticker)
             return ()
@@ -265,7 +275,7 @@ class Recovery:
 
     def _at_rest(self, k: int, report: Array) -> int:
         """Return for how many ticks the arms hang at rest, the cart in the middle, up to tick k."""
-        n = len(self._plan.calming.first_state) // 2 - 1
+        n = self._arms
         state = report[: 2 * n + 2, 0].tolist()
         moves = (
             any(abs(math.remainder(angle, 2 * math.pi)) > REST_ANGLE for angle in state[:n])
@@ -292,10 +302,23 @@ class Recovery:
             told.append(self._resumed())
         return told
 
-    def ended(self, k: int, report: Array, ticker: Ticker) -> Sequence[Event]:
-        """Return what is told where the reference ends with tick k and another lap follows; none: the run ends."""
-        if not self._laps or self.motion is not Motion.ITINERARY:
+    def _held(self, k: int, ticker: Ticker) -> Sequence[Event]:
+        """Return what is told where the last stop was not held to the end of the reference, and a return begins."""
+        seen, n = np.array(self._latest), self._arms
+        path = ticker.references[-_EVERY * len(seen) :: _EVERY, :n]
+        away = float(np.abs(seen[:, None] - path).max(axis=2).min(axis=1).max())
+        if away <= _HELD:
             return ()
+        why = f"the last stop was not held: over its last period the arms were up to {away:.2g} rad from their path"
+        told = self.fell(k, Outcome.TRACKING_LOST, why, ticker, ticker.program.period)
+        return () if told is None else [told]
+
+    def ended(self, k: int, report: Array, ticker: Ticker) -> Sequence[Event]:
+        """Return what is told where the reference ends with tick k and the run goes on; none: it ends."""
+        if self.motion is not Motion.ITINERARY:
+            return ()
+        if not self._laps:
+            return self._held(k, ticker)
         return self._lapped(k, ticker.references[-1], ticker)
 
     def _lapped(self, k: int, state: Array, ticker: Ticker) -> Sequence[Event]:
@@ -305,7 +328,7 @@ class Recovery:
         self._flown.clear()
         self._attempts.clear()
         self._stop, self._at, self._joins = 0, 0.0, k + 1
-        first, n = self._main.first_state, len(self._main.first_state) // 2 - 1
+        first, n = self._main.first_state, self._arms
         apart = state - first
         turns = whole_turns(apart[:n])
         apart[:n] -= turns
