@@ -147,10 +147,19 @@ def run_command(
     scene = load_itinerary(itinerary).with_run(settings, seed=seed)
     out = out or default_log(scene)
     if hours is not None:
-        from dpcontrol.scenes.night import NightSettings, announce_night, night_folder, night_itinerary, run_night
+        from dpcontrol.scenes.night import (
+            NightSettings,
+            announce_night,
+            check_folder,
+            night_folder,
+            night_itinerary,
+            run_night,
+        )
 
         night = NightSettings(hours, file_minutes, keep_every)
         scene = night_itinerary(scene, asked=settings.given())
+        # Before the plan, which can take minutes.
+        check_folder(night_folder(out), resume=resume, force=force)
         announce_night(scene, night, night_folder(out), yes=yes)
         with progress_bar("night") as progress:
             plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)

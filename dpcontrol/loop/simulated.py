@@ -217,6 +217,10 @@ class SimulatedPlant:
         self._be(held)
 
 
+_FORGOTTEN = 1000
+"""Demands that have acted, which are then forgotten at once."""
+
+
 class SimulatedBench:
     """Plants, sensors and drives with the same settings, of one run or of as many as there are draws.
 
@@ -258,7 +262,7 @@ class SimulatedBench:
             demands.append(self._drive.demanded(command, 0.0, demands[-1]))
         # From the one that acts first; the one at place k + 1 begins to act in period k.
         self._demands = demands[-(whole + 1) :]
-        self._sent_before = whole + 1
+        self._sent_before, self._past = whole + 1, 0
         self._command_noise, self._noise = by_tick("command_noise"), by_tick("noise", np.asarray)
         self._missed, self._ages = draw.reader("missed", np.asarray), draw.reader("ages")
         self._encoders = Encoders(n, settings.sensors, zeros=zeros, drift=joined("drift"), lanes=lanes)
@@ -301,16 +305,17 @@ class SimulatedBench:
 
     def _demand(self, k: int, acceleration: Any) -> None:
         """Take the command of tick k, m/s²; a second one in the same period replaces the first."""
-        demands = self._demands
-        if len(demands) > self._sent_before + k:
-            del demands[self._sent_before + k :]
+        demands, place = self._demands, self._sent_before + k - self._past
+        if len(demands) > place:
+            del demands[place:]
         noise = 0.0 if self._command_noise is None else self._command_noise[k]
         demands.append(self._drive.demanded(acceleration, noise, demands[-1]))
 
     def _pass(self, k: int) -> None:
         """Let period k pass."""
         plant, demands, period = self._plant, self._demands, self.period
-        if len(demands) < self._sent_before + k + 1:
+        place = k - self._past
+        if len(demands) < self._sent_before + place + 1:
             demands.append(demands[-1])
         for run, blow in self._blows.get(k, ()):
             plant.strike(blow, run)
@@ -318,17 +323,19 @@ class SimulatedBench:
             self._strike_at_random(k)
         self._began, fraction = plant.values[self._cart + 1], self._fraction
         if not fraction and self._ages is None:
-            plant.move(self._acting(demands[k + 1], period), period, time=k * period)
+            plant.move(self._acting(demands[place + 1], period), period, time=k * period)
         else:
             # The next reading is of the state `seen` seconds into this period.
             seen = period if self._ages is None else period - self._ages[k + 1]
             self._seen = None
             change = fraction * period
             if change:
-                self._part(k, demands[k], 0.0, change, seen)
-            self._part(k, demands[k + 1], change, period, seen)
-        # What has acted is not needed any more; its place keeps the count.
-        demands[k] = demands[k + 1]
+                self._part(k, demands[place], 0.0, change, seen)
+            self._part(k, demands[place + 1], change, period, seen)
+        if place >= _FORGOTTEN:
+            # What has acted is not needed any more.
+            del demands[:place]
+            self._past = k
 
     def _part(self, k: int, demand: Any, begin: float, end: float, seen: float) -> None:
         """Let a part of period k pass, from `begin` to `end` seconds in it, `demand` acting."""

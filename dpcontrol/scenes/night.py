@@ -172,6 +172,26 @@ def run_night(
     return read_night(folder)
 
 
+def check_folder(folder: Path, *, resume: bool, force: bool) -> list[Path]:
+    """Return the files of the long run in a folder, before anything is planned.
+
+    Raises:
+        InputError: there is one and it is neither to be resumed nor replaced, or none to be resumed.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"{folder} is no folder, which a long run writes; choose another --out")
+    name = folder.resolve().name
+    there = [file for file in folder.glob(f"{name}-[0-9]*") if file.suffix in (".mcap", ".json", ".partial")]
+    if there and not resume and not force:
+        raise InputError(
+            f"{folder} holds a long run already; go on with it by --resume, choose another --out, or replace it "
+            "with --force"
+        )
+    if resume and not there:
+        raise InputError(f"{folder} holds no long run to be resumed; leave out --resume to begin one")
+    return there
+
+
 def _since(settings: LoopSettings, begin: float) -> LoopSettings:
     """Return the settings of a bench that has been running for `begin` s: what sticks may have come back meanwhile."""
     sensors = settings.sensors
@@ -192,20 +212,11 @@ def _place(
         InputError: there is a night and it is not to be resumed, or the other way round, or it is over, or another.
     """
     name = folder.resolve().name
-    if folder.exists() and not folder.is_dir():
-        raise InputError(f"{folder} is no folder, which a long run writes; choose another --out")
-    there = [file for file in folder.glob(f"{name}-[0-9]*") if file.suffix in (".mcap", ".json", ".partial")]
+    there = check_folder(folder, resume=resume, force=force)
     if not resume:
-        if there and not force:
-            raise InputError(
-                f"{folder} holds a long run already; go on with it by --resume, choose another --out, or replace it "
-                "with --force"
-            )
         for file in there:
             file.unlink()
         return _Place()
-    if not there:
-        raise InputError(f"{folder} holds no long run to be resumed; leave out --resume to begin one")
     for partial in partials_of(folder / name):
         log = folder / f"{partial.name.partition('.mcap')[0]}.mcap"
         if not log.exists():
