@@ -296,7 +296,10 @@ def read_night(folder: Path) -> Night:
     digests = [*_digests(folder)]
     if not digests:
         raise InputError(f"{folder} holds no logs of a long run; give a folder that `dpcontrol run --hours` made")
-    return Night(folder, tuple(digests), partials_of(folder / folder.resolve().name))
+    partials = partials_of(folder / folder.resolve().name)
+    # Of what has been recovered nothing need be said.
+    left = [file for file in partials if not (folder / f"{file.name.partition('.mcap')[0]}.mcap").exists()]
+    return Night(folder, tuple(digests), tuple(left))
 
 
 def _digests(folder: Path) -> Iterator[Digest]:
@@ -335,13 +338,17 @@ def draw_night(night: Night) -> "Figure":
     figure = new_figure(12.0, height)
     grid = figure.add_gridspec(
         3, 2, height_ratios=[max(1.0, 0.42 * rows), 1.7, 1.7], left=0.09, right=0.94, top=1 - 0.75 / height,
-        bottom=0.09, hspace=0.5, wspace=0.25,
+        bottom=0.11, hspace=0.62, wspace=0.25,
     )  # fmt: skip
     figure.text(0.03, 1 - 0.22 / height, f"{night.folder.name}: {night.sentence}", fontsize=10.5, va="center")
     _draw_strip(figure.add_subplot(grid[0, :]), night, row, rows)
     _draw_returns(figure.add_subplot(grid[1, 0]), night)
     _draw_causes(figure.add_subplot(grid[1, 1]), night)
-    _draw_drift(figure.add_subplot(grid[2, :]), night)
+    names = [*night.digests[0].extras]
+    zeros = [name for name in names if name.startswith("zero_")]
+    _draw_drift(figure.add_subplot(grid[2, 0]), night, "Encoder zeros, change since the first file", "mrad", zeros, 1e3)
+    others = [name for name in names if name not in zeros]
+    _draw_drift(figure.add_subplot(grid[2, 1]), night, "What else was estimated, likewise", "share", others, 1.0)
     return figure
 
 
@@ -403,10 +410,10 @@ def _draw_returns(axes: "Axes", night: Night) -> None:
         return
     shares = np.arange(1, len(returns) + 1) / len(returns)
     axes.step(np.r_[0, returns], np.r_[0, shares], where="post", color=style.ARMS[0])
-    for share, name in ((0.5, "median"), (0.99, "99 %")):
+    for share, name, height in ((0.5, "median", 0.16), (0.99, "99 %", 0.04)):
         value = float(np.quantile(returns, share))
         axes.axvline(value, color=style.MARK, linewidth=0.8, linestyle=":")
-        axes.text(value, 0.04, f" {name} {value:.1f} s", fontsize=8, color=style.NOTE)
+        axes.text(value, height, f" {name} {value:.1f} s", fontsize=8, color=style.NOTE)
     axes.set(xlim=(0, 1.3 * returns[-1]), ylim=(0, 1.03))
 
 
@@ -424,16 +431,17 @@ def _draw_causes(axes: "Axes", night: Night) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
 
 
-def _draw_drift(axes: "Axes", night: Night) -> None:
+def _draw_drift(axes: "Axes", night: Night, title: str, unit: str, names: Sequence[str], scale: float) -> None:
     from dpcontrol.review.page import quiet
 
-    quiet(axes, "What was estimated besides the state: change since the first file", x="hours", y="rad, or share")
-    first = night.digests[0].extras
-    for k, name in enumerate(first):
+    quiet(axes, title, x="hours", y=unit)
+    for k, name in enumerate(names):
         known = [((d.first + d.end) / 7200, d.extras[name][0]) for d in night.digests if name in d.extras]
         hours, values = np.array(known).T
         colour = style.RUNS[k % len(style.RUNS)]
         line = "-" if k < len(style.RUNS) else "--"
-        axes.plot(hours, values - values[0], line, color=colour, marker="o", markersize=2.5, linewidth=1.1, label=name)
-    if first:
-        axes.legend(ncols=min(len(first), 9), fontsize=8, frameon=False, loc="upper left")
+        axes.plot(hours, scale * (values - values[0]), line, color=colour, marker="o", markersize=2.5, linewidth=1.1,
+                  label=name)  # fmt: skip
+    if names:
+        axes.legend(ncols=len(names), fontsize=7.5, frameon=False, loc="upper center", bbox_to_anchor=(0.5, -0.24),
+                    handlelength=1.4, columnspacing=1.0)  # fmt: skip

@@ -167,7 +167,11 @@ def run_night(
             recovery=Recovery(recovery, controller, laps=True), keep=False, until=until - since, progress=progress,
         )  # fmt: skip
         rig = SimulatedRig(draw, loop_settings.bench, limits=limits, start=controller.first_state, queued=loop.queued)
-        result = loop.run(rig)
+        try:
+            result = loop.run(rig)
+        except KeyboardInterrupt:
+            remark(f"{folder} ends here; the same command with --resume goes on with it")
+            raise
         rolling.result(**outcome(result))
     return read_night(folder)
 
