@@ -350,12 +350,12 @@ def rig_command(
         say(f"dpcontrol: {text}")
 
     with UdpBench(
-        recipe.rig, arms=arms, ticks=recipe.ticks, period=recipe.period, host=host, port=port, key=key,
+        recipe.rig, arms=arms, ticks=recipe.all_ticks, period=recipe.period, host=host, port=port, key=key,
         insecure=insecure, settings=server, say=report,
     ) as bench:  # fmt: skip
         try:
             address = f"udp://{bench.address[0]}:{bench.address[1]}"
-            document = {"address": address, "rate": recipe.settings.rate, "arms": arms, "ticks": recipe.ticks}
+            document = {"address": address, "rate": recipe.settings.rate, "arms": arms, "ticks": recipe.all_ticks}
             show(Answer(document, [f"bench for {scene.name} at {address}"]))
             # Whoever reads this through a pipe waits for it.
             sys.stdout.flush()

@@ -458,10 +458,11 @@ def loop_recovery(
     reaction = (settings.drive.delay + 1) / settings.rate + settings.drive_lag
     calming = calming_controller(model, limits, CalmingSettings(), reaction=reaction, seconds=RETURN_SECONDS)
     notes = plan_notes(reference)
+    last = notes["stops"][-1]["orbit"]
     return RecoveryPlan(
         calming, tuple(ways), tuple(stop["saddle"] for stop in notes["stops"]),
         tuple(symbol["text"] for symbol in notes["symbols"]), limits,
-        notes["orbits"][notes["stops"][-1]["orbit"]]["period"], s.on_fall == "restart", s.attempts,
+        reference.extra[f"orbit_{last}"][:, : model.arms], notes["orbits"][last]["period"], s.on_fall == "restart", s.attempts,
     )  # fmt: skip
 
 

@@ -42,7 +42,7 @@ _TRIED = 0.3
 _STUCK = 20.0
 """s after which a sensor that still repeats itself is taken for one whose arm hangs still."""
 _HELD = 0.08
-"""rad: farther than that from the path of its last period a run has not held its last stop."""
+"""rad, by the estimate: farther from the last stop's orbit than this over its last period a run has not held it."""
 _EVERY = 10
 """Ticks between those that are looked at for it."""
 _MEETS = 0.05
@@ -119,7 +119,8 @@ class RecoveryPlan:
     """What recoveries of an itinerary share: the law that calms, ways from rest to its stops, in their order.
 
     restarts: whether the itinerary begins anew after a fall. attempts: of one symbol, 0 for no limit. names: of the
-    stops; symbols: their texts, fewer by one. limits: the cart's. period s: of the last stop's orbit.
+    stops; symbols: their texts, fewer by one. limits: the cart's. path (M, n) rad: of the
+    last stop's orbit, on any turns; period s: its own.
     """
 
     calming: CalmingController
@@ -127,6 +128,7 @@ class RecoveryPlan:
     names: tuple[str, ...]
     symbols: tuple[str, ...]
     limits: Limits
+    path: Array
     period: float
     restarts: bool = False
     attempts: int = 10
@@ -304,12 +306,12 @@ class Recovery:
 
     def _held(self, k: int, ticker: Ticker) -> Sequence[Event]:
         """Return what is told where the last stop was not held to the end of the reference, and a return begins."""
-        seen, n = np.array(self._latest), self._arms
-        path = ticker.references[-_EVERY * len(seen) :: _EVERY, :n]
+        seen, end = np.array(self._latest), ticker.references[-1, : self._arms]
+        path = self._plan.path + whole_turns(end - self._plan.path.mean(axis=0))
         away = float(np.abs(seen[:, None] - path).max(axis=2).min(axis=1).max())
         if away <= _HELD:
             return ()
-        why = f"the last stop was not held: over its last period the arms were up to {away:.2g} rad from their path"
+        why = f"the last stop was not held: over its last period the arms were up to {away:.2g} rad from its orbit"
         told = self.fell(k, Outcome.TRACKING_LOST, why, ticker, ticker.program.period)
         return () if told is None else [told]
 

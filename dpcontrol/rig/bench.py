@@ -571,7 +571,8 @@ _FACTORS = (("encoder-1-reversed", 0, -1.0), ("encoder-2-reversed", 1, -1.0), ("
 class BenchRecipe:
     """What makes a simulated bench anew for each run: the model's arms, what is drawn; start (2n+2,), ticks.
 
-    zeros (n,) rad: what its hanging arms read; faults: of `FAULTS`.
+    zeros (n,) rad: what its hanging arms read; faults: of `FAULTS`. recovering: further ticks that it can run for, so
+    that a run may go on after falls.
     """
 
     parameters: ArmChainParameters
@@ -582,6 +583,12 @@ class BenchRecipe:
     uncertainty: Uncertainty | None = None
     zeros: tuple[float, ...] = ()
     faults: tuple[str, ...] = ()
+    recovering: int = 0
+
+    @property
+    def all_ticks(self) -> int:
+        """For how many ticks it can run."""
+        return self.ticks + self.recovering
 
     @property
     def period(self) -> float:
@@ -591,6 +598,8 @@ class BenchRecipe:
     def rig(self, queued: Sequence[float]) -> Rig:
         """Return a bench at its start, with the commands (m/s²) on their way, oldest first."""
         draw = self.settings.draw(self.parameters, ticks=self.ticks, uncertainty=self.uncertainty)
+        if self.recovering:
+            draw = draw.endless()
         rig = SimulatedRig(draw, self.settings.bench, limits=self.limits, start=self.start, queued=queued)
         return FaultyRig(rig, faults=self.faults, zeros=self.zeros) if self.faults or any(self.zeros) else rig
 
@@ -609,7 +618,7 @@ def _serve(recipe: BenchRecipe, settings: BenchServerSettings, key: bytes, pipe:
     recipe.rehearse()
     arms = recipe.parameters.count
     with UdpBench(
-        recipe.rig, arms=arms, ticks=recipe.ticks, period=recipe.period, key=key, settings=settings, say=pipe.send
+        recipe.rig, arms=arms, ticks=recipe.all_ticks, period=recipe.period, key=key, settings=settings, say=pipe.send
     ) as bench:
         pipe.send(bench.address)
         bench.serve(runs=1)

@@ -56,7 +56,16 @@ from dpcontrol.logs import (
     slow_numbers,
 )
 from dpcontrol.loop.controllers import ESTIMATORS
-from dpcontrol.loop.loop import LoopSettings, control_loop, loop_controller, loop_fallback, make_ticker, run_loop
+from dpcontrol.loop.loop import (
+    LoopSettings,
+    control_loop,
+    loop_controller,
+    loop_fallback,
+    loop_recovery,
+    make_ticker,
+    run_loop,
+)
+from dpcontrol.loop.recovery import Recovery
 from dpcontrol.loop.result import LogSink, LoopResult, NoSink, Rig, Ticks
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import load_reference
@@ -575,9 +584,12 @@ def bench_recipe(plan: Plan, controller: Controller | None = None) -> "BenchReci
         itinerary.model.arms, loop, loop.limits(reference), controller.first_state,
         ticks=controller.ticks + round(_SPARE * loop.rate) + 1, uncertainty=itinerary.uncertainty,
         zeros=itinerary.zeros,
+        recovering=0 if loop.supervisor.on_fall == "stop" else round(_RECOVERING * loop.rate),
     )  # fmt: skip
 
 
+_RECOVERING = 600.0
+"""Seconds for which a bench can run beyond its itinerary where runs go on after falls."""
 _HANGING = 600.0
 """Seconds for which a bench with hanging arms can run."""
 
@@ -704,6 +716,7 @@ def run_on_rig(
     check_replaced(out, {**run_metadata(itinerary), "rig": address}, force=force)
     controller = loop_controller(reference, arms, settings)
     fallback = loop_fallback(reference, arms, settings)
+    recovers = loop_recovery(reference, arms, settings, controller)
     if where is not None and itinerary.start == "orbit":
         fastest = np.abs(controller.first_state[arms.count : 2 * arms.count]).max()
         remark(
@@ -714,7 +727,7 @@ def run_on_rig(
     with log_writer(plan, out) as writer:
         loop = control_loop(
             arms, settings, controller, limits=settings.limits(reference), sink=LogSink(writer), fallback=fallback,
-            progress=progress,
+            recovery=None if recovers is None else Recovery(recovers, controller), progress=progress,
         )  # fmt: skip
         loop.rehearse()
         with ExitStack() as stack:
