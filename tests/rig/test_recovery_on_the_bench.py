@@ -1,28 +1,76 @@
 """Runs over UDP, in real time, that fall and go on by themselves; and a loop that dies in mid-fall."""
 
+import multiprocessing
+import os
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from dpcontrol.logs import read_log
 from dpcontrol.loop.bench import Push
-from dpcontrol.loop.result import Ending
+from dpcontrol.loop.loop import control_loop, loop_controller, loop_recovery
+from dpcontrol.loop.recovery import Recovery
+from dpcontrol.loop.result import Ending, NoSink
+from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
+from dpcontrol.rig.client import UdpRig
 from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
-from dpcontrol.scenes.run import run_on_rig
+from dpcontrol.scenes.plan import Plan, make_plan
+from dpcontrol.scenes.run import bench_recipe, run_on_rig
 from dpcontrol.scenes.run_options import RunOptions
 
 pytestmark = pytest.mark.slow  # a quarter of a minute of real time
 
 
-def test_a_run_on_the_example_bench_falls_and_resumes_by_itself(tmp_path) -> None:
+def falling() -> Plan:
     scene = load_itinerary("turn-from-rest").with_run(RunOptions(on_fall="resume", lag=0.005, travel=0.8), seed=3)
     blows = (Push(3.2, 1, 0.02), Push(3.4, 0, 0.02))
     loop = replace(scene.loop, disturbances=replace(scene.loop.disturbances, explicit=blows))
-    run = run_on_rig(make_plan(replace(scene, loop=loop)), tmp_path / "rig.mcap", "udp")
+    return make_plan(replace(scene, loop=loop))
+
+
+def test_a_run_on_the_example_bench_falls_and_resumes_by_itself(tmp_path) -> None:
+    run = run_on_rig(falling(), tmp_path / "rig.mcap", "udp")
     assert run.result.ending is Ending.FINISHED
     assert run.score.falls >= 1
     assert run.score.symbols_completed == 3
     names = [event.name for event in read_log(tmp_path / "rig.mcap").events]
     assert names.index("return") < names.index("at rest")
     assert names[-1] == "finished"
+
+
+class Dies(NoSink):
+    """Ends its process without a word at the first fall."""
+
+    def event(self, time_s, level, name, text) -> None:
+        if name == "return":
+            os._exit(9)
+
+
+def fly(address: tuple[str, int], key: bytes) -> None:
+    plan = falling()
+    arms, settings = plan.itinerary.model.arms, plan.itinerary.loop
+    controller = loop_controller(plan.reference, arms, settings)
+    shared = loop_recovery(plan.reference, arms, settings, controller)
+    assert shared is not None
+    loop = control_loop(
+        arms, settings, controller, limits=settings.limits(plan.reference), sink=Dies(),
+        recovery=Recovery(shared, controller),
+    )  # fmt: skip
+    loop.rehearse()
+    with UdpRig(address, queued=loop.queued, key=key) as rig:
+        loop.run(rig)
+
+
+def test_a_controller_that_dies_in_mid_fall_leaves_a_cart_that_stands() -> None:
+    with BenchProcess(bench_recipe(falling()), BenchServerSettings()) as bench:
+        loop = multiprocessing.get_context("spawn").Process(target=fly, args=(bench.address, bench.key))
+        loop.start()
+        loop.join(60)
+        assert loop.exitcode == 9
+    record = bench.record
+    assert record is not None
+    # The bench heard nothing any more, and its watchdog braked the cart, which was on its track all the while.
+    assert not record.fault
+    assert abs(record.truth[record.ticks - 1, 5]) < 1e-6
+    assert np.abs(record.truth[: record.ticks, 4]).max() < 0.8
