@@ -462,7 +462,8 @@ def loop_recovery(
     return RecoveryPlan(
         calming, tuple(ways), tuple(stop["saddle"] for stop in notes["stops"]),
         tuple(symbol["text"] for symbol in notes["symbols"]), limits,
-        reference.extra[f"orbit_{last}"][:, : model.arms], notes["orbits"][last]["period"], s.on_fall == "restart", s.attempts,
+        reference.extra[f"orbit_{last}"][:, : model.arms], notes["orbits"][last]["period"],
+        s.on_fall == "restart", s.attempts,
     )  # fmt: skip
 
 

@@ -35,6 +35,8 @@ FOLLOWED = 0.15
 _BEFORE = 0.5
 REST_ANGLE, REST_RATE, REST_CART = 0.05, 0.1, 0.01
 """rad, rad/s, m and m/s: by the estimate, what counts as hanging at rest, the cart in the middle."""
+_QUIET = 0.3
+"""rad/s: arms that stay below this for `REST_SECONDS` hang, for those that swing do not."""
 REST_SECONDS, FRESH_SECONDS = 0.3, 0.2
 """For so long; and for how long the filter, which begins anew then, is left to find the rates."""
 _TRIED = 0.3
@@ -160,6 +162,7 @@ class Recovery:
         self._calms, self._fresh, self._began, self._bounds = False, False, 0, dict[str, float]()
         self._why, self._sensor = Outcome.GO_ON, 0
         self._flown: list[Flight] = []
+        self._quiet, self._quiet_ticks = 0, round(REST_SECONDS / plan.calming.period)
         self._meets: int | None = None
         self._arms = len(main.first_state) // 2 - 1
         self._latest: deque[Array] = deque(maxlen=max(round(plan.period / plan.calming.period / _EVERY), 1))
@@ -224,7 +227,7 @@ class Recovery:
 
     def _calm(self, k: int, ticker: Ticker, *, stands: bool = False) -> None:
         """Calm the arms from the tick after k on; stands: or brake, and stand for the time being."""
-        self._calms, self._rested, self._fresh = not stands, k, False
+        self._calms, self._rested, self._quiet, self._fresh = not stands, k, k, False
         ticker.follow(
             k + 1, self._plan.calming, lift=np.zeros(self._arms),
             bounds=calming_bounds(self._plan.limits), heeds_switch=False,
@@ -252,7 +255,7 @@ class Recovery:
             if (believed := self._believed(k, report, ticker, period)) or over:
                 self._calm(k, ticker, stands=not believed)
             return ()
-        for_s = self._at_rest(k, report) * period
+        for_s = self._at_rest(k, report, ticker) * period
         if for_s < REST_SECONDS + FRESH_SECONDS:
             if for_s >= REST_SECONDS and not self._fresh:
                 ticker.lose()
@@ -275,10 +278,15 @@ class Recovery:
             ticker.lose()
         return bool(report.item(ticker.at["done"], 0)) and (k - self._lost_at) * period >= _TRIED
 
-    def _at_rest(self, k: int, report: Array) -> int:
+    def _at_rest(self, k: int, report: Array, ticker: Ticker) -> int:
         """Return for how many ticks the arms hang at rest, the cart in the middle, up to tick k."""
         n = self._arms
         state = report[: 2 * n + 2, 0].tolist()
+        if any(abs(rate) > _QUIET for rate in state[n : 2 * n]):
+            self._quiet = k
+        elif k - self._quiet == self._quiet_ticks and not self._fresh:
+            # The arms hang, whatever zeros the filter has made up while they swung: it would take long to unlearn them.
+            ticker.lose()
         moves = (
             any(abs(math.remainder(angle, 2 * math.pi)) > REST_ANGLE for angle in state[:n])
             or any(abs(rate) > REST_RATE for rate in state[n : 2 * n])

@@ -44,11 +44,15 @@ from dpcontrol.review.score import (
     PLANT_METADATA,
     REFERENCE_ATTACHMENT,
     Decoded,
+    Flown,
+    counted,
     decode_run,
+    flights_of,
     orbit_index,
     plan_of,
     recovered_note,
     score,
+    spliced,
 )
 from dpcontrol.tubes.cut import CutSettings, tube_cut
 
@@ -142,7 +146,11 @@ def run_view(log: RunLog) -> RunView:
     plan = plan_of(log)
     notes = plan_notes(plan)
     verdict = score(log)
-    decoded = decode_run(log.time, states[:, :n], log.reference[:, :n], notes=notes, rate_hz=log.rate_hz)
+    planned = plan_view(plan, system=system)
+    if verdict.falls:
+        planned, decoded = _with_falls(log, states, plan, planned)
+    else:
+        decoded = decode_run(log.time, states[:, :n], log.reference[:, :n], notes=notes, rate_hz=log.rate_hz)
     seed = "" if verdict.seed is None else f", seed {verdict.seed}"
     return replace(
         view,
@@ -150,10 +158,35 @@ def run_view(log: RunLog) -> RunView:
         limits=log.limits or limits_of(plan),
         verdict=verdict.sentence,
         good=verdict.completed,
-        plan=plan_view(plan, system=system),
+        plan=planned,
         done=_done(decoded, notes, log.time),
         crossings=decoded.crossings,
     )
+
+
+def _with_falls(log: RunLog, states: Array, plan: Reference, planned: PlanView) -> tuple[PlanView, Decoded]:
+    """Return a plan by the clock of a run that fell and went on, and what of that run counts, decoded, by its ticks."""
+    n, flights = len(log.arm_lengths), flights_of(log)
+    flown = Flown(
+        log.time, states, log.reference[:, :n], log.control["applied"], log.rate_hz, log.limits, flights=flights
+    )
+    run = spliced(flown, plan)
+    rows = np.concatenate([rows for rows, _ in counted(flights, rate_hz=log.rate_hz)])
+    decoded = decode_run(run.time, run.angles, run.reference_angles, notes=plan_notes(plan), rate_hz=log.rate_hz)
+
+    def clock(time: float) -> float:
+        return float(np.interp(time, run.time, log.time[rows]))
+
+    visits = (replace(v, first=int(rows[v.first]), last=int(rows[v.last])) for v in decoded.visits)
+    crossings = tuple(None if at is None else clock(at) for at in decoded.crossings)
+    by_clock = replace(
+        planned,
+        symbols=tuple((clock(at), text) for at, text in planned.symbols),
+        planned=tuple(replace(stay, first=clock(stay.first), last=clock(stay.last)) for stay in planned.planned),
+        transfers=tuple((clock(a), clock(b)) for a, b in planned.transfers),
+        duration=float(log.time[-1]),
+    )
+    return by_clock, replace(decoded, visits=tuple(visits), crossings=crossings)
 
 
 def limits_of(plan: Reference) -> tuple[float, float, float]:

@@ -387,19 +387,28 @@ class Verdict:
     problem: str
 
 
+def counted(flights: Sequence[Flight], *, rate_hz: float) -> list[tuple[NDArray[np.intp], Array]]:
+    """Return the ticks of each flight that count, and their times of the plan's reference, s; flights of none left out.
+
+    Those from where a later flight begins anew do not count.
+    """
+    again, out = [flight.at for flight in flights], []
+    for k, flight in enumerate(flights):
+        rows = np.arange(flight.first, flight.end)
+        times = flight.at + (rows - flight.first) / rate_hz
+        mine = times < min(again[k + 1 :], default=np.inf)
+        if mine.any():
+            out.append((rows[mine], times[mine]))
+    return out
+
+
 def spliced(flown: Flown, plan: Reference) -> Flown:
     """Return what of a run counts, by the plan's own time and turns: each flight up to where a later one begins anew.
 
     What was completed before a fall stays completed, and what was flown twice counts as it was flown last.
     """
     n, pieces = flown.reference_angles.shape[1], []
-    again = [flight.at for flight in flown.flights]
-    for k, flight in enumerate(flown.flights):
-        rows = np.arange(flight.first, flight.end)
-        times = flight.at + (rows - flight.first) / flown.rate_hz
-        rows, times = (values[times < min(again[k + 1 :], default=np.inf)] for values in (rows, times))
-        if not len(rows):
-            continue
+    for rows, times in counted(flown.flights, rate_hz=flown.rate_hz):
         turns = flown.reference_angles[rows[0]] - plan.state(plan.mesh[0] + times[0])[:n]
         turns = np.rint(turns / (2 * np.pi)) * 2 * np.pi
         states = flown.states[rows]

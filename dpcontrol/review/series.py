@@ -102,7 +102,9 @@ class Chart:
 
 @dataclass(frozen=True)
 class Span:
-    """A stretch of a strip, s; kind: "stay", or "astray" if not asked for; "transfer", "symbol", "mode", "ended"."""
+    """A stretch of a strip, s; kind: "stay", or "astray" if not asked for; "transfer", "symbol", "motion", "mode",
+    "ended".
+    """
 
     first: float
     last: float
@@ -453,10 +455,32 @@ def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
         tints = [style.FAINT, *(style.RUNS[k % len(style.RUNS)] for k in range(len(view.plan.symbols)))]
         parts = zip(pairwise(moments), names, tints, strict=True)
         found.append(Strip("symbol", "", tuple(Span(a, b, name, tint, "symbol") for (a, b), name, tint in parts)))
+    if motions := tuple(_motions(view)):
+        found.append(Strip("motion", "motion", motions))
     modes = tuple(Span(a, b, name, style.MODES.get(name, style.FAINT), "mode") for a, b, name in mode_spans(view))
     if modes:
         found.append(Strip("mode", "controller", (*modes, *ended)))
     return tuple(found)
+
+
+_MOTIONS = {
+    "resume": ("itinerary", style.MODES["holding"]), "lap": ("itinerary", style.MODES["holding"]),
+    "return": ("return", style.MODES["saturated"]),
+    "start": ("start", style.MODES["pulsing"]),
+}  # fmt: skip
+"""What a run does after an event, and its colour."""
+
+
+def _motions(view: RunView) -> Iterator[Span]:
+    """Yield when a run that fell was on its itinerary, returning to rest, and starting from there."""
+    # The first event of a log tells of its controller.
+    told = [event for event in view.events if event.name in _MOTIONS and (event.name, event.time) != ("start", 0.0)]
+    if not any(event.name == "return" for event in told):
+        return
+    ends = [*(event.time for event in told[1:]), view.time_range[1]]
+    for event, end in zip(told, ends, strict=True):
+        if end > event.time:
+            yield Span(event.time, end, *_MOTIONS[event.name], "motion")
 
 
 def _stays(stays: tuple[Stay, ...]) -> Iterator[Span]:
