@@ -1,0 +1,106 @@
+"""Chart of the adaptive law's weights: what a quiet run costs in runs completed by arms that are far off.
+
+Up: completed at ±30 %, the mean of three itineraries on the bench of the README's table. Across: how far the command is
+from the plan under the demo's conditions. Along each line the weights of angles and rates, in multiples of the default;
+a line for each first variance of the parameters' errors.
+
+Draws .assets/weights.png and writes weights.json beside this file with DPCONTROL_STORE_WEIGHTS=1. About twelve minutes
+of one core.
+"""
+
+import json
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+from dpcontrol.control.estimator_settings import AdaptiveEkfSettings
+from dpcontrol.control.tracking import AdaptiveSettings
+from dpcontrol.review import style
+from dpcontrol.scenes.campaign import Case, Job, cases_of, run_job
+from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.plan import make_plan
+from dpcontrol.scenes.run_options import RunOptions
+
+pytestmark = pytest.mark.benchmark
+
+FACTORS = (0.25, 0.5, 1.0, 2.0, 4.0)
+FIRST = (0.03, 0.06, 0.12)
+"""Standard deviations of the parameters' relative errors at the start."""
+FAR_OFF = ("turn-from-rest", "outer-turn", "cross")
+BENCH = RunOptions(
+    lag=0.005, command_noise=0.3, initial_error=0.05, zero_error=0.02, counts=40_000, travel=0.8, mismatch=0.3
+)  # fmt: skip
+QUIET, RUNS, FIRST_SEED = 24, 100, 30_000
+STORED = Path(__file__).with_name("weights.json")
+PICTURE = Path(__file__).parents[2] / ".assets" / "weights.png"
+
+
+def rows(name: str, options: RunOptions, factor: float, first: float, runs: int) -> list[dict[str, Any]]:
+    plan = make_plan(load_itinerary(name))
+    (case,) = cases_of(plan.itinerary, fixed=options, over={})
+    law, default = case.loop.controller, AdaptiveSettings()
+    assert isinstance(law, AdaptiveSettings)
+    loop = replace(
+        case.loop,
+        controller=replace(law, angle=factor * default.angle, rate=factor * default.rate),
+        estimator=AdaptiveEkfSettings(model_error=first),
+    )
+    seeds = tuple(range(FIRST_SEED, FIRST_SEED + runs))
+    job = Job(name, plan.archive, plan.itinerary.model.arms, Case("", (), loop), seeds, "compiled", replayed=0)
+    return run_job(job)
+
+
+def measured(factor: float, first: float) -> dict[str, float]:
+    quiet = rows("outer-turn", RunOptions(), factor, first, QUIET)
+    done = [row["completed"] for name in FAR_OFF for row in rows(name, BENCH, factor, first, RUNS)]
+    feedback, error = (float(np.median([row[key] for row in quiet])) for key in ("rms_feedback", "rms_tracking_error"))
+    return {
+        "factor": factor, "first": first, "command_minus_plan": feedback, "tracking_error": error,
+        "completed": float(np.mean(done)),
+    }  # fmt: skip
+
+
+def test_no_weights_are_both_quieter_and_safer_than_the_default_by_much() -> None:
+    found = []
+    for first in FIRST:
+        for factor in FACTORS:
+            found.append(measured(factor, first))
+            sys.stdout.write(f"\n{json.dumps(found[-1])}\n")
+    if os.environ.get("DPCONTROL_STORE_WEIGHTS") == "1":
+        STORED.write_text(json.dumps(found, indent=1) + "\n")
+        drawn(found).savefig(PICTURE, dpi=110)
+    default = next(one for one in found if one["factor"] == 1 and one["first"] == AdaptiveEkfSettings().model_error)
+    for one in found:
+        quieter = one["command_minus_plan"] < 0.8 * default["command_minus_plan"]
+        assert not (quieter and one["completed"] > default["completed"] + 0.02), one
+
+
+def drawn(found: list[dict[str, float]]) -> Figure:
+    figure = Figure(figsize=(6.5, 4.2), layout="constrained")
+    axes = figure.subplots()
+    for first, colour in zip(FIRST, (style.FAINT, style.CART, style.GOOD), strict=True):
+        line = [one for one in found if one["first"] == first]
+        x, y = ([one[key] * scale for one in line] for key, scale in (("command_minus_plan", 1), ("completed", 100)))
+        axes.plot(x, y, "o-", color=colour, markersize=4, label=f"parameters first known to {first:.0%}")
+        for one, across, up in zip(line, x, y, strict=True):
+            axes.annotate(f"{one['factor']:g}", (across, up), (4, -9), textcoords="offset points", fontsize=7)
+    (default,) = (o for o in found if o["factor"] == 1 and o["first"] == AdaptiveEkfSettings().model_error)
+    axes.plot(
+        default["command_minus_plan"], 100 * default["completed"], "o", color=style.NOTE, markersize=11,
+        fillstyle="none", label="as it comes",
+    )  # fmt: skip
+    axes.axvline(0.35, color=style.NOTE, linestyle=":", linewidth=1)
+    axes.axhline(93, color=style.NOTE, linestyle=":", linewidth=1)
+    axes.set(
+        xlabel="command minus plan under the demo's conditions, m/s² rms", ylabel="completed at ±30 %, %",
+        title="Weights of the adaptive law, in multiples of the default's",
+    )  # fmt: skip
+    axes.legend(fontsize=7, frameon=False, loc="lower right")
+    axes.spines[["top", "right"]].set_visible(False)
+    return figure
