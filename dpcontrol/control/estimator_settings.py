@@ -176,7 +176,7 @@ class AdaptiveEkfSettings(EkfSettings):
     rate_noise: float = 0.01
     augment: tuple[str, ...] = ("zeros", "drive", "friction", "parameters")
     friction_error: float = 0.5
-    model_error: float = 0.06
+    model_error: float = 0.03
 
 
 @dataclass(frozen=True)

@@ -245,15 +245,15 @@ class TrackingSession:
 
 @dataclass(frozen=True)
 class AdaptiveSettings(ClosingWeights):
-    """Weights as of "tvlqr", a little lighter on the angles: what is known of the model needs no feedback.
+    """Weights as of "tvlqr", less than half of them: what is known of the model needs no feedback.
 
     trust: the greatest share by which a parameter is taken to be wrong; masses and lengths that are off by 0.3 make
     base parameters off by 0.7 at most.
     """
 
     kind: str = "adaptive"
-    angle: float = 8000.0
-    rate: float = 800.0
+    angle: float = 4000.0
+    rate: float = 400.0
     closing: float = 60.0
     trust: float = setting(0.8, least=0, most=1.9)
 
