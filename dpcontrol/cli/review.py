@@ -194,7 +194,8 @@ def report_command(
     """
     from dpcontrol.foundation.files import checked_source
 
-    picture = picture or file.with_name(f"{file.stem}-report.png")
+    # A folder may be named by "." alone.
+    picture = picture or file.parent / f"{file.stem or file.resolve().name}-report.png"
     if file.is_dir():
         if margins:
             raise InputError(f"{file}: --margins are those of one log's loop; give a log of the folder")

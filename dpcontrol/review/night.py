@@ -295,7 +295,10 @@ def read_night(folder: Path) -> Night:
     folder = Path(folder)
     digests = [*_digests(folder)]
     if not digests:
-        raise InputError(f"{folder} holds no logs of a long run; give a folder that `dpcontrol run --hours` made")
+        raise InputError(
+            f"cannot read {folder}: it is a folder without logs of a long run; give a log, or a folder that "
+            "`dpcontrol run --hours` made"
+        )
     partials = partials_of(folder / folder.resolve().name)
     # Of what has been recovered nothing need be said.
     left = [file for file in partials if not (folder / f"{file.name.partition('.mcap')[0]}.mcap").exists()]

@@ -39,7 +39,7 @@ class RunOptions:
     knocks: int | None = _option(DISTURBANCES, "Number of random blows on the cart.")
     knock_velocity: float | None = _option(DISTURBANCES, "Greatest jump of the cart's velocity by one, m/s.")
     knocks_per_minute: float | None = _option(
-        DISTURBANCES, "Blows on the arms per minute, at random times for as long as the run lasts."
+        DISTURBANCES, "Blows on the arms, 1/min, at random times for as long as the run lasts."
     )
     knock_impulse: float | None = _option(DISTURBANCES, "Their greatest impulse, N m s [0.03].")
     counts: int | None = _option(SENSORS, "Counts of an arm's encoder per turn; 0: no rounding.")
