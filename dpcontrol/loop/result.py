@@ -458,7 +458,7 @@ class JudgedTicks:
 class LogSink:
     """Hands the loop's ticks and events to a log's writer."""
 
-    def __init__(self, writer: LogWriter) -> None:
+    def __init__(self, writer: LogWriter | RollingLog) -> None:
         self._writer = writer
 
     def ticks(self, rows: Ticks) -> None:
