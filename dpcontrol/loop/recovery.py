@@ -47,6 +47,8 @@ _HELD = 0.08
 """rad, by the estimate: farther from the last stop's orbit than this over its last period a run has not held it."""
 _EVERY = 10
 """Ticks between those that are looked at for it."""
+_LOOKS, _DRIFTS = 0.1, 0.005
+"""s and m/s: how often it is looked whether a cart that was stopped stands, and what counts as drifting."""
 _MEETS = 0.05
 """Between the states (rad, rad/s, m, m/s) at which a reference ends and begins for laps without a rest."""
 _LAST = 1.5
@@ -164,6 +166,7 @@ class Recovery:
         self._flown: list[Flight] = []
         self._quiet, self._quiet_ticks = 0, round(REST_SECONDS / plan.calming.period)
         self._meets: int | None = None
+        self._seen = 0, 0.0
         self._arms = len(main.first_state) // 2 - 1
         self._latest: deque[Array] = deque(maxlen=max(round(plan.period / plan.calming.period / _EVERY), 1))
 
@@ -252,6 +255,7 @@ class Recovery:
             return [self._resumed()]
         over = k + 2 == ticker.began + ticker.count
         if not self._calms:
+            self._keep_standing(k, report, ticker, period)
             if (believed := self._believed(k, report, ticker, period)) or over:
                 self._calm(k, ticker, stands=not believed)
             return ()
@@ -266,6 +270,20 @@ class Recovery:
             return ()
         rested = Event("info", "at rest", f"after {(k - self._began) * period:.2f} s")
         return [rested, *self._start(k, report, ticker)]
+
+    def _keep_standing(self, k: int, report: Array, ticker: Ticker, period: float) -> None:
+        """Brake a cart that was stopped and drifts all the same, for drives do not just what they are told.
+
+        Its scale tells how fast; one that is stuck tells that it stands.
+        """
+        seen, where = self._seen
+        since = (k - seen) * period
+        if since < _LOOKS:
+            return
+        self._seen = k, ticker.cart_reading
+        drift = (ticker.cart_reading - where) / since
+        if since < 2 * _LOOKS and report.item(ticker.at["done"], 0) and abs(drift) > _DRIFTS:
+            ticker.brake_from(drift)
 
     def _believed(self, k: int, report: Array, ticker: Ticker, period: float) -> bool:
         """Tell whether the cart stands, and the filter agrees with the readings again."""

@@ -20,6 +20,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.logs import Flight, LogWriter
+from dpcontrol.logs.rolling import RollingLog
 
 Array = NDArray[np.float64]
 

@@ -283,6 +283,15 @@ class Ticker:
         self.program.memory[self.program.equations.memory.slices["stopped"]] = float(Outcome.TRACKING_LOST)
         self.stand(k)
 
+    @property
+    def cart_reading(self) -> float:
+        """The cart's position as last read, m."""
+        return float(self.program.reading[self._reading["measured"]][self._arms, 0])
+
+    def brake_from(self, velocity: float) -> None:
+        """Have a cart that is being brought to rest brake from this velocity, m/s, whatever it was sent to."""
+        self.program.memory[self.program.equations.memory.slices["velocity"]] = velocity
+
     def rehearse(self) -> None:
         """Do ticks that nobody sees, so that all is in memory before the first deadline."""
         state = self.controller.first_state

@@ -148,3 +148,13 @@ def test_references_meet_where_they_are_as_at_the_first_tick(offset: float, plac
     found = meeting_tick(references, 250)
     # As good as the nearest, to a fifth.
     assert found is None if place is None else abs(found - place) <= 3
+
+
+def test_a_cart_that_waits_for_a_stuck_encoder_stays_where_it_is(ready) -> None:
+    # A drive that gives less than it is told leaves the cart with a speed that nobody sent it to.
+    stuck = {"stuck_at": 2.0, "stuck_sensor": 1, "stuck_for": 4.0}
+    result, told = ready(sensors=stuck, drive={"response": 0.95}, until=12_000)
+    assert "return" in told.names
+    assert np.ptp(result.ticks.truth[2_500:6_000, 4]) < 0.03
+    assert "start" in told.names
+    assert result.ending is Ending.FINISHED
