@@ -51,7 +51,7 @@ class Digest:
     events: (time s, level, name, text) of what a run chose to do, and of how it ended; others: how many by name.
     repetitions: of the itinerary, completed. cart m: its greatest distance from the centre; limit m, zero where not
     known. squares rad² and followed: summed over the angles of as many ticks on the itinerary, against the reference.
-    extras: what was estimated besides the state: its mean over the file, and the last standard deviation. memory: of
+    extras: what was estimated besides the state: its mean on the itinerary, and the last standard deviation. memory: of
     the process at the end, bytes. size of the file in bytes, zero of what could not be written. loss: why not.
     """
 
@@ -125,7 +125,8 @@ class Digest:
             arms = state.shape[1] // 2 - 1
             self.squares += float(((state[:, :arms] - reference[:, :arms]) ** 2).sum())
             self.followed += len(times)
-        if extras is not None and extras.size:
+        # What is estimated after a fall, and before the filter has begun anew, is nonsense.
+        if self._now_on and extras is not None and extras.size:
             sums = extras.sum(axis=0)
             self._sums = sums if not self._counted else self._sums + sums
             self._counted += len(extras)
@@ -165,16 +166,23 @@ def digest_of_log(log: RunLog, *, size: int) -> Digest:
         )
     digest.limit = 0.0 if log.limits is None else log.limits[0]
     state, period, done = log.truth if log.truth is not None else log.estimate, 1 / log.rate_hz, 0
+    both = None if log.extras is None else np.concatenate([log.extras.sigmas, log.extras.values], axis=1)
+
+    def take(first: int, until: int) -> None:
+        extras = None
+        if log.extras is not None and both is not None and until > first:
+            span = np.searchsorted(log.extras.time, [log.time[first] - _SOON, log.time[until - 1] + _SOON])
+            extras = both[span[0] : span[1]]
+        rows = slice(first, until)
+        digest.take_ticks(log.time[rows], period, state[rows], log.reference[rows], extras)
+
     for event in log.events:
         until = int(np.searchsorted(log.time, event.time - _SOON))
-        digest.take_ticks(log.time[done:until], period, state[done:until], log.reference[done:until], None)
+        take(done, until)
         digest.take_event(*event)
         done = max(done, until)
-    digest.take_ticks(log.time[done:], period, state[done:], log.reference[done:], None)
-    if log.extras is not None and len(log.extras.time):
-        both = np.concatenate([log.extras.sigmas, log.extras.values], axis=1)
-        digest._sums, digest._counted, digest._last_sigmas = both.sum(axis=0), len(both), both[-1]
-        digest.close(log.extras.names)
+    take(done, len(log.time))
+    digest.close(() if log.extras is None else log.extras.names)
     digest.memory, digest.size = math.nan, size
     return digest
 

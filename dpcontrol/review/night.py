@@ -152,11 +152,15 @@ class Night:
         return sum("hit its hard stop" in text for _, text in self.endings)
 
     @property
+    def estimated(self) -> tuple[str, ...]:
+        """Names of what was estimated besides the state."""
+        return tuple(dict.fromkeys(name for digest in self.digests for name in digest.extras))
+
+    @property
     def drifts(self) -> tuple[Drift, ...]:
         """How the estimated parameters went."""
-        names = [name for digest in self.digests[:1] for name in digest.extras]
         out = []
-        for name in names:
+        for name in self.estimated:
             known = [((d.first + d.end) / 7200, d.extras[name][0]) for d in self.digests if name in d.extras]
             hours, values = np.array(known).T
             slope = float(np.polyfit(hours, values, 1)[0]) if len(values) > 1 else math.nan
@@ -347,7 +351,7 @@ def draw_night(night: Night) -> "Figure":
     _draw_strip(figure.add_subplot(grid[0, :]), night, row, rows)
     _draw_returns(figure.add_subplot(grid[1, 0]), night)
     _draw_causes(figure.add_subplot(grid[1, 1]), night)
-    names = [*night.digests[0].extras]
+    names = night.estimated
     zeros = [name for name in names if name.startswith("zero_")]
     _draw_drift(figure.add_subplot(grid[2, 0]), night, "Encoder zeros, change since the first file", "mrad", zeros, 1e3)
     others = [name for name in names if name not in zeros]
