@@ -60,13 +60,21 @@ from dpcontrol.foundation.processes import ATTEMPTS, in_processes, processors
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
-from dpcontrol.loop.loop import LoopSettings, can_batch, loop_controller, loop_fallback, run_batch, run_loop
+from dpcontrol.loop.loop import (
+    LoopSettings,
+    can_batch,
+    loop_controller,
+    loop_fallback,
+    loop_recovery,
+    run_batch,
+    run_loop,
+)
 from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.loop.ticker import Fallback
 from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.review.score import Flown, verdict_on
 from dpcontrol.scenes.itinerary import Itinerary
-from dpcontrol.scenes.plan import Plan
+from dpcontrol.scenes.plan import Plan, recoverable
 from dpcontrol.scenes.run_options import RunOptions
 
 if TYPE_CHECKING:
@@ -165,11 +173,12 @@ def _rows(job: Job) -> list[Row]:
         supervisor=loop.supervisor,
     )  # fmt: skip
     reference, controller, fallback = _prepared(job.reference, arms, decisive)
+    recovery = loop_recovery(reference, arms, loop, controller)
 
     def tick_by_tick(seed: int) -> Row:
         result = run_loop(
             reference, arms, settings=replace(loop, seed=seed), controller=controller, fallback=fallback,
-            uncertainty=job.uncertainty,
+            recovery=recovery, uncertainty=job.uncertainty,
         )  # fmt: skip
         return _row(job, reference, seed, BatchRun.of(result), path="ticks")
 
@@ -563,6 +572,11 @@ def run_campaign(
     began = time.perf_counter()
     itinerary = plan.itinerary
     announce(_cost(plan.followed(), cases, settings), yes=yes)
+    # One plan serves all cases, those that end with a fall and those that go on.
+    recovers = [case.loop for case in cases if case.loop.supervisor.on_fall != "stop"]
+    if recovers:
+        scene = replace(itinerary, loop=recovers[0])
+        plan = replace(recoverable(replace(plan, itinerary=scene)), itinerary=itinerary)
     jobs = _jobs(plan, cases, settings)
     if file is not None and not force:
         _check_replaced(file, _metadata(itinerary, cases, settings))

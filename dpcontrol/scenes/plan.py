@@ -198,7 +198,10 @@ def make_plan(
         GoalMissed: an orbit or the shadowing orbit did not converge.
     """
     if itinerary.loop.supervisor.on_fall != "stop":
-        return _with_starts(itinerary, orbits, progress=progress, fresh=fresh, yes=yes)
+        stops = replace(itinerary.loop, supervisor=replace(itinerary.loop.supervisor, on_fall="stop"))
+        whole, rest = part_of(progress, 0.0, 0.7), part_of(progress, 0.7, 1.0)
+        plan = make_plan(replace(itinerary, loop=stops), orbits=orbits, progress=whole, fresh=fresh, yes=yes)
+        return recoverable(replace(plan, itinerary=itinerary), fresh=fresh, progress=rest)
     file = cache_file("plans", itinerary.name, plan_key(itinerary))
     if not fresh and (content := kept(file)) is not None:
         return Plan(itinerary, load_reference(BytesIO(content)), file, cached=True)
@@ -215,28 +218,27 @@ def make_plan(
     return plan
 
 
-def _with_starts(
-    itinerary: Itinerary, orbits: "Sequence[ShadowingOrbit]", *, progress: Progress, fresh: bool, yes: bool
-) -> Plan:
-    """Return the plan of an itinerary with ways from rest to its stops, by which its runs go on after a fall."""
-    stops = replace(itinerary.loop, supervisor=replace(itinerary.loop.supervisor, on_fall="stop"))
-    whole = part_of(progress, 0.0, 0.7)
-    plan = make_plan(replace(itinerary, loop=stops), orbits=orbits, progress=whole, fresh=fresh, yes=yes)
-    content = [plan_key(itinerary), itinerary.loop.travel, code_hash("dpcontrol.scenes.starts")]
-    file = cache_file("plans", f"{itinerary.name}-starts", content_hash(json.dumps(content)))
+def recoverable(plan: Plan, *, fresh: bool = False, progress: Progress = no_progress) -> Plan:
+    """Return a plan with ways from rest to its stops, where its runs go on after a fall; from the cache unless `fresh`.
+
+    Raises:
+        GoalMissed: the first stop cannot be reached from rest.
+    """
+    scene = plan.itinerary
+    if scene.loop.supervisor.on_fall == "stop" or "starts" in plan.notes or not plan.converged:
+        return plan
+    content = [plan_key(scene), scene.loop.travel, code_hash("dpcontrol.scenes.starts")]
+    file = cache_file("plans", f"{scene.name}-starts", content_hash(json.dumps(content)))
     if not fresh and (found := kept(file)) is not None:
-        return Plan(itinerary, load_reference(BytesIO(found)), file, cached=plan.cached)
-    if not plan.converged:
-        return replace(plan, itinerary=itinerary)
-    # By name, as below: a plan without starts does not depend on what makes them.
-    planned_starts = import_module("dpcontrol.scenes.starts").planned_starts
-    starts, arrays = planned_starts(itinerary, plan.reference, progress=part_of(progress, 0.7, 1.0))
+        return Plan(scene, load_reference(BytesIO(found)), file, plan.cached)
+    # By name, as above: a plan without starts does not depend on what makes them.
+    starts, arrays = import_module("dpcontrol.scenes.starts").planned_starts(scene, plan.reference, progress=progress)
     reference = replace(
         plan.reference,
         notes={**plan.reference.notes, "starts": starts},
         extra={**plan.reference.extra, **arrays},
     )
-    plan = Plan(itinerary, reference, file, cached=False)
+    plan = Plan(scene, reference, file, cached=False)
     keep(file, plan.archive)
     return plan
 

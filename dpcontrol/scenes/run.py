@@ -80,7 +80,7 @@ from dpcontrol.review.score import (
 )
 from dpcontrol.scenes.itinerary import CONTROLLERS, Itinerary, itinerary_from
 from dpcontrol.scenes.model import folders, model_from
-from dpcontrol.scenes.plan import Plan, plan_key
+from dpcontrol.scenes.plan import Plan, plan_key, recoverable
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -207,7 +207,8 @@ def run_plan(
             uncertainty that the model's file does not give; or the library is not of this itinerary.
         GoalMissed: the plan did not converge, or no controller can be made for it, or no plant drawn.
     """
-    scene, sink = plan.followed().itinerary, _Events()
+    plan = recoverable(plan.followed())
+    scene, sink = plan.itinerary, _Events()
     run = partial(
         run_loop, plan.reference, scene.model.arms, settings=scene.loop, uncertainty=scene.uncertainty,
         library=library, progress=progress,

@@ -41,13 +41,13 @@ def ready():
     law = loop_controller(plan.reference, scene.model.arms, scene.loop)
     recovery = loop_recovery(plan.reference, scene.model.arms, scene.loop, law)
 
-    def run(*blows: Push, attempts: int = 10, sensors=None, drive=None, **more):
+    def run(*blows: Push, attempts: int = 10, restarts: bool = False, sensors=None, drive=None, **more):
         told, loop = Told(), scene.loop
         settings: LoopSettings = replace(
             loop, disturbances=replace(loop.disturbances, explicit=blows),
             sensors=replace(loop.sensors, **(sensors or {})), drive=replace(loop.drive, **(drive or {})),
         )  # fmt: skip
-        how = replace(recovery, attempts=attempts)
+        how = replace(recovery, attempts=attempts, restarts=restarts)
         result = run_loop(
             plan.reference, scene.model.arms, settings=settings, controller=law, recovery=how, sink=told, **more
         )
@@ -82,6 +82,14 @@ def test_a_run_that_does_not_fall_is_the_one_that_could_not_recover(ready) -> No
     plan = make_plan(scene)
     alone = run_loop(plan.reference, scene.model.arms, settings=scene.loop)
     np.testing.assert_array_equal(result.ticks.truth, alone.ticks.truth)
+
+
+def test_a_run_that_restarts_begins_its_itinerary_anew(ready) -> None:
+    result, told = ready(Push(4.2, 0, 0.03), Push(4.3, 1, 0.03), restarts=True)
+    assert result.ending is Ending.FINISHED
+    assert "begins anew" in next(text for _, name, text in told.events if name == "return")
+    # To the first stop, although the second had been reached.
+    assert result.flights[-1].at < 0.1
 
 
 def test_a_symbol_is_tried_as_often_as_is_allowed(ready) -> None:

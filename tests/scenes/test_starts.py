@@ -10,8 +10,9 @@ from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.loop import loop_controller, loop_recovery
 from dpcontrol.references.reference import plan_notes, start_reference
+from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign
 from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.plan import make_plan
+from dpcontrol.scenes.plan import make_plan, recoverable
 from dpcontrol.scenes.run import repeat_run, run_plan
 from dpcontrol.scenes.run_options import RunOptions
 from dpcontrol.scenes.starts import planned_starts
@@ -86,3 +87,11 @@ def test_a_law_with_a_clock_of_its_own_cannot_be_taken_up_anywhere(plan) -> None
     controller = loop_controller(plan.reference, scene.model.arms, loop)
     with pytest.raises(InputError, match="keeps a clock of its own"):
         loop_recovery(plan.reference, scene.model.arms, loop, controller)
+
+
+def test_a_plan_that_was_made_without_starts_gets_them_where_its_runs_recover(plan) -> None:
+    alone = make_plan(load_itinerary("outer-turn"))
+    (case,) = cases_of(alone.itinerary, fixed=replace(RESUME, pushes=2, push_impulse=0.02), over={})
+    campaign = run_campaign(alone, [case], settings=CampaignSettings(runs=2, first_seed=3, workers=1), yes=True)
+    assert campaign.completed.successes == 2
+    assert plan_notes(recoverable(replace(alone, itinerary=plan.itinerary)).reference)["starts"]
