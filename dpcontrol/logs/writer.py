@@ -324,6 +324,11 @@ class LogWriter:
             for name, data in self._attachments.items():
                 self._file.add_attachment(name, data)
         except OSError as error:
+            if self._stream is not None:
+                # There is nothing in it yet.
+                self._stream.close()
+                self.partial.unlink(missing_ok=True)
+                self._stream = self._file = None
             raise unwritable(self.path, error) from error
         return self
 

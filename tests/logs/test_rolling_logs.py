@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dpcontrol.foundation.errors import Remark
+from dpcontrol.foundation.errors import InputError, Remark
 from dpcontrol.logs import LogWriter, read_log
 from dpcontrol.logs.container import McapFile
 from dpcontrol.logs.rolling import Digest, RollingLog, digest_of_log
@@ -155,3 +155,13 @@ def test_an_interrupted_night_leaves_whole_files(tmp_path: Path) -> None:
         interrupted()
     assert read_log(folder / "turn-7-0002.mcap").time[-1] == pytest.approx(1.29)
     assert not [*folder.glob("*.partial")]
+
+
+def test_a_full_disk_leaves_no_empty_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(self: McapFile, *given: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(McapFile, "add_metadata", full)
+    with pytest.raises(InputError, match="No space left"):
+        make(tmp_path / "turn.mcap", {}).__enter__()
+    assert not [*tmp_path.iterdir()]
