@@ -458,6 +458,11 @@ def check_exportable(itinerary: Itinerary) -> None:
             f'supervisor: hold = "{loop.supervisor.hold}" searches for what to hold and cannot leave as C; export with '
             'hold = "none"'
         )
+    if loop.supervisor.on_fall != "stop":
+        raise InputError(
+            f'supervisor: on_fall = "{loop.supervisor.on_fall}" changes what is followed in mid-run and cannot leave as C; '
+            'export with on_fall = "stop"'
+        )
     kind, by = loop.controller.kind, getattr(loop.controller, "schedule", "time")
     if isinstance(loop.controller, OgySettings | ClassicOgySettings) or by != "time":
         what = f'schedule = "{by}"' if by != "time" else f'kind = "{kind}"'

@@ -13,7 +13,7 @@ from dpcontrol.references.reference import plan_notes, start_reference
 from dpcontrol.scenes.campaign import CampaignSettings, cases_of, run_campaign
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan, recoverable
-from dpcontrol.scenes.run import repeat_run, run_plan
+from dpcontrol.scenes.run import check_exportable, repeat_run, run_plan
 from dpcontrol.scenes.run_options import RunOptions
 from dpcontrol.scenes.starts import planned_starts
 
@@ -79,6 +79,11 @@ def test_a_stop_that_cannot_be_reached_on_the_track_that_is_left_is_passed_over(
     # Without the first there is no way at all.
     with pytest.raises(GoalMissed, match=r"on_fall: from rest to stop 1 \(down-up\): no transfer"):
         planned_starts(short, bare)
+
+
+def test_what_gets_up_after_a_fall_cannot_leave_as_c(plan) -> None:
+    with pytest.raises(InputError, match='on_fall = "resume".*export with on_fall = "stop"'):
+        check_exportable(plan.itinerary)
 
 
 def test_a_law_with_a_clock_of_its_own_cannot_be_taken_up_anywhere(plan) -> None:
