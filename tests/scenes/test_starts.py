@@ -82,7 +82,7 @@ def test_a_stop_that_cannot_be_reached_on_the_track_that_is_left_is_passed_over(
 
 
 def test_what_gets_up_after_a_fall_cannot_leave_as_c(plan) -> None:
-    with pytest.raises(InputError, match='on_fall = "resume".*export with on_fall = "stop"'):
+    with pytest.raises(InputError, match=r'on_fall = "resume".*export with on_fall = "stop"'):
         check_exportable(plan.itinerary)
 
 
