@@ -460,8 +460,8 @@ def check_exportable(itinerary: Itinerary) -> None:
         )
     if loop.supervisor.on_fall != "stop":
         raise InputError(
-            f'supervisor: on_fall = "{loop.supervisor.on_fall}" changes what is followed in mid-run and cannot leave as '
-            'C; export with on_fall = "stop"'
+            f'supervisor: on_fall = "{loop.supervisor.on_fall}" changes what is followed in mid-run and cannot leave '
+            'as C; export with on_fall = "stop"'
         )
     kind, by = loop.controller.kind, getattr(loop.controller, "schedule", "time")
     if isinstance(loop.controller, OgySettings | ClassicOgySettings) or by != "time":
