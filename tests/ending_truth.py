@@ -8,10 +8,10 @@ here as a user reads them; nothing of how they were decided is used. What each c
     estimate lost     an estimated angle was wrong by 0.05 rad, or the cart by 0.02 m, within the last 0.3 s, or a
                       sensor really failed
     tracking lost     the true angle was, or has stayed, as far from the reference as is said
-    cart at its stop  the true cart was where it is said to be, and as quick; had it gone on for another tick, the real
-                      drive, braked with half of what it can give, would have left no more than 3 cm of the travel and
-                      what the cart goes in a tick; the true angle was as far from the reference as is said, and not yet
-                      lost
+    cart at its stop  the true cart was where it is said to be, and as quick, if that is said; had it gone on for
+                      another tick, the real drive, braked with half of what it can give, would have left no more than
+                      3 cm of the travel and what the cart goes in a tick; the true angle was as far from the reference
+                      as is said, and not yet lost
     limit switch      the true cart was at that end of its track
     hard stop         the true cart ran into the end of its track
 
@@ -161,9 +161,9 @@ def untrue(flight: Flight) -> str:
         return "" if _near(said[0], mean) else f"the true angle stayed {mean:.2f} rad away"
     if run.ending in (Ending.TRACKING_LOST, Ending.CART_STOP):
         (said,) = _read("an angle is # rad" if run.ending is Ending.TRACKING_LOST else "an angle # rad", text)
-        x, v = _read("at # m with # m/s", text)
+        (x,), speed = _read("at # m", text.partition(" s: ")[2]), _read("m with # m/s", text)
         there, quick = run.truth[k, -2:]
-        if abs(there - x) > 0.01 or abs(quick - v) > 0.1 + 0.1 * abs(quick):
+        if abs(there - x) > 0.01 or any(abs(quick - v) > 0.1 + 0.1 * abs(quick) for v in speed):
             return f"the cart was at {there:.3f} m with {quick:.2f} m/s"
         if not _near(said, flight.away[k]):
             return f"the true angle was {flight.away[k]:.2f} rad away"

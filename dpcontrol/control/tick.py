@@ -139,13 +139,14 @@ UNROLLED = 8
 """Periods that one function looks ahead; the loop calls the prediction for further ones."""
 
 BOUNDS = (
-    "share", "acceleration", "velocity", "travel", "reaction", "brake", "margin", "lost_tracking", "lost_estimate",
-    "resynchronise", "restarts", "missing", "can_hold", "trust", "mode",
+    "share", "acceleration", "velocity", "travel", "reaction", "onset", "brake", "margin", "lost_tracking",
+    "lost_estimate", "resynchronise", "restarts", "missing", "can_hold", "trust", "mode",
 )  # fmt: skip
 """Numbers a run is judged by.
 
 share: of the period for which the command before still acts. acceleration m/s², velocity m/s, travel m: the cart's.
-reaction s: until a command acts. brake m/s²: twice the acceleration counted on to stop the cart; margin m.
+reaction s: until a command acts; onset s: from the state ahead until braking does that is decided a tick later.
+brake m/s²: twice the acceleration counted on to stop the cart; margin m.
 lost_tracking rad, lost_estimate, resynchronise rad, restarts, missing s: see `SupervisorSettings`. can_hold: 1 where
 there is something to fall back to. trust: of an adaptive law. mode: of a tick that tracks or holds, see `Mode`.
 """
@@ -651,7 +652,7 @@ class TickEquations:
 
         Negative on the side that it comes from; the margin is added.
         """
-        reached = position + velocity * c["reaction"]
+        reached = position + velocity * c["onset"]
         return ca.if_else(velocity < 0, -reached, reached) + velocity * velocity / c["brake"] + c["margin"]
 
     # The functions.

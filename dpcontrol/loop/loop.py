@@ -514,10 +514,12 @@ def make_ticker(
 
 
 def _bounds(settings: LoopSettings, limits: Limits, *, can_hold: bool, trust: float) -> dict[str, float]:
-    s = settings.supervisor
+    s, delay = settings.supervisor, settings.drive.delay
     return {
         "acceleration": limits.acceleration, "velocity": limits.velocity, "travel": limits.position,
-        "reaction": (settings.drive.delay + 1) / settings.rate + settings.drive_lag,
+        "reaction": (delay + 1) / settings.rate + settings.drive_lag,
+        # The state ahead is that at which a command acts: the delay is in it.
+        "onset": (delay - whole_periods(delay)[1] + 1) / settings.rate + settings.drive_lag,
         "brake": 2 * s.braking * limits.acceleration,
         "margin": s.margin, "lost_tracking": s.lost_tracking, "lost_estimate": s.lost_estimate,
         "resynchronise": s.resynchronise, "restarts": s.restarts, "missing": s.missing, "can_hold": can_hold,

@@ -146,7 +146,8 @@ def explained(outcome: Outcome, now: float, figures: Mapping[str, float], *, arm
     error, distance = figures["error"], figures["distance"]
     away = f"an angle has stayed {error:.2g} rad from the reference"
     lost, shown = f"estimate lost at t = {now:.3f} s:", _lost(figures)
-    cart = f"at {figures['position']:.3f} m with {figures['velocity']:.2f} m/s it must brake now to stay on the track"
+    speed = f" with {velocity:.2f} m/s" if math.isfinite(velocity := figures["velocity"]) else ""
+    cart = f"at {figures['position']:.3f} m{speed} it must brake now to stay on the track"
     match outcome:
         case Outcome.RESTART:
             return f"{shown}: the estimator restarts from the encoders"

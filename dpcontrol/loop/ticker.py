@@ -4,6 +4,7 @@ Where the gains stand in a table and the estimator is the compiled filter, a tic
 with a clock of its own is asked between its two parts; another estimator takes the place of the first.
 """
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from typing import Any, Protocol
@@ -17,6 +18,11 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.result import Reading
 
 Array = NDArray[np.float64]
+
+_SCALE_SECONDS = 0.01
+"""Over how long the cart's velocity is read off its scale."""
+_VELOCITY, _VELOCITY_SHARE = 0.1, 0.1
+"""m/s and share: how far scale and estimate may be apart for the estimated velocity to be told."""
 
 
 class Fallback(Protocol):
@@ -77,6 +83,7 @@ class Ticker:
         """Begin a run."""
         program, first = self.program, self.controller.first_state
         self._session: Any = None
+        self._carts = np.full((max(1, round(_SCALE_SECONDS / program.period)) + 1, program.lanes), np.nan)
         self._coming: deque[Array] = deque()
         if self.estimator is not None:
             self._estimate: Estimate = self.estimator.first(first)
@@ -140,6 +147,7 @@ class Ticker:
         program = self.program
         positions = reading.positions if self._many else reading.positions[:, None]
         program.take(positions, reading.present, reading.switch if self._heeds_switch else 0, rate_error)
+        self._carts[k % len(self._carts)] = positions[-1] if reading.present is None or reading.present[-1] else np.nan
         if self._whole:
             program.row[:] = self._rows[k - self.began]
             program.tick()
@@ -320,7 +328,8 @@ class Ticker:
         """Return the numbers of tick k, the last, by which an outcome is explained.
 
         distance rad: of the angle that is farthest from the reference, as read, or as estimated where nothing was read;
-        apart rad: of the estimated angle that is farthest from its reading; position m and velocity m/s: of the cart.
+        apart rad: of the estimated angle that is farthest from its reading; position m and velocity m/s: of the cart,
+        the velocity not a number where the cart's scale does not bear it out, as just after a knock.
         """
         column, references, arms = self.program.report[:, lane], self.references[k - self.began], self._arms
         names = ("mean_nis", "error", "silent", "sensor", "repeats", "wish", "command", "doubted", "newly_cut")
@@ -330,9 +339,13 @@ class Ticker:
         apart = measured[:arms, lane] - angles
         read = measured[:arms, lane] - 2 * np.pi * np.rint(apart / (2 * np.pi))
         seen = present[:arms, lane] > 0
+        velocity, span = column.item(self._n - 1), len(self._carts)
+        moved = self._carts[k % span, lane] - self._carts[(k + 1) % span, lane]
+        by_scale = moved / ((span - 1) * self.program.period)
+        agree = abs(velocity - by_scale) <= _VELOCITY + _VELOCITY_SHARE * abs(by_scale)
         return {
             **{name: column.item(self.at[name]) for name in names},
             "distance": float(np.abs(np.where(seen, read, angles) - wanted).max()),
             "apart": float(np.abs(apart[seen]).max(initial=0.0)),
-            "position": column.item(self._n - 2), "velocity": column.item(self._n - 1),
+            "position": column.item(self._n - 2), "velocity": velocity if agree else math.nan,
         }  # fmt: skip

@@ -31,7 +31,7 @@ class Ticked:
     def __init__(self, delay: float = 1.0, limits: Limits = WIDE, *, state: np.ndarray = HANGING, **bounds: float):
         known = {
             "acceleration": limits.acceleration, "velocity": limits.velocity, "travel": 1e9, "reaction": 2e-3,
-            "brake": limits.acceleration, "margin": 0.0, "lost_tracking": 1e9, "lost_estimate": 1e12,
+            "onset": 2e-3, "brake": limits.acceleration, "margin": 0.0, "lost_tracking": 1e9, "lost_estimate": 1e12,
             "resynchronise": 0.0, "restarts": 2.0, "missing": 1.0, "can_hold": 0.0, "trust": 0.0, "mode": 1.0,
         }  # fmt: skip
         self.program = TickProgram(
@@ -315,3 +315,15 @@ def test_silence_is_borne_for_so_long_and_no_longer() -> None:
     outcomes = [tick(0.0, positions=np.full(3, np.nan), present=nothing)["outcome"] for _ in range(40)]
     assert outcomes.index(Outcome.SILENT) in (29, 30)
     assert not any(outcomes[:29])
+
+
+def test_a_cart_brakes_no_sooner_for_a_delay_that_is_looked_ahead() -> None:
+    speed = 1.0
+    for delay in (0.0, 1.0, 3.0, 7.0):
+        state = np.array([0.0, 0.0, 0.0, 0.0, 0.0, speed])
+        onset = PERIOD
+        brakes = speed**2 / WIDE.acceleration + speed * (onset + delay * PERIOD)
+        for travel, expected in ((brakes + 1e-4, Outcome.GO_ON), (brakes - 1e-4, Outcome.CART)):
+            tick = Ticked(delay, state=state, travel=travel, onset=onset, reaction=(delay + 1) * PERIOD)
+            tick.begin(np.zeros(tick.program.lead), velocity=speed)
+            assert tick(0.0)["outcome"] == expected

@@ -45,6 +45,25 @@ def test_an_ending_says_what_was_true(plan: Plan, options: dict[str, Any], kind:
     assert untrue(flight) == untrue_score(flight) == ""
 
 
+def test_the_carts_velocity_is_told_where_its_scale_bears_it_out(plan: Plan) -> None:
+    with_and_without = []
+    for knocks in (0, 5):
+        options = RunOptions(**BENCH, travel=0.25, rate=200.0, knocks=knocks, knock_velocity=1.5, mismatch=0.25)
+        stopped = [
+            flight for flight in flights(plan.itinerary.with_run(options), plan.reference, range(16))
+            if flight.run.ending is Ending.CART_STOP
+        ]  # fmt: skip
+        assert not [why for flight in stopped if (why := untrue(flight)).startswith("the cart was at")]
+        told = ["m/s" in flight.run.reason for flight in stopped]
+        with_and_without.append((told.count(True), told.count(False)))
+    (told, left_out), (told_after_knocks, left_out_after_knocks) = with_and_without
+    assert told
+    assert not left_out
+    # Just after a knock the estimate is off by more than 0.2 m/s.
+    assert told_after_knocks
+    assert left_out_after_knocks
+
+
 def test_a_lost_estimate_is_one_that_was_wrong(plan: Plan) -> None:
     scene = plan.itinerary.with_run(RunOptions(**BENCH, mismatch=0.8, lag=0.03, travel=10.0))
     # A filter that knows nothing of its model's errors.
