@@ -245,16 +245,16 @@ class TrackingSession:
 
 @dataclass(frozen=True)
 class AdaptiveSettings(ClosingWeights):
-    """Weights as of "tvlqr", less than half of them: what is known of the model needs no feedback.
+    """Weights as of "tvlqr", lighter but for the closing: what is known of the model needs no feedback.
 
     trust: the greatest share by which a parameter is taken to be wrong; masses and lengths that are off by 0.3 make
     base parameters off by 0.7 at most.
     """
 
     kind: str = "adaptive"
-    angle: float = 4000.0
-    rate: float = 400.0
-    closing: float = 60.0
+    angle: float = 6000.0
+    rate: float = 600.0
+    closing: float = 120.0
     trust: float = setting(0.8, least=0, most=1.9)
 
 
