@@ -328,7 +328,7 @@ SHORT = 1.0
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
+class FollowedReference:
     """A reference with the law that follows it, in runs of `seeds` seeds."""
 
     reference: Reference
@@ -362,7 +362,7 @@ def _astray(run: BatchRun) -> str:
 
 
 @cache
-def followed(itinerary: str, law: str, seeds: int) -> Followed:
+def followed(itinerary: str, law: str, seeds: int) -> FollowedReference:
     """Return an itinerary followed by a law; a stay for `STAYED` s."""
     scene = load_itinerary(itinerary).with_run(RunOptions(controller=law, travel=0.8))
     reference, arms = make_plan(scene).reference, scene.model.arms
@@ -374,7 +374,7 @@ def followed(itinerary: str, law: str, seeds: int) -> Followed:
         controller = replace(controller, ticks=round(STAYED * settings.rate))
     least = loop_margins(reference, arms, settings, controller).least()
     margins = {name: value for name, (value, _) in least.items()}
-    return Followed(reference, arms, settings, controller, margins, seeds)
+    return FollowedReference(reference, arms, settings, controller, margins, seeds)
 
 
 def margin_border(name: str, case: tuple[str, str], *, seeds: int, ratio: float) -> Border:

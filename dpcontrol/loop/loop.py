@@ -42,8 +42,7 @@ from dpcontrol.loop.bench import (
     draw_bench,
 )
 from dpcontrol.loop.controllers import KEEPERS, ControllerSettings, make_controller, make_estimator, nearest_keeper
-from dpcontrol.loop.recovery import RETURN_SECONDS, Recovery, RecoveryPlan, Start, started
-from dpcontrol.loop.recovery import Event as Told
+from dpcontrol.loop.recovery import RETURN_SECONDS, Choice, FallRecovery, RecoveryPlan, StartController, started
 from dpcontrol.loop.result import (
     EVENTS,
     BatchRun,
@@ -93,7 +92,7 @@ class ControlLoop:
         sink: LoopSink,
         rate_noise: StreamReader | None = None,
         fallback: Fallback | None = None,
-        recovery: Recovery | None = None,
+        recovery: FallRecovery | None = None,
         until: int = 0,
         keep: bool = True,
         progress: Progress = no_progress,
@@ -270,7 +269,7 @@ class ControlLoop:
         self.ticker.stand(k)
         rig.stop()
 
-    def _tell_all(self, k: int, told: Sequence[Told]) -> None:
+    def _tell_all(self, k: int, told: Sequence[Choice]) -> None:
         """Make events of what is told at tick k."""
         for one in told:
             if one.name:
@@ -453,7 +452,7 @@ def loop_recovery(
             assert before is not None
             gains = before
         ways.append(
-            Start(note["stop"], note["at"], ticks, turns, started(gains, main, lead_in=ticks, place=place, turns=turns))
+            StartController(note["stop"], note["at"], ticks, turns, started(gains, main, lead_in=ticks, place=place, turns=turns))
         )
     reaction = (settings.drive.delay + 1) / settings.rate + settings.drive_lag
     calming = calming_controller(model, limits, CalmingSettings(), reaction=reaction, seconds=RETURN_SECONDS)
@@ -537,7 +536,7 @@ def control_loop(
     rate_noise: StreamReader | None = None,
     sink: LoopSink | None = None,
     fallback: Fallback | None = None,
-    recovery: Recovery | None = None,
+    recovery: FallRecovery | None = None,
     until: int = 0,
     keep: bool = True,
     library: Path | None = None,
@@ -604,7 +603,7 @@ def run_loop(
     loop = control_loop(
         parameters, settings, controller, limits=limits,
         rate_noise=draw.reader("rate_noise", lambda rows: rows[:, :, None]), sink=sink, fallback=fallback,
-        recovery=None if recovery is None else Recovery(recovery, controller, laps=until > 0), until=until, keep=keep,
+        recovery=None if recovery is None else FallRecovery(recovery, controller, laps=until > 0), until=until, keep=keep,
         library=library, progress=progress,
     )  # fmt: skip
     rig = SimulatedRig(draw, settings.bench, limits=limits, start=first, queued=loop.queued)

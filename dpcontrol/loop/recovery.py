@@ -78,7 +78,7 @@ def calming_bounds(limits: Limits) -> Mapping[str, float]:
 
 
 @dataclass(frozen=True, eq=False)
-class Start:
+class StartController:
     """A way from hanging at rest to one stop of the walk, and on with the itinerary.
 
     stop: which; at s: the time of the plan's reference at which that is joined, after `lead_in` ticks. turns (n,) rad:
@@ -128,7 +128,7 @@ class RecoveryPlan:
     """
 
     calming: CalmingController
-    starts: tuple[Start, ...]
+    starts: tuple[StartController, ...]
     names: tuple[str, ...]
     symbols: tuple[str, ...]
     limits: Limits
@@ -139,7 +139,7 @@ class RecoveryPlan:
 
 
 @dataclass(frozen=True)
-class Event:
+class Choice:
     """What is told of a choice: level, name, text."""
 
     level: str
@@ -147,7 +147,7 @@ class Event:
     text: str
 
 
-class Recovery:
+class FallRecovery:
     """The choice of motions in one run.
 
     laps: whether the itinerary begins anew where its reference ends, without end.
@@ -175,7 +175,7 @@ class Recovery:
         under_way = [Flight(self._joins, end, self._at)] if self.motion is Motion.ITINERARY else []
         return (*self._flown, *under_way)
 
-    def begin(self, ticker: Ticker) -> Event:
+    def begin(self, ticker: Ticker) -> Choice:
         """Remember by what flights are judged; return what is told of the first motion."""
         self._bounds = {name: ticker.number(name) for name in calming_bounds(self._plan.limits)}
         ticker.prepare_to_hold()
@@ -189,12 +189,12 @@ class Recovery:
         what = "the last stop" if last else f"symbol {place + 1} of {len(symbols)} ({symbols[place]!r})"
         return f"{what}, attempt {self._attempts.get(self._stop, 0) + 1}"
 
-    def _resumed(self) -> Event:
+    def _resumed(self) -> Choice:
         name, what = ("lap", f"lap {self._lap}") if self._begins else ("resume", self._progress())
         self._begins = False
-        return Event("info", name, joined_text(self._at, what))
+        return Choice("info", name, joined_text(self._at, what))
 
-    def fell(self, k: int, outcome: Outcome, why: str, ticker: Ticker, period: float) -> Event | None:
+    def fell(self, k: int, outcome: Outcome, why: str, ticker: Ticker, period: float) -> Choice | None:
         """Return what is told of a fall at tick k, from which a return begins; None where no attempt is left."""
         plan = self._plan
         if self.motion is not Motion.RETURN:
@@ -220,7 +220,7 @@ class Recovery:
             self._calm(k, ticker, stands=True)
         else:
             self._calm(k, ticker)
-        return Event("warn", "return", f"{why}; {self._progress_lost()}") if told else Event("", "", "")
+        return Choice("warn", "return", f"{why}; {self._progress_lost()}") if told else Choice("", "", "")
 
     def _progress_lost(self) -> str:
         total, number = len(self._plan.symbols), self._stop + 1
@@ -238,7 +238,7 @@ class Recovery:
         if stands:
             ticker.brake(k + 1)
 
-    def follow_up(self, k: int, report: Array, ticker: Ticker, period: float) -> Sequence[Event]:
+    def follow_up(self, k: int, report: Array, ticker: Ticker, period: float) -> Sequence[Choice]:
         """Look at tick k, which has just been done; return what is told, where something else begins with the next."""
         if self.motion is Motion.ITINERARY:
             if report.item(ticker.at["error"], 0) < FOLLOWED:
@@ -268,7 +268,7 @@ class Recovery:
                 ticker.lose()
                 self._calm(k, ticker)
             return ()
-        rested = Event("info", "at rest", f"after {(k - self._began) * period:.2f} s")
+        rested = Choice("info", "at rest", f"after {(k - self._began) * period:.2f} s")
         return [rested, *self._start(k, report, ticker)]
 
     def _keep_standing(self, k: int, report: Array, ticker: Ticker, period: float) -> None:
@@ -315,7 +315,7 @@ class Recovery:
             self._rested = k
         return k - self._rested
 
-    def _start(self, k: int, report: Array, ticker: Ticker) -> list[Event]:
+    def _start(self, k: int, report: Array, ticker: Ticker) -> list[Choice]:
         plan = self._plan
         start = max((one for one in plan.starts if one.stop <= self._stop), key=lambda one: one.stop)
         self._stop = start.stop
@@ -324,13 +324,13 @@ class Recovery:
         self._at, self._joins = start.at, k + 1 + start.lead_in
         self.motion = Motion.START
         text = f"from rest to stop {start.stop + 1} ({plan.names[start.stop]}): {self._progress()}"
-        told = [Event("info", "start", text)]
+        told = [Choice("info", "start", text)]
         if start.lead_in == 0:
             self.motion, self._followed = Motion.ITINERARY, k
             told.append(self._resumed())
         return told
 
-    def _held(self, k: int, ticker: Ticker) -> Sequence[Event]:
+    def _held(self, k: int, ticker: Ticker) -> Sequence[Choice]:
         """Return what is told where the last stop was not held to the end of the reference, and a return begins."""
         seen, end = np.array(self._latest), ticker.references[-1, : self._arms]
         path = self._plan.path + whole_turns(end - self._plan.path.mean(axis=0))
@@ -341,7 +341,7 @@ class Recovery:
         told = self.fell(k, Outcome.TRACKING_LOST, why, ticker, ticker.program.period)
         return () if told is None else [told]
 
-    def ended(self, k: int, report: Array, ticker: Ticker) -> Sequence[Event]:
+    def ended(self, k: int, report: Array, ticker: Ticker) -> Sequence[Choice]:
         """Return what is told where the reference ends with tick k and the run goes on; none: it ends."""
         if self.motion is not Motion.ITINERARY:
             return ()
@@ -349,7 +349,7 @@ class Recovery:
             return self._held(k, ticker)
         return self._lapped(k, ticker.references[-1], ticker)
 
-    def _lapped(self, k: int, state: Array, ticker: Ticker) -> Sequence[Event]:
+    def _lapped(self, k: int, state: Array, ticker: Ticker) -> Sequence[Choice]:
         """Begin another lap after tick k, where the reference is at `state` (N,)."""
         self._lap, self._begins = self._lap + 1, True
         # What the run is judged by is its last lap.
@@ -366,7 +366,7 @@ class Recovery:
             return [self._resumed()]
         self.motion, self._began = Motion.RETURN, k
         self._calm(k, ticker)
-        return [Event("info", "return", f"lap {self._lap - 1} is done; the next one begins from rest")]
+        return [Choice("info", "return", f"lap {self._lap - 1} is done; the next one begins from rest")]
 
 
 def meeting_tick(references: Array, ticks: int) -> int | None:

@@ -39,7 +39,7 @@ _GAP = 0.5
 
 
 @dataclass(frozen=True)
-class Span:
+class NightSpan:
     """A part of a night, from first to end s, of one kind; cause of the fall that it follows, empty for none."""
 
     first: float
@@ -91,7 +91,7 @@ class Night:
     folder: Path
     digests: tuple[Digest, ...]
     partials: tuple[Path, ...] = ()
-    spans: tuple[Span, ...] = field(init=False)
+    spans: tuple[NightSpan, ...] = field(init=False)
     falls: tuple[Fall, ...] = field(init=False)
     endings: tuple[tuple[float, str], ...] = field(init=False)
     """Times and texts of what ended it, other than its time."""
@@ -235,14 +235,14 @@ class Night:
             yield f"  beside it: {file}, of a night that was interrupted or is under way"
 
 
-def _firsts(falls: Sequence[Fall], spans: Sequence[Span]) -> list[Fall]:
+def _firsts(falls: Sequence[Fall], spans: Sequence[NightSpan]) -> list[Fall]:
     """Return the falls that took a run off its itinerary."""
     ends = [span.end for span in spans if span.kind == ITINERARY]
     return [fall for fall in falls if any(abs(fall.time - end) < 1e-6 for end in ends)]
 
 
-def _followed(digests: Sequence[Digest]) -> tuple[list[Span], list[Fall], list[tuple[float, str]]]:
-    spans: list[Span] = []
+def _followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], list[tuple[float, str]]]:
+    spans: list[NightSpan] = []
     falls: list[Fall] = []
     endings: list[tuple[float, str]] = []
     kind, cause, since, left = STOPPED, "", digests[0].first, None
@@ -252,9 +252,9 @@ def _followed(digests: Sequence[Digest]) -> tuple[list[Span], list[Fall], list[t
         nonlocal kind, cause, since
         if time > since:
             if spans and (spans[-1].kind, spans[-1].cause, spans[-1].end) == (kind, cause, since):
-                spans[-1] = Span(spans[-1].first, time, kind, cause)
+                spans[-1] = NightSpan(spans[-1].first, time, kind, cause)
             else:
-                spans.append(Span(since, time, kind, cause))
+                spans.append(NightSpan(since, time, kind, cause))
         kind, cause, since = following, why, time
 
     for digest in digests:

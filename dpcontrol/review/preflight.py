@@ -51,7 +51,7 @@ class EndingShare:
 
 
 @dataclass(frozen=True)
-class Point:
+class ShareAt:
     """A value of a trouble on some seeds: how many completed, and how many of the same do so on the bench as it is."""
 
     value: float
@@ -70,7 +70,7 @@ _NEAR = 1.25
 
 
 @dataclass(frozen=True)
-class Border:
+class HazardBorder:
     """Where a trouble lets half as many runs complete as on the bench as it is.
 
     setting: the run setting; set, border, low and high in `unit`, low and high the border's 95 % interval, None where
@@ -87,7 +87,7 @@ class Border:
     high: float | None
     end: float
     falling: bool
-    points: tuple[Point, ...]
+    points: tuple[ShareAt, ...]
 
     @property
     def margin(self) -> float | None:
@@ -123,7 +123,7 @@ class Border:
 
 
 @dataclass(frozen=True)
-class Change:
+class Improvement:
     """A change on the same seeds: of `failing` that failed `rescued` complete, of `completing` `lost` no longer do.
 
     options: its run settings; rate: the share that completes without it.
@@ -171,8 +171,8 @@ class Preflight:
     known: tuple[Known, ...]
     notes: tuple[str, ...]
     endings: tuple[EndingShare, ...]
-    borders: tuple[Border, ...]
-    changes: tuple[Change, ...]
+    borders: tuple[HazardBorder, ...]
+    changes: tuple[Improvement, ...]
     seconds: float
 
     def __repr__(self) -> str:
@@ -306,7 +306,7 @@ def _endings(axes: Axes, found: Preflight) -> None:
     axes.set(xlim=(0, 1), ylim=(max(len(shown), _REASONS), 0))
 
 
-def _border(axes: Axes, border: Border) -> None:
+def _border(axes: Axes, border: HazardBorder) -> None:
     margin = "" if border.margin is None else f" ({border.margin:.1f} ×)"
     quiet(axes, f"{border.name}: {border.sentence}{margin}", size=8)
     own = border.set if border.set and math.isfinite(border.set) else None

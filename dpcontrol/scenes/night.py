@@ -22,7 +22,7 @@ from dpcontrol.logs import LogWriter, partials_of, recover
 from dpcontrol.logs.reader import check_same_run
 from dpcontrol.logs.rolling import NIGHT_METADATA, RollingLog
 from dpcontrol.loop.loop import LoopSettings, control_loop, loop_controller, loop_recovery
-from dpcontrol.loop.recovery import Recovery
+from dpcontrol.loop.recovery import FallRecovery
 from dpcontrol.loop.result import LogSink
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.review.night import Night, read_night
@@ -108,7 +108,7 @@ def _gigabytes(size: float) -> str:
 
 
 @dataclass(frozen=True)
-class _Place:
+class _Resumption:
     """Where a night begins or goes on: session and number of the first file, from 1, and the time, s."""
 
     session: int = 1
@@ -164,7 +164,7 @@ def run_night(
         loop = control_loop(
             arms, settings, controller, limits=limits,
             rate_noise=draw.reader("rate_noise", lambda rows: rows[:, :, None]), sink=LogSink(rolling),
-            recovery=Recovery(recovery, controller, laps=True), keep=False, until=until - since, progress=progress,
+            recovery=FallRecovery(recovery, controller, laps=True), keep=False, until=until - since, progress=progress,
         )  # fmt: skip
         rig = SimulatedRig(draw, loop_settings.bench, limits=limits, start=controller.first_state, queued=loop.queued)
         try:
@@ -209,7 +209,7 @@ def _since(settings: LoopSettings, begin: float) -> LoopSettings:
 
 def _place(
     folder: Path, metadata: Mapping[str, str], night: NightSettings, rate: float, *, resume: bool, force: bool
-) -> _Place:
+) -> _Resumption:
     """Return where to begin, what an interrupted session left having been closed.
 
     Raises:
@@ -220,7 +220,7 @@ def _place(
     if not resume:
         for file in there:
             file.unlink()
-        return _Place()
+        return _Resumption()
     for partial in partials_of(folder / name):
         log = folder / f"{partial.name.partition('.mcap')[0]}.mcap"
         if not log.exists():
@@ -239,4 +239,4 @@ def _place(
             f"{folder} is complete: {last.end / 3600:.4g} of {night.hours:g} hours; ask for more --hours to go on"
         )
     number = max(int(file.name[len(name) + 1 :].partition(".")[0]) for file in there)
-    return _Place(last.session + 1, number + 1, ceil(last.end * rate - 1e-6) / rate)
+    return _Resumption(last.session + 1, number + 1, ceil(last.end * rate - 1e-6) / rate)

@@ -37,7 +37,7 @@ from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.loop.loop import LoopSettings, can_batch
 from dpcontrol.review.campaign import plain_reason
-from dpcontrol.review.preflight import Border, Change, EndingShare, Known, Point, Preflight
+from dpcontrol.review.preflight import EndingShare, HazardBorder, Improvement, Known, Preflight, ShareAt
 from dpcontrol.scenes.campaign import MOST_TICKS, Case, Job, run_job
 from dpcontrol.scenes.itinerary import Itinerary, overridden
 from dpcontrol.scenes.plan import Plan
@@ -61,7 +61,7 @@ class PreflightSettings(Settings, table="preflight"):
     workers: int = setting(0, least=1, most=1024, zero="one on each processor")
 
 
-class Outcome(NamedTuple):
+class RunEnd(NamedTuple):
     """How one seed ended."""
 
     seed: int
@@ -133,21 +133,21 @@ class _Trial:
 _Task = Job | _Search | _Trial
 
 
-def _do(task: _Task) -> "tuple[Outcome, ...] | Border | Change":
+def _do(task: _Task) -> "tuple[RunEnd, ...] | HazardBorder | Improvement":
     if isinstance(task, Job):
         return _outcomes(task, len(task.seeds))
     return _border(task) if isinstance(task, _Search) else _change(task)
 
 
-def _outcomes(job: Job, most: int) -> tuple[Outcome, ...]:
+def _outcomes(job: Job, most: int) -> tuple[RunEnd, ...]:
     """Return how a job's seeds ended, from the cache where they have been run; most: seeds at once, for memory."""
     if len(job.seeds) > most:
         parts = (replace(job, seeds=job.seeds[k : k + most]) for k in range(0, len(job.seeds), most))
         return tuple(row for part in parts for row in _outcomes(part, most))
     file = cache_file("preflights", job.itinerary, content_hash(job.key, code_hash("dpcontrol.scenes.campaign")))
     if (content := kept(file)) is not None:
-        return tuple(Outcome(*row) for row in json.loads(content))
-    rows = tuple(Outcome(r["seed"], r["completed"], r["ending"], r["reason"]) for r in run_job(job))
+        return tuple(RunEnd(*row) for row in json.loads(content))
+    rows = tuple(RunEnd(r["seed"], r["completed"], r["ending"], r["reason"]) for r in run_job(job))
     keep(file, json.dumps(rows).encode())
     return rows
 
@@ -163,10 +163,10 @@ _NARROW = math.log(1.3)
 _MOST_VALUES = 8
 
 
-def _border(search: _Search) -> Border:
+def _border(search: _Search) -> HazardBorder:
     """Return the border of a hazard: the value at which half of what completes as it is completes."""
     hazard = search.hazard
-    points: dict[float, Point] = {}
+    points: dict[float, ShareAt] = {}
 
     def share(place: float) -> float:
         value = hazard.value(place)
@@ -174,10 +174,10 @@ def _border(search: _Search) -> Border:
             points[value] = _point(search, value)
         return points[value].share
 
-    def found(at: Sequence[float | None]) -> Border:
+    def found(at: Sequence[float | None]) -> HazardBorder:
         ends = [None if p is None else hazard.shown * math.exp(-p if hazard.falling else p) for p in at]
         shown = [replace(p, value=hazard.shown * p.value) for p in points.values()]
-        return Border(
+        return HazardBorder(
             hazard.name, hazard.setting, hazard.unit, hazard.shown * hazard.set, border=ends[0], low=ends[1],
             high=ends[2], end=hazard.shown * hazard.end, falling=hazard.falling,
             points=tuple(sorted(shown, key=lambda p: p.value)),
@@ -208,7 +208,7 @@ def _border(search: _Search) -> Border:
     return found(_read_off(hazard, list(points.values())))
 
 
-def _point(search: _Search, value: float, *, until_clear: bool = True) -> Point:
+def _point(search: _Search, value: float, *, until_clear: bool = True) -> ShareAt:
     """Run a value on all seeds, or on blocks of them until it is clear on which side of the border it lies."""
     job, options = search.job, search.hazard.options(value)
     done = of = used = 0
@@ -220,10 +220,10 @@ def _point(search: _Search, value: float, *, until_clear: bool = True) -> Point:
         seen = wilson(min(done, of), of, confidence=_SURE)
         if until_clear and of and not seen.low <= 0.5 <= seen.high:
             break
-    return Point(value, used, done, of)
+    return ShareAt(value, used, done, of)
 
 
-def _read_off(hazard: Hazard, points: Sequence[Point]) -> list[float | None]:
+def _read_off(hazard: Hazard, points: Sequence[ShareAt]) -> list[float | None]:
     """Return the places where the share, and the ends of its 95 % interval, are a half; None where they are nowhere."""
     found = sorted(points, key=lambda p: hazard.place(p.value))
     places = [hazard.place(p.value) for p in found]
@@ -258,13 +258,13 @@ def _crossing(x: NDArray[np.float64], falls: NDArray[np.float64]) -> float | Non
     return float(x[k - 1] + along * (x[k] - x[k - 1]))
 
 
-def _change(trial: _Trial) -> Change:
+def _change(trial: _Trial) -> Improvement:
     done = [row.completed for row in _outcomes(trial.job, trial.most)]
     before = trial.completed
     failing, completing = before.count(False), before.count(True)
     rescued = sum(now and not then for now, then in zip(done, before, strict=True))
     lost = sum(then and not now for now, then in zip(done, before, strict=True))
-    return Change(trial.text, trial.options.given(), rescued, failing, lost, completing, trial.rate)
+    return Improvement(trial.text, trial.options.given(), rescued, failing, lost, completing, trial.rate)
 
 
 _TICK, _TICK_ALONE = 1.8e-6, 2e-4
@@ -348,7 +348,7 @@ def preflight(
     most = max(min(MOST_TICKS // ticks, 256), 1)
     size = min(128 if amounts.rate > _FEW else 64, most)
     jobs = [replace(job, seeds=job.seeds[k : k + size]) for k in range(0, amounts.rate, size)]
-    outcomes: dict[int, Outcome] = {}
+    outcomes: dict[int, RunEnd] = {}
     for done in _all(run(jobs, workers=workers), len(jobs), "rate", part_of(progress, 0.0, 0.15)):
         outcomes |= {row.seed: row for row in done}
     ordered = [outcomes[seed] for seed in seeds]
@@ -372,8 +372,8 @@ def preflight(
         known=tuple(known),
         notes=tuple(notes),
         endings=endings(ordered),
-        borders=tuple(sorted((b for b in found if isinstance(b, Border)), key=lambda b: b.order)),
-        changes=tuple(sorted((c for c in found if isinstance(c, Change)), key=lambda c: (-c.gain, c.text))),
+        borders=tuple(sorted((b for b in found if isinstance(b, HazardBorder)), key=lambda b: b.order)),
+        changes=tuple(sorted((c for c in found if isinstance(c, Improvement)), key=lambda c: (-c.gain, c.text))),
         seconds=time.perf_counter() - began,
     )
 
@@ -385,9 +385,9 @@ def _all(pieces: Any, count: int, what: str, progress: Progress) -> Any:
         yield done
 
 
-def endings(outcomes: Sequence[Outcome]) -> tuple[EndingShare, ...]:
+def endings(outcomes: Sequence[RunEnd]) -> tuple[EndingShare, ...]:
     """Return what ended the runs that were not completed, the most frequent first, in the words of the loop."""
-    groups: dict[tuple[str, str], list[Outcome]] = {}
+    groups: dict[tuple[str, str], list[RunEnd]] = {}
     for row in outcomes:
         if not row.completed:
             groups.setdefault((row.ending, plain_reason(row.reason)), []).append(row)

@@ -65,7 +65,7 @@ from dpcontrol.loop.loop import (
     make_ticker,
     run_loop,
 )
-from dpcontrol.loop.recovery import Recovery
+from dpcontrol.loop.recovery import FallRecovery
 from dpcontrol.loop.result import LogSink, LoopResult, NoSink, Rig, Ticks
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import load_reference
@@ -733,7 +733,7 @@ def run_on_rig(
     with log_writer(plan, out) as writer:
         loop = control_loop(
             arms, settings, controller, limits=settings.limits(reference), sink=LogSink(writer), fallback=fallback,
-            recovery=None if recovers is None else Recovery(recovers, controller), progress=progress,
+            recovery=None if recovers is None else FallRecovery(recovers, controller), progress=progress,
         )  # fmt: skip
         loop.rehearse()
         with ExitStack() as stack:

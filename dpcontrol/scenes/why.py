@@ -22,7 +22,7 @@ Change = tuple[str, LoopSettings]
 
 
 @dataclass(frozen=True)
-class Trial:
+class TriedChange:
     """One change: whether the run was completed with it, and its verdict."""
 
     change: str
@@ -37,7 +37,7 @@ class Why:
     log: str
     seed: int | None
     reason: str
-    trials: tuple[Trial, ...]
+    trials: tuple[TriedChange, ...]
 
     @property
     def saves(self) -> tuple[str, ...]:
@@ -69,7 +69,7 @@ def why(
     Raises:
         InputError, GoalMissed: as `run`; of a change that cannot be made only the change fails.
     """
-    trials: list[Trial] = []
+    trials: list[TriedChange] = []
     groups = [] if score.completed else [*changes(scene)]
     for k, group in enumerate(groups):
         progress("why", k / len(groups))
@@ -77,9 +77,9 @@ def why(
             try:
                 found = run(loop)
             except GoalMissed as missed:
-                trials.append(Trial(text, completed=False, verdict=str(missed)))
+                trials.append(TriedChange(text, completed=False, verdict=str(missed)))
                 continue
-            trials.append(Trial(text, completed=bool(found.completed), verdict=found.reason))
+            trials.append(TriedChange(text, completed=bool(found.completed), verdict=found.reason))
             if found.completed:
                 break
     progress("why", 1.0)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.optimize import isotonic_regression
 
-from dpcontrol.review.preflight import Border, Preflight
+from dpcontrol.review.preflight import HazardBorder, Preflight
 from dpcontrol.scenes.campaign import CampaignSettings, Case, cases_of, run_campaign
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import Plan, make_plan
@@ -60,7 +60,7 @@ def shares(name: str, cases: Sequence[Case], runs: int) -> list[float]:
     return [result.completed.rate for result in run_campaign(planned(name), cases, settings=settings, yes=True).results]
 
 
-def finer(name: str, border: Border, values: Sequence[float], own: float) -> list[float]:
+def finer(name: str, border: HazardBorder, values: Sequence[float], own: float) -> list[float]:
     """Return what completes at these values, in the border's unit, as a share of what does on the bench as it is."""
     factor = 1000 / load_itinerary(name).loop.rate if border.setting == "delay" else SHOWN.get(border.setting, 1.0)
     settings = [value / factor for value in values]

@@ -10,7 +10,7 @@ import pytest
 from dpcontrol.logs import read_log
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.loop import control_loop, loop_controller, loop_recovery
-from dpcontrol.loop.recovery import Recovery
+from dpcontrol.loop.recovery import FallRecovery
 from dpcontrol.loop.result import Ending, NoSink
 from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
 from dpcontrol.rig.client import UdpRig
@@ -55,7 +55,7 @@ def fly(address: tuple[str, int], key: bytes) -> None:
     assert shared is not None
     loop = control_loop(
         arms, settings, controller, limits=settings.limits(plan.reference), sink=Dies(),
-        recovery=Recovery(shared, controller),
+        recovery=FallRecovery(shared, controller),
     )  # fmt: skip
     loop.rehearse()
     with UdpRig(address, queued=loop.queued, key=key) as rig:

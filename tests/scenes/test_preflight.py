@@ -14,7 +14,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.review.page import save_figure
-from dpcontrol.review.preflight import Border, Change, Point, Preflight
+from dpcontrol.review.preflight import HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.scenes import preflight as module
 from dpcontrol.scenes.campaign import CampaignSettings, Job, cases_of, run_campaign
 from dpcontrol.scenes.itinerary import load_itinerary
@@ -53,7 +53,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch, threshold: Any) -> list[Job]:
     return asked
 
 
-def border(found: Preflight, setting: str) -> Border:
+def border(found: Preflight, setting: str) -> HazardBorder:
     (one,) = (b for b in found.borders if b.setting == setting)
     return one
 
@@ -185,7 +185,7 @@ def test_the_falling_sequence_next_to_values_is_that_of_the_textbook() -> None:
 
 
 def test_a_gain_and_its_error_weigh_both_kinds_of_seeds() -> None:
-    change = Change("x", {}, rescued=12, failing=24, lost=3, completing=48, rate=0.8)
+    change = Improvement("x", {}, rescued=12, failing=24, lost=3, completing=48, rate=0.8)
     assert change.gain == pytest.approx(0.2 * 0.5 - 0.8 / 16)
     up, down = 14 / 28, 5 / 52
     assert change.error**2 == pytest.approx(0.04 * up * (1 - up) / 28 + 0.64 * down * (1 - down) / 52)
@@ -198,4 +198,4 @@ def test_impossible_settings_are_refused_by_name(values: dict[str, Any]) -> None
 
 
 def test_points_without_completing_seeds_have_no_share() -> None:
-    assert math.isnan(Point(1.0, 32, 0, 0).share)
+    assert math.isnan(ShareAt(1.0, 32, 0, 0).share)
