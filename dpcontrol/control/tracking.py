@@ -245,7 +245,7 @@ class TrackingSession:
 
 @dataclass(frozen=True)
 class AdaptiveSettings(ClosingWeights):
-    """Weights as of "tvlqr", lighter but for the closing: what is known of the model needs no feedback.
+    """Weights like those of "tvlqr", lighter except at the end: what is known of the model needs no feedback.
 
     trust: the greatest share by which a parameter is taken to be wrong; masses and lengths that are off by 0.3 make
     base parameters off by 0.7 at most.
@@ -444,19 +444,11 @@ def closing_weights(settings: ClosingWeights, states: Array, model: SampledModel
     return out
 
 
-@dataclass(frozen=True, eq=False)
-class _Shift:
-    """What known constants do to first order: gains F (K, E); shift of states (K+1, N, E) and inputs (K, E) for one of
-    each.
-    """
-
-    gains: Array
-    states: Array
-    inputs: Array
-
-
-def _shifted(a: Array, b: Array, e: Array, gains: Array, *, weights: Array, effort: float, terminal: Array) -> _Shift:
-    """Return how feedback `gains` (K, N) follows the reference that is best by `weights` for known constants.
+def _shifted(
+    a: Array, b: Array, e: Array, gains: Array, *, weights: Array, effort: float, terminal: Array
+) -> tuple[Array, Array, Array]:
+    """Return F (K, E) with which feedback `gains` (K, N) follows the reference that is best by `weights` for known
+    constants, to first order in them, and for one of each the shift of its states X (K+1, N, E) and inputs (K, E).
 
     X_{k+1} = (A - B K̂) X_k + E - B F̂, X_0 = 0, with K̂ and F̂ the gains by `weights`; then F = F̂ + (K̂ - K) X.
     """
@@ -469,7 +461,7 @@ def _shifted(a: Array, b: Array, e: Array, gains: Array, *, weights: Array, effo
         inputs[k] = -(best[k] @ moved + directly[k])
         out[k] = directly[k] + (best[k] - gains[k]) @ moved
         states[k + 1] = a[k] @ moved + e[k] + b[k][:, None] * inputs[k]
-    return _Shift(out, states, inputs)
+    return out, states, inputs
 
 
 _SHARE = 0.05
@@ -477,14 +469,15 @@ _SHARE = 0.05
 
 
 def _of_second_order(
-    model: SampledModel, estimator: FilterSettings, states: Array, commands: Array, *, shift: _Shift, first: int
-) -> Array:
-    """Return E' (K, N, P) of all pairs of parameters, whose errors are the estimator's extras from `first` on.
+    model: SampledModel, estimator: FilterSettings, states: Array, commands: Array, *, moved: Array, pushed: Array,
+    which: NDArray[np.intp],
+) -> Array:  # fmt: skip
+    """Return E' (K, N, P) of all pairs of m parameters, whose errors are the estimator's extras `which` (m,).
 
-    shift: by one of each symmetric share; states (K+1, N) and commands (K,) without it.
+    moved (K+1, N, m), pushed (K, m): the shift of states (K+1, N) and commands (K,) by one of each symmetric share.
     """
     equations = FilterEquations(model.equations, model.period, estimator.augments)
-    n, m, count = model.dimension, shift.inputs.shape[1], len(commands)
+    n, m, count = model.dimension, len(which), len(commands)
     program = Compiled(equations.prediction(with_jacobian=False))
     inputs, out = np.zeros((program.size_in, count)), np.empty((program.size_out, count))
     inputs[program.slices["parameters"]] = model.parameters[:, None]
@@ -493,18 +486,18 @@ def _of_second_order(
     lag = model.lag / model.period * (1 - model.lag_keeps)
 
     def left(shares: Array) -> Array:
-        moved, pushed = shift.states @ shares, shift.inputs @ shares
-        path = states + moved[:, :n]
-        inputs[:n], inputs[program.slices["command"]] = path[:-1].T, commands + pushed
+        away, push = moved @ shares, pushed @ shares
+        path = states + away[:, :n]
+        inputs[:n], inputs[program.slices["command"]] = path[:-1].T, commands + push
         if model.lag:
-            inputs[program.slices["command"]] += lag * (moved[:-1, n] - pushed)
-        inputs[n + first : n + first + m] = (shares / (1 - shares / 2))[:, None]
+            inputs[program.slices["command"]] += lag * (away[:-1, n] - push)
+        inputs[n + which] = (shares / (1 - shares / 2))[:, None]
         return program(inputs, out)[:n].T - path[1:]
 
-    found, one = [], _SHARE * np.eye(m)
+    found, one, none = [], _SHARE * np.eye(m), left(np.zeros(m))
     for i, j in combinations_with_replacement(range(m), 2):
         if i == j:
-            twice = left(one[i]) + left(-one[i]) - 2 * left(0 * one[i])
+            twice = left(one[i]) + left(-one[i]) - 2 * none
             found.append(twice / (2 * _SHARE**2))
         else:
             crossed = left(one[i] + one[j]) + left(-one[i] - one[j]) - left(one[i] - one[j]) - left(one[j] - one[i])
@@ -544,13 +537,13 @@ def adaptive_controller(
         terminal=terminal,
     )  # fmt: skip
     lasting = kept == 1
-    shift = shifted(e[:, :, lasting])
-    extra_gains[:, lasting] = shift.gains
-    by_share = _Shift(*(x[..., shares[lasting]] for x in (shift.gains, shift.states, shift.inputs)))
+    extra_gains[:, lasting], moved, pushed = shifted(e[:, :, lasting])
+    by_share = shares[lasting]
     second = _of_second_order(
-        model, estimator, states, commands, shift=by_share, first=int(np.argmax(shares))
+        model, estimator, states, commands, moved=moved[:, :, by_share], pushed=pushed[:, by_share],
+        which=np.flatnonzero(shares),
     )  # fmt: skip
-    pair_gains = shifted(second).gains
+    pair_gains = shifted(second)[0]
     if not all(np.isfinite(found).all() for found in (gains, extra_gains, pair_gains)):
         raise GoalMissed("the controller's gains became infinite; weigh effort more or shorten the period")
     return AdaptiveController(
