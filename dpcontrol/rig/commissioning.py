@@ -59,7 +59,7 @@ def _sensor(k: int, arms: int) -> str:
     return f"the encoder of arm {k + 1}" if k < arms else "the cart's scale"
 
 
-class FindingVerdict(StrEnum):
+class Grade(StrEnum):
     """What a step found."""
 
     OK = "ok"
@@ -72,7 +72,7 @@ class Finding:
     """What one step found: a sentence, what to change, the figures by name; mended: writing the scene's [run] does."""
 
     step: str
-    verdict: FindingVerdict
+    verdict: Grade
     sentence: str
     remedy: str = ""
     figures: Mapping[str, Any] = field(default_factory=dict)
@@ -114,7 +114,7 @@ class Commissioning:
     @property
     def wrong(self) -> tuple[Finding, ...]:
         """What must be changed before a run."""
-        return tuple(f for f in self.findings if f.verdict is FindingVerdict.WRONG)
+        return tuple(f for f in self.findings if f.verdict is Grade.WRONG)
 
     @property
     def blocking(self) -> tuple[Finding, ...]:
@@ -205,7 +205,7 @@ class _Session:
 
     def halted(self, sentence: str, remedy: str) -> _Halted:
         """Return what ends the commissioning in the present step."""
-        return _Halted(Finding(self.step, FindingVerdict.WRONG, sentence, remedy))
+        return _Halted(Finding(self.step, Grade.WRONG, sentence, remedy))
 
     def advance(self, acceleration: float) -> Reading:
         """Send a command, m/s², and take the next reading.
@@ -327,14 +327,14 @@ def commission(
     if session is not None:
         if motion.rang_to:
             findings += _judged(session, motion, arms, settings, tuple(zeros), changes)
-            right = all(f.verdict is FindingVerdict.OK for f in findings if f.step == "drive")
+            right = all(f.verdict is Grade.OK for f in findings if f.step == "drive")
             findings += motion.switches if right else [_untried("the drive is not right", "fix the drive first")]
         if halt is not None:
             findings.append(halt)
         findings.append(_deadlines(session))
     elif halt is not None:
         findings.append(halt)
-    if any(f.verdict is FindingVerdict.WRONG and not f.mended for f in findings):
+    if any(f.verdict is Grade.WRONG and not f.mended for f in findings):
         changes = {}
     return Commissioning(tuple(findings), changes)
 
@@ -388,7 +388,7 @@ _SAFE_GAIN = 0.2
 
 
 def _untried(why: str, remedy: str) -> Finding:
-    return Finding("switches", FindingVerdict.UNSURE, f"the limit switches were not tried: {why}", remedy)
+    return Finding("switches", Grade.UNSURE, f"the limit switches were not tried: {why}", remedy)
 
 
 def _judged(
@@ -876,11 +876,11 @@ def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) ->
     figures = {"gain": gain, "gain_error": drive.errors[2]}
 
     def wrong(sentence: str, remedy: str) -> Finding:
-        return Finding("drive", FindingVerdict.WRONG, sentence, remedy, figures)
+        return Finding("drive", Grade.WRONG, sentence, remedy, figures)
 
     if drive.misfit > _LEFT_OVER:
         return Finding(
-            "drive", FindingVerdict.UNSURE,
+            "drive", Grade.UNSURE,
             f"{100 * drive.misfit:.0f} % of the cart's motion is not what its commands make of a drive with a delay "
             "and a lag",
             "check whether the drive works within its limits, and whether deadlines were missed", figures,
@@ -913,7 +913,7 @@ def _direction(drive: DriveFit, wiring: Wiring, signs: list[tuple[str, ...]]) ->
             f"multiply commands by {1 / gain:.3g} in the rig's program, or correct the drive's own scale",
         )
     return Finding(
-        "drive", FindingVerdict.OK, f"the cart goes the commanded way, with {gain:.3f} of the acceleration", "", figures
+        "drive", Grade.OK, f"the cart goes the commanded way, with {gain:.3f} of the acceleration", "", figures
     )  # fmt: skip
 
 
@@ -937,7 +937,7 @@ def _lateness(drive: DriveFit, settings: LoopSettings, period: float, changes: d
     errors = drive.errors[0] / period, drive.errors[1]
     figures = {"delay": delay, "delay_error": errors[0], "lag": lag, "lag_error": errors[1], "misfit": drive.misfit}
     if drive.misfit > _LEFT_OVER:
-        return Finding("delay", FindingVerdict.UNSURE, "delay and lag cannot be determined from this motion",
+        return Finding("delay", Grade.UNSURE, "delay and lag cannot be determined from this motion",
                        "fix what the step before says and start again", figures)  # fmt: skip
     said = settings.drive
     sentence = (
@@ -947,9 +947,9 @@ def _lateness(drive: DriveFit, settings: LoopSettings, period: float, changes: d
     changes |= {"delay": round(delay, 3), "lag": round(lag, 5), "drive_lag": round(lag, 5)}
     close = abs(delay - said.delay) <= max(0.1, 3 * errors[0])
     if close and abs(lag - said.lag) <= max(5e-4, 3 * errors[1], 0.1 * said.lag):
-        return Finding("delay", FindingVerdict.OK, f"{sentence}, as [run] says", "", figures)
+        return Finding("delay", Grade.OK, f"{sentence}, as [run] says", "", figures)
     return Finding(
-        "delay", FindingVerdict.WRONG, f"{sentence}, but [run] says {said.delay:g} periods and {1e3 * said.lag:g} ms",
+        "delay", Grade.WRONG, f"{sentence}, but [run] says {said.delay:g} periods and {1e3 * said.lag:g} ms",
         f"set delay = {changes['delay']:g}, lag and drive_lag = {changes['lag']:g} in [run], as --write does", figures,
         mended=True,
     )  # fmt: skip
@@ -978,19 +978,19 @@ def _zeros(
     allowed = max(_ZERO, 1.5 * settings.sensors.steps[0])
     worst = float(np.abs(off).max())
     if np.any(np.abs(wiring.factors) < _STUCK):
-        return Finding("still", FindingVerdict.UNSURE, "the arms' zeros cannot be determined while an encoder does not count",
+        return Finding("still", Grade.UNSURE, "the arms' zeros cannot be determined while an encoder does not count",
                        "fix the encoder and start again", figures)  # fmt: skip
     if worst > _FAR:
-        return Finding("still", FindingVerdict.WRONG, f"{sentence}: angles count from hanging, where each is zero",
+        return Finding("still", Grade.WRONG, f"{sentence}: angles count from hanging, where each is zero",
                        "set the encoders to zero while the arms hang", figures)  # fmt: skip
     total = before + off
     if worst > allowed or zeros:
         changes["zeros"] = [round(float(v), 5) for v in total]
     if worst <= allowed:
-        return Finding("still", FindingVerdict.OK, sentence, "", figures)
+        return Finding("still", Grade.OK, sentence, "", figures)
     tilt = f", or level the track: all arms hang to one side by {off.mean():+.4f} rad"
     return Finding(
-        "still", FindingVerdict.WRONG, sentence,
+        "still", Grade.WRONG, sentence,
         f"set the encoders to zero while the arms hang, or zeros = {changes['zeros']} in [run], as --write does"
         f"{tilt if len(off) > 1 and np.ptp(off) < allowed else ''}",
         figures, mended=True,
@@ -1007,7 +1007,7 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
     joint = "joint" if wiring.form in (Form.SUMMED, Form.RELATIVE) else "absolute"
 
     def wrong(sentence: str, remedy: str) -> Finding:
-        return Finding("encoders", FindingVerdict.WRONG, sentence, remedy, figures)
+        return Finding("encoders", Grade.WRONG, sentence, remedy, figures)
 
     stuck = [k for k in range(n) if abs(factors[k]) < _STUCK]
     found = [
@@ -1021,7 +1021,7 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
         return [
             Finding(
                 "encoders",
-                FindingVerdict.UNSURE,
+                Grade.UNSURE,
                 f"the arms swing in no way that a known mistake explains: {100 * wiring.misfit:.0f} % is left over",
                 "check whether the model is that of these arms (`dpcontrol identify`) and turn each arm by hand: its "
                 "own angle should grow counter-clockwise",
@@ -1060,7 +1060,7 @@ def _encoders(wiring: Wiring, swing: CommissioningSwing, signs: list[tuple[str, 
         return found
     shown = ", ".join(f"{d:.2f}" for d in factors)
     sentence = f"{joint} encoders in order, each with its sign; they show {shown} of the model's swing"
-    return [Finding("encoders", FindingVerdict.OK, sentence, "", figures)]
+    return [Finding("encoders", Grade.OK, sentence, "", figures)]
 
 
 def _counts(
@@ -1078,16 +1078,16 @@ def _counts(
     visible = {count for count in seen if count}
     if not visible:
         sentence = "no rounding to counts is seen in the arms' readings"
-        return Finding("counts", FindingVerdict.OK if not said else FindingVerdict.UNSURE, sentence,
+        return Finding("counts", Grade.OK if not said else Grade.UNSURE, sentence,
                        "" if not said else f"check that the encoders have {said:,} counts per turn, as [run] says",
                        figures)  # fmt: skip
     coarsest = min(visible)
     sentence = f"the encoders show {' and '.join(f'{c:,}' if c else 'no' for c in seen)} counts per turn"
     if said and abs(coarsest / said - 1) < 0.02:
-        return Finding("counts", FindingVerdict.OK, f"{sentence}, as [run] says", "", figures)
+        return Finding("counts", Grade.OK, f"{sentence}, as [run] says", "", figures)
     changes["counts"] = coarsest
     return Finding(
-        "counts", FindingVerdict.WRONG, f"{sentence}, but [run] says {f'{said:,}' if said else 'no rounding'}",
+        "counts", Grade.WRONG, f"{sentence}, but [run] says {f'{said:,}' if said else 'no rounding'}",
         f"set counts = {coarsest} in [run], as --write does", figures, mended=True,
     )  # fmt: skip
 
@@ -1122,9 +1122,9 @@ def _model(swing: CommissioningSwing, wiring: Wiring, model: Modes) -> Finding:
     if float(faster.max()) > _FASTER:
         sentence += f", and their swing decays {faster.max():.0f} times as fast"
     elif float(np.abs(swing.ratios - 1).max()) < _DETUNING or np.any(np.abs(wiring.factors) < _STUCK):
-        return Finding("model", FindingVerdict.OK, sentence, "", figures)
+        return Finding("model", Grade.OK, sentence, "", figures)
     remedy = "identify the model from free swings of this rig (`dpcontrol identify`), or check the joints' bearings"
-    return Finding("model", FindingVerdict.UNSURE, sentence, remedy, figures)
+    return Finding("model", Grade.UNSURE, sentence, remedy, figures)
 
 
 _ACCELERATE, _STOPPING = 0.3, 1.0
@@ -1145,7 +1145,7 @@ def _tried_switch(
     figures = {"side": name, "answer": answer, "position": at}
 
     def wrong(sentence: str, remedy: str) -> Finding:
-        return Finding("switches", FindingVerdict.WRONG, sentence, remedy, figures)
+        return Finding("switches", Grade.WRONG, sentence, remedy, figures)
 
     if answer == -side:
         return wrong(
@@ -1163,7 +1163,7 @@ def _tried_switch(
             f"the switch at the {name} answers at {at:+.4f} m, within the ±{limits.position:g} m that [limits] allows",
             f"set position below {abs(at):.3f} in [limits], or move the switch outwards",
         )
-    return Finding("switches", FindingVerdict.OK, f"the switch at the {name} answers at {at:+.4f} m", "", figures)
+    return Finding("switches", Grade.OK, f"the switch at the {name} answers at {at:+.4f} m", "", figures)
 
 
 def _creep(session: _Session, side: int, most: float, speed: float) -> tuple[int, float]:
@@ -1204,6 +1204,6 @@ def _deadlines(session: _Session) -> Finding:
         sentence += f"; the bench repeated a command {kept.held} times"
         worst = max(worst, kept.held)
     if worst <= 0.001 * ticks:
-        return Finding("deadlines", FindingVerdict.OK, sentence, "", figures)
-    verdict = FindingVerdict.UNSURE if worst <= _OFTEN_LATE * ticks else FindingVerdict.WRONG
+        return Finding("deadlines", Grade.OK, sentence, "", figures)
+    verdict = Grade.UNSURE if worst <= _OFTEN_LATE * ticks else Grade.WRONG
     return Finding("deadlines", verdict, sentence, _HURRY, figures)

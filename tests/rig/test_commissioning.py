@@ -18,7 +18,7 @@ from dpcontrol.rig.commissioning import (
     REACH,
     Commissioning,
     CommissioningSettings,
-    FindingVerdict,
+    Grade,
     commission,
     modes,
 )
@@ -98,7 +98,7 @@ def test_a_rig_that_is_right_is_found_right_and_measured() -> None:
     assert not found.wrong
     steps = [f.step for f in found.findings]
     assert steps == ["still", "drive", "delay", "encoders", "counts", "model", "switches", "deadlines"]
-    assert [f.step for f in found.findings if f.verdict is FindingVerdict.UNSURE] == ["switches"]
+    assert [f.step for f in found.findings if f.verdict is Grade.UNSURE] == ["switches"]
     assert found.changes == {"delay": pytest.approx(1.0, abs=0.01), "lag": 0.0, "drive_lag": 0.0}
     assert rig.stops == 1
 
@@ -258,7 +258,7 @@ def test_friction_is_remarked_on_and_hides_no_wiring() -> None:
     found = commissioned(bench(plant=rusty))
     assert not found.wrong
     (model,) = [f for f in found.findings if f.step == "model"]
-    assert model.verdict is FindingVerdict.UNSURE
+    assert model.verdict is Grade.UNSURE
     assert "their swing decays" in model.sentence
     assert "swapped" in only_wrong(commissioned(bench("encoders-swapped", plant=rusty)), "encoders")
 

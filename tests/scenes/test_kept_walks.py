@@ -226,3 +226,9 @@ def test_a_mistaken_option_is_one_sentence(option: tuple[str, ...], naming: str,
     assert ended.code == 2
     assert naming in ended.message
     assert len(ended.stderr.strip().splitlines()) == 1
+
+
+def test_a_walk_whose_stops_are_kept_cannot_get_up_and_says_so_before_it_is_planned() -> None:
+    with pytest.raises(InputError, match=r"keep = 'tvlqr'.* run with --keep none"):
+        load_itinerary("linger").with_run(RunOptions(on_fall="resume"))
+    assert load_itinerary("linger").with_run(RunOptions(on_fall="resume", keep="none")).loop.keep == "none"
