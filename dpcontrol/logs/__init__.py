@@ -2,7 +2,19 @@
 
 from dpcontrol.control.interface import Mode
 from dpcontrol.logs.container import partials_of
-from dpcontrol.logs.layout import LEVELS, Flight, control_fields, joined_at, joined_text, joint_names
+from dpcontrol.logs.layout import (
+    LAP,
+    LEVELS,
+    REST,
+    RESUME,
+    RETURN,
+    START,
+    Flight,
+    control_fields,
+    joined_at,
+    joined_text,
+    joint_names,
+)
 from dpcontrol.logs.reader import (
     Comparison,
     Event,
@@ -18,7 +30,12 @@ from dpcontrol.logs.recovery import Recovery, recover
 from dpcontrol.logs.writer import LogWriter, slow_numbers
 
 __all__ = [
+    "LAP",
     "LEVELS",
+    "REST",
+    "RESUME",
+    "RETURN",
+    "START",
     "Comparison",
     "Event",
     "Extras",

@@ -407,6 +407,12 @@ def record_type(message: Message) -> np.dtype:
     return np.dtype({"names": list(places), "formats": formats, "offsets": offsets, "itemsize": size})
 
 
+RETURN, REST, START, RESUME, LAP = "return", "at rest", "start", "resume", "lap"
+"""Names of the events by which a run leaves its itinerary, and comes back to it. The first event of a log has the name
+of a start, too, and tells of the controller.
+"""
+
+
 class Flight(NamedTuple):
     """Ticks of a run on its itinerary, from `first` up to `end`, from the time `at` s of the plan's reference on."""
 

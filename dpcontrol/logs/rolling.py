@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import write_whole
-from dpcontrol.logs.layout import LEVELS
+from dpcontrol.logs.layout import LAP, LEVELS, REST, RESUME, RETURN, START
 from dpcontrol.logs.reader import RunLog
 from dpcontrol.logs.writer import LogWriter
 
@@ -34,8 +34,6 @@ Array = NDArray[np.float64]
 
 NIGHT_METADATA = "night"
 """Metadata of each file, as JSON: its place in the night, see `RollingLog`."""
-RETURN, REST, START, RESUME, LAP = "return", "at rest", "start", "resume", "lap"
-"""Names of the events by which a run leaves its itinerary, and comes back to it."""
 _TOLD = (RETURN, REST, START, RESUME, LAP)
 _LEAST_LEVEL = LEVELS["error"]
 _SOON = 1e-6
@@ -101,7 +99,6 @@ class Digest:
 
     def take_event(self, time: float, level: str, name: str, text: str) -> None:
         """Take an event; all ticks before it have been taken."""
-        # The first event of a run has the name of a start, and no motion.
         if name in _TOLD or LEVELS[level] >= _LEAST_LEVEL or name == "finished":
             self.events.append((time, level, name, text))
         else:

@@ -261,7 +261,7 @@ class ControlLoop:
         self._fall = None
         told = recovery.fell(k, outcome, why, self.ticker, self._period)
         if told is not None:
-            self._tell_all(k, [told])
+            self._tell_all(k, told)
             return
         why += f"; given up after {recovery.falls} fall{'s' * (recovery.falls > 1)}"
         self._event(k * self._period, "warn", "stop", why)
@@ -272,8 +272,7 @@ class ControlLoop:
     def _tell_all(self, k: int, told: Sequence[Choice]) -> None:
         """Make events of what is told at tick k."""
         for one in told:
-            if one.name:
-                self._event(k * self._period, one.level, one.name, one.text)
+            self._event(k * self._period, one.level, one.name, one.text)
 
     def _tell(self, k: int) -> None:
         """Make events of what is new in tick k and changes nothing."""
@@ -340,6 +339,12 @@ class LoopSettings(Settings, table="run"):
             )
         if self.keep != "none" and not isinstance(self.controller, TvlqrSettings):
             raise self.refusal("keep", f'what flies between the stops is "tvlqr", not "{self.controller.kind}"')
+        if self.keep != "none" and self.supervisor.on_fall != "stop":
+            raise self.refusal(
+                "keep",
+                f'what keeps stops has a clock of its own, and on_fall = "{self.supervisor.on_fall}" needs gains by '
+                'time: run with --keep none, or with on_fall = "stop"',
+            )
 
     @property
     def bench(self) -> BenchSettings:
@@ -451,9 +456,8 @@ def loop_recovery(
             before = schedule_of(flown, lead)
             assert before is not None
             gains = before
-        ways.append(
-            StartController(note["stop"], note["at"], ticks, turns, started(gains, main, lead_in=ticks, place=place, turns=turns))
-        )
+        whole = started(gains, main, lead_in=ticks, place=place, turns=turns)
+        ways.append(StartController(note["stop"], note["at"], ticks, turns, whole))
     reaction = (settings.drive.delay + 1) / settings.rate + settings.drive_lag
     calming = calming_controller(model, limits, CalmingSettings(), reaction=reaction, seconds=RETURN_SECONDS)
     notes = plan_notes(reference)
@@ -603,8 +607,8 @@ def run_loop(
     loop = control_loop(
         parameters, settings, controller, limits=limits,
         rate_noise=draw.reader("rate_noise", lambda rows: rows[:, :, None]), sink=sink, fallback=fallback,
-        recovery=None if recovery is None else FallRecovery(recovery, controller, laps=until > 0), until=until, keep=keep,
-        library=library, progress=progress,
+        recovery=None if recovery is None else FallRecovery(recovery, controller, laps=until > 0), until=until,
+        keep=keep, library=library, progress=progress,
     )  # fmt: skip
     rig = SimulatedRig(draw, settings.bench, limits=limits, start=first, queued=loop.queued)
     return replace(loop.run(rig), plant=draw.plant.arms)

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from dpcontrol.control.calming import CalmingController
 from dpcontrol.control.interface import Controller, GainSchedule, whole_turns
 from dpcontrol.control.tick import BRAKING, Outcome
-from dpcontrol.logs import Flight, joined_text
+from dpcontrol.logs import LAP, REST, RESUME, RETURN, START, Flight, joined_text
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
 
@@ -72,8 +72,7 @@ def calming_bounds(limits: Limits) -> Mapping[str, float]:
     """
     return {
         "lost_tracking": 1e9, "resynchronise": 0.0, "can_hold": 0.0, "restarts": 1e9,
-        "brake": 2 * BRAKING * limits.acceleration, "margin": 0.0,
-        "trust": 1e9,
+        "brake": 2 * BRAKING * limits.acceleration, "margin": 0.0, "trust": 1e9,
     }  # fmt: skip
 
 
@@ -190,11 +189,11 @@ class FallRecovery:
         return f"{what}, attempt {self._attempts.get(self._stop, 0) + 1}"
 
     def _resumed(self) -> Choice:
-        name, what = ("lap", f"lap {self._lap}") if self._begins else ("resume", self._progress())
+        name, what = (LAP, f"lap {self._lap}") if self._begins else (RESUME, self._progress())
         self._begins = False
         return Choice("info", name, joined_text(self._at, what))
 
-    def fell(self, k: int, outcome: Outcome, why: str, ticker: Ticker, period: float) -> Choice | None:
+    def fell(self, k: int, outcome: Outcome, why: str, ticker: Ticker, period: float) -> Sequence[Choice] | None:
         """Return what is told of a fall at tick k, from which a return begins; None where no attempt is left."""
         plan = self._plan
         if self.motion is not Motion.RETURN:
@@ -220,7 +219,7 @@ class FallRecovery:
             self._calm(k, ticker, stands=True)
         else:
             self._calm(k, ticker)
-        return Choice("warn", "return", f"{why}; {self._progress_lost()}") if told else Choice("", "", "")
+        return [Choice("warn", RETURN, f"{why}; {self._progress_lost()}")] if told else []
 
     def _progress_lost(self) -> str:
         total, number = len(self._plan.symbols), self._stop + 1
@@ -268,7 +267,7 @@ class FallRecovery:
                 ticker.lose()
                 self._calm(k, ticker)
             return ()
-        rested = Choice("info", "at rest", f"after {(k - self._began) * period:.2f} s")
+        rested = Choice("info", REST, f"after {(k - self._began) * period:.2f} s")
         return [rested, *self._start(k, report, ticker)]
 
     def _keep_standing(self, k: int, report: Array, ticker: Ticker, period: float) -> None:
@@ -324,7 +323,7 @@ class FallRecovery:
         self._at, self._joins = start.at, k + 1 + start.lead_in
         self.motion = Motion.START
         text = f"from rest to stop {start.stop + 1} ({plan.names[start.stop]}): {self._progress()}"
-        told = [Choice("info", "start", text)]
+        told = [Choice("info", START, text)]
         if start.lead_in == 0:
             self.motion, self._followed = Motion.ITINERARY, k
             told.append(self._resumed())
@@ -338,8 +337,7 @@ class FallRecovery:
         if away <= _HELD:
             return ()
         why = f"the last stop was not held: over its last period the arms were up to {away:.2g} rad from its orbit"
-        told = self.fell(k, Outcome.TRACKING_LOST, why, ticker, ticker.program.period)
-        return () if told is None else [told]
+        return self.fell(k, Outcome.TRACKING_LOST, why, ticker, ticker.program.period) or ()
 
     def ended(self, k: int, report: Array, ticker: Ticker) -> Sequence[Choice]:
         """Return what is told where the reference ends with tick k and the run goes on; none: it ends."""
@@ -366,7 +364,7 @@ class FallRecovery:
             return [self._resumed()]
         self.motion, self._began = Motion.RETURN, k
         self._calm(k, ticker)
-        return [Choice("info", "return", f"lap {self._lap - 1} is done; the next one begins from rest")]
+        return [Choice("info", RETURN, f"lap {self._lap - 1} is done; the next one begins from rest")]
 
 
 def meeting_tick(references: Array, ticks: int) -> int | None:

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs.container import partials_of
+from dpcontrol.logs.layout import LAP, REST, RESUME, RETURN, START
 from dpcontrol.logs.reader import read_log
-from dpcontrol.logs.rolling import LAP, REST, RESUME, RETURN, START, Digest, digest_of_log
+from dpcontrol.logs.rolling import Digest, digest_of_log
 from dpcontrol.review import style
 
 if TYPE_CHECKING:
@@ -283,11 +284,6 @@ def _followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], l
         end = digest.end
     turn(end, STOPPED, "")
     return spans, falls, endings
-
-
-def is_night(path: Path) -> bool:
-    """Tell whether `path` is a folder, as long runs make."""
-    return path.is_dir()
 
 
 def read_night(folder: Path) -> Night:

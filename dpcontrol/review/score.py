@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import NisMeans, chi_square_band, nis_means
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs import Flight, RunLog, joined_at
+from dpcontrol.logs import LAP, RESUME, RETURN, Flight, RunLog, joined_at
 from dpcontrol.references.reference import PlanNotes, Reference, StopNote, load_reference, plan_notes
 
 Array = NDArray[np.float64]
@@ -450,11 +450,11 @@ def score(log: RunLog) -> Score:
         flights=flights_of(log),
     )
     verdict = verdict_on(flown, plan)
-    counted = spliced(flown, plan) if flown.flights else flown
+    judged = spliced(flown, plan) if flown.flights else flown
     low, high = chi_square_band(log.measured.shape[1])
     nis = log.control["nis"][np.isfinite(log.control["nis"])]
-    away = counted.angles - counted.reference_angles
-    falls = sum(event.name == "return" and event.level == "warn" for event in log.events)
+    away = judged.angles - judged.reference_angles
+    falls = sum(event.name == RETURN and event.level == "warn" for event in log.events)
     factor, seed = _noted(log, "real_time_factor", float), _noted(log, "seed", int)
     reason = verdict.problem or _done(verdict.wraps, plan_notes(plan))
     if not known:
@@ -487,24 +487,21 @@ def flights_of(log: RunLog) -> tuple[Flight, ...]:
     under_way: Flight | None = None
     for event in log.events:
         tick = round((event.time - float(log.time[0])) * log.rate_hz) if len(log.time) else 0
-        if event.name in _JOINING and (joined := joined_at(event.text)) is not None:
-            if event.name == "lap":
+        if event.name in (RESUME, LAP) and (joined := joined_at(event.text)) is not None:
+            if event.name == LAP:
                 flights.clear()
             under_way = Flight(tick, len(log.time), joined[0])
-        elif event.name == "return" and under_way is not None:
+        elif event.name == RETURN and under_way is not None:
             flights.append(under_way._replace(end=min(tick + 1, len(log.time))))
             under_way = None
     return (*flights, *([under_way] if under_way is not None and under_way.first < len(log.time) else ()))
-
-
-_JOINING = ("resume", "lap")
 
 
 def _attempts(log: RunLog, done: int, symbols: int) -> tuple[int, ...]:
     """Return how many attempts each symbol took, 0 of one that was not come to; done: how many were completed."""
     out = [0] * symbols
     for event in log.events:
-        joined = joined_at(event.text) if event.name == "resume" else None
+        joined = joined_at(event.text) if event.name == RESUME else None
         if joined is not None and 0 < joined[1] <= symbols:
             out[joined[1] - 1] = max(out[joined[1] - 1], joined[2])
     # One that was flown right after the one before it took one.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import MEANS_OF, mean_band, means_of
 from dpcontrol.control.margins import Margins
-from dpcontrol.logs import Mode
+from dpcontrol.logs import LAP, RESUME, RETURN, START, Mode
 from dpcontrol.review import style
 from dpcontrol.review.motion import ACTUAL, RunView, Stay, clean
 
@@ -464,9 +464,8 @@ def strips(view: RunView, *, until: float | None = None) -> tuple[Strip, ...]:
 
 
 _MOTIONS = {
-    "resume": ("itinerary", style.MODES["holding"]), "lap": ("itinerary", style.MODES["holding"]),
-    "return": ("return", style.MODES["saturated"]),
-    "start": ("start", style.MODES["pulsing"]),
+    RESUME: ("itinerary", style.MODES["holding"]), LAP: ("itinerary", style.MODES["holding"]),
+    RETURN: ("return", style.MODES["saturated"]), START: ("start", style.MODES["pulsing"]),
 }  # fmt: skip
 """What a run does after an event, and its colour."""
 
@@ -474,8 +473,8 @@ _MOTIONS = {
 def _motions(view: RunView) -> Iterator[Span]:
     """Yield when a run that fell was on its itinerary, returning to rest, and starting from there."""
     # The first event of a log tells of its controller.
-    told = [event for event in view.events if event.name in _MOTIONS and (event.name, event.time) != ("start", 0.0)]
-    if not any(event.name == "return" for event in told):
+    told = [event for event in view.events if event.name in _MOTIONS and (event.name, event.time) != (START, 0.0)]
+    if not any(event.name == RETURN for event in told):
         return
     ends = [*(event.time for event in told[1:]), view.time_range[1]]
     for event, end in zip(told, ends, strict=True):

@@ -226,6 +226,7 @@ def run_plan(
 
 
 def outcome(result: LoopResult) -> dict[str, str]:
+    """Return what a log says of how a run went: its pace, its ending, what ticks took."""
     noted = {"real_time_factor": repr(result.real_time_factor), "ending": result.ending.value}
     if len(result.thinking):
         quantiles = np.quantile(result.thinking, [0.5, 0.99]).tolist()
