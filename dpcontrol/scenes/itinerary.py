@@ -254,6 +254,11 @@ def overridden(loop: LoopSettings, options: RunOptions) -> LoopSettings:
     return replace(loop, **own)
 
 
+def setting_of(loop: LoopSettings, name: str) -> Any:
+    """Return the value of the setting that `overridden` would replace by this name: the loop's own, or a part's."""
+    return getattr(getattr(loop, _HOMES[name]) if name in _HOMES else loop, name)
+
+
 def _changed(filters: EstimatorSettings) -> dict[str, Any]:
     """Return what a filter's settings do not have by default: what the file asks for, whatever the controller."""
     default = type(filters)()

@@ -20,7 +20,7 @@ Source of isotonic regression: Barlow et al., Statistical Inference under Order 
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -42,6 +42,7 @@ from dpcontrol.scenes.campaign import MOST_TICKS, Case, Job, run_job
 from dpcontrol.scenes.itinerary import Itinerary, overridden
 from dpcontrol.scenes.plan import Plan
 from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.scenes.why import Change, changes
 
 ASSUMED_MISMATCH = 0.05
 """Of arms of which neither the model's file nor [run] says how well they are known."""
@@ -122,8 +123,7 @@ class _Search:
 class _Trial:
     """A change to be tried: job of the changed bench, with the seeds and how they ended without it; most: at once."""
 
-    text: str
-    options: RunOptions
+    change: Change
     job: Job
     completed: tuple[bool, ...]
     rate: float
@@ -152,8 +152,8 @@ def _outcomes(job: Job, most: int) -> tuple[RunEnd, ...]:
     return rows
 
 
-def _with(job: Job, options: RunOptions, seeds: Sequence[int]) -> Job:
-    return replace(job, case=replace(job.case, loop=overridden(job.case.loop, options)), seeds=tuple(seeds))
+def _with(job: Job, loop: LoopSettings, seeds: Sequence[int]) -> Job:
+    return replace(job, case=replace(job.case, loop=loop), seeds=tuple(seeds))
 
 
 _SURE = 0.98
@@ -210,11 +210,12 @@ def _border(search: _Search) -> HazardBorder:
 
 def _point(search: _Search, value: float, *, until_clear: bool = True) -> ShareAt:
     """Run a value on all seeds, or on blocks of them until it is clear on which side of the border it lies."""
-    job, options = search.job, search.hazard.options(value)
+    job = search.job
+    loop = overridden(job.case.loop, search.hazard.options(value))
     done = of = used = 0
     while used < len(job.seeds):
         block = slice(used, len(job.seeds) if used else min(search.block, len(job.seeds)))
-        done += sum(row.completed for row in _outcomes(_with(job, options, job.seeds[block]), search.most))
+        done += sum(row.completed for row in _outcomes(_with(job, loop, job.seeds[block]), search.most))
         of += sum(search.completed[block])
         used = block.stop
         seen = wilson(min(done, of), of, confidence=_SURE)
@@ -264,7 +265,8 @@ def _change(trial: _Trial) -> Improvement:
     failing, completing = before.count(False), before.count(True)
     rescued = sum(now and not then for now, then in zip(done, before, strict=True))
     lost = sum(then and not now for now, then in zip(done, before, strict=True))
-    return Improvement(trial.text, trial.options.given(), rescued, failing, lost, completing, trial.rate)
+    change = trial.change
+    return Improvement(change.advice, change.options.given(), rescued, failing, lost, completing, trial.rate)
 
 
 _TICK, _TICK_ALONE = 1.8e-6, 2e-4
@@ -514,32 +516,5 @@ def _trials(scene: Itinerary, job: Job, completed: Sequence[bool], count: int, m
     chosen = sorted([*failing, *completing])
     seeds, before = [job.seeds[k] for k in chosen], tuple(completed[k] for k in chosen)
     rate = sum(completed) / len(completed)
-    return [_Trial(text, options, _with(job, options, seeds), before, rate, most) for text, options in changes(scene)]
-
-
-def changes(scene: Itinerary) -> list[tuple[str, RunOptions]]:
-    """Return what might help, a measurement or a change of bench or law, each with its run settings."""
-    loop = scene.loop
-    drive, sensors, blows = loop.drive, loop.sensors, loop.disturbances
-    limit = loop.travel or scene.limits.position
-    half: list[tuple[str, float, Callable[[float], RunOptions]]] = [
-        ("identify the arms: half the uncertainty", loop.model_uncertainty, lambda v: RunOptions(model_uncertainty=v)),
-        ("identify the arms: half the mismatch", loop.mismatch, lambda v: RunOptions(mismatch=v)),
-        ("half the delay", drive.delay, lambda v: RunOptions(delay=v)),
-        ("a stiffer velocity loop: half the lag", drive.lag, lambda v: RunOptions(lag=v)),
-        ("a quieter drive: half the noise on its command", drive.command_noise, lambda v: RunOptions(command_noise=v)),
-        ("set the encoders' zeros: half their error", sensors.zero_error, lambda v: RunOptions(zero_error=v)),
-        ("quieter encoders: half their noise", sensors.noise, lambda v: RunOptions(noise=v)),
-        ("hold the arms still at the start: half the error", loop.initial_error, lambda v: RunOptions(initial_error=v)),
-        ("level the track: half the tilt", blows.tilt, lambda v: RunOptions(tilt=v)),
-    ]
-    out = [(text, options(value / 2)) for text, value, options in half if value]
-    if sensors.counts:
-        out.append(("finer encoders: four times the counts", RunOptions(counts=4 * sensors.counts)))
-    out.append((f"more travel: ±{1.5 * limit:.3g} m", RunOptions(travel=1.5 * limit)))
-    if drive.lag and loop.drive_lag != drive.lag:
-        out.append(("tell the controller of the lag", RunOptions(drive_lag=drive.lag)))
-    other = "tvlqr" if loop.controller.kind == "adaptive" else "adaptive"
-    if loop.keep == "none" and scene.stay is None:
-        out.append((f"another law: {other}", RunOptions(controller=other)))
-    return out
+    advised = [change for group in changes(scene) for change in group if change.advice]
+    return [_Trial(change, _with(job, change.loop, seeds), before, rate, most) for change in advised]

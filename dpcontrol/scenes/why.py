@@ -7,7 +7,7 @@ the cheapest of its kind that was tried. The plan stays as it was flown.
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from dpcontrol.control.estimator_settings import Augment, EkfSettings
@@ -15,10 +15,22 @@ from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.review.score import Score
-from dpcontrol.scenes.itinerary import Itinerary, overridden
+from dpcontrol.scenes.itinerary import Itinerary, overridden, setting_of
 from dpcontrol.scenes.run_options import RunOptions
 
-Change = tuple[str, LoopSettings]
+
+@dataclass(frozen=True)
+class Change:
+    """A change to be tried: what is said of a run that it saves, and the run's settings with it.
+
+    options: the same by the names of run settings, where these have it. advice: what to do on a bench, as a preflight
+    says it; without it no preflight tries the change.
+    """
+
+    text: str
+    loop: LoopSettings
+    options: RunOptions = field(default_factory=RunOptions)
+    advice: str = ""
 
 
 @dataclass(frozen=True)
@@ -73,13 +85,13 @@ def why(
     groups = [] if score.completed else [*changes(scene)]
     for k, group in enumerate(groups):
         progress("why", k / len(groups))
-        for text, loop in group:
+        for change in group:
             try:
-                found = run(loop)
+                found = run(change.loop)
             except GoalMissed as missed:
-                trials.append(TriedChange(text, completed=False, verdict=str(missed)))
+                trials.append(TriedChange(change.text, completed=False, verdict=str(missed)))
                 continue
-            trials.append(TriedChange(text, completed=bool(found.completed), verdict=found.reason))
+            trials.append(TriedChange(change.text, completed=bool(found.completed), verdict=found.reason))
             if found.completed:
                 break
     progress("why", 1.0)
@@ -91,61 +103,82 @@ def changes(scene: Itinerary) -> Iterator[Sequence[Change]]:
     loop = scene.loop
     limit = loop.travel or scene.limits.position
 
-    def travel(factor: float) -> Change:
-        longer = replace(loop, travel=factor * limit, drive=replace(loop.drive, track=math.inf))
-        return f"with a travel of ±{factor * limit:.3g} m", longer
+    def by(text: str, advice: str = "", **options: Any) -> Change:
+        given = RunOptions(**options)
+        return Change(text, overridden(loop, given), given, advice)
 
-    yield travel(1.5), travel(2.0)
+    def longer(factor: float, advice: str = "") -> Change:
+        change = by(f"with a travel of ±{factor * limit:.3g} m", advice, travel=factor * limit)
+        return replace(change, loop=replace(change.loop, drive=replace(change.loop.drive, track=math.inf)))
 
-    def less(table: str, key: str, half: str, none: str, nothing: Any = 0.0) -> Iterator[Sequence[Change]]:
-        part: Any = loop if table == "run" else getattr(loop, table)
-        value = getattr(part, key)
+    yield longer(1.5, f"more travel: ±{1.5 * limit:.3g} m"), longer(2.0)
+
+    def less(key: str, half: str, none: str, advice: str = "", nothing: Any = 0.0) -> Iterator[Sequence[Change]]:
+        value = setting_of(loop, key)
         if value == nothing:
             return
-        steps = [(half, (value + nothing) / 2)] if half else []
-        steps += [(none, nothing)] if none else []
-        changed = [(text, replace(part, **{key: to})) for text, to in steps]
-        yield [(text, made if table == "run" else replace(loop, **{table: made})) for text, made in changed]
+        halved = [by(half, advice, **{key: (value + nothing) / 2})] if half else []
+        yield [*halved, *([by(none, **{key: nothing})] if none else [])]
 
-    yield from less("run", "mismatch", "with half the mismatch", "on a plant that is as the model says")
-    yield from less("run", "model_uncertainty", "with half the model's uncertainty", "on a plant as the model says")
-    yield from less("run", "initial_error", "with half the error at the start", "without an error at the start")
-    yield from less("drive", "lag", "with half the drive's lag", "")
+    yield from less(
+        "mismatch", "with half the mismatch", "on a plant that is as the model says",
+        "identify the arms: half the mismatch",
+    )  # fmt: skip
+    yield from less(
+        "model_uncertainty", "with half the model's uncertainty", "on a plant as the model says",
+        "identify the arms: half the uncertainty",
+    )  # fmt: skip
+    yield from less(
+        "initial_error", "with half the error at the start", "without an error at the start",
+        "hold the arms still at the start: half the error",
+    )  # fmt: skip
+    yield from less("lag", "with half the drive's lag", "", "a stiffer velocity loop: half the lag")
     if loop.drive.lag and loop.drive_lag != loop.drive.lag:
-        yield (("with a controller that knows of the lag", replace(loop, drive_lag=loop.drive.lag)),)
-    yield from less("drive", "delay", "with half the delay", "without the delay")
-    yield from less("run", "friction", "with half the friction's factor", "with the plant's own friction", 1.0)
-    yield from less("run", "plant", "", "with the model's own arms as the plant", None)
-    yield from less("drive", "response", "with half the error of response", "with a drive that does as told", 1.0)
-    yield from less("drive", "command_noise", "with half the noise on the command", "without noise on the command")
-    yield from less("drive", "cart_mass", "", "on a cart that the arms do not push")
-    yield from less("drive", "jerk", "", "without a limit of jerk", math.inf)
-    yield from less("sensors", "zero_error", "with half the error of the zeros", "with the encoders' zeros set")
-    yield from less("sensors", "noise", "with half the encoders' noise", "without the encoders' noise")
-    yield from less("sensors", "rate_noise", "with half the noise on the rates", "without noise on the rates")
-    yield from less("sensors", "missed_counts", "with half the missed counts", "without missed counts")
-    yield from less("sensors", "dropout", "with half the dropouts", "without dropouts")
-    yield from less("sensors", "jitter", "with half the jitter", "without jitter")
-    yield from less("sensors", "stuck_at", "", "with a sensor that does not stick", math.inf)
-    yield from less("disturbances", "tilt", "with half the tilt", "on a level track")
-    yield from less("disturbances", "push_impulse", "with half the pushes' impulse", "without the pushes")
-    yield from less("disturbances", "knock_velocity", "with half the knocks' velocity", "without the knocks")
+        known = "with a controller that knows of the lag"
+        yield (by(known, "tell the controller of the lag", drive_lag=loop.drive.lag),)
+    yield from less("delay", "with half the delay", "without the delay", "half the delay")
+    yield from less("friction", "with half the friction's factor", "with the plant's own friction", nothing=1.0)
+    if loop.plant is not None:
+        yield (Change("with the model's own arms as the plant", replace(loop, plant=None)),)
+    yield from less("response", "with half the error of response", "with a drive that does as told", nothing=1.0)
+    yield from less(
+        "command_noise", "with half the noise on the command", "without noise on the command",
+        "a quieter drive: half the noise on its command",
+    )  # fmt: skip
+    yield from less("cart_mass", "", "on a cart that the arms do not push")
+    yield from less("jerk", "", "without a limit of jerk", nothing=math.inf)
+    yield from less(
+        "zero_error", "with half the error of the zeros", "with the encoders' zeros set",
+        "set the encoders' zeros: half their error",
+    )  # fmt: skip
+    yield from less(
+        "noise", "with half the encoders' noise", "without the encoders' noise", "quieter encoders: half their noise"
+    )
+    yield from less("rate_noise", "with half the noise on the rates", "without noise on the rates")
+    yield from less("missed_counts", "with half the missed counts", "without missed counts")
+    yield from less("dropout", "with half the dropouts", "without dropouts")
+    yield from less("jitter", "with half the jitter", "without jitter")
+    yield from less("stuck_at", "", "with a sensor that does not stick", nothing=math.inf)
+    yield from less("tilt", "with half the tilt", "on a level track", "level the track: half the tilt")
+    yield from less("push_impulse", "with half the pushes' impulse", "without the pushes")
+    yield from less("knock_velocity", "with half the knocks' velocity", "without the knocks")
     if loop.disturbances.explicit:
-        yield (("without the blows", replace(loop, disturbances=replace(loop.disturbances, explicit=()))),)
+        without = replace(loop, disturbances=replace(loop.disturbances, explicit=()))
+        yield (Change("without the blows", without),)
     if loop.sensors.counts:
         finer = 4 * loop.sensors.counts
-        yield ((f"with {finer} counts a turn", replace(loop, sensors=replace(loop.sensors, counts=finer))),)
+        yield (by(f"with {finer} counts a turn", "finer encoders: four times the counts", counts=finer),)
     if loop.rate < _QUICK:
         # The delay stays the same in seconds.
-        drive = replace(loop.drive, delay=loop.drive.delay * _QUICK / loop.rate)
-        yield ((f"at {_QUICK:g} Hz", replace(loop, rate=_QUICK, drive=drive)),)
+        yield (by(f"at {_QUICK:g} Hz", rate=_QUICK, delay=loop.drive.delay * _QUICK / loop.rate),)
     if isinstance(loop.estimator, EkfSettings) and Augment.DRIVE not in loop.estimator.augments:
         known = {*loop.estimator.augments, Augment.ZEROS, Augment.DRIVE}
         asked = replace(loop.estimator, augment=tuple(kind.value for kind in Augment if kind in known))
-        yield (('with an estimator of the drive\'s error (augment = "drive")', replace(loop, estimator=asked)),)
+        text = 'with an estimator of the drive\'s error (augment = "drive")'
+        yield (Change(text, replace(loop, estimator=asked)),)
     if loop.keep == "none" and scene.stay is None:
         other = "tvlqr" if loop.controller.kind == "adaptive" else "adaptive"
-        yield ((f"with {other} as the law", overridden(loop, RunOptions(controller=other))),)
+        yield (by(f"with {other} as the law", f"another law: {other}", controller=other),)
 
 
 _QUICK = 1000.0

@@ -17,10 +17,11 @@ from dpcontrol.review.page import save_figure
 from dpcontrol.review.preflight import HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.scenes import preflight as module
 from dpcontrol.scenes.campaign import CampaignSettings, Job, cases_of, run_campaign
-from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.itinerary import load_itinerary, overridden
 from dpcontrol.scenes.plan import Plan, make_plan
 from dpcontrol.scenes.preflight import ASSUMED_MISMATCH, PreflightSettings, as_known, falling, preflight
 from dpcontrol.scenes.run_options import RunOptions
+from dpcontrol.scenes.why import Change
 
 HARD = RunOptions(mismatch=0.2, initial_error=0.05, lag=0.005, command_noise=0.3, controller="tvlqr")
 """Bench on which some runs fail and some do not."""
@@ -138,7 +139,8 @@ def test_its_runs_are_those_of_a_campaign_and_are_kept(
 ) -> None:
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(module, "hazards", lambda plan, scene, **most: [])
-    monkeypatch.setattr(module, "changes", lambda scene: [("half", RunOptions(mismatch=0.1))])
+    half = RunOptions(mismatch=0.1)
+    monkeypatch.setattr(module, "changes", lambda scene: [[Change("", overridden(scene.loop, half), half, "half")]])
     found = preflight(turn, HARD, settings=SMALL)
     assert found.changes[0].gain > 0
     cases = cases_of(turn.itinerary, fixed=HARD, over={})

@@ -37,7 +37,7 @@ def found(failed: Run) -> Why:
 def test_the_changes_that_are_named_complete_the_seed_and_no_other_does(plan: Plan, found: Why, failed: Run) -> None:
     assert failed.score().completed is False
     assert found.reason == failed.score().reason
-    named = {text: loop for group in changes(plan.itinerary) for text, loop in group}
+    named = {change.text: change.loop for group in changes(plan.itinerary) for change in group}
     assert {trial.change for trial in found.trials} <= set(named)
     assert "with a travel of ±0.03 m" in found.saves
     assert 0 < len(found.saves) < len(found.trials)
@@ -50,12 +50,12 @@ def test_the_changes_that_are_named_complete_the_seed_and_no_other_does(plan: Pl
 def test_a_change_alters_one_setting_and_keeps_the_seed(plan: Plan) -> None:
     troubles = RunOptions(lag=0.01, cart_mass=0.3, zero_error=0.01, tilt=0.02, stuck_at=1.0)
     scene = plan.itinerary.with_run(troubles, seed=7)
-    texts = [text for group in changes(scene) for text, _ in group]
+    texts = [change.text for group in changes(scene) for change in group]
     assert len(set(texts)) == len(texts)
     expected_of = ("half the drive's lag", "knows of the lag", "zeros set", "level track", "does not stick")
     for expected in (*expected_of, "do not push", "adaptive"):
         assert any(expected in text for text in texts), expected
-    assert all(loop.seed == 7 for group in changes(scene) for _, loop in group)
+    assert all(change.loop.seed == 7 for group in changes(scene) for change in group)
 
 
 def test_nothing_is_tried_for_a_run_that_was_completed(plan: Plan) -> None:
