@@ -123,8 +123,11 @@ def run_command(
         raise click.UsageError("--controller-library is for runs on the simulated bench; on a rig run main_udp.c")
     if hours is None and (resume or keep_every != 1 or file_minutes != 10.0):
         raise click.UsageError("--resume, --keep-every and --file-minutes are for long runs: give --hours as well")
-    if hours is not None and (address is not None or library is not None):
-        raise click.UsageError("--hours is for runs on the simulated bench, without --rig and --controller-library")
+    if hours is not None and (program is not None or library is not None):
+        raise click.UsageError(
+            "--hours is for the loop itself, which gets up after falls: run without --controller-program and "
+            "--controller-library, which cannot"
+        )
     if program is not None and address != "udp":
         raise click.UsageError("--controller-program controls the example bench of a run: give --rig udp as well")
     if program is not None and not (program.is_file() and os.access(program, os.X_OK)):
@@ -142,7 +145,7 @@ def run_command(
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.levels import run_remarks
     from dpcontrol.scenes.plan import make_plan
-    from dpcontrol.scenes.run import default_log, run_plan
+    from dpcontrol.scenes.run import RigLink, default_log, run_plan
 
     scene = load_itinerary(itinerary).with_run(settings, seed=seed)
     out = out or default_log(scene)
@@ -160,10 +163,14 @@ def run_command(
         scene = night_itinerary(scene, asked=settings.given())
         # Before the plan, which can take minutes.
         check_folder(night_folder(out), resume=resume, force=force)
-        announce_night(scene, night, night_folder(out), yes=yes)
+        announce_night(scene, night, night_folder(out), real_time=address is not None, yes=yes)
         with progress_bar("night") as progress:
             plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
-            done = run_night(plan, out, night, resume=resume, force=force, progress=part_of(progress, 0.05, 1.0))
+            if address is None:
+                done = run_night(plan, out, night, resume=resume, force=force, progress=part_of(progress, 0.05, 1.0))
+        if address is not None:
+            link = RigLink(address, key, insecure, real_time)
+            done = run_night(plan, out, night, link=link, resume=resume, force=force)
         return Answer(done.document(), done.lines())
     with progress_bar("run") as progress:
         plan = make_plan(scene, progress=progress, yes=yes)

@@ -15,6 +15,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -36,6 +37,7 @@ NIGHT_METADATA = "night"
 """Metadata of each file, as JSON: its place in the night, see `RollingLog`."""
 _TOLD = (RETURN, REST, START, RESUME, LAP)
 _LEAST_LEVEL = LEVELS["error"]
+_DEADLINES = "deadlines_"
 _SOON = 1e-6
 """s: rounding of times, far less than a period."""
 
@@ -51,6 +53,7 @@ class Digest:
     known. squares rad² and followed: summed over the angles of as many ticks on the itinerary, against the reference.
     extras: what was estimated besides the state: its mean on the itinerary, and the last standard deviation. memory: of
     the process at the end, bytes. size of the file in bytes, zero of what could not be written. loss: why not.
+    deadlines: on a rig, at the end of a session, how they were kept, by name.
     """
 
     number: int
@@ -70,6 +73,7 @@ class Digest:
     memory: float = 0.0
     size: int = 0
     loss: str = ""
+    deadlines: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Begin."""
@@ -129,6 +133,11 @@ class Digest:
             self._counted += len(extras)
             self._last_sigmas = extras[-1]
 
+    def take_result(self, values: Mapping[str, str]) -> None:
+        """Take what is known of a session at its end."""
+        own = {name.removeprefix(_DEADLINES): value for name, value in values.items() if name.startswith(_DEADLINES)}
+        self.deadlines = {name: float(value) for name, value in own.items()}
+
     def close(self, names: tuple[str, ...]) -> None:
         """Note what is known at the end of the file; names: of the extras."""
         if self._counted and names:
@@ -180,6 +189,7 @@ def digest_of_log(log: RunLog, *, size: int) -> Digest:
         done = max(done, until)
     take(done, len(log.time))
     digest.close(() if log.extras is None else log.extras.names)
+    digest.take_result(log.metadata)
     digest.memory, digest.size = math.nan, size
     return digest
 
@@ -189,7 +199,8 @@ class RollingLog:
 
     folder, name: of the files. make: opens the writer of a file, given its path and more metadata. seconds: of a file.
     keep_every: of the older files each so many-th is kept, the others are removed once they are thinned. rate_hz, limit
-    m and extras: of the loop, the cart and the estimator. session, number, begin s: where a night is resumed.
+    m and extras: of the loop, the cart and the estimator. session, number, begin s: where a night is resumed. beside:
+    finish files in a thread, for a loop in real time: that takes seconds of a disk.
 
     Raises:
         InputError: the first file cannot be written.
@@ -210,6 +221,7 @@ class RollingLog:
         number: int = 1,
         begin: float = 0.0,
         end: float = math.inf,
+        beside: bool = False,
     ) -> None:
         self.folder, self.name, self.extras = folder, name, extras
         self._make, self._seconds, self._keep_every, self._begin = make, seconds, keep_every, begin
@@ -218,7 +230,7 @@ class RollingLog:
         self._digest = Digest(number, session, limit=limit)
         self._end, self._until = end, 0.0
         self._file_ends(begin)
-        self._outcome: dict[str, str] = {}
+        self._thread = ThreadPoolExecutor(1, "finishing") if beside else None
 
     def path(self, number: int, suffix: str = ".mcap") -> Path:
         """Return the place of a file, or with another suffix of what stands beside it."""
@@ -232,7 +244,10 @@ class RollingLog:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         # Also an interrupted night leaves whole files.
-        self._close()
+        if self._thread is not None:
+            self._thread.shutdown()
+        self._finish(self._writer, self._digest)
+        self._writer = None
 
     def ticks(self, time_s: Any, **parts: Array | None) -> None:
         """Log K periods of the loop; see `LogWriter.ticks`. Times count from the beginning of this session."""
@@ -261,13 +276,17 @@ class RollingLog:
 
     def result(self, **values: str) -> None:
         """Note how the run went, in the last file."""
+        self._digest.take_result(values)
         self._try(lambda writer: writer.result(**values))
 
     def _roll(self, now: float) -> None:
-        self._close()
+        before, self._writer = (self._writer, self._digest), None
         self._digest = self._digest.following(self._digest.number + 1)
         self._file_ends(now)
-        self._thin()
+        if self._thread is None:
+            self._finish(*before, thins=True)
+        else:
+            self._thread.submit(self._finish, *before, thins=True)
         try:
             self._open()
         except InputError as error:
@@ -303,25 +322,29 @@ class RollingLog:
         until = f"up to {self._until / 60:g} minutes at least" if self._until < math.inf else "to its end"
         remark(f"{error}; the run goes on, without a log {until}")
 
-    def _close(self) -> None:
-        """Finish the file that is open, and write its digest."""
-        writer, digest = self._writer, self._digest
+    def _finish(self, writer: LogWriter | None, digest: Digest, *, thins: bool = False) -> None:
+        """Finish a file and write its digest; thins: then look whether the file before it is to be kept."""
         path = self.path(digest.number)
-        if writer is not None:
+        if writer is not None and not digest.ticks:
+            # What ended before its first tick leaves nothing.
+            nothing = InputError(f"{path}: there is nothing to be logged")
+            writer.__exit__(InputError, nothing, None)
+        elif writer is not None:
             try:
                 writer.__exit__(None, None, None)
                 digest.size = path.stat().st_size
-                self._writer = None
             except (InputError, OSError) as error:
-                self._lose(error if isinstance(error, InputError) else InputError(f"cannot finish {path}: {error}"))
+                digest.loss = str(error if isinstance(error, InputError) else f"cannot finish {path}: {error}")
+                remark(f"{digest.loss}; the run goes on")
         digest.close(self.extras)
         if digest.ticks:
             with suppress(InputError):
                 write_whole(self.path(digest.number, ".json"), digest.text())
+        if thins:
+            self._thin(digest.number - 1)
 
-    def _thin(self) -> None:
-        """Remove the file before the last one, if it is none of those that are kept and its digest is there."""
-        number = self._digest.number - 2
+    def _thin(self, number: int) -> None:
+        """Remove a file, if it is none of those that are kept and its digest is there."""
         if number < 1 or (number - 1) % self._keep_every == 0:
             return
         with suppress(OSError, ValueError, TypeError, KeyError):

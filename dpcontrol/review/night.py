@@ -176,6 +176,13 @@ class Night:
         return of_session[-1] / of_session[0] if of_session else math.nan
 
     @property
+    def deadlines(self) -> dict[str, float] | None:
+        """On a rig how its deadlines were kept: counts of all sessions, the worst in s; None in simulation."""
+        kept = [digest.deadlines for digest in self.digests if digest.deadlines]
+        counts = {name: sum(int(one[name]) for one in kept) for name in ("ticks", "missed", "lost", "held")}
+        return {**counts, "worst": max(one["worst"] for one in kept)} if kept else None
+
+    @property
     def sentence(self) -> str:
         """The night in one line."""
         hours = self.known / 3600
@@ -206,7 +213,7 @@ class Night:
             "seconds": {kind: self._time(kind) for kind in (ITINERARY, CALMING, STARTING, BETWEEN)},
             "not_logged": lost, "endings": [{"time": time, "text": text} for time, text in self.endings],
             "drift": [asdict(drift) for drift in self.drifts],
-            "memory_growth": self.memory_growth, "partials": list(self.partials),
+            "memory_growth": self.memory_growth, "deadlines": self.deadlines, "partials": list(self.partials),
         }  # fmt: skip
 
     def lines(self) -> Iterator[str]:
@@ -227,6 +234,12 @@ class Night:
             yield f"  drift    {', '.join(shown)}"
         if math.isfinite(self.memory_growth):
             yield f"  memory   {self.memory_growth:.0%} of what it was after the first file"
+        if (kept := self.deadlines) is not None:
+            yield (
+                f"  rig      {kept['missed']:,} of {kept['ticks']:,} deadlines missed, ticks began up to "
+                f"{1e3 * kept['worst']:.3g} ms late; {kept['lost']:,} readings lost; the bench repeated a command "
+                f"{kept['held']:,} times"
+            )
         for span in self.spans:
             if span.kind == UNKNOWN:
                 yield f"  no log from {span.first / 60:.2f} to {span.end / 60:.2f} minutes"

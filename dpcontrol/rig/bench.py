@@ -96,6 +96,7 @@ class BenchRecord:
     positions (K, n+1) rad and m; sent (K,): whether the reading went out; switch (K,); truth (K, 2n+2), not-a-number
     where it is not known; commands (K,) m/s²: in answer to each tick's reading, not-a-number where none came in time.
     last: the newest tick that was answered; fault: the bench's own, from tick `fault_at` on; ended: why the run did.
+    Of a run that goes on longer the first K ticks are kept.
     """
 
     def __init__(self, ticks: int, arms: int, period: float) -> None:
@@ -107,6 +108,8 @@ class BenchRecord:
 
     def read(self, k: int, reading: Reading, truth: Array | None, *, sent: bool) -> None:
         """Keep the reading of tick k."""
+        if k >= len(self.sent):
+            return
         self.ticks, self.sent[k], self.switch[k] = k + 1, sent, reading.switch
         self.positions[k] = reading.positions
         if truth is not None:
@@ -114,6 +117,8 @@ class BenchRecord:
 
     def answered(self, k: int, command: float | None) -> None:
         """Keep the command in answer to the reading of tick k; None: the cart was to be stopped."""
+        if k >= len(self.commands):
+            return
         self.last = max(self.last, k)
         if command is not None:
             self.commands[k] = command
@@ -186,7 +191,8 @@ class UdpBench:
     """Serves a bench on a socket of its own; a context manager.
 
     make: makes the rig of a run from the commands on their way; its period in s. key: the one that loops share;
-    insecure: loops on other computers need none. say: called with what happens.
+    insecure: loops on other computers need none. recorded: ticks of a run that its record holds at most, all by
+    default. say: called with what happens.
 
     Raises:
         InputError: the address or port is not available, or other computers can reach it and there is no key.
@@ -204,10 +210,12 @@ class UdpBench:
         key: bytes = b"",
         insecure: bool = False,
         settings: BenchServerSettings | None = None,
+        recorded: int | None = None,
         say: Say = lambda text: None,
     ) -> None:
         self._make, self._arms, self._ticks, self._period, self._say = make, arms, ticks, period, say
         self._key, self._settings = key, settings or BenchServerSettings()
+        self._recorded = min(ticks, ticks if recorded is None else recorded)
         where = checked_host(host, port, key=key, insecure=insecure)
         self._secret, self._refused_at = secrets.token_bytes(16), -math.inf
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -267,7 +275,7 @@ class UdpBench:
         # So that nothing of this run can begin another.
         self._secret = secrets.token_bytes(16)
         rig = self._make(heard.content.queued)
-        self.record = BenchRecord(self._ticks, self._arms, self._period)
+        self.record = BenchRecord(self._recorded, self._arms, self._period)
         with without_collecting(), real_time_priority() if self._settings.real_time else nullcontext():
             talk = Talk(Role.BENCH, session, key=self._key)
             talk.hear(data)
@@ -492,6 +500,8 @@ class _BenchRun:
 _START = 120.0
 """Seconds for the process to load and compile."""
 _END = 5.0
+_RECORDED = 700_000
+"""Ticks of which a record is kept where a run goes on beyond its itinerary, as for a night."""
 
 
 FAULTS: Mapping[str, str] = {
@@ -618,8 +628,9 @@ def _serve(recipe: BenchRecipe, settings: BenchServerSettings, key: bytes, pipe:
     recipe.rehearse()
     arms = recipe.parameters.count
     with UdpBench(
-        recipe.rig, arms=arms, ticks=recipe.all_ticks, period=recipe.period, key=key, settings=settings, say=pipe.send
-    ) as bench:
+        recipe.rig, arms=arms, ticks=recipe.all_ticks, period=recipe.period, key=key, settings=settings,
+        recorded=max(recipe.ticks, _RECORDED), say=pipe.send,
+    ) as bench:  # fmt: skip
         pipe.send(bench.address)
         bench.serve(runs=1)
         pipe.send(bench.record)

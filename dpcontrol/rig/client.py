@@ -15,6 +15,7 @@ import secrets
 import select
 import socket
 import time
+from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -79,10 +80,11 @@ class Deadlines:
     """A run in real time; times in s.
 
     ticks: of the run; missed: those that began a whole period late or later, so that their commands came too late;
-    worst, lateness_99, lateness_median: of how late ticks began. lost: readings that never came; stale: readings that
-    came when their tick had passed; held: periods in which the bench had to do with an old command; trip_median,
-    trip_99, trip_worst: from a reading leaving the bench to its command arriving there; not-a-number: none arrived.
-    ignored: packets that came to the bench and were not of this run's loop, or repeated; refused: the same at the loop.
+    worst, lateness_99, lateness_median: of how late ticks began, the quantiles (also of trips) of the last million.
+    lost: readings that never came; stale: readings that came when their tick had passed; held: periods in which the
+    bench had to do with an old command; trip_median, trip_99, trip_worst: from a reading leaving the bench to its
+    command arriving there; not-a-number: none arrived. ignored: packets that came to the bench and were not of this
+    run's loop, or repeated; refused: the same at the loop.
     """
 
     ticks: int
@@ -133,6 +135,8 @@ _ASK_EVERY = 0.2
 """Seconds between HELLOs."""
 _LONGEST_PERIOD = 60.0
 """Seconds."""
+_LATEST = 1_000_000
+"""Ticks, the last, of which it is kept how late they began and how long their answers took."""
 _MOST_REFUSED = 256
 """Packets that are refused in a row before the loop looks at its clock again."""
 
@@ -210,8 +214,9 @@ class UdpRig:
         self._waiting: dict[int, ReadingPacket] = {}
         self._tick, self._begin = -1, math.inf
         self._stopped, self._gone = False, ""
-        self._lateness: list[float] = []
-        self._trips: list[float] = []
+        # A night would fill the memory.
+        self._lateness, self._trips = deque[float](maxlen=_LATEST), deque[float](maxlen=_LATEST)
+        self._begun, self._worst, self._worst_trip = 0, math.nan, math.nan
         self._heard, self._held, self._missed, self._lost, self._stale = -1, 0, 0, 0, 0
         self._ignored = self._refused = 0
         self._why_refused = ""
@@ -247,10 +252,10 @@ class UdpRig:
         """Return the statistics so far."""
         late, trip = np.array(self._lateness or [np.nan]), np.array(self._trips or [np.nan])
         return Deadlines(
-            ticks=len(self._lateness), missed=self._missed, worst=float(late.max()),
+            ticks=self._begun, missed=self._missed, worst=self._worst,
             lateness_median=float(np.median(late)), lateness_99=float(np.percentile(late, 99)),
             lost=self._lost, stale=self._stale, held=self._held,
-            trip_median=float(np.median(trip)), trip_99=float(np.percentile(trip, 99)), trip_worst=float(trip.max()),
+            trip_median=float(np.median(trip)), trip_99=float(np.percentile(trip, 99)), trip_worst=self._worst_trip,
             ignored=self._ignored, refused=self._refused,
         )  # fmt: skip
 
@@ -265,6 +270,9 @@ class UdpRig:
         now, period = time.perf_counter(), self.period
         lateness = max(now - (self._begin + k * period), 0.0)
         self._lateness.append(lateness)
+        self._begun += 1
+        # Not-a-number, which there is before the first one, is not above anything.
+        self._worst = lateness if not self._worst >= lateness else self._worst
         late = max(lateness - period, 0.0)
         self._missed += late > 0
         if packet is None:
@@ -273,6 +281,7 @@ class UdpRig:
         if packet.heard > self._heard:
             self._heard = packet.heard
             self._trips.append(packet.trip)
+            self._worst_trip = packet.trip if not self._worst_trip >= packet.trip else self._worst_trip
         self._held, self._ignored = packet.held, packet.ignored
         if packet.condition is Condition.SILENCE and not self._stopped:
             raise ArithmeticError(f"the bench stopped the cart: {packet.text}")

@@ -5,37 +5,44 @@ arms are calmed, and the symbol that failed is done again (`dpcontrol.loop.recov
 
 What is simulated goes on as drawn where a night is resumed: the same plant, the same encoders with their drift, the
 blows and noise that the uninterrupted night would have had from there on. Arms and cart begin anew, as on a bench.
+
+On a bench in real time, over UDP, files are finished beside the loop, in a thread, which would be late for seconds.
 """
 
 import shutil
-from collections.abc import Mapping
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from math import ceil
 from pathlib import Path
 
 from dpcontrol.control.estimator_settings import extra_names
 from dpcontrol.foundation.cost import MOST_SECONDS, Cost
-from dpcontrol.foundation.errors import InputError, remark
+from dpcontrol.foundation.errors import GoalMissed, InputError, remark
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.logs import LogWriter, partials_of, recover
 from dpcontrol.logs.reader import check_same_run
 from dpcontrol.logs.rolling import NIGHT_METADATA, RollingLog
-from dpcontrol.loop.loop import LoopSettings, control_loop, loop_controller, loop_recovery
+from dpcontrol.loop.bench import StreamReader
+from dpcontrol.loop.loop import ControlLoop, LoopSettings, control_loop, loop_controller, loop_recovery
 from dpcontrol.loop.recovery import FallRecovery
 from dpcontrol.loop.result import LogSink
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.review.night import Night, read_night
 from dpcontrol.scenes.itinerary import Itinerary
-from dpcontrol.scenes.plan import Plan
-from dpcontrol.scenes.run import drawn_metadata, log_writer, outcome, run_metadata
+from dpcontrol.scenes.plan import Plan, expected_seconds
+from dpcontrol.scenes.run import RigLink, bench_recipe, drawn_metadata, log_writer, outcome, run_metadata
 
 _BYTES_A_TICK = 430
 """Of a log of two arms on a cart, packed."""
 _SPEED = 20_000
 """Ticks in a second of simulation, logging included, on one core."""
-_MEMORY = 4e8
-"""Of a night, bytes, however long."""
+_MEMORY, _MEMORY_A_TICK, _MEMORY_A_STOP = 3.5e8, 3900, 210
+"""Of a night however long, bytes: of itself, and for each tick of its itinerary the laws' gains and the latest rows,
+and as many again for each stop to which there is a way from rest.
+"""
 MOST_DISK = 2e10
 """Bytes of logs that are begun without being asked for by name."""
 _SPARE_DISK = 1e9
@@ -77,15 +84,19 @@ def night_itinerary(itinerary: Itinerary, *, asked: Mapping[str, object]) -> Iti
     return replace(itinerary, loop=replace(itinerary.loop, supervisor=supervisor))
 
 
-def announce_night(itinerary: Itinerary, night: NightSettings, folder: Path, *, yes: bool = False) -> None:
-    """Say what a long run will take, and refuse what is beyond the limits unless `yes`.
+def announce_night(
+    itinerary: Itinerary, night: NightSettings, folder: Path, *, real_time: bool = False, yes: bool = False
+) -> None:
+    """Say what a long run will take, and refuse what is beyond the limits unless `yes`; real_time: on a rig.
 
     Raises:
         InputError: it is beyond them; says what it takes and what is allowed.
     """
     rate = itinerary.loop.rate
-    disk, seconds = night.disk(rate), night.hours * 3600 * rate / _SPEED
-    cost = Cost(f"{night.hours:g} h of {itinerary.name}", seconds, _MEMORY, f"--hours {night.hours:g}")
+    disk, seconds = night.disk(rate), night.hours * 3600 * (1.0 if real_time else rate / _SPEED)
+    stops = len(itinerary.walk) + len(itinerary.parts)
+    memory = _MEMORY + expected_seconds(itinerary) * rate * (_MEMORY_A_TICK + _MEMORY_A_STOP * stops)
+    cost = Cost(f"{night.hours:g} h of {itinerary.name}", seconds, memory, f"--hours {night.hours:g}")
     files = f"{night.files:,} file{'s' if night.files > 1 else ''} of {night.file_minutes:g} minutes"
     thinned = f", of which one in {night.keep_every} is kept" if night.keep_every > 1 else ""
     text = f"{cost.sentence}, and {_gigabytes(disk)} of disk in {folder}: {files}{thinned}"
@@ -95,7 +106,7 @@ def announce_night(itinerary: Itinerary, night: NightSettings, folder: Path, *, 
         raise InputError(
             f"{text}; {_gigabytes(free)} are free there: thin the logs with --keep-every, or give another --out"
         )
-    if not yes and (disk > MOST_DISK or seconds > MOST_SECONDS):
+    if not yes and (disk > MOST_DISK or (seconds > MOST_SECONDS and not real_time)):
         raise InputError(
             f"{text}; an hour and {_gigabytes(MOST_DISK)} are begun unasked: thin the logs with --keep-every, ask for "
             "less, or give --yes (yes=True in Python)"
@@ -121,23 +132,25 @@ def run_night(
     out: Path,
     night: NightSettings,
     *,
+    link: RigLink | None = None,
     resume: bool = False,
     force: bool = False,
     progress: Progress = no_progress,
 ) -> Night:
-    """Repeat a planned itinerary on the simulated bench for hours, into the folder of `out`; return what it did.
+    """Repeat a planned itinerary for hours, into the folder of `out`; return what it did.
 
-    The itinerary is one of `night_itinerary`. resume: go on with the night in that folder, which was interrupted.
-    force: replace it.
+    The itinerary is one of `night_itinerary`. link: to the bench that it runs on in real time; without one it is
+    simulated. resume: go on with the night in that folder, which was interrupted. force: replace it.
 
     Raises:
-        InputError: the folder holds a night already, or none or another one to be resumed, or cannot be written.
+        InputError: the folder holds a night already, or none or another one to be resumed, or cannot be written; or no
+            bench answers, or it does not fit.
         GoalMissed: the plan did not converge, or no controller can be made for it, or no plant drawn.
     """
     scene = plan.followed().itinerary
     settings, arms = scene.loop, scene.model.arms
     folder = night_folder(out)
-    made_by = drawn_metadata(scene)
+    made_by = drawn_metadata(scene) if link is None else {"rig": link.address}
     place = _place(folder, {**run_metadata(scene), **made_by}, night, settings.rate, resume=resume, force=force)
     since, until = round(place.begin * settings.rate), round(night.hours * 3600 * settings.rate)
     controller = loop_controller(plan.reference, arms, settings)
@@ -148,8 +161,6 @@ def run_night(
             'need be; use on_fall = "resume" or "restart"'
         )
     limits = settings.limits(plan.reference)
-    draw = settings.draw(arms, ticks=controller.ticks + 1, uncertainty=scene.uncertainty).endless(since=since)
-    loop_settings = _since(settings, place.begin)
 
     def make(path: Path, more: Mapping[str, str]) -> LogWriter:
         return log_writer(plan, path, **made_by, **more)
@@ -158,22 +169,53 @@ def run_night(
         folder, folder.resolve().name, make, seconds=60 * night.file_minutes, rate_hz=settings.rate,
         limit=limits.position, extras=extra_names(arms.count, settings.estimator.augments),
         keep_every=night.keep_every, session=place.session, number=place.number, begin=place.begin,
-        end=night.hours * 3600,
+        end=night.hours * 3600, beside=link is not None,
     )  # fmt: skip
-    with rolling:
-        loop = control_loop(
-            arms, settings, controller, limits=limits,
-            rate_noise=draw.reader("rate_noise", lambda rows: rows[:, :, None]), sink=LogSink(rolling),
+
+    def loop(noise: StreamReader | None = None) -> ControlLoop:
+        return control_loop(
+            arms, settings, controller, limits=limits, rate_noise=noise, sink=LogSink(rolling),
             recovery=FallRecovery(recovery, controller, laps=True), keep=False, until=until - since, progress=progress,
         )  # fmt: skip
-        rig = SimulatedRig(draw, loop_settings.bench, limits=limits, start=controller.first_state, queued=loop.queued)
+
+    with rolling:
         try:
-            result = loop.run(rig)
+            if link is None:
+                draw = settings.draw(arms, ticks=controller.ticks + 1, uncertainty=scene.uncertainty)
+                draw = draw.endless(since=since)
+                simulated = loop(draw.reader("rate_noise", lambda rows: rows[:, :, None]))
+                bench = _since(settings, place.begin).bench
+                start = controller.first_state
+                rig = SimulatedRig(draw, bench, limits=limits, start=start, queued=simulated.queued)
+                rolling.result(**outcome(simulated.run(rig)))
+            else:
+                ticks = until - since + round(_BRAKING * settings.rate)
+                recipe = replace(bench_recipe(plan, controller), recovering=ticks)
+                on_rig = loop()
+                with _switching_soon(), link.connected(plan, recipe, on_rig, ticks=ticks, what="the night") as (rig, _):
+                    result = on_rig.run(rig)
+                if not rig.deadlines.ticks:
+                    raise GoalMissed(result.reason)
+                rolling.result(**outcome(result), **rig.deadlines.record())
         except KeyboardInterrupt:
             remark(f"{folder} ends here; the same command with --resume goes on with it")
             raise
-        rolling.result(**outcome(result))
     return read_night(folder)
+
+
+_BRAKING = 2.0
+"""s for which a bench must go on beyond a night's end, at which the cart is braked."""
+
+
+@contextmanager
+def _switching_soon() -> Iterator[None]:
+    """Let the loop have the interpreter within a tenth of a period, while a thread finishes a file."""
+    was = sys.getswitchinterval()
+    sys.setswitchinterval(1e-4)
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(was)
 
 
 def check_folder(folder: Path, *, resume: bool, force: bool) -> list[Path]:

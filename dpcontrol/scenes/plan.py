@@ -20,7 +20,7 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.references.reference import PlanNotes, Reference, load_reference, plan_notes, save_reference
-from dpcontrol.scenes.itinerary import HoldPart, Itinerary, itinerary_from
+from dpcontrol.scenes.itinerary import HoldPart, Itinerary, WalkPart, itinerary_from
 from dpcontrol.scenes.model import model_from
 from dpcontrol.scenes.run_options import RunOptions
 
@@ -158,18 +158,27 @@ _TRANSFER = 3.0
 """Seconds that a transfer takes to plan."""
 
 
-def plan_cost(itinerary: Itinerary) -> Cost:
-    """Return what planning an itinerary will take; stays at an equilibrium or on an orbit hardly count."""
-    ends = (itinerary.start, itinerary.finish)
-    apart = (any(isinstance(part, HoldPart) for part in pair) for pair in pairwise(itinerary.parts))
-    transfers = ends.count("rest") + sum(apart)
-    amounts = {
+def _amounts(itinerary: Itinerary) -> dict[str, int]:
+    return {
         "wraps": sum(itinerary.wraps),
         "walk": len(itinerary.walk),
         "lead_in": sum(part.lead_in for part in itinerary.walks),
         "lead_out": sum(part.lead_out for part in itinerary.walks),
     }
-    periods = sum(amounts.values()) + (_FLIGHT - 1) * amounts["walk"]
+
+
+def _extent(itinerary: Itinerary) -> tuple[int, int]:
+    """Return how many periods of walks and how many transfers there are in an itinerary."""
+    ends = (itinerary.start, itinerary.finish)
+    apart = (any(isinstance(part, HoldPart) for part in pair) for pair in pairwise(itinerary.parts))
+    amounts = _amounts(itinerary)
+    return sum(amounts.values()) + (_FLIGHT - 1) * amounts["walk"], ends.count("rest") + sum(apart)
+
+
+def plan_cost(itinerary: Itinerary) -> Cost:
+    """Return what planning an itinerary will take; stays at an equilibrium or on an orbit hardly count."""
+    periods, transfers = _extent(itinerary)
+    amounts = _amounts(itinerary)
     longest = max(amounts, key=lambda name: amounts[name])
     of = "symbols" if longest == "walk" else "in all"
     key = f"{itinerary.path}: {longest}, {amounts[longest]:,} {of}"
@@ -178,6 +187,17 @@ def plan_cost(itinerary: Itinerary) -> Cost:
     seconds, memory = _SECONDS * periods + _TRANSFER * transfers, _MEMORY * (periods + _FLIGHT * transfers)
     work = f"a reference of {periods:,} periods" + (f" and {transfers:,} transfers" if transfers else "")
     return Cost(work, seconds, memory, key)
+
+
+_PERIOD, _TRANSFER_LASTS = 0.7, 2.5
+"""s: of an orbit, and of a transfer between rest, equilibria and walks; of the lab's arms, roughly."""
+
+
+def expected_seconds(itinerary: Itinerary) -> float:
+    """Return about how long an itinerary lasts, s, before it is planned."""
+    periods, transfers = _extent(itinerary)
+    stays = sum(part.seconds for part in itinerary.parts if not isinstance(part, WalkPart))
+    return _PERIOD * periods + _TRANSFER_LASTS * transfers + stays
 
 
 def make_plan(

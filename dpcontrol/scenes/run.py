@@ -10,8 +10,8 @@ that speaks `dpcontrol.rig.packets`; the example is the simulated one, by its ow
 
 import json
 import types
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, dataclass, fields, is_dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
@@ -57,6 +57,7 @@ from dpcontrol.logs import (
 )
 from dpcontrol.loop.controllers import ESTIMATORS
 from dpcontrol.loop.loop import (
+    ControlLoop,
     LoopSettings,
     control_loop,
     loop_controller,
@@ -713,43 +714,20 @@ def run_on_rig(
             cannot be written.
         GoalMissed: the plan did not converge, no controller can be made for it, or the bench failed at once.
     """
-    from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
-    from dpcontrol.rig.client import UdpRig, parse_address, real_time_priority, without_collecting
-
     itinerary, reference = plan.itinerary, plan.followed().reference
     arms, settings = itinerary.model.arms, itinerary.loop
-    where = None if address == OWN_BENCH else parse_address(address)
+    link = RigLink(address, key, insecure, real_time)
     # What a rig does is not what any log there says, whatever its settings.
     check_replaced(out, {**run_metadata(itinerary), "rig": address}, force=force)
     controller = loop_controller(reference, arms, settings)
     fallback = loop_fallback(reference, arms, settings)
     recovers = loop_recovery(reference, arms, settings, controller)
-    if where is not None and itinerary.start == "orbit":
-        fastest = np.abs(controller.first_state[arms.count : 2 * arms.count]).max()
-        remark(
-            f'{itinerary.path}: start = "orbit" begins at the orbit\'s exact rates, {fastest:.3g} rad/s, which only a '
-            'simulated bench can; on a rig use an itinerary with start = "rest", such as turn-from-rest'
-        )
-    process: BenchProcess | None = None
     with log_writer(plan, out) as writer:
         loop = control_loop(
             arms, settings, controller, limits=settings.limits(reference), sink=LogSink(writer), fallback=fallback,
             recovery=None if recovers is None else FallRecovery(recovers, controller), progress=progress,
         )  # fmt: skip
-        loop.rehearse()
-        with ExitStack() as stack:
-            if where is None:
-                process = stack.enter_context(
-                    BenchProcess(bench_recipe(plan, controller), BenchServerSettings(real_time=real_time))
-                )
-                where, key = process.address, process.key
-            rig = stack.enter_context(
-                UdpRig(where, queued=loop.queued, zeros=itinerary.zeros, key=key, insecure=insecure)
-            )
-            _fits(rig, arms=arms.count, rate=settings.rate, ticks=loop.count, what="the itinerary")
-            stack.enter_context(without_collecting())
-            if real_time:
-                stack.enter_context(real_time_priority())
+        with link.connected(plan, bench_recipe(plan, controller), loop, ticks=loop.count) as (rig, process):
             result = loop.run(rig)
         if not len(result.ticks.times):
             raise GoalMissed(result.reason)
@@ -758,6 +736,68 @@ def run_on_rig(
             writer.event(float(result.ticks.times[-1]), "warn", "rig", deadlines.strangers)
         writer.result(**outcome(result), rig=rig.address, **deadlines.record())
     return RigRun(score(read_log(out)), result, deadlines, tuple(process.said if process else ()))
+
+
+@dataclass(frozen=True)
+class RigLink:
+    """How a loop reaches its bench.
+
+    address: udp://HOST:PORT, or `udp` for an example bench of its own. key: the one that is shared with the bench;
+    insecure: a bench on another computer needs none. real_time: ask the system for priority.
+
+    Raises:
+        InputError: the address is malformed.
+    """
+
+    address: str
+    key: bytes = b""
+    insecure: bool = False
+    real_time: bool = False
+
+    def __post_init__(self) -> None:
+        """Look at the address."""
+        from dpcontrol.rig.client import parse_address
+
+        if self.address != OWN_BENCH:
+            parse_address(self.address)
+
+    @contextmanager
+    def connected(
+        self, plan: Plan, recipe: "BenchRecipe", loop: ControlLoop, *, ticks: int, what: str = "the itinerary"
+    ) -> "Iterator[tuple[UdpRig, BenchProcess | None]]":
+        """Rehearse a loop and yield its rig, which can run for `ticks`, and the example bench if there is one.
+
+        recipe: of that. what: takes these ticks, in words.
+
+        Raises:
+            InputError: no bench answers, it needs a key, or it does not fit the itinerary.
+        """
+        from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
+        from dpcontrol.rig.client import UdpRig, parse_address, real_time_priority, without_collecting
+
+        itinerary, key = plan.itinerary, self.key
+        arms, process = itinerary.model.arms, None
+        if self.address != OWN_BENCH and itinerary.start == "orbit":
+            fastest = np.abs(recipe.start[arms.count : 2 * arms.count]).max()
+            remark(
+                f'{itinerary.path}: start = "orbit" begins at the orbit\'s exact rates, {fastest:.3g} rad/s, which '
+                'only a simulated bench can; on a rig use an itinerary with start = "rest", such as turn-from-rest'
+            )
+        loop.rehearse()
+        with ExitStack() as stack:
+            if self.address == OWN_BENCH:
+                process = stack.enter_context(BenchProcess(recipe, BenchServerSettings(real_time=self.real_time)))
+                where, key = process.address, process.key
+            else:
+                where = parse_address(self.address)
+            rig = stack.enter_context(
+                UdpRig(where, queued=loop.queued, zeros=itinerary.zeros, key=key, insecure=self.insecure)
+            )
+            _fits(rig, arms=arms.count, rate=itinerary.loop.rate, ticks=ticks, what=what)
+            stack.enter_context(without_collecting())
+            if self.real_time:
+                stack.enter_context(real_time_priority())
+            yield rig, process
 
 
 PROGRAM_WATCHDOG = 0.03
