@@ -114,8 +114,8 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
             "every point.",
         ),
         chosen=(
-            "The adaptive law for references: half the error or less, less feedback, and all come through, for half as "
-            "much time again as TVLQR by time. OGY at k = 16."
+            "The adaptive law for references: half the error, less feedback, and all come through, for two thirds more "
+            "time than TVLQR by time. OGY at k = 16."
         ),
     )  # fmt: skip
 
