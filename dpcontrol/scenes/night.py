@@ -75,13 +75,22 @@ def night_folder(out: Path) -> Path:
 
 
 def night_itinerary(itinerary: Itinerary, *, asked: Mapping[str, object]) -> Itinerary:
-    """Return an itinerary as long runs have it, if not `asked` otherwise: after a fall they go on, without limit."""
-    supervisor = itinerary.loop.supervisor
+    """Return an itinerary as long runs have it, if not `asked` otherwise: after a fall they go on, without limit.
+
+    What keeps its stops by a clock of its own is left out then, and what flies keeps them too, by time.
+    """
+    supervisor, keep = itinerary.loop.supervisor, itinerary.loop.keep
     if supervisor.on_fall == "stop" and "on_fall" not in asked:
         supervisor = replace(supervisor, on_fall="resume")
     if "attempts" not in asked:
         supervisor = replace(supervisor, attempts=0)
-    return replace(itinerary, loop=replace(itinerary.loop, supervisor=supervisor))
+    if keep != "none" and supervisor.on_fall != "stop" and "keep" not in asked:
+        remark(
+            f'{itinerary.path}: [controller] keep = "{keep}" has a clock of its own, by which nothing is taken up again '
+            "after a fall; this long run keeps its stops by gains by time instead, as with --keep none"
+        )
+        keep = "none"
+    return replace(itinerary, loop=replace(itinerary.loop, supervisor=supervisor, keep=keep))
 
 
 def announce_night(

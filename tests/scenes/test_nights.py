@@ -34,6 +34,23 @@ def test_a_night_goes_on_after_falls_unless_it_is_told_not_to() -> None:
     assert (stops.on_fall, stops.attempts) == ("stop", 10)
 
 
+def test_what_keeps_stops_by_its_own_clock_is_left_out_of_a_night_and_that_is_said() -> None:
+    linger = load_itinerary("linger")
+    with pytest.warns(Remark, match=r'linger.toml: \[controller\] keep = "tvlqr" has a clock of its own'):
+        loop = night_itinerary(linger, asked={}).loop
+    assert (loop.keep, loop.supervisor.on_fall) == ("none", "resume")
+    with pytest.raises(InputError, match="run with --keep none"):
+        night_itinerary(linger, asked={"keep": "tvlqr"})
+    assert night_itinerary(linger, asked={"on_fall": "stop"}).loop.keep == "tvlqr"
+
+
+def test_the_memory_of_a_night_is_that_of_its_itinerary(tmp_path: Path) -> None:
+    # Measured after ten minutes: 375 MB, 490 MB and 690 MB.
+    for name, megabytes in (("outer-turn", "370"), ("linger", "460"), ("round-trip", "680")):
+        with pytest.warns(Remark, match=f"about {megabytes} MB of memory|and {megabytes} MB of memory"):
+            announce_night(load_itinerary(name), NightSettings(hours=0.5), tmp_path / "night")
+
+
 def test_what_a_night_takes_is_said_and_too_much_is_refused(tmp_path: Path) -> None:
     folder = night_folder(tmp_path / "logs" / "turn-0.mcap")
     assert folder == tmp_path / "logs" / "turn-0"
