@@ -15,7 +15,6 @@ import json
 import math
 import os
 from collections.abc import Callable, Mapping
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -199,8 +198,7 @@ class RollingLog:
 
     folder, name: of the files. make: opens the writer of a file, given its path and more metadata. seconds: of a file.
     keep_every: of the older files each so many-th is kept, the others are removed once they are thinned. rate_hz, limit
-    m and extras: of the loop, the cart and the estimator. session, number, begin s: where a night is resumed. beside:
-    finish files in a thread, for a loop in real time: that takes seconds of a disk.
+    m and extras: of the loop, the cart and the estimator. session, number, begin s: where a night is resumed.
 
     Raises:
         InputError: the first file cannot be written.
@@ -221,7 +219,6 @@ class RollingLog:
         number: int = 1,
         begin: float = 0.0,
         end: float = math.inf,
-        beside: bool = False,
     ) -> None:
         self.folder, self.name, self.extras = folder, name, extras
         self._make, self._seconds, self._keep_every, self._begin = make, seconds, keep_every, begin
@@ -230,7 +227,6 @@ class RollingLog:
         self._digest = Digest(number, session, limit=limit)
         self._end, self._until = end, 0.0
         self._file_ends(begin)
-        self._thread = ThreadPoolExecutor(1, "finishing") if beside else None
 
     def path(self, number: int, suffix: str = ".mcap") -> Path:
         """Return the place of a file, or with another suffix of what stands beside it."""
@@ -244,8 +240,6 @@ class RollingLog:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         # Also an interrupted night leaves whole files.
-        if self._thread is not None:
-            self._thread.shutdown()
         self._finish(self._writer, self._digest)
         self._writer = None
 
@@ -280,13 +274,11 @@ class RollingLog:
         self._try(lambda writer: writer.result(**values))
 
     def _roll(self, now: float) -> None:
-        before, self._writer = (self._writer, self._digest), None
+        writer, self._writer = self._writer, None
+        self._finish(writer, self._digest)
+        self._thin(self._digest.number - 1)
         self._digest = self._digest.following(self._digest.number + 1)
         self._file_ends(now)
-        if self._thread is None:
-            self._finish(*before, thins=True)
-        else:
-            self._thread.submit(self._finish, *before, thins=True)
         try:
             self._open()
         except InputError as error:
@@ -322,8 +314,8 @@ class RollingLog:
         until = f"up to {self._until / 60:g} minutes at least" if self._until < math.inf else "to its end"
         remark(f"{error}; the run goes on, without a log {until}")
 
-    def _finish(self, writer: LogWriter | None, digest: Digest, *, thins: bool = False) -> None:
-        """Finish a file and write its digest; thins: then look whether the file before it is to be kept."""
+    def _finish(self, writer: LogWriter | None, digest: Digest) -> None:
+        """Finish a file and write its digest."""
         path = self.path(digest.number)
         if writer is not None and not digest.ticks:
             # What ended before its first tick leaves nothing.
@@ -340,8 +332,6 @@ class RollingLog:
         if digest.ticks:
             with suppress(InputError):
                 write_whole(self.path(digest.number, ".json"), digest.text())
-        if thins:
-            self._thin(digest.number - 1)
 
     def _thin(self, number: int) -> None:
         """Remove a file, if it is none of those that are kept and its digest is there."""

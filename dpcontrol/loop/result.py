@@ -6,7 +6,9 @@ A run that cannot be saved ends with the cart at rest inside its limits.
 """
 
 import math
+from collections import deque
 from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any, NamedTuple, Protocol
@@ -282,7 +284,7 @@ class LoopSink(Protocol):
     """Takes ticks and events as they happen; a log writer is made into one."""
 
     def ticks(self, rows: Ticks) -> None:
-        """Take the next ticks; the arrays are reused afterwards."""
+        """Take the next ticks; these rows change no more."""
         ...
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
@@ -473,3 +475,38 @@ class LogSink:
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
         """Write one event."""
         self._writer.event(time_s, level, name, text)
+
+
+class SinkBeside:
+    """Hands ticks and events to another sink in a thread, so that no disk makes a loop in real time late.
+
+    A context manager, which waits for what is under way; what failed there is raised with later rows, or at the end.
+    """
+
+    def __init__(self, sink: LoopSink) -> None:
+        # The thread itself begins with the first event, by the priority that the loop has then: one that had less would
+        # hold the interpreter up where the computer is busy.
+        self._sink, self._thread = sink, ThreadPoolExecutor(1, "log")
+        self._under_way = deque[Future[None]]()
+
+    def __enter__(self) -> "SinkBeside":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        self._thread.shutdown()
+        if kind is None:
+            self._look()
+
+    def ticks(self, rows: Ticks) -> None:
+        """Write the next ticks."""
+        self._look()
+        self._under_way.append(self._thread.submit(self._sink.ticks, rows))
+
+    def event(self, time_s: float, level: str, name: str, text: str) -> None:
+        """Write one event."""
+        self._look()
+        self._under_way.append(self._thread.submit(self._sink.event, time_s, level, name, text))
+
+    def _look(self) -> None:
+        while self._under_way and self._under_way[0].done():
+            self._under_way.popleft().result()

@@ -75,11 +75,12 @@ class Drift:
 
 def cause_of(text: str) -> str:
     """Return in a few words why the itinerary was given up."""
+    # A cart that must brake has not met its stop.
     for mark, words in (("is stuck", "sensor stuck"), ("no measurement", "no measurement"),
-                        ("limit switch", "limit switch")):  # fmt: skip
+                        ("limit switch", "limit switch"), ("cart at its stop", "cart near its stop")):  # fmt: skip
         if mark in text:
             return words
-    for words in ("tracking lost", "estimate lost", "cart at its stop", "plant failed"):
+    for words in ("tracking lost", "estimate lost", "plant failed"):
         if text.startswith(words):
             return words
     return "other"
@@ -193,7 +194,7 @@ class Night:
             back = f", back on it after {median:.1f} s in the median, 99 % within {slowest:.1f} s"
         return (
             f"{hours:.3g} hours: {self.uptime:.1%} of the time on the itinerary, {self.repetitions} repetitions; "
-            f"{len(self.falls)} falls ({self.falls_per_hour:.3g} an hour){back}"
+            f"{len(self.falls)} fall{'s' * (len(self.falls) != 1)} ({self.falls_per_hour:.3g} an hour){back}"
         )
 
     def document(self) -> dict[str, Any]:
@@ -339,8 +340,11 @@ _COLOURS = {
     ITINERARY: "#9fd3a8", CALMING: "#e8877f", STARTING: "#f2c46d", BETWEEN: "#8fbce6", UNKNOWN: "#22262b",
     STOPPED: "#ffffff",
 }  # fmt: skip
-_ROW = 3600.0
-"""s of a row of the strip."""
+_ROW = 1800.0
+"""s of a row of the strip, in which an absence of some seconds can be seen; longer where there would be too many."""
+_ROWS = 32
+_REMAINDER = 5.0
+"""s at the end of a night, as while the cart is braked, that get no row of their own."""
 
 
 def draw_night(night: Night) -> "Figure":
@@ -348,13 +352,14 @@ def draw_night(night: Night) -> "Figure":
     from dpcontrol.review.page import new_figure
 
     last = max(span.end for span in night.spans)
-    row = _ROW if last > _ROW else max(600.0, 600.0 * math.ceil(last / 6 / 600.0)) if last > 600.0 else last
-    rows = max(1, math.ceil(last / row - 1e-9))
+    row = last if last <= 600.0 + _REMAINDER else 600.0 if last <= 3600.0 else _ROW * math.ceil(last / _ROW / _ROWS)
+    rows = max(1, math.ceil((last - _REMAINDER) / row))
+    strip, others = max(1.0, 0.42 * rows), 1.7
     height = 4.6 + 0.42 * rows
     figure = new_figure(12.0, height)
     grid = figure.add_gridspec(
-        3, 2, height_ratios=[max(1.0, 0.42 * rows), 1.7, 1.7], left=0.09, right=0.94, top=1 - 0.75 / height,
-        bottom=0.11, hspace=0.62, wspace=0.25,
+        3, 2, height_ratios=[strip, others, others], left=0.09, right=0.94, top=1 - 0.75 / height,
+        bottom=0.75 / height, hspace=2.7 / (strip + 2 * others), wspace=0.25,
     )  # fmt: skip
     figure.text(0.03, 1 - 0.22 / height, f"{night.folder.name}: {night.sentence}", fontsize=10.5, va="center")
     _draw_strip(figure.add_subplot(grid[0, :]), night, row, rows)
@@ -369,7 +374,7 @@ def draw_night(night: Night) -> "Figure":
 
 
 _FALLS = {
-    "tracking lost": "#b3261e", "estimate lost": "#8a4fa3", "cart at its stop": "#d9640d", "limit switch": "#d9640d",
+    "tracking lost": "#b3261e", "estimate lost": "#8a4fa3", "cart near its stop": "#d9640d", "limit switch": "#d9640d",
     "sensor stuck": "#1f6fb4", "no measurement": "#0f8b8d",
 }  # fmt: skip
 
@@ -386,11 +391,13 @@ def _draw_strip(axes: "Axes", night: Night, row: float, rows: int) -> None:
         while first < span.end - 1e-9:
             k = int(first / row + 1e-9)
             end = min(span.end, (k + 1) * row)
-            axes.barh(k, (end - first) / scale, left=(first - k * row) / scale, height=0.78, color=_COLOURS[span.kind],
-                      linewidth=0)  # fmt: skip
+            # An edge of its own, so that short absences are seen.
+            colour, edge = _COLOURS[span.kind], 0.0 if span.kind in (ITINERARY, STOPPED) else 0.8
+            axes.barh(k, (end - first) / scale, left=(first - k * row) / scale, height=0.78, color=colour,
+                      edgecolor=colour, linewidth=edge)  # fmt: skip
             first = end
     for fall in night.falls:
-        k = int(fall.time / row)
+        k = min(int(fall.time / row), rows - 1)
         axes.plot((fall.time - k * row) / scale, k - 0.42, marker="v", markersize=4.5, clip_on=False,
                   color=_FALLS.get(fall.cause, style.INK), linewidth=0)  # fmt: skip
     for k in range(rows):
@@ -399,8 +406,8 @@ def _draw_strip(axes: "Axes", night: Night, row: float, rows: int) -> None:
         on = sum(max(b - a, 0.0) for a, b, kind in within if kind == ITINERARY)
         if total:
             axes.text(1.008, k, f"{on / total:.0%}", transform=axes.get_yaxis_transform(), va="center", fontsize=8.5)
-    unit = "h" if row == _ROW else "min"
-    labels = [f"{k if row == _ROW else k * row / 60:.3g} {unit}" for k in range(rows)]
+    minutes = [round(k * row / 60) for k in range(rows)]
+    labels = [f"{m // 60}:{m % 60:02d} h" if row >= _ROW else f"{m} min" for m in minutes]
     axes.set_yticks(range(rows), labels)
     axes.set(xlim=(0, row / scale), ylim=(rows - 0.5, -0.65))
     axes.set_xlabel("minutes", fontsize=8.5)

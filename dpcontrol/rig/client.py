@@ -15,7 +15,6 @@ import secrets
 import select
 import socket
 import time
-from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -143,8 +142,9 @@ _MOST_REFUSED = 256
 
 @dataclass(frozen=True)
 class LinkSettings(Settings, table="link"):
-    """answer s: longest time to wait for the bench to begin; patience s: how long a reading may be overdue before its
-    tick goes on without it; silence s: without any packet after which the bench counts as gone.
+    """answer s: longest time to wait for the bench's welcome, and for its first reading; patience s: how long a reading
+    may be overdue before its tick goes on without it; silence s: without any packet after which the bench counts as
+    gone.
     """
 
     answer: float = setting(10.0, above=0, most=3600, unit="s")
@@ -215,8 +215,9 @@ class UdpRig:
         self._tick, self._begin = -1, math.inf
         self._stopped, self._gone = False, ""
         # A night would fill the memory.
-        self._lateness, self._trips = deque[float](maxlen=_LATEST), deque[float](maxlen=_LATEST)
-        self._begun, self._worst, self._worst_trip = 0, math.nan, math.nan
+        self._lateness, self._trips = np.empty(_LATEST), np.empty(_LATEST)
+        self._begun = self._answered = 0
+        self._worst = self._worst_trip = math.nan
         self._heard, self._held, self._missed, self._lost, self._stale = -1, 0, 0, 0, 0
         self._ignored = self._refused = 0
         self._why_refused = ""
@@ -250,7 +251,9 @@ class UdpRig:
     @property
     def deadlines(self) -> Deadlines:
         """Return the statistics so far."""
-        late, trip = np.array(self._lateness or [np.nan]), np.array(self._trips or [np.nan])
+        none = np.array([math.nan])
+        late = self._lateness[: self._begun] if self._begun else none
+        trip = self._trips[: self._answered] if self._answered else none
         return Deadlines(
             ticks=self._begun, missed=self._missed, worst=self._worst,
             lateness_median=float(np.median(late)), lateness_99=float(np.percentile(late, 99)),
@@ -269,7 +272,7 @@ class UdpRig:
         packet = self._packet_of(k)
         now, period = time.perf_counter(), self.period
         lateness = max(now - (self._begin + k * period), 0.0)
-        self._lateness.append(lateness)
+        self._lateness[self._begun % _LATEST] = lateness
         self._begun += 1
         # Not-a-number, which there is before the first one, is not above anything.
         self._worst = lateness if not self._worst >= lateness else self._worst
@@ -280,7 +283,8 @@ class UdpRig:
             return Reading(k * period, self._positions, self._nothing, 0, late)
         if packet.heard > self._heard:
             self._heard = packet.heard
-            self._trips.append(packet.trip)
+            self._trips[self._answered % _LATEST] = packet.trip
+            self._answered += 1
             self._worst_trip = packet.trip if not self._worst_trip >= packet.trip else self._worst_trip
         self._held, self._ignored = packet.held, packet.ignored
         if packet.condition is Condition.SILENCE and not self._stopped:
@@ -366,7 +370,7 @@ class UdpRig:
                 self._stale += 1
             elif heard and heard.kind is Kind.BYE:
                 raise ArithmeticError(f"the bench ended the run: {content}")
-            elif now - self._last_packet > settings.silence:
+            elif now - self._last_packet > (settings.silence if k else settings.answer):
                 why = self._gone or "nothing came from it"
                 raise ArithmeticError(f"the bench at {self.address} is gone: {why} for {now - self._last_packet:.3g} s")
             elif k == 0:

@@ -6,7 +6,7 @@ arms are calmed, and the symbol that failed is done again (`dpcontrol.loop.recov
 What is simulated goes on as drawn where a night is resumed: the same plant, the same encoders with their drift, the
 blows and noise that the uninterrupted night would have had from there on. Arms and cart begin anew, as on a bench.
 
-On a bench in real time, over UDP, files are finished beside the loop, in a thread, which would be late for seconds.
+On a bench in real time, over UDP, the log is written beside the loop, in a thread: a disk may take seconds.
 """
 
 import shutil
@@ -28,7 +28,7 @@ from dpcontrol.logs.rolling import NIGHT_METADATA, RollingLog
 from dpcontrol.loop.bench import StreamReader
 from dpcontrol.loop.loop import ControlLoop, LoopSettings, control_loop, loop_controller, loop_recovery
 from dpcontrol.loop.recovery import FallRecovery
-from dpcontrol.loop.result import LogSink
+from dpcontrol.loop.result import LogSink, LoopSink, SinkBeside
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.review.night import Night, read_night
 from dpcontrol.scenes.itinerary import Itinerary
@@ -86,8 +86,8 @@ def night_itinerary(itinerary: Itinerary, *, asked: Mapping[str, object]) -> Iti
         supervisor = replace(supervisor, attempts=0)
     if keep != "none" and supervisor.on_fall != "stop" and "keep" not in asked:
         remark(
-            f'{itinerary.path}: [controller] keep = "{keep}" has a clock of its own, by which nothing is taken up again '
-            "after a fall; this long run keeps its stops by gains by time instead, as with --keep none"
+            f'{itinerary.path}: [controller] keep = "{keep}" has a clock of its own, by which nothing is taken up '
+            "again after a fall; this long run keeps its stops by gains by time instead, as with --keep none"
         )
         keep = "none"
     return replace(itinerary, loop=replace(itinerary.loop, supervisor=supervisor, keep=keep))
@@ -178,12 +178,12 @@ def run_night(
         folder, folder.resolve().name, make, seconds=60 * night.file_minutes, rate_hz=settings.rate,
         limit=limits.position, extras=extra_names(arms.count, settings.estimator.augments),
         keep_every=night.keep_every, session=place.session, number=place.number, begin=place.begin,
-        end=night.hours * 3600, beside=link is not None,
+        end=night.hours * 3600,
     )  # fmt: skip
 
-    def loop(noise: StreamReader | None = None) -> ControlLoop:
+    def loop(sink: LoopSink, noise: StreamReader | None = None) -> ControlLoop:
         return control_loop(
-            arms, settings, controller, limits=limits, rate_noise=noise, sink=LogSink(rolling),
+            arms, settings, controller, limits=limits, rate_noise=noise, sink=sink,
             recovery=FallRecovery(recovery, controller, laps=True), keep=False, until=until - since, progress=progress,
         )  # fmt: skip
 
@@ -192,7 +192,7 @@ def run_night(
             if link is None:
                 draw = settings.draw(arms, ticks=controller.ticks + 1, uncertainty=scene.uncertainty)
                 draw = draw.endless(since=since)
-                simulated = loop(draw.reader("rate_noise", lambda rows: rows[:, :, None]))
+                simulated = loop(LogSink(rolling), draw.reader("rate_noise", lambda rows: rows[:, :, None]))
                 bench = _since(settings, place.begin).bench
                 start = controller.first_state
                 rig = SimulatedRig(draw, bench, limits=limits, start=start, queued=simulated.queued)
@@ -200,9 +200,10 @@ def run_night(
             else:
                 ticks = until - since + round(_BRAKING * settings.rate)
                 recipe = replace(bench_recipe(plan, controller), recovering=ticks)
-                on_rig = loop()
-                with _switching_soon(), link.connected(plan, recipe, on_rig, ticks=ticks, what="the night") as (rig, _):
-                    result = on_rig.run(rig)
+                with _switching_soon(), SinkBeside(LogSink(rolling)) as sink:
+                    on_rig = loop(sink)
+                    with link.connected(plan, recipe, on_rig, ticks=ticks, what="the night") as (rig, _):
+                        result = on_rig.run(rig)
                 if not rig.deadlines.ticks:
                     raise GoalMissed(result.reason)
                 rolling.result(**outcome(result), **rig.deadlines.record())
@@ -218,7 +219,7 @@ _BRAKING = 2.0
 
 @contextmanager
 def _switching_soon() -> Iterator[None]:
-    """Let the loop have the interpreter within a tenth of a period, while a thread finishes a file."""
+    """Let the loop have the interpreter within a tenth of a period, while a thread writes the log."""
     was = sys.getswitchinterval()
     sys.setswitchinterval(1e-4)
     try:

@@ -88,16 +88,6 @@ def test_older_files_are_thinned_and_their_digests_stay(tmp_path: Path) -> None:
     assert len([*(tmp_path / "turn-7").glob("*.json")]) == 6
 
 
-def test_files_that_are_finished_beside_the_loop_are_the_same(tmp_path: Path) -> None:
-    here, beside = (written(tmp_path / name / "turn-7", keep_every=3, beside=flag)
-                    for name, flag in (("here", False), ("beside", True)))  # fmt: skip
-    assert [file.name for file in here] == [file.name for file in beside]
-    for one, other in zip(here, beside, strict=True):
-        assert one.read_bytes() == other.read_bytes()
-    names = [sorted(file.name for file in files[0].parent.iterdir()) for files in (here, beside)]
-    assert names[0] == names[1]
-
-
 def test_a_night_that_is_resumed_goes_on_in_time_and_number(tmp_path: Path) -> None:
     written(tmp_path / "turn-7")
     with rolling(tmp_path / "turn-7", session=2, number=7, begin=5.2) as log:

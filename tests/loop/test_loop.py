@@ -13,7 +13,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs.layout import control_fields
 from dpcontrol.loop.bench import DriveSettings, SensorSettings, draw_bench
 from dpcontrol.loop.loop import LoopSettings, control_loop, run_loop, sampled_model
-from dpcontrol.loop.result import Ending, LoopResult, Ticks
+from dpcontrol.loop.result import Ending, LoopResult, LoopSink, SinkBeside, Ticks
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference
@@ -186,6 +186,28 @@ def test_the_sink_sees_every_tick_and_the_ending(
     assert heard[-1] == ("run", 1.0)
     assert all(0 <= done <= 1 for _, done in heard)
     assert np.isfinite(result.ticks.control).all()
+
+
+def test_a_sink_beside_the_loop_sees_the_same_and_what_fails_there_ends_the_run(
+    turn: tuple[StandIn, Reference], controller: TrackingController
+) -> None:
+    def run(sink: LoopSink) -> None:
+        run_loop(turn[1], LAB, settings=REAL, controller=controller, sink=sink)
+
+    here, there = Kept(), Kept()
+    run(here)
+    with SinkBeside(there) as beside:
+        run(beside)
+    for name in ("times", "truth", "estimates", "control"):
+        assert (here.whole(name) == there.whole(name)).all()
+    assert here.events == there.events
+
+    class Fails(Kept):
+        def event(self, time_s: float, level: str, name: str, text: str) -> None:
+            raise InputError("the disk is full")
+
+    with pytest.raises(InputError, match="the disk is full"), SinkBeside(Fails()) as beside:
+        run(beside)
 
 
 def test_the_cart_is_braked_before_its_stop_and_the_run_ends_by_name(
