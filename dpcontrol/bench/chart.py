@@ -421,7 +421,7 @@ def _of(module: str, function: str = "chart") -> Drawer:
     return chart
 
 
-_PRECISION = ("propagation", "connections", "transcription", "estimation", "control", "logging", "levels")
+_PRECISION = ("propagation", "connections", "transcription", "estimation", "control", "logging", "levels", "payoff")
 _EDGES = ("propagation", "seeds", "walks", "references", "control", "moving", "ogy", "estimation")
 CHARTS: dict[str, Drawer] = {name: _of(name) for name in _PRECISION} | {
     **{f"edges-{name}": _of("edges", f"{name}_chart") for name in _EDGES},
@@ -429,6 +429,8 @@ CHARTS: dict[str, Drawer] = {name: _of(name) for name in _PRECISION} | {
 }
 GROUPS = {"edges": tuple(name for name in CHARTS if name.startswith("edges-"))}
 """Names that stand for several charts."""
+SPREAD, AT_ONCE = ("payoff",), 8
+"""Charts that use many cores themselves, their seconds being those of one processor; and how many at most."""
 
 
 def check_names(names: tuple[str, ...]) -> tuple[str, ...]:

@@ -14,6 +14,7 @@ import os
 import platform
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
@@ -28,7 +29,19 @@ from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormat
 from numpy.typing import NDArray
 
 from dpcontrol import __version__
-from dpcontrol.bench.chart import ALLOWED, CHARTS, GROUPS, ChartPage, EdgeMap, Panel, Point, PrecisionChart, check_names
+from dpcontrol.bench.chart import (
+    ALLOWED,
+    AT_ONCE,
+    CHARTS,
+    GROUPS,
+    SPREAD,
+    ChartPage,
+    EdgeMap,
+    Panel,
+    Point,
+    PrecisionChart,
+    check_names,
+)
 from dpcontrol.bench.measure import one_core
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.cost import Cost, announce
@@ -55,6 +68,8 @@ class DrawnChart:
 
 _SECONDS, _QUICKLY = 90.0, 10.0
 """What a chart takes on one processor, and a quick one, in s."""
+_SPREAD_SECONDS, _SPREAD_QUICKLY = 800.0, 100.0
+"""The same of one that uses several."""
 _MEMORY = 4e8
 """Bytes that a process takes which draws charts."""
 
@@ -63,9 +78,12 @@ def charts_cost(names: Sequence[str], *, quick: bool) -> Cost:
     """Return what making charts will take."""
     mapped = sum(name in GROUPS["edges"] for name in names)
     at_once = max(min(processors(), mapped), 1)
-    turns = len(names) - mapped + mapped / at_once
+    spread, many = sum(name in SPREAD for name in names), min(processors(), AT_ONCE)
+    turns = len(names) - mapped - spread + mapped / at_once
+    seconds = turns * (_QUICKLY if quick else _SECONDS)
+    seconds += spread * (_SPREAD_QUICKLY if quick else _SPREAD_SECONDS) / many
     work = f"{len(names)} chart{'s' if len(names) > 1 else ''}"
-    return Cost(work, turns * (_QUICKLY if quick else _SECONDS), at_once * _MEMORY, "bench")
+    return Cost(work, seconds, (many if spread else at_once) * _MEMORY, "bench")
 
 
 def draw_charts(
@@ -93,7 +111,7 @@ def draw_charts(
         if name not in maps:
             begin, end = len(drawn) / len(chosen), (len(drawn) + 1) / len(chosen)
             progress(name, begin)
-            with one_core():
+            with nullcontext() if name in SPREAD else one_core():
                 drawn[name] = draw(name, progress=part_of(_named(name, progress), begin, end))
     if maps:
         progress(f"{len(maps)} maps of failure", len(drawn) / len(chosen))

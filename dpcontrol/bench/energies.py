@@ -1,0 +1,112 @@
+"""Chart of an itinerary's effort over energies: is its own a good choice?
+
+A walk of the same symbols exists at many energies. Each is planned, and flown by the itinerary's own law on plants that
+are off by 5 %; what counts is ∫u² of the whole loop, reference and correction, of the runs that complete it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from dpcontrol.bench.chart import Missing, Panel, Point, PrecisionChart
+from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.orbits.symmetric_shooting import equilibrium
+from dpcontrol.scenes.campaign import Case, Job, run_job
+from dpcontrol.scenes.itinerary import Itinerary, WalkPart
+from dpcontrol.scenes.plan import Plan
+from dpcontrol.scenes.planning import planned
+from dpcontrol.walks.symbols import parse_walk
+
+MISMATCH = 0.05
+ENERGIES = (0.25, 0.4, 0.65, 1.0, 1.5, 2.5)
+"""Times the itinerary's own energy above that of its highest saddle."""
+RUNS = 16
+POOR = 1.1
+"""Times the least effort found that an itinerary may take before its energy is called a poor choice."""
+
+
+def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> PrecisionChart:
+    """Return the chart of an itinerary's effort over energies: of the reference, and of the loop at ±5 %.
+
+    Raises:
+        InputError: the itinerary is not one walk at one energy.
+        GoalMissed: its own energy cannot be planned, or no run comes through.
+    """
+    if len(itinerary.parts) != 1 or not itinerary.walks:
+        raise InputError(
+            f"{itinerary.path}: --explore-energy compares energies of one walk, and this itinerary is "
+            f"{len(itinerary.parts)} parts; take one walk of it"
+        )
+    walk, system = itinerary.walks[0], itinerary.model.system
+    symbols = parse_walk(walk.walk, system.saddles)
+    names = {saddle for symbol in symbols for one in symbol.simple for saddle in (one.source, one.target)}
+    floor = max(equilibrium(system, name).energy for name in names)
+    points, missing = [], []
+    for k, factor in enumerate(ENERGIES):
+        energy = floor + factor * (walk.energy - floor)
+        progress(f"{energy:.3g} J", k / len(ENERGIES))
+        try:
+            found = at_energy(itinerary, replace(walk, energy=energy), RUNS)
+        except (InputError, GoalMissed) as error:
+            missing.append(Missing("loop", f"{energy:.3g} J", str(error)))
+            continue
+        own, label = factor == 1.0, f"{energy:.3g} J"
+        points.append(Point("reference", label, energy - floor, found["reference"], others=found))
+        if np.isfinite(found["loop"]):
+            note = f"{found['completed']:.0%} come through"
+            points.append(Point("loop", label, energy - floor, found["loop"], default=own, note=note, others=found))
+        else:
+            missing.append(Missing("loop", label, f"no run comes through at ±{MISMATCH:.0%}"))
+    if not any(p.default for p in points):
+        raise GoalMissed(f"{itinerary.name}: nothing to compare with at its own energy: {missing[0].reason}")
+    panel = Panel(
+        itinerary.title, "energy above the highest saddle's, J", "∫u², m²/s³", tuple(points), missing=tuple(missing),
+        judged=False, timed=False,
+    )  # fmt: skip
+    return PrecisionChart(
+        name=f"{itinerary.name}-energies",
+        title=f"{itinerary.name}: effort over energies",
+        reading=(
+            "A mark is the whole itinerary planned at one energy, the ring its own.",
+            "reference: the effort of the plan alone, on a plant that is the model.",
+            f"loop: mean effort of the runs that complete it, of {RUNS} plants off by {MISMATCH:.0%}.",
+        ),
+        chosen=energy_text(walk.energy, points),
+        parts=(panel,),
+    )
+
+
+def at_energy(itinerary: Itinerary, walk: WalkPart, runs: int) -> dict[str, float]:
+    """Return the effort of the reference and of the loop, and the share of runs completed, of a walk at its energy."""
+    # Not kept: a plan's notes quote the itinerary's text, which has another energy.
+    reference, notes, arrays = planned(replace(itinerary, parts=(walk,)))
+    if not reference.converged:
+        raise GoalMissed(reference.status)
+    plan = Plan(itinerary, replace(reference, notes=notes, extra=arrays), Path(), cached=False)
+    loop = replace(itinerary.loop, mismatch=MISMATCH)
+    job = Job(itinerary.name, plan.archive, itinerary.model.arms, Case("", (), loop), tuple(range(runs)), "compiled",
+              replayed=0)  # fmt: skip
+    done = [row for row in run_job(job) if row["completed"]]
+    efforts = [row["rms_cart_acceleration"] ** 2 * row["simulated_seconds"] for row in done]
+    return {
+        "reference": reference.rms_cart_acceleration**2 * reference.duration,
+        "loop": float(np.mean(efforts)) if efforts else float("nan"),
+        "completed": len(done) / runs, "duration": reference.duration, "energy": walk.energy,
+    }  # fmt: skip
+
+
+def energy_text(own: float, points: Sequence[Point]) -> str:
+    """Return whether another energy takes less effort with feedback, in a sentence; most completed runs count first."""
+    loops = [p for p in points if p.method == "loop"]
+    most = max(p.others["completed"] for p in loops)
+    best = min((p for p in loops if p.others["completed"] == most), key=lambda p: p.error)
+    (mine,) = [p for p in loops if p.default]
+    fewer = mine.others["completed"] < most
+    if not fewer and mine.error <= POOR * best.error:
+        return f"{own:.4g} J is a good choice: at ±{MISMATCH:.0%} no energy tried takes {1 - 1 / POOR:.0%} less effort"
+    better = f"{best.others['energy']:.4g} J takes {best.error:.3g} m²/s³ at ±{MISMATCH:.0%}, not {mine.error:.3g}"
+    text = f"{own:.4g} J is a poor choice: {better}"
+    return f"{text}, and {most:.0%} of runs complete it, not {mine.others['completed']:.0%}" if fewer else text

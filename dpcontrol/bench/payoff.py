@@ -1,0 +1,915 @@
+"""Chart of what tubes buy: flights found along tubes against direct optimisation that does not know them.
+
+Every flight is one program, whoever solves it:
+
+    minimise ∫ u² dt      subject to  ẋ = f(x, u), the cart's limits, x(0) on one sustained orbit, x(T) on the other
+
+at the cart level with friction, by one transcription, solver, tolerance and limit of iterations. The methods differ in
+where the search starts: on the orbit that shadows the tubes' connection; on a smooth curve from end to end; on that
+curve with random waves; on what random inputs do from the start; on what the cross-entropy method (CEM) finds, which
+shoots forward with held inputs. The end state holds the winding, so what converges turns each arm as often as asked.
+
+What is charted is computed again from the equations of motion as any textbook has them, by scipy alone: every interval
+from its own first state, and the effort as one more state. A flight counts if no interval ends farther than `GAP`
+(scaled) from where the next begins. Each is then followed by the shipped law on plants that are off by 5 %.
+
+The others' settings were tuned on flights that are not charted: an outer turn at 0 J and a crossing at 0.25 J, eight
+tries of each amplitude of waves (0.5, 1, 2) and inputs (0.3, 1, 3 m/s²).
+
+Sources: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., ch. 4; Rubinstein & Kroese,
+The Cross-Entropy Method (2004), ch. 5.
+"""
+
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from statistics import median
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_ivp
+from scipy.interpolate import BarycentricInterpolator
+
+from dpcontrol.bench.chart import AT_ONCE, Border, Missing, Panel, Point, PrecisionChart, find_border, half_of
+from dpcontrol.bench.chart import Attempt as Answer
+from dpcontrol.bench.control import held
+from dpcontrol.control.interface import whole_turns
+from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
+from dpcontrol.dynamics.compiled import Compiled, compiled_step
+from dpcontrol.foundation.errors import GoalMissed
+from dpcontrol.foundation.processes import in_processes, processors
+from dpcontrol.foundation.progress import Progress
+from dpcontrol.loop.bench import DisturbanceSettings
+from dpcontrol.loop.loop import LoopSettings, loop_controller, run_batch
+from dpcontrol.loop.result import BatchRun
+from dpcontrol.references.find import find_reference, on_mesh, smooth_guess
+from dpcontrol.references.method import method_named
+from dpcontrol.references.problem import EndConditions, Guess, Limits, ReferenceProblem, ReferenceSettings, state_scale
+from dpcontrol.references.reference import Reference, joined
+from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
+from dpcontrol.references.trajectory import Trajectory, first_trajectory, times_on
+from dpcontrol.references.transcription import solve
+from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.model import load_model
+from dpcontrol.scenes.pieces import walk_goal
+from dpcontrol.scenes.transfers import sensitivity
+from dpcontrol.walks.edges import find_edges
+from dpcontrol.walks.shadowing import WalkSolver
+from dpcontrol.walks.symbols import parse_walk
+from dpcontrol.walks.walks import resolve
+
+Array = NDArray[np.float64]
+
+LIMITS = Limits()
+SETTINGS = ReferenceSettings(pendulum_weight=0.0, cart_weight=0.0)
+"""Of every search: the product's own, but for the cost, which is the effort alone."""
+GAP = 1e-4
+"""Scaled: what may lie between an interval's end and the next one's start."""
+TUBES, STRAIGHT, WAVES, INPUTS, CEM = (
+    "along tubes", "smooth curve", "curve with waves", "random inputs", "CEM, then collocation",
+)  # fmt: skip
+MISMATCH, SEEDS, BLOWN = 0.05, 24, 16
+"""Of the plants that flights are followed on; how many there are, and how many when they are struck."""
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """From a state of one sustained orbit to a state of another: the problem, whose guess shadows the tubes.
+
+    seconds: of one processor, for orbits, tubes, connections and the shadowing orbit.
+    """
+
+    name: str
+    problem: ReferenceProblem
+    orbits: tuple[SustainedOrbit, SustainedOrbit]
+    seconds: float = 0.0
+
+    @property
+    def ends(self) -> tuple[Array, Array]:
+        """The states (6,) at start and end, on the angles that hold the winding."""
+        return self.problem.end_states()
+
+
+@cache
+def flight(name: str, walk: tuple[str, ...], energy: float, wraps: int = 1) -> Flight:
+    """Return the flight of a walk's symbols between the sustained orbits of the lab's arms, at their phase 0.
+
+    Raises:
+        GoalMissed: an orbit was not found.
+    """
+    model = load_model("lab")
+    began = time.process_time()
+    symbols = parse_walk(walk, model.system.saddles)
+    pairs = list(dict.fromkeys((s.source, s.target) for symbol in symbols for s in symbol.simple))
+    edges = find_edges(model.system, energy, pairs=pairs, symbols=symbols)
+    orbit = WalkSolver(edges.known).solve(resolve(walk, edges), [wraps] * (len(walk) - 1), lead_in=0, lead_out=0)
+    if not orbit.converged:
+        raise GoalMissed(f"{name}: {orbit.status}")
+    goal = walk_goal(orbit, walk, round_off=(True, True))
+    spent = time.process_time() - began
+    settings = replace(ReferenceSettings(), pendulum_weight=0.0, cart_weight=1.0)
+    orbits = [sustained_orbit(one, model.arms, limits=LIMITS, settings=settings) for one in goal.orbits]
+    if missed := [one.status for one in orbits if not one.converged]:
+        raise GoalMissed(f"{name}: {missed[0]}")
+    ends = [on_turns(one, state[:2]) for one, state in zip(orbits, (goal.start, goal.end), strict=True)]
+    sample = orbit.sample
+    problem = ReferenceProblem(
+        equations_of(model.arms, Level.CART), model.arms.base(), lambda times: sample(times + goal.begin), goal.seconds,
+        limits=LIMITS, ends=EndConditions(start=ends[0], end=ends[1]),
+    )  # fmt: skip
+    return Flight(name, problem, (orbits[0], orbits[1]), spent)
+
+
+def on_turns(orbit: SustainedOrbit, angles: Array) -> Array:
+    """Return a sustained orbit's state (6,) at phase 0, on the turns of these angles (2,)."""
+    state = np.array(orbit.state(0.0))
+    state[:2] += whole_turns(angles - state[:2])
+    return state
+
+
+def lasting(problem: ReferenceProblem, duration: float) -> ReferenceProblem:
+    """Return the problem with the same ends in another time, s."""
+    start, end = problem.end_states()
+    guess = smooth_guess(start[:4], end[:4], duration)
+    return ReferenceProblem(problem.equations, problem.parameters, guess, duration, problem.limits, problem.ends)
+
+
+# --- Independent of the engine: equations by hand, scipy's integrator, effort as a state.
+
+
+@dataclass(frozen=True)
+class Recomputed:
+    """What a flight is by scipy alone. effort ∫u² m²/s³; peak m/s²; gap, miss: the largest scaled distances between
+    intervals and from the ends; position m, velocity m/s: the cart's largest; turns: of each arm, end to end.
+    """
+
+    effort: float
+    peak: float
+    gap: float
+    miss: float
+    position: float
+    velocity: float
+    turns: tuple[int, int]
+
+    def flies(self, limits: Limits) -> bool:
+        """Return whether it is a motion, from end to end, within limits but for rounding."""
+        near = 1 + 1e-6
+        inside = self.position <= near * limits.position and self.velocity <= near * limits.velocity
+        return max(self.gap, self.miss) <= GAP and inside and self.peak <= near * limits.acceleration
+
+
+def motion_rate(arms: ArmChainParameters, x: Array, u: Array) -> Array:
+    """Return ẋ (6, K) of states (6, K) under accelerations of the cart (K,).
+
+        A ω₁' + C cos(θ₁-θ₂) ω₂' = -C sin(θ₁-θ₂) ω₂² - G₁ sin θ₁ - (G₁/g) cos θ₁ u - k₁ ω₁ - k₂ (ω₁ - ω₂)
+        B ω₂' + C cos(θ₁-θ₂) ω₁' =  C sin(θ₁-θ₂) ω₁² - G₂ sin θ₂ - (G₂/g) cos θ₂ u - k₂ (ω₂ - ω₁)
+
+    A = m₁a₁² + m₂ℓ₁² + J₁, B = m₂a₂² + J₂, C = m₂ℓ₁a₂, G₁ = (m₁a₁ + m₂ℓ₁)g, G₂ = m₂a₂g.
+    """
+    (m1, m2), (a1, a2), (j1, j2), l1 = arms.mass, arms.centre_of_mass, arms.inertia, arms.length[0]
+    g, (k1, k2) = arms.gravity, arms.viscous
+    a, b, c = m1 * a1**2 + m2 * l1**2 + j1, m2 * a2**2 + j2, m2 * l1 * a2
+    s1, s2 = m1 * a1 + m2 * l1, m2 * a2
+    angle_1, angle_2, rate_1, rate_2, _, velocity = x
+    cosine, sine = c * np.cos(angle_1 - angle_2), c * np.sin(angle_1 - angle_2)
+    drag = k2 * (rate_1 - rate_2)
+    force_1 = -sine * rate_2**2 - s1 * (g * np.sin(angle_1) + np.cos(angle_1) * u) - k1 * rate_1 - drag
+    force_2 = sine * rate_1**2 - s2 * (g * np.sin(angle_2) + np.cos(angle_2) * u) + drag
+    determinant = a * b - cosine**2
+    turn_1, turn_2 = (b * force_1 - cosine * force_2) / determinant, (a * force_2 - cosine * force_1) / determinant
+    return np.array([rate_1, rate_2, turn_1, turn_2, velocity, u])
+
+
+def recomputed(arms: ArmChainParameters, motion: Trajectory, ends: tuple[Array, Array]) -> Recomputed:
+    """Return what scipy makes of a motion: all intervals side by side, each from its own first state."""
+    lengths, scale = np.diff(motion.mesh), state_scale(6, LIMITS)
+    inputs = BarycentricInterpolator(motion.method.points, motion.inputs[..., 0].T)
+    count = len(lengths)
+
+    def rate(tau: float, flat: Array) -> Array:
+        u = np.asarray(inputs(tau)).ravel()
+        rows = flat.reshape(7, count)
+        return (lengths * np.vstack([motion_rate(arms, rows[:6], u), u**2])).ravel()
+
+    first = np.vstack([motion.states[:, 0].T, np.zeros(count)])
+    dense = np.linspace(0.0, 1.0, 11)
+    done = solve_ivp(rate, (0.0, 1.0), first.ravel(), method="DOP853", t_eval=dense, rtol=1e-10, atol=1e-12)
+    rows = done.y.reshape(7, count, -1)
+    arrived = rows[:6, :, -1].T
+    following = np.vstack([motion.states[1:, 0], ends[1]])
+    missed = np.abs(motion.states[0, 0] - ends[0]), np.abs(arrived[-1] - ends[1])
+    turned = np.rint((arrived[-1, :2] - motion.states[0, 0, :2]) / np.pi / 2).astype(int)
+    return Recomputed(
+        effort=float(rows[6, :, -1].sum()),
+        peak=float(np.abs(inputs(dense)).max()),
+        gap=float((np.abs(arrived - following) / scale).max()),
+        miss=float((np.maximum(*missed) / scale).max()),
+        position=float(np.abs(rows[4]).max()),
+        velocity=float(np.abs(rows[5]).max()),
+        turns=(int(turned[0]), int(turned[1])),
+    )
+
+
+# --- Searches.
+
+
+@dataclass(frozen=True, eq=False)
+class Try:
+    """One search: by what method, seconds of one processor, and what it came to, None where it did not converge."""
+
+    method: str
+    seconds: float
+    motion: Trajectory | None = None
+
+    @property
+    def effort(self) -> float:
+        """∫u² in m²/s³; infinite where it did not converge."""
+        return float("inf") if self.motion is None else effort_of(self.motion)
+
+
+def effort_of(motion: Trajectory) -> float:
+    """Return ∫u² in m²/s³ by the method's own quadrature."""
+    return float((motion.inputs[..., 0] ** 2 @ motion.method.weights) @ np.diff(motion.mesh))
+
+
+def even_mesh(duration: float) -> Array:
+    """Return the mesh that every search starts on."""
+    return np.linspace(0.0, duration, int(np.ceil(duration / SETTINGS.interval)) + 1)
+
+
+def searched(method: str, problem: ReferenceProblem, first: Trajectory | None = None, *, spent: float = 0.0) -> Try:
+    """Return what collocation makes of a first trajectory, by default the problem's guess; spent: s on finding it."""
+    began = time.process_time()
+    if first is None:
+        first = first_trajectory(problem, method_named(SETTINGS.method), even_mesh(problem.duration))
+    solved = solve(problem, first, settings=SETTINGS, limits=problem.limits)
+    spent += time.process_time() - began
+    return Try(method, spent, solved.trajectory if solved.succeeded else None)
+
+
+def along_tubes(one: Flight) -> Try:
+    """Return what the search makes of the shadowing orbit; its seconds hold those of tubes and connections."""
+    return searched(TUBES, one.problem, spent=one.seconds)
+
+
+WAVE, HARMONICS = 0.5, 6
+"""rad: standard deviation of a wave of one half period; the k-th has a k-th of it."""
+PUSH, KNOTS = 0.3, 12
+"""m/s²: standard deviation of random inputs, linear between so many knots."""
+
+
+def with_waves(problem: ReferenceProblem, generator: np.random.Generator) -> Guess:
+    """Return the problem's guess with random waves on its angles, the rates to match."""
+    base, order = problem.guess, np.arange(1, HARMONICS + 1)
+    heights = generator.normal(size=(HARMONICS, 2)) * (WAVE / order)[:, None]
+
+    def guess(times: Array) -> Array:
+        phases = np.pi * order * np.asarray(times)[:, None] / problem.duration
+        states = base(times).copy()
+        states[:, :2] += np.sin(phases) @ heights
+        states[:, 2:] += np.cos(phases) @ (heights * (np.pi * order / problem.duration)[:, None])
+        return states
+
+    return guess
+
+
+_STEP = 0.01
+"""s: of shooting; the plant's step of order 8 errs by less than 1e-7 then."""
+
+
+@cache
+def _shot(arms: ArmChainParameters) -> Compiled:
+    return compiled_step(equations_of(arms, Level.CART))
+
+
+def shot(arms: ArmChainParameters, start: Array, inputs: Array, step: float) -> Array:
+    """Return states (K + 1, 6, S) from one start (6,) under inputs (K, S), each held for a step, s."""
+    machine, (count, lanes) = _shot(arms), inputs.shape
+    rows = np.empty((machine.size_in, lanes))
+    rows[machine.slices["parameters"]] = arms.base()[:, None]
+    rows[machine.slices["duration"]] = step
+    states = np.empty((count + 1, 6, lanes))
+    states[0] = start[:, None]
+    for k in range(count):
+        rows[machine.slices["state"]], rows[machine.slices["inputs"]] = states[k], inputs[k]
+        machine(rows, states[k + 1])
+    return states
+
+
+def flown(problem: ReferenceProblem, states: Array, inputs: Array, step: float) -> Trajectory:
+    """Return what was shot, states (K + 1, 6) and held inputs (K,), as a first trajectory on the even mesh."""
+    method, mesh = method_named(SETTINGS.method), even_mesh(problem.duration)
+    times, clock = times_on(mesh, method.support), step * np.arange(len(states))
+    rows = np.stack([np.interp(times, clock, column) for column in states.T], axis=-1)
+    places = np.minimum((times_on(mesh, method.points) / step).astype(int), len(inputs) - 1)
+    return Trajectory(method, mesh, rows, inputs[places][..., None])
+
+
+def with_inputs(problem: ReferenceProblem, arms: ArmChainParameters, generator: np.random.Generator) -> Trajectory:
+    """Return what random inputs do from the start."""
+    count = int(np.ceil(problem.duration / _STEP))
+    step = problem.duration / count
+    knots = generator.normal(size=KNOTS) * PUSH
+    inputs = np.interp(np.arange(count) / count, np.linspace(0.0, 1.0, KNOTS), knots)
+    states = shot(arms, problem.end_states()[0], np.repeat(inputs[:, None], 8, axis=1), step)[..., 0]
+    # A cart that ran off the track is no start for a search.
+    states[:, 4:] = 0.0
+    return flown(problem, states, inputs, step)
+
+
+@dataclass(frozen=True)
+class CemSettings:
+    """Of the cross-entropy method: samples in a generation, those that are kept, generations, held inputs' length s,
+    standard deviation at the start m/s², weight of the squared scaled miss beside ∫u².
+    """
+
+    samples: int = 256
+    kept: int = 24
+    generations: int = 80
+    hold: float = 0.1
+    spread: float = 1.0
+    weight: float = 1e3
+
+
+def by_cem(
+    problem: ReferenceProblem, arms: ArmChainParameters, generator: np.random.Generator, settings: CemSettings
+) -> tuple[Trajectory, float]:
+    """Return the best that the cross-entropy method shoots, and by how much it misses the end, scaled."""
+    start, end = problem.end_states()
+    holds = int(np.ceil(problem.duration / settings.hold))
+    each = int(np.ceil(problem.duration / holds / (2 * _STEP)))
+    step, scale = problem.duration / holds / each, state_scale(6, problem.limits)
+    mean, spread = np.zeros(holds), np.full(holds, settings.spread)
+    best: tuple[float, float, Array, Array] | None = None
+    for _ in range(settings.generations):
+        inputs = mean[:, None] + spread[:, None] * generator.normal(size=(holds, settings.samples))
+        inputs = np.clip(inputs, -problem.limits.acceleration, problem.limits.acceleration)
+        held_on = np.repeat(inputs, each, axis=0)
+        states = shot(arms, start, held_on, step)
+        away = np.abs((states[-1] - end[:, None]) / scale[:, None])
+        costs = (inputs**2).sum(0) * problem.duration / holds + settings.weight * (away**2).sum(0)
+        costs = np.where(np.isfinite(costs), costs, np.inf)
+        order = np.argsort(costs)
+        mean, spread = inputs[:, order[: settings.kept]].mean(1), inputs[:, order[: settings.kept]].std(1) + 1e-3
+        first = int(order[0])
+        if best is None or costs[first] < best[0]:
+            best = (float(costs[first]), float(away[:, first].max()), states[..., first].copy(), held_on[:, first])
+    assert best is not None
+    return flown(problem, best[2], best[3], step), best[1]
+
+
+def refined(problem: ReferenceProblem, motion: Trajectory) -> Reference | None:
+    """Return a motion on a mesh refined until the error between nodes is the product's; None where it cannot be."""
+    found = find_reference(problem, SETTINGS, near=motion)
+    return found if found.converged else None
+
+
+def resampled(motion: Trajectory, duration: float) -> Trajectory:
+    """Return a motion stretched to another duration, s, on the even mesh."""
+    slower = duration / motion.duration
+    states = motion.states.copy()
+    states[..., 2:4] /= slower
+    states[..., 5] /= slower
+    stretched = Trajectory(motion.method, slower * (motion.mesh - motion.mesh[0]), states, motion.inputs / slower**2)
+    stretched.mesh[-1] = duration
+    return on_mesh(stretched, even_mesh(duration))
+
+
+# --- Feedback.
+
+
+@dataclass(frozen=True)
+class Followed:
+    """What the loop makes of a flight with a period of its orbits on either side.
+
+    completed: share of plants; effort: mean ∫u² of those that were, m²/s³, not-a-number if none; sensitivity: rad for a
+    unit of relative error of a parameter; blow: N m s on an arm, anywhen, that half of the plants survive, 0 if not
+    asked.
+    """
+
+    completed: float
+    effort: float
+    sensitivity: float
+    blow: float = 0.0
+
+
+def between_orbits(one: Flight, motion: Reference) -> Reference:
+    """Return a period of the first orbit, the flight, and a period of the second, as one reference."""
+    start, end = one.ends
+    pieces = [motion]
+    for orbit, state, place in ((one.orbits[0], start, 0), (one.orbits[1], end, 2)):
+        states = orbit.reference.states.copy()
+        states[..., :2] += whole_turns(state[:2] - orbit.state(0.0)[:2])
+        pieces.insert(place, replace(orbit.reference, states=states))
+    return joined(pieces)[0]
+
+
+def _did(one: Flight, run: BatchRun) -> bool:
+    orbit = one.orbits[1]
+    angles = orbit.state(np.linspace(0.0, orbit.period, 400))[:, :2]
+    end = whole_turns(run.truth[-1, :2] - run.references[-1])
+    return held(angles, period=orbit.period)(run) and not end.any()
+
+
+def followed(one: Flight, motion: Reference, *, seeds: int, blows: bool = False) -> Followed:
+    """Return how the shipped law follows a flight on plants that are off by 5 %."""
+    arms = load_model("lab").arms
+    scene = load_itinerary("outer-turn").loop
+    whole = between_orbits(one, motion)
+    settings = replace(scene, seed=0, mismatch=MISMATCH, initial_error=0.0)
+    controller = loop_controller(whole, arms, settings)
+
+    def runs(loop: LoopSettings, count: int) -> list[BatchRun]:
+        return run_batch(arms, settings=loop, seeds=range(count), controller=controller, limits=loop.limits(whole))
+
+    every = runs(settings, seeds)
+    done = [run for run in every if _did(one, run)]
+    effort = float(np.mean([run.applied @ run.applied for run in done])) / settings.rate if done else float("nan")
+
+    def struck(impulse: float) -> Answer:
+        hit = replace(settings, disturbances=DisturbanceSettings(pushes=1, push_impulse=impulse))
+        return half_of([Answer(_did(one, run), run.reason) for run in runs(hit, BLOWN)], "are lost")
+
+    border: Border | None = None
+    if blows:
+        border = find_border(struck, x=0.0, line=one.name, near=3e-4, far=3e-2, ratio=1.3)
+    blow = (border.measured or border.near or 0.0) if border else 0.0
+    return Followed(len(done) / len(every), effort, sensitivity(arms, motion), blow)
+
+
+# --- What is charted.
+
+FLIGHTS = (
+    ("outer turn, -0.07 J", ("down-up +",), -0.07), ("outer turn, 0.1 J", ("down-up +",), 0.1),
+    ("outer turn, 0.2 J", ("down-up +",), 0.2), ("inner turn, 0.2 J", ("up-down +",), 0.2),
+    ("crossing, 0.2 J", ("down-up > up-down",), 0.2),
+)  # fmt: skip
+FRONTS = (FLIGHTS[0], FLIGHTS[4])
+FACTORS = (0.3, 0.45, 0.6, 0.8, 1.0, 1.3, 1.7, 2.2, 3.0)
+WALKS = (1, 2, 4, 8)
+OFF, LOOP, WRAPS = "off tubes", ", loop at ±5 %", "along tubes, wobbles more"
+EQUILIBRIA = "between equilibria"
+_LOOKED_AT = 3
+"""Of the cheapest tries, until one flies on a refined mesh."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is done: tries from curves with waves, from random inputs and by CEM; those at each time of a front and
+    for each walk; runs of the loop; whether it is struck; times of a front as multiples of that along tubes. quick:
+    fronts without the loop.
+    """
+
+    waves: int
+    inputs: int
+    cem: int
+    front: int
+    walk: int
+    seeds: int
+    blows: bool
+    factors: tuple[float, ...]
+    flights: tuple[tuple[str, tuple[str, ...], float], ...]
+    walks: tuple[int, ...]
+    quick: bool = False
+
+
+WHOLE = Effort(40, 10, 5, 3, 3, SEEDS, True, FACTORS, FLIGHTS, WALKS)
+QUICK = Effort(3, 1, 1, 0, 0, 8, False, (0.6, 1.0, 2.2), FLIGHTS[:1] + FLIGHTS[4:], WALKS[:2], quick=True)
+
+
+@dataclass(frozen=True, eq=False)
+class Charted:
+    """A flight that is charted, as scipy has it, and how the loop follows it where that was asked."""
+
+    method: str
+    duration: float
+    checked: Recomputed
+    followed: Followed | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """One flight by every method: all tries, without their motions, and the cheapest of each method that flies."""
+
+    name: str
+    tries: tuple[tuple[str, float, float], ...]
+    best: dict[str, Charted]
+
+    def of(self, method: str) -> list[tuple[float, float]]:
+        """Return seconds and effort of a method's tries; effort is infinite where nothing was found."""
+        return [(seconds, effort) for name, seconds, effort in self.tries if name == method]
+
+    @property
+    def ours(self) -> Charted:
+        """What was found along tubes."""
+        return self.best[TUBES]
+
+
+def tries_of(one: Flight, effort: Effort, generator: np.random.Generator) -> Iterator[Try]:
+    """Yield the tries of every method that does not know the tubes."""
+    arms, smooth = load_model("lab").arms, lasting(one.problem, one.problem.duration)
+    yield searched(STRAIGHT, smooth)
+    for _ in range(effort.waves):
+        yield searched(WAVES, replace(smooth, guess=with_waves(smooth, generator)))
+    for _ in range(effort.inputs):
+        began = time.process_time()
+        first = with_inputs(smooth, arms, generator)
+        yield searched(INPUTS, smooth, first, spent=time.process_time() - began)
+    for _ in range(effort.cem):
+        began = time.process_time()
+        first, _ = by_cem(smooth, arms, generator, CemSettings())
+        yield searched(CEM, smooth, first, spent=time.process_time() - began)
+
+
+def charted(
+    one: Flight, problem: ReferenceProblem, tries: Sequence[Try], *, seeds: int = 0, blows: bool = False
+) -> Charted | None:
+    """Return the cheapest of some tries refined, checked and, with seeds, followed; None where none flies."""
+    for first in sorted(tries, key=lambda t: t.effort)[:_LOOKED_AT]:
+        fine = None if first.motion is None else refined(problem, first.motion)
+        if fine is None:
+            continue
+        checked = recomputed(load_model("lab").arms, fine, problem.end_states())
+        if checked.flies(problem.limits):
+            loop = followed(one, fine, seeds=seeds, blows=blows) if seeds else None
+            return Charted(first.method, fine.duration, checked, loop)
+    return None
+
+
+def by_method(one: Flight, tries: Sequence[Try], effort: Effort, *, feedback: bool) -> Compared:
+    """Return tries, by method the cheapest that flies, and how the loop follows that of the tubes and of the rest."""
+    cheapest = min((t for t in tries if t.method != TUBES), key=lambda t: t.effort).method
+    best: dict[str, Charted] = {}
+    for method in dict.fromkeys(t.method for t in tries):
+        seeds = effort.seeds if feedback and method in (TUBES, cheapest) else 0
+        own = [t for t in tries if t.method == method]
+        if (found := charted(one, one.problem, own, seeds=seeds, blows=effort.blows)) is not None:
+            best[method] = found
+    if TUBES not in best:
+        raise GoalMissed(f"{one.name}: what was found along tubes does not fly")
+    return Compared(one.name, tuple((t.method, t.seconds, t.effort) for t in tries), best)
+
+
+def compared(which: tuple[str, tuple[str, ...], float], effort: Effort) -> Compared:
+    """Return one flight by every method, at the time that it takes along tubes."""
+    one = flight(*which)
+    generator = np.random.default_rng([20, *which[0].encode()])
+    return by_method(one, [along_tubes(one), *tries_of(one, effort, generator)], effort, feedback=True)
+
+
+def front(which: tuple[str, tuple[str, ...], float], effort: Effort, *, resting: bool = False) -> list[Charted]:
+    """Return the cheapest flights that are found at each time, off tubes and along them, with and without wobbles more;
+    resting: between the equilibria of the flight's saddles, where there are no orbits and no tubes.
+    """
+    one, arms = flight(*which), load_model("lab").arms
+    problem = one.problem
+    if resting:
+        ends = [np.concatenate([np.pi * np.rint(end[:2] / np.pi), np.zeros(4)]) for end in one.ends]
+        problem = replace(problem, ends=EndConditions(start=ends[0], end=ends[1]))
+    generator = np.random.default_rng([21, resting, *which[0].encode()])
+    method = EQUILIBRIA if resting else OFF
+    found: list[Charted] = []
+    middle = effort.factors.index(1.0)
+    best: dict[float, Trajectory] = {}
+    # From the tubes' own time to longer ones, then to shorter ones: each time's best is a start for the next.
+    for factor, before in (
+        (1.0, 0.0), *zip(effort.factors[middle + 1 :], effort.factors[middle:], strict=False),
+        *zip(effort.factors[:middle][::-1], effort.factors[: middle + 1][::-1], strict=False),
+    ):  # fmt: skip
+        here = lasting(problem, factor * one.problem.duration)
+        tries = [searched(method, here)]
+        tries += [searched(method, replace(here, guess=with_waves(here, generator))) for _ in range(effort.front)]
+        if before in best:
+            tries.append(searched(method, here, resampled(best[before], here.duration)))
+        cheapest = min(tries, key=lambda t: t.effort).motion
+        if cheapest is not None:
+            best[factor] = cheapest
+        seeds = 0 if resting or effort.quick else effort.seeds
+        if (done := charted(one, here, tries, seeds=seeds)) is not None:
+            found.append(done)
+    return found if resting else found + with_wobbles(one, arms, effort)
+
+
+def with_wobbles(one: Flight, arms: ArmChainParameters, effort: Effort) -> list[Charted]:
+    """Return the flight along tubes alone, and after one wobble more, two, … to the front's longest time."""
+    ours = along_tubes(one)
+    fine = None if ours.motion is None else refined(one.problem, ours.motion)
+    if fine is None:
+        raise GoalMissed(f"{one.name}: nothing was found along the tubes")
+    orbit, start = one.orbits[0], one.ends[0]
+    states = orbit.reference.states.copy()
+    states[..., :2] += whole_turns(start[:2] - orbit.state(0.0)[:2])
+    wobble, found = replace(orbit.reference, states=states), []
+    most = int((max(effort.factors) - 1) * fine.duration / orbit.period)
+    for more in range(most + 1):
+        whole = joined([*[wobble] * more, fine])[0]
+        checked = recomputed(arms, whole, one.ends)
+        if checked.flies(LIMITS):
+            seeds = effort.seeds if more in (0, 1, most) and not effort.quick else 0
+            followed_on = followed(one, whole, seeds=seeds) if seeds else None
+            found.append(Charted(WRAPS if more else TUBES, whole.duration, checked, followed_on))
+    return found
+
+
+def stop_by_stop(problem: ReferenceProblem, count: int) -> ReferenceProblem:
+    """Return the problem with a guess that knows the walk's turns: smooth curves between stops at even times."""
+    start, end = problem.end_states()
+    change, each = np.append((end - start)[:2] / count, [0.0, 0.0]), problem.duration / count
+    turn = smooth_guess(np.zeros(4), change, each)
+
+    def guess(times: Array) -> Array:
+        which = np.clip(np.floor(np.asarray(times) / each), 0, count - 1)
+        states = start[:4] * [1, 1, 0, 0] + which[:, None] * change + turn(times - which * each)
+        return states
+
+    return replace(problem, guess=guess)
+
+
+def walked(count: int, effort: Effort) -> Compared:
+    """Return a walk of so many turns of the outer arm by tubes and by what does not know them."""
+    one = flight(f"{count} turns", ("down-up +",) * count, FLIGHTS[0][2])
+    stops = stop_by_stop(one.problem, count)
+    generator = np.random.default_rng([22, count])
+    tries = [along_tubes(one), searched(STRAIGHT, stops)]
+    tries += [searched(WAVES, replace(stops, guess=with_waves(stops, generator))) for _ in range(effort.walk)]
+    return by_method(one, tries, effort, feedback=False)
+
+
+Work = tuple[str, Any, Effort]
+
+
+def job_done(job: Work) -> Any:
+    """Do one of the chart's jobs, in whatever process."""
+    kind, what, effort = job
+    if kind == "flight":
+        return compared(what, effort)
+    if kind == "walk":
+        return walked(what, effort)
+    return front(what, effort, resting=kind == "rest")
+
+
+def jobs_of(effort: Effort) -> list[Work]:
+    """Return the chart's jobs, those that take longest first."""
+    ends = [effort.flights[0], effort.flights[-1]]
+    fronts = [("front", which, effort) for which in ends]
+    return [
+        *(("flight", which, effort) for which in effort.flights), *fronts, ("rest", ends[0], effort),
+        *(("walk", count, effort) for count in reversed(effort.walks)),
+    ]  # fmt: skip
+
+
+def chart(quick: bool, progress: Progress) -> PrecisionChart:
+    """Return the chart of what tubes buy; quick: two flights, fewer tries, three times of each front, short walks."""
+    effort, found = QUICK if quick else WHOLE, {}
+    jobs = jobs_of(effort)
+    keys = [(kind, str(what)) for kind, what, _ in jobs]
+    progress("payoff", 0.0)
+    for job, done in in_processes(job_done, jobs, min(processors(), AT_ONCE), remedy="Draw it again"):
+        found[job[0], str(job[1])] = done
+        progress(f"payoff: {len(found)} of {len(jobs)}", len(found) / len(jobs))
+    results = {kind: [found[key] for key in keys if key[0] == kind] for kind in ("flight", "walk", "front", "rest")}
+    return page(results, effort)
+
+
+def page(results: dict[str, list[Any]], effort: Effort) -> PrecisionChart:
+    """Return the page of what was found, by kind of job."""
+    flights: list[Compared] = results["flight"]
+    walks: list[Compared] = results["walk"][::-1]
+    names = [effort.flights[0][0], effort.flights[-1][0]]
+    return PrecisionChart(
+        name="payoff",
+        title="What tubes buy: flights along tubes, and by direct optimisation that does not know them",
+        parts=(
+            success_panel(flights), effort_panel(flights), feedback_panel(flights),
+            *(front_panel(f"Time set free: {name}", found)
+              for name, found in zip(names, results["front"], strict=True)),
+            front_panel(f"Time set free: {names[0].split(',')[0]}, held before and after", results["rest"][0]),
+            *walk_panels(walks), robustness_panel(flights),
+        ),
+        reading=(
+            "All start and end in the same states, under the same limits, by the same program; low and left is better. "
+            "Above: a flight in the tubes' own time, by what the search starts from, and with feedback at ±5 %.",
+            "Middle: the cheapest flight that is found at each time, and (loop) what is spent with feedback on plants "
+            "off by 5 %, a period of each orbit included; right, between arms held still, where there are no tubes.",
+            "Below: walks of more turns, and the largest blow on an arm that half the runs survive. All flights are "
+            "computed again by scipy alone.",
+        ),
+        chosen=verdict(flights, walks, results["front"], names),
+    )  # fmt: skip
+
+
+def numbers(one: Charted) -> dict[str, float]:
+    """Return a flight's figures by name, for the JSON."""
+    c, loop = one.checked, one.followed
+    found = {
+        "duration": one.duration, "effort": c.effort, "peak": c.peak, "gap": c.gap, "miss": c.miss,
+        "cart_position": c.position, "cart_velocity": c.velocity, "turns_1": c.turns[0], "turns_2": c.turns[1],
+    }  # fmt: skip
+    if loop is not None:
+        found |= {"completed": loop.completed, "sensitivity": loop.sensitivity, "blow": loop.blow}
+        if np.isfinite(loop.effort):
+            found["loop_effort"] = loop.effort
+    return {name: float(value) for name, value in found.items()}
+
+
+AS_CHEAP = 1.1
+"""Times the tubes' effort that a flight may take and count as one as cheap."""
+
+
+def as_cheap(one: Compared, method: str) -> int:
+    """Return how many of a method's tries are as cheap as the flight along tubes."""
+    return sum(effort <= AS_CHEAP * one.ours.checked.effort for _, effort in one.of(method))
+
+
+def _tallied(one: Compared, method: str) -> dict[str, float]:
+    tries = one.of(method)
+    efforts = [effort for _, effort in tries if np.isfinite(effort)]
+    found = {
+        "tries": len(tries), "converged": len(efforts), "as_cheap": as_cheap(one, method),
+        "seconds_in_all": sum(seconds for seconds, _ in tries),
+    }  # fmt: skip
+    return found | ({"median_effort": median(efforts)} if efforts else {})
+
+
+def _methods(found: Sequence[Compared]) -> list[str]:
+    return list(dict.fromkeys(name for one in found for name, *_ in one.tries))
+
+
+def success_panel(flights: Sequence[Compared]) -> Panel:
+    """Return the diagram of the share of tries that fail against the time of one."""
+    points = []
+    for method in _methods(flights):
+        for one in flights:
+            tally = _tallied(one, method)
+            share = tally["converged"] / tally["tries"]
+            points.append(
+                Point(method, short(one.name), tally["seconds_in_all"] / tally["tries"], 1 - share, others=tally,
+                      default=method == TUBES, note=f"{tally['converged']:g} of {tally['tries']:g} tries")
+            )  # fmt: skip
+    return Panel(
+        "Same ends, same time: success", "s of one core for a try", "share of tries that find no flight", tuple(points),
+        log_y=False, judged=False, timed=False,
+    )  # fmt: skip
+
+
+def effort_panel(flights: Sequence[Compared]) -> Panel:
+    """Return the diagram of the effort of the best flight against the time of all tries."""
+    points, missing = [], []
+    for method in _methods(flights):
+        for one in flights:
+            if method not in one.best:
+                missing.append(Missing(method, short(one.name), "no try found a flight"))
+                continue
+            best, tally = one.best[method], _tallied(one, method)
+            note = f"{tally['as_cheap']:g} of {tally['tries']:g} tries within {AS_CHEAP - 1:.0%} of the tubes' effort"
+            points.append(
+                Point(method, short(one.name), tally["seconds_in_all"], best.checked.effort / one.ours.checked.effort,
+                      default=method == TUBES, note=note, others=tally | numbers(best))
+            )  # fmt: skip
+    return Panel(
+        "Same ends, same time: best flight", "s of one core for all tries", "∫u², times that along tubes",
+        tuple(points), missing=tuple(missing), judged=False, timed=False,
+    )  # fmt: skip
+
+
+def feedback_panel(flights: Sequence[Compared]) -> Panel:
+    """Return the diagram of the loop's effort at ±5 % against the reference's own."""
+    points, missing = [], []
+    for one in flights:
+        for method, best in one.best.items():
+            loop, name = best.followed, TUBES if method == TUBES else OFF
+            if loop is None:
+                continue
+            if not loop.completed:
+                missing.append(Missing(name, short(one.name), "no run comes through"))
+                continue
+            points.append(
+                Point(name, short(one.name), best.checked.effort, loop.effort, default=method == TUBES,
+                      note=f"{loop.completed:.0%} come through", others=numbers(best))
+            )  # fmt: skip
+    return Panel(
+        "Feedback too, plants off by 5 %", "∫u² of the reference, m²/s³", "∫u² of the loop, m²/s³", tuple(points),
+        missing=tuple(missing), judged=False, timed=False,
+    )  # fmt: skip
+
+
+def front_panel(title: str, found: Sequence[Charted]) -> Panel:
+    """Return the diagram of effort against time, of references and of the loops that follow them."""
+    points = [Point(_place(c), "", c.duration, c.checked.effort, default=c.method == TUBES, others=numbers(c))
+              for c in found]  # fmt: skip
+    points += [
+        Point(_place(c) + LOOP, "", c.duration, c.followed.effort, note=f"{c.followed.completed:.0%} come through",
+              others=numbers(c))
+        for c in found
+        if c.followed is not None and c.followed.completed
+    ]  # fmt: skip
+    return Panel(title, "time, s", "∫u², m²/s³", tuple(points), judged=False, timed=False)
+
+
+def _place(one: Charted) -> str:
+    return one.method
+
+
+def walk_panels(walks: Sequence[Compared]) -> tuple[Panel, Panel]:
+    """Return the diagrams of seconds to a flight, and of failures, against the number of symbols."""
+    times, shares, missing = [], [], []
+    for method in _methods(walks):
+        for one in walks:
+            count, tally = int(one.name.split()[0]), _tallied(one, method)
+            share, default = tally["converged"] / tally["tries"], method == TUBES
+            others = tally | (numbers(one.best[method]) if method in one.best else {})
+            shares.append(Point(method, "", count, 1 - share, default=default, others=others))
+            if share:
+                ratio = f"∫u² {others['effort'] / one.ours.checked.effort:.3g} times ours" if method in one.best else ""
+                times.append(
+                    Point(method, "", count, tally["seconds_in_all"] / tally["converged"], default=default, note=ratio,
+                          others=others)
+                )  # fmt: skip
+            else:
+                missing.append(Missing(method, one.name, f"none of {tally['tries']:g} tries found a flight"))
+    more: dict[str, Any] = {"judged": False, "timed": False}
+    return (
+        Panel("Longer walks: time", "turns of the outer arm", "s of one core to a flight", tuple(times),
+              missing=tuple(missing), **more),
+        Panel("Longer walks: success", "turns of the outer arm", "share of tries that find no flight", tuple(shares),
+              log_y=False, **more),
+    )  # fmt: skip
+
+
+def robustness_panel(flights: Sequence[Compared]) -> Panel:
+    """Return the diagram of the largest blow survived; of sensitivity to the arms' parameters where none was struck."""
+    points = []
+    struck = all(c.followed is None or c.followed.blow for one in flights for c in one.best.values())
+    for one in flights:
+        for method, best in one.best.items():
+            if (loop := best.followed) is None or not np.isfinite(loop.sensitivity):
+                continue
+            points.append(
+                Point(TUBES if method == TUBES else OFF, short(one.name), best.checked.effort,
+                      1 / loop.blow if struck else loop.sensitivity, default=method == TUBES, others=numbers(best))
+            )  # fmt: skip
+    label = "1 / largest blow survived, 1/(N m s)" if struck else "rad astray for a unit of a parameter's error"
+    return Panel(
+        "Robustness", "∫u² of the reference, m²/s³", label, tuple(points), judged=False, timed=False
+    )  # fmt: skip
+
+
+def short(name: str) -> str:
+    """Return a flight's name for a label."""
+    return name.replace("outer turn, ", "outer ").replace("inner turn, ", "inner ").replace("crossing, ", "cross ")
+
+
+def verdict(
+    flights: Sequence[Compared], walks: Sequence[Compared], fronts: Sequence[Sequence[Charted]], names: Sequence[str]
+) -> str:
+    """Return in a few sentences what the chart shows, whichever way it goes."""
+    plain = (STRAIGHT, WAVES, INPUTS, CEM)
+    others = [t for one in flights for name in plain for t in one.of(name)]
+    cheap = sum(as_cheap(one, name) for one in flights for name in plain)
+    best = [min(c.checked.effort for m, c in one.best.items() if m != TUBES) / one.ours.checked.effort
+            for one in flights]  # fmt: skip
+    ours = sum(one.of(TUBES)[0][0] for one in flights) / len(flights)
+    share = sum(np.isfinite(effort) for _, effort in others) / len(others)
+    each = sum(seconds for seconds, _ in others) / max(cheap, 1)
+    loops = [
+        [c.followed.effort for m, c in one.best.items() if c.followed and (m == TUBES) is tubes]
+        for tubes in (True, False) for one in flights
+    ]  # fmt: skip
+    ratios = [off[0] / along[0] for along, off in zip(loops[: len(flights)], loops[len(flights) :], strict=True)
+              if along and off]  # fmt: skip
+    typical = median(effort for _, effort in others if np.isfinite(effort))
+    lowest, highest = min(best), max(best)
+    sentences = [
+        f"along tubes every flight is found at the first try, in {ours:.1f} s; of {len(others)} searches without them "
+        f"{share:.0%} find one, {cheap / len(others):.1%} one as cheap, {each:.0f} s of one core for each of these; "
+        f"the best costs {lowest:.2f} to {highest:.3g} times as much, the median "
+        f"{typical / median(one.ours.checked.effort for one in flights):,.0f} times",
+        f"with feedback at ±{MISMATCH:.0%} {min(ratios):.2f} to {max(ratios):.2f} times" if ratios else "",
+        *(cheaper_text(name, found) for name, found in zip(names, fronts, strict=True)),
+        walk_text(walks[-1]),
+    ]
+    return "; ".join(filter(None, sentences)) + "."
+
+
+def cheaper_text(name: str, found: Sequence[Charted]) -> str:
+    """Return where on a front a flight off the tubes is cheaper than that along them, and by how much."""
+    (ours,) = [c for c in found if c.method == TUBES]
+    off = [c for c in found if c.method == OFF]
+    cheap = [c for c in off if c.checked.effort < ours.checked.effort / 1.02]
+    if not cheap:
+        times = [c.duration for c in off]
+        return f"{name}: no other time from {min(times, default=0):.2g} to {max(times, default=0):.2g} s is cheaper"
+    least = min(cheap, key=lambda c: c.checked.effort)
+    ratio = least.checked.effort / ours.checked.effort
+    times = f"{least.duration:.2g} s in place of {ours.duration:.2g}"
+    return f"{name}: {ratio:.2f} times the effort off the tubes in {times}"
+
+
+def walk_text(one: Compared) -> str:
+    """Return how the longest walk goes."""
+    tries = [t for name in _methods([one]) if name != TUBES for t in one.of(name)]
+    found = [effort for _, effort in tries if np.isfinite(effort)]
+    text = f"{one.name}: {one.of(TUBES)[0][0]:.1f} s along tubes, {len(found)} of {len(tries)} searches without"
+    return text + (f", the best at {min(found) / one.ours.checked.effort:.3g} times the effort" if found else "")
