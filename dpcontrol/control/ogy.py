@@ -180,7 +180,8 @@ def disturbance_shifts(
         costs[count] = costs[0]
         for j in range(count - 1, -1, -1):
             a, b = matrices[j], responses[j]
-            *_, costs[j] = riccati_gains(a[None], b[None], weights=weights, effort=effort, terminal=costs[j + 1])
+            *_, found = riccati_gains(a[None], b[None], weights=weights, effort=effort, terminal=costs[j + 1])
+            costs[j] = found[0]
             v = costs[j + 1] @ disturbances[j] + g
             shifts[j] = b @ v / (effort + b @ costs[j + 1] @ b)
             g = (a - np.outer(b, gains[j])).T @ v

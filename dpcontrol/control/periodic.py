@@ -125,7 +125,8 @@ def periodic_gains(matrices: Array, responses: Array, *, weights: Array, effort:
     cost = np.diag(weights)
     before = np.full_like(responses, np.inf)
     for _ in range(max(_MOST_STEPS // m, 3)):
-        gains, _, cost = riccati_gains(matrices, responses, weights=weights, effort=effort, terminal=cost)
+        gains, _, costs = riccati_gains(matrices, responses, weights=weights, effort=effort, terminal=cost)
+        cost = costs[0]
         if not np.isfinite(gains).all():
             break
         if np.abs(gains - before).max() <= _SETTLED * np.abs(gains).max():

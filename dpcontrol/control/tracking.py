@@ -65,7 +65,7 @@ from dpcontrol.control.interface import (
     interpolated,
     pendulum_scale,
 )
-from dpcontrol.control.lqr import ClosingWeights
+from dpcontrol.control.lqr import ClosingWeights, QuadraticWeights
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import setting
@@ -307,7 +307,7 @@ def riccati_gains(
     terminal: Array,
     extras: tuple[Array, Array] | None = None,
 ) -> tuple[Array, Array, Array]:
-    """Return gains on the state (K, N) and on the extras (K, E) of the backward recursion, and P_0.
+    """Return gains on the state (K, N) and on the extras (K, E) of the backward recursion, and P (K+1, N, N).
 
     jacobians: A (K, N, N) and B (K, N); weights: Q's diagonal (N,), or Q at each tick (K, N, N); terminal (N, N): P at
     the end. extras: E (K, N, E) and D (E,), the share of each extra left after a period; without them E = 0.
@@ -315,7 +315,8 @@ def riccati_gains(
     gains = np.empty_like(input_jacobians)
     effects, kept = extras or (np.empty((len(gains), gains.shape[1], 0)), np.empty(0))
     extra_gains = np.empty((len(gains), len(kept)))
-    cost, carried = terminal, np.zeros(effects.shape[1:])
+    costs, carried = np.empty((len(gains) + 1, *terminal.shape)), np.zeros(effects.shape[1:])
+    costs[-1] = cost = terminal
     changing = weights.ndim > 1
     state_cost = weights[-1] if changing else np.diag(weights)
     # numpy's outer and diag would take as long as all the rest.
@@ -333,8 +334,8 @@ def riccati_gains(
             state_cost = weights[k]
         # The symmetric form keeps P positive (Joseph): thousands of steps would lose it otherwise.
         cost = state_cost + effort * (gain[:, None] * gain) + closed.T @ cost @ closed
-        cost = (cost + cost.T) / 2
-    return gains, extra_gains, cost
+        costs[k] = cost = (cost + cost.T) / 2
+    return gains, extra_gains, costs
 
 
 def tracking_controller(
@@ -405,6 +406,21 @@ def _by_time(reference: Reference, model: SampledModel, commands: Array, drive: 
     led = np.clip((drive[1:] - keeps * drive[:-1]) / (1 - keeps), -most, most)
     on_drive = np.append(gains[:, -1], gains[-1, -1])
     return {"feedforward": led, "gains": gains[:, :-1], "drive": np.stack([drive, on_drive], axis=1)}
+
+
+def costs_to_go(reference: Reference, model: SampledModel, settings: QuadraticWeights) -> tuple[Array, Array]:
+    """Return the states (K+1, N) at the model's ticks and P (K+1, N, N): eᵀPe is what it costs to get back from e.
+
+    Raises:
+        InputError: the reference did not converge or has another number of states than the model.
+        GoalMissed: the reference's end cannot be stabilised.
+    """
+    states, commands, _ = _at_ticks(reference, model)
+    a, b = model.linearised(states[:-1], commands)
+    diagonal, effort = settings.weights(model.arms, model.period)
+    terminal = terminal_cost(a[-1], b[-1], weights=np.diag(diagonal), effort=effort)
+    *_, costs = riccati_gains(a, b, weights=diagonal, effort=effort, terminal=terminal)
+    return states, costs
 
 
 def tick_count(reference: Reference, period: float) -> int:

@@ -3,6 +3,7 @@
 from dpcontrol.control.interface import Mode
 from dpcontrol.logs.container import partials_of
 from dpcontrol.logs.layout import (
+    CATCH,
     LAP,
     LEVELS,
     REST,
@@ -30,6 +31,7 @@ from dpcontrol.logs.recovery import Recovery, recover
 from dpcontrol.logs.writer import LogWriter, slow_numbers
 
 __all__ = [
+    "CATCH",
     "LAP",
     "LEVELS",
     "REST",

@@ -407,7 +407,7 @@ def record_type(message: Message) -> np.dtype:
     return np.dtype({"names": list(places), "formats": formats, "offsets": offsets, "itemsize": size})
 
 
-RETURN, REST, START, RESUME, LAP = "return", "at rest", "start", "resume", "lap"
+RETURN, REST, START, RESUME, LAP, CATCH = "return", "at rest", "start", "resume", "lap", "catch"
 """Names of the events by which a run leaves its itinerary, and comes back to it. The first event of a log has the name
 of a start, too, and tells of the controller.
 """

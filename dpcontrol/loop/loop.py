@@ -26,7 +26,7 @@ from dpcontrol.control.interface import MANY, Controller, Mode, SampledModel, sc
 from dpcontrol.control.lqr import HoldSettings
 from dpcontrol.control.margins import Margins, law_margins
 from dpcontrol.control.tick import Outcome, TickProgram, whole_periods
-from dpcontrol.control.tracking import TvlqrSettings
+from dpcontrol.control.tracking import TvlqrSettings, costs_to_go
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, Uncertainty, arm_chain_equations
 from dpcontrol.dynamics.compiled import VECTOR
 from dpcontrol.foundation.errors import InputError
@@ -42,7 +42,7 @@ from dpcontrol.loop.bench import (
     draw_bench,
 )
 from dpcontrol.loop.controllers import KEEPERS, ControllerSettings, make_controller, make_estimator, nearest_keeper
-from dpcontrol.loop.recovery import RETURN_SECONDS, Choice, FallRecovery, RecoveryPlan, StartController, started
+from dpcontrol.loop.recovery import RETURN_SECONDS, Choice, FallRecovery, Reach, RecoveryPlan, StartController, started
 from dpcontrol.loop.result import (
     EVENTS,
     BatchRun,
@@ -465,11 +465,20 @@ def loop_recovery(
     return RecoveryPlan(
         calming, tuple(ways), tuple(stop["saddle"] for stop in notes["stops"]),
         tuple(symbol["text"] for symbol in notes["symbols"]), limits,
-        reference.extra[f"orbit_{last}"][:, : model.arms], notes["orbits"][last]["period"],
+        reference.extra[f"orbit_{last}"][:, : model.arms], notes["orbits"][last]["period"], main,
+        _reach(reference, parameters, settings),
         s.on_fall == "restart", s.attempts,
     )  # fmt: skip
 
 
+def _reach(reference: Reference, parameters: ArmChainParameters, settings: LoopSettings) -> Reach:
+    every = max(1, round(settings.rate / _PLACES))
+    states, costs = costs_to_go(reference, sampled_model(parameters, settings.rate / every), TvlqrSettings())
+    return Reach(every, states, costs)
+
+
+_PLACES = 100.0
+"""Hz, at which a reference has places where a run may be caught."""
 _ONWARD = 4.0
 """Seconds of the itinerary after a start joins it that the start's gains look ahead to: these forget what is later."""
 

@@ -7,6 +7,15 @@ commands on their way go on:
     return      brake, and calm the arms, from anywhere, until they hang at rest
     start       from hanging at rest to a stop of the walk, by a transfer planned beforehand; then the itinerary
 
+Before it falls it may be caught: where the way back to the reference is long, and another place of what was flown so
+far is much nearer, the itinerary goes on from there: an orbit's other phase or other round, or a place on the tube
+that leads to it. How far a place is away the Riccati solution tells.
+
+    V(t) = (x̂ - x*(t))ᵀ P(t) (x̂ - x*(t)),    caught where V is above `_FAR` at the run's own time and the least V,
+                                             at any earlier time, is below `_NEARER` of that
+
+What is flown again costs time: V counts as (1 + back/`_WORTH`) times what it is at a place so many seconds back.
+
 After a fall the symbol that failed is done again from the stop before it; what was completed stays completed.
 """
 
@@ -22,7 +31,7 @@ from numpy.typing import NDArray
 from dpcontrol.control.calming import CalmingController
 from dpcontrol.control.interface import Controller, GainSchedule, whole_turns
 from dpcontrol.control.tick import BRAKING, Outcome
-from dpcontrol.logs import LAP, REST, RESUME, RETURN, START, Flight, joined_text
+from dpcontrol.logs import CATCH, LAP, REST, RESUME, RETURN, START, Flight, joined_text
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
 
@@ -47,6 +56,10 @@ _HELD = 0.08
 """rad, by the estimate: farther from the last stop's orbit than this over its last period a run has not held it."""
 _EVERY = 10
 """Ticks between those that are looked at for it."""
+_FAR, _NEARER, _SETTLES = 10.0, 0.5, 0.1
+"""Cost-to-go from which another place is looked for, the share of it that it must be below, and s between two tries."""
+_NEAR, _WORTH = 0.8, 1.0
+"""rad: places from which an arm is farther are not looked at; and s: so far back a place counts as twice as far."""
 _LOOKS, _DRIFTS = 0.1, 0.005
 """s and m/s: how often it is looked whether a cart that was stopped stands, and what counts as drifting."""
 _MEETS = 0.05
@@ -118,12 +131,46 @@ def started(before: GainSchedule, main: GainSchedule, *, lead_in: int, place: in
 
 
 @dataclass(frozen=True, eq=False)
+class Reach:
+    """Places of a reference, `every` ticks apart: states (M, N), and P (M, N, N) of the cost-to-go about them."""
+
+    every: int
+    states: Array
+    costs: Array
+
+    def cost(self, state: Array, place: int) -> float:
+        """Return what it costs to get from `state` (N,), on whatever turns, to a place."""
+        away = self._away(state, slice(place, place + 1))[0]
+        return float(away @ self.costs[place] @ away)
+
+    def nearest(self, state: Array, last: int, *, worth: float) -> tuple[int, float]:
+        """Return the place up to `last` to which it costs least to get, and what; infinite where none is near.
+
+        Costs count more the more is flown again: twice as much `worth` places back.
+        """
+        away = self._away(state, slice(last + 1))
+        # The forms of all places would take longer than a tick.
+        near = np.flatnonzero(np.abs(away[:, : len(state) // 2 - 1]).max(axis=1) < _NEAR)
+        if not near.size:
+            return last, math.inf
+        costs = np.einsum("ki,kij,kj->k", away[near], self.costs[near], away[near]) * (1 + (last - near) / worth)
+        least = int(np.argmin(costs))
+        return int(near[least]), float(costs[least])
+
+    def _away(self, state: Array, places: slice) -> Array:
+        n = len(state) // 2 - 1
+        away = state - self.states[places]
+        away[:, :n] -= whole_turns(away[:, :n])
+        return away
+
+
+@dataclass(frozen=True, eq=False)
 class RecoveryPlan:
     """What recoveries of an itinerary share: the law that calms, ways from rest to its stops, in their order.
 
     restarts: whether the itinerary begins anew after a fall. attempts: of one symbol, 0 for no limit. names: of the
     stops; symbols: their texts, fewer by one. limits: the cart's. path (M, n) rad: of the
-    last stop's orbit, on any turns; period s: its own.
+    last stop's orbit, on any turns; period s: its own. gains: of the whole itinerary; reach: of its reference.
     """
 
     calming: CalmingController
@@ -133,6 +180,8 @@ class RecoveryPlan:
     limits: Limits
     path: Array
     period: float
+    gains: GainSchedule
+    reach: Reach
     restarts: bool = False
     attempts: int = 10
 
@@ -246,7 +295,7 @@ class FallRecovery:
                 self._latest.append(report[: self._arms, 0].copy())
             if self._meets is not None and round(self._at / period) + k + 1 - self._joins == self._meets:
                 return self._lapped(k, ticker.references[k + 1 - ticker.began], ticker)
-            return ()
+            return () if k % _EVERY else self._caught(k, report, ticker, period)
         if self.motion is Motion.START:
             if k + 1 < self._joins:
                 return ()
@@ -269,6 +318,35 @@ class FallRecovery:
             return ()
         rested = Choice("info", REST, f"after {(k - self._began) * period:.2f} s")
         return [rested, *self._start(k, report, ticker)]
+
+    def _caught(self, k: int, report: Array, ticker: Ticker, period: float) -> Sequence[Choice]:
+        """Go on from an earlier place to which the way is much shorter, where the own is long; return what is told."""
+        plan, reach, n = self._plan, self._plan.reach, self._arms
+        since = (k - self._joins) * period
+        if since < _SETTLES:
+            return ()
+        state = report[: 2 * n + 2, 0]
+        here = min(round((self._at / period + k - self._joins) / reach.every), len(reach.states) - 1)
+        own = reach.cost(state, here)
+        if not own > _FAR:
+            return ()
+        place, least = reach.nearest(state, here, worth=_WORTH / (reach.every * period))
+        if not least < _NEARER * own:
+            return ()
+        back, tick = (here - place) * reach.every * period, place * reach.every + 1
+        stop = max((start.stop for start in plan.starts if start.at <= tick * period), default=0)
+        if back > min(plan.period, since):
+            # A symbol, or a part of it, is flown again, or the run gets nowhere.
+            if plan.attempts and self._attempts.get(stop, 0) + 2 > plan.attempts:
+                return ()
+            self._attempts[stop] = self._attempts.get(stop, 0) + 1
+        self._flown.append(Flight(self._joins, k + 1, self._at))
+        self._stop, self._at, self._joins, self._followed = stop, tick * period, k + 1, k
+        turns = whole_turns(state[:n] - reach.states[place, :n])
+        rest = replace(plan.gains, rows=plan.gains.rows[tick:], references=plan.gains.references[tick:])
+        ticker.follow(k + 1, StartController(stop, self._at, 0, turns, rest), lift=turns, bounds=self._bounds)
+        what = f"{self._progress()}; caught, {back:.2f} s back, at a cost to go of {least:.3g} instead of {own:.3g}"
+        return [Choice("warn", CATCH, joined_text(self._at, what))]
 
     def _keep_standing(self, k: int, report: Array, ticker: Ticker, period: float) -> None:
         """Brake a cart that was stopped and drifts all the same, for drives do not just what they are told.

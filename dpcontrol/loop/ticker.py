@@ -65,6 +65,8 @@ class Ticker:
         self._extra, self._ahead = sizes["extra"], sizes["ahead"]
         self._wanted, self._reading = program.equations.row.slices["wanted"], program.equations.reading.slices
         self._forward = program.equations.row.slices["feedforward"].start
+        first = program.equations.row.slices["state"].start
+        self._state = slice(first, first + self._arms)
         self._stopped = program.equations.memory.slices["stopped"].start
         self._whole = schedule is not None and estimator is None and self.lead <= UNROLLED
         self.event = ""
@@ -92,6 +94,7 @@ class Ticker:
             """(K, N): of each tick; (K, n, runs): of the angles alone, where each of many runs has a clock of its own.
             """
             self._rows = self._schedule.rows[:, :, None]
+            self._lift: Array | None = None
             self.queued = self._schedule.queued[:, None]
             program.set_number("mode", float(self._schedule.mode))
         else:
@@ -149,10 +152,19 @@ class Ticker:
         program.take(positions, reading.present, reading.switch if self._heeds_switch else 0, rate_error)
         self._carts[k % len(self._carts)] = positions[-1] if reading.present is None or reading.present[-1] else np.nan
         if self._whole:
-            program.row[:] = self._rows[k - self.began]
+            self._fetch(k - self.began)
             program.tick()
             return program.report
         return self._by_parts(k - self.began, reading)
+
+    def _fetch(self, k: int) -> None:
+        """Have the program use row k of what is followed, on the run's own turns."""
+        row = self.program.row
+        row[:] = self._rows[k]
+        # A table is long: what is turned is the one row.
+        if self._lift is not None:
+            row[self._state] += self._lift
+            row[self._wanted] += self._lift
 
     def _by_parts(self, k: int, reading: Reading) -> Array:
         """Do the tick that is k after what is followed began."""
@@ -166,7 +178,7 @@ class Ticker:
             z = sensed[: program.equations.filter.dimension]
         back: Any = 0.0
         if self._session is None:
-            program.row[:] = self._rows[k]
+            self._fetch(k)
         elif not self._many and program.memory[self._stopped, 0]:
             # Being brought to rest: the law is asked no more.
             self.references[k] = self.references[k - 1]
@@ -253,8 +265,9 @@ class Ticker:
             self.references = np.tile(now, (self.count, 1))
             self._coming.extend([now] * self.lead)
             return
-        self._session, turned = None, schedule.turned(lift)
-        self.references, self._rows = turned.references, turned.rows[:, :, None]
+        self._session, self._lift = None, lift[:, None]
+        self.references, self._rows = schedule.references.copy(), schedule.rows[:, :, None]
+        self.references[:, : self._arms] += lift
         program.set_number("mode", float(schedule.mode))
 
     def lose(self) -> None:

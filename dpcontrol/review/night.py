@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs.container import partials_of
-from dpcontrol.logs.layout import LAP, REST, RESUME, RETURN, START
+from dpcontrol.logs.layout import CATCH, LAP, REST, RESUME, RETURN, START
 from dpcontrol.logs.reader import read_log
 from dpcontrol.logs.rolling import Digest, digest_of_log
 from dpcontrol.review import style
@@ -138,6 +138,11 @@ class Night:
         return sum(digest.repetitions for digest in self.digests)
 
     @property
+    def catches(self) -> int:
+        """How often it was caught before it fell."""
+        return sum(digest.others.get(CATCH, 0) for digest in self.digests)
+
+    @property
     def tracking(self) -> float:
         """The rms distance of the angles from the reference on the itinerary, rad."""
         followed = sum(digest.followed for digest in self.digests)
@@ -192,9 +197,10 @@ class Night:
         if len(returns):
             median, slowest = np.quantile(returns, [0.5, 0.99])
             back = f", back on it after {median:.1f} s in the median, 99 % within {slowest:.1f} s"
+        caught = f"caught {self.catches} time{'s' * (self.catches > 1)}, " if self.catches else ""
         return (
             f"{hours:.3g} hours: {self.uptime:.1%} of the time on the itinerary, {self.repetitions} repetitions; "
-            f"{len(self.falls)} fall{'s' * (len(self.falls) != 1)} ({self.falls_per_hour:.3g} an hour){back}"
+            f"{caught}{len(self.falls)} fall{'s' * (len(self.falls) != 1)} ({self.falls_per_hour:.3g} an hour){back}"
         )
 
     def document(self) -> dict[str, Any]:
@@ -207,7 +213,7 @@ class Night:
             "files_kept": len([*self.folder.glob("*.mcap")]),
             "sessions": len({d.session for d in self.digests}),
             "uptime": self.uptime, "repetitions": self.repetitions, "falls": len(self.falls),
-            "falls_per_hour": self.falls_per_hour, "causes": self.causes,
+            "catches": self.catches, "falls_per_hour": self.falls_per_hour, "causes": self.causes,
             "return_median": quantiles[0], "return_99": quantiles[1],
             "not_back": sum(fall.back is None for fall in _firsts(self.falls, self.spans)),
             "stop_hits": self.stop_hits, "max_cart_position": self.cart, "rms_tracking_error": self.tracking,

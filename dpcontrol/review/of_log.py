@@ -147,7 +147,7 @@ def run_view(log: RunLog) -> RunView:
     notes = plan_notes(plan)
     verdict = score(log)
     planned = plan_view(plan, system=system)
-    if verdict.falls:
+    if verdict.falls or verdict.catches:
         planned, decoded = _with_falls(log, states, plan, planned)
     else:
         decoded = decode_run(log.time, states[:, :n], log.reference[:, :n], notes=notes, rate_hz=log.rate_hz)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import NisMeans, chi_square_band, nis_means
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.logs import LAP, RESUME, RETURN, Flight, RunLog, joined_at
+from dpcontrol.logs import CATCH, LAP, RESUME, RETURN, Flight, RunLog, joined_at
 from dpcontrol.references.reference import PlanNotes, Reference, StopNote, load_reference, plan_notes
 
 Array = NDArray[np.float64]
@@ -265,7 +265,7 @@ class Score:
     transfer. rms_tracking_error rad, over the angles; max_cart_position m; rms_cart_acceleration m/s²; nis_inside_95:
     share of ticks; nis_means: of its means, None of a run too short for one. real_time_factor, thinking: None where the
     log does not say. reason: a sentence. falls: from which it came back, or not; attempts: of each symbol, where it
-    could come back, 0 of one that was not begun.
+    could come back, 0 of one that was not begun; catches: how often it went on from an earlier place before it fell.
     """
 
     log: str
@@ -284,14 +284,16 @@ class Score:
     thinking: Thinking | None = None
     falls: int = 0
     attempts: tuple[int, ...] = ()
+    catches: int = 0
 
     @property
     def sentence(self) -> str:
         """The verdict in one line."""
         done = {True: "completed", False: "NOT completed", None: "completion unknown"}[self.completed]
         symbols = f"{self.symbols_completed} of {self.symbols_total} symbols; " if self.symbols_total else ""
-        falls = f" after {self.falls} fall{'s' * (self.falls > 1)}" if self.falls else ""
-        return f"{done}{falls}: {symbols}{self.reason}"
+        after = [(self.falls, "fall", "s"), (self.catches, "catch", "es")]
+        borne = " and ".join(f"{count} {what}{more * (count > 1)}" for count, what, more in after if count)
+        return f"{done}{f' after {borne}' if borne else ''}: {symbols}{self.reason}"
 
     def __repr__(self) -> str:
         return f"<score: {self.sentence}>"
@@ -478,6 +480,7 @@ def score(log: RunLog) -> Score:
         thinking=_thinking(log),
         falls=falls,
         attempts=_attempts(log, verdict.symbols, len(plan_notes(plan)["symbols"])) if flown.flights else (),
+        catches=sum(event.name == CATCH for event in log.events),
     )
 
 
@@ -487,9 +490,11 @@ def flights_of(log: RunLog) -> tuple[Flight, ...]:
     under_way: Flight | None = None
     for event in log.events:
         tick = round((event.time - float(log.time[0])) * log.rate_hz) if len(log.time) else 0
-        if event.name in (RESUME, LAP) and (joined := joined_at(event.text)) is not None:
+        if event.name in (RESUME, LAP, CATCH) and (joined := joined_at(event.text)) is not None:
             if event.name == LAP:
                 flights.clear()
+            elif under_way is not None:
+                flights.append(under_way._replace(end=tick))
             under_way = Flight(tick, len(log.time), joined[0])
         elif event.name == RETURN and under_way is not None:
             flights.append(under_way._replace(end=min(tick + 1, len(log.time))))
@@ -501,7 +506,7 @@ def _attempts(log: RunLog, done: int, symbols: int) -> tuple[int, ...]:
     """Return how many attempts each symbol took, 0 of one that was not come to; done: how many were completed."""
     out = [0] * symbols
     for event in log.events:
-        joined = joined_at(event.text) if event.name == RESUME else None
+        joined = joined_at(event.text) if event.name in (RESUME, CATCH) else None
         if joined is not None and 0 < joined[1] <= symbols:
             out[joined[1] - 1] = max(out[joined[1] - 1], joined[2])
     # One that was flown right after the one before it took one.

@@ -8,7 +8,7 @@ import pytest
 
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.loop import LoopSettings, loop_controller, loop_recovery, run_loop
-from dpcontrol.loop.recovery import meeting_tick
+from dpcontrol.loop.recovery import Reach, meeting_tick
 from dpcontrol.loop.result import Ending, NoSink
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
@@ -61,7 +61,7 @@ def test_a_run_that_falls_goes_on_from_rest_to_its_end(ready) -> None:
     assert result.ending is Ending.FINISHED
     assert told.names == ["resume", "return", "at rest", "start", "resume"]
     assert result.falls == 1
-    first, second = result.flights
+    *_, first, second = result.flights
     assert first.end < second.first
     assert np.abs(result.ticks.truth[:, 4]).max() < 0.8
 
@@ -166,3 +166,29 @@ def test_a_cart_that_waits_for_a_stuck_encoder_stays_where_it_is(ready) -> None:
     assert np.ptp(result.ticks.truth[2_500:6_000, 4]) < 0.03
     assert "start" in told.names
     assert result.ending is Ending.FINISHED
+
+
+def test_a_run_that_errs_is_caught_where_an_earlier_place_is_nearer(ready) -> None:
+    result, told = ready(Push(1.6, 0, -0.01))
+    assert result.ending is Ending.FINISHED
+    assert result.falls == 0
+    (caught,) = (text for _, name, text in told.events if name == "catch")
+    assert "symbol 1 of 1" in caught
+    before, after = result.flights
+    assert after.first == before.end
+    # An orbit's period before, or nearly so.
+    assert 0.3 < before.at + (before.end - before.first) * 1e-3 - after.at < 0.9
+    steps = np.diff(result.ticks.reference[:, :2], axis=0)
+    assert np.abs(steps[: before.end - 2]).max() < 0.03
+
+
+def test_a_place_farther_back_must_be_the_nearer() -> None:
+    states = np.zeros((5, 6))
+    states[:, 0] = [0.3, 0.0, 0.0, 0.2, 0.1]
+    reach = Reach(10, states, np.tile(np.eye(6), (5, 1, 1)))
+    state = np.array([0.3 + 2 * np.pi, -4 * np.pi, 0.0, 0.0, 0.0, 0.1])
+    assert reach.cost(state, 0) == pytest.approx(0.01)
+    assert reach.nearest(state, 4, worth=100.0) == (0, pytest.approx(0.01 * 1.04))
+    assert reach.nearest(state, 4, worth=1.0) == (3, pytest.approx(0.02 * 2))
+    assert reach.nearest(state, 0, worth=1.0) == (0, pytest.approx(0.01))
+    assert reach.nearest(state + 2.0, 4, worth=1.0) == (4, math.inf)

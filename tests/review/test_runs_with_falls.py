@@ -63,6 +63,7 @@ def test_flights_are_read_from_what_the_log_tells() -> None:
         Event(0.0, "info", "resume", joined_text(0.0, "symbol 1 of 3 ('x'), attempt 1")),
         Event(3.0, "warn", "return", "tracking lost"),
         Event(9.0, "info", "resume", told),
+        Event(10.0, "warn", "catch", joined_text(2.7, "symbol 2 of 3 ('down-up -'), attempt 4; caught, 0.8 s back")),
     ]
     log = SimpleNamespace(events=events, time=np.arange(12_000) / 1000, rate_hz=1000.0)
-    assert flights_of(log) == (Flight(0, 3001, 0.0), Flight(9000, 12_000, 2.5))
+    assert flights_of(log) == (Flight(0, 3001, 0.0), Flight(9000, 10_000, 2.5), Flight(10_000, 12_000, 2.7))
