@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from dpcontrol.logs import joined_at
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.loop import LoopSettings, loop_controller, loop_recovery, run_loop
 from dpcontrol.loop.recovery import Reach, meeting_tick
@@ -89,7 +90,8 @@ def test_a_run_that_restarts_begins_its_itinerary_anew(ready) -> None:
     assert result.ending is Ending.FINISHED
     assert "begins anew" in next(text for _, name, text in told.events if name == "return")
     # To the first stop, although the second had been reached.
-    assert result.flights[-1].at < 0.1
+    *_, resumed = (text for _, name, text in told.events if name == "resume")
+    assert joined_at(resumed)[0] < 0.1
 
 
 def test_a_symbol_is_tried_as_often_as_is_allowed(ready) -> None:
@@ -178,8 +180,8 @@ def test_a_run_that_errs_is_caught_where_an_earlier_place_is_nearer(ready) -> No
     assert after.first == before.end
     # An orbit's period before, or nearly so.
     assert 0.3 < before.at + (before.end - before.first) * 1e-3 - after.at < 0.9
-    steps = np.diff(result.ticks.reference[:, :2], axis=0)
-    assert np.abs(steps[: before.end - 2]).max() < 0.03
+    # It is followed from there on, on the turns that the arms are on.
+    np.testing.assert_allclose(result.ticks.truth[-500:, :2], result.ticks.references[-500:, :2], atol=0.1)
 
 
 def test_a_place_farther_back_must_be_the_nearer() -> None:
