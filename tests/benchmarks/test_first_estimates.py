@@ -1,7 +1,7 @@
 """How far the first estimates are from the truth, and how near any estimator could have come.
 
 The error of the worse angle from 20 ms on, the worst, the 95th and the 50th percentile of 100 seeds, on the bench of
-the README's table; and how long the NIS's means of 50 stay above their band.
+the README's table; and whether the NIS's means of 50 stay in their band.
 
 Beside it the best that 21 readings allow: the mean of the posterior of zeros and first angles, both uniform within
 their bounds, from readings that err by rounding alone. The motion is linearised about the true one and the cart's is
@@ -43,7 +43,7 @@ BAR = 0.025
 NEAR = 1.5
 """Times the best possible that the worst of the filter's errors may be; 1.1 to 1.3 as measured."""
 SETTLED = 0.5
-"""s by which the NIS is inside its band."""
+"""s in which no mean of the NIS leaves its band; later as many may as chance makes."""
 
 
 @pytest.mark.parametrize("name", ["outer-turn", "cross", "up-up"])
@@ -60,7 +60,9 @@ def test_the_first_estimates_come_near_to_the_best_possible(name: str) -> None:
     }  # fmt: skip
     errors: list[float] = []
     within: list[float] = []
+    first: list[float] = []
     above: list[float] = []
+    top = mean_band(arms.count + 1)[1]
     best: dict[str, list[float]] = {kind: [] for kind in kinds}
     for seed in range(FIRST_SEED, FIRST_SEED + RUNS):
         loop = replace(case.loop, seed=seed)
@@ -71,19 +73,21 @@ def test_the_first_estimates_come_near_to_the_best_possible(name: str) -> None:
         far = np.flatnonzero(angles > BAR)
         within.append((int(far[-1]) + 1) / loop.rate if far.size else 0.0)
         means = np.convolve(ticks.control[1:, 5], np.full(MEANS_OF, 1 / MEANS_OF), "valid")
-        outside = np.flatnonzero(means > mean_band(arms.count + 1)[1])
-        above.append((int(outside[-1]) + 1 + MEANS_OF) / loop.rate if outside.size else 0.0)
+        settling = round(SETTLED * loop.rate)
+        first.append(float(means[:settling].max()))
+        above.append(float(np.mean(means[settling:] > top)))
         for kind, error in zip(kinds, posterior_errors(reference, arms, loop, list(kinds.values())), strict=True):
             best[kind].append(error)
     sys.stdout.write(
-        f"\n{name}: all within {1e3 * BAR:g} mrad from {max(within):.3f} s on; NIS above its band until "
-        f"{max(above):.3f} s at most; error after 20 ms, mrad\n"
+        f"\n{name}: all within {1e3 * BAR:g} mrad from {max(within):.3f} s on; means of the NIS {max(first):.2f} at most "
+        f"in the first {SETTLED:g} s, band up to {top:.2f}, later {np.mean(above):.2%} above it; error after 20 ms, mrad\n"
     )
     for kind, found in {"the filter": errors, **best}.items():
         worst, many, half = (1e3 * np.quantile(found, share) for share in (1.0, 0.95, 0.5))
         sys.stdout.write(f"  {kind:26s} worst {worst:5.1f}  95 % {many:5.1f}  median {half:5.1f}\n")
     assert max(errors) < NEAR * max(best["as the filter knows them"])
-    assert max(above) <= SETTLED
+    assert max(first) <= top
+    assert np.mean(above) <= 0.025
 
 
 def posterior_errors(
