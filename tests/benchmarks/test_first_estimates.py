@@ -79,8 +79,8 @@ def test_the_first_estimates_come_near_to_the_best_possible(name: str) -> None:
         for kind, error in zip(kinds, posterior_errors(reference, arms, loop, list(kinds.values())), strict=True):
             best[kind].append(error)
     sys.stdout.write(
-        f"\n{name}: all within {1e3 * BAR:g} mrad from {max(within):.3f} s on; means of the NIS {max(first):.2f} at most "
-        f"in the first {SETTLED:g} s, band up to {top:.2f}, later {np.mean(above):.2%} above it; error after 20 ms, mrad\n"
+        f"\n{name}: all within {1e3 * BAR:g} mrad from {max(within):.3f} s on; NIS's means {max(first):.2f} at most in "
+        f"the first {SETTLED:g} s, band up to {top:.2f}, later {np.mean(above):.2%} above it; error after 20 ms, mrad\n"
     )
     for kind, found in {"the filter": errors, **best}.items():
         worst, many, half = (1e3 * np.quantile(found, share) for share in (1.0, 0.95, 0.5))
