@@ -35,6 +35,8 @@ ITINERARY, CALMING, STARTING = "on the itinerary", "arms calmed", "rising"
 BETWEEN, UNKNOWN = "between repetitions", "no log"
 """Kinds of spans, in words."""
 STOPPED = "ended"
+_SHORT = 0.05
+"""Share of the longest file's time of which a mean does not count: what is estimated wanders where the cart stands."""
 _GAP = 0.5
 """s: times between two files that are farther apart are a gap."""
 
@@ -163,13 +165,21 @@ class Night:
         """Names of what was estimated besides the state."""
         return tuple(dict.fromkeys(name for digest in self.digests for name in digest.extras))
 
+    def course(self, name: str) -> tuple[Array, Array]:
+        """Return hours (K,) and the means (K,) of what was estimated, by file; a short one at the end says nothing."""
+        own = [digest for digest in self.digests if name in digest.extras]
+        least = _SHORT * max(digest.end - digest.first for digest in own)
+        hours, values = np.array(
+            [((d.first + d.end) / 7200, d.extras[name][0]) for d in own if d.end - d.first >= least]
+        ).T
+        return hours, values
+
     @property
     def drifts(self) -> tuple[Drift, ...]:
         """How the estimated parameters went."""
         out = []
         for name in self.estimated:
-            known = [((d.first + d.end) / 7200, d.extras[name][0]) for d in self.digests if name in d.extras]
-            hours, values = np.array(known).T
+            hours, values = self.course(name)
             slope = float(np.polyfit(hours, values, 1)[0]) if len(values) > 1 else math.nan
             out.append(Drift(name, float(values[0]), float(values[-1]), slope))
         return tuple(out)
@@ -465,8 +475,7 @@ def _draw_drift(axes: "Axes", night: Night, title: str, unit: str, names: Sequen
 
     quiet(axes, title, x="hours", y=unit)
     for k, name in enumerate(names):
-        known = [((d.first + d.end) / 7200, d.extras[name][0]) for d in night.digests if name in d.extras]
-        hours, values = np.array(known).T
+        hours, values = night.course(name)
         colour = style.RUNS[k % len(style.RUNS)]
         line = "-" if k < len(style.RUNS) else "--"
         axes.plot(hours, scale * (values - values[0]), line, color=colour, marker="o", markersize=2.5, linewidth=1.1,

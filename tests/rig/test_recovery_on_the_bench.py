@@ -3,23 +3,26 @@
 import multiprocessing
 import os
 from dataclasses import replace
+from functools import partialmethod
 
 import numpy as np
 import pytest
 
+from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import read_log
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.loop import control_loop, loop_controller, loop_recovery
 from dpcontrol.loop.recovery import FallRecovery
 from dpcontrol.loop.result import Ending, NoSink
 from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
-from dpcontrol.rig.client import UdpRig
+from dpcontrol.rig.client import LinkSettings, UdpRig
 from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.night import NightSettings, run_night
 from dpcontrol.scenes.plan import Plan, make_plan
-from dpcontrol.scenes.run import bench_recipe, run_on_rig
+from dpcontrol.scenes.run import RigLink, bench_recipe, run_on_rig
 from dpcontrol.scenes.run_options import RunOptions
 
-pytestmark = pytest.mark.slow  # a quarter of a minute of real time
+pytestmark = pytest.mark.slow  # most of a minute of real time
 
 
 def falling() -> Plan:
@@ -37,6 +40,34 @@ def test_a_run_on_the_example_bench_falls_and_resumes_by_itself(tmp_path) -> Non
     names = [event.name for event in read_log(tmp_path / "rig.mcap").events]
     assert names.index("return") < names.index("at rest")
     assert names[-1] == "finished"
+
+
+def test_a_night_on_the_example_bench_rolls_its_logs_and_goes_on_after_a_fall(tmp_path) -> None:
+    plan = falling()
+    night = NightSettings(hours=22 / 3600, file_minutes=0.1)
+    done = run_night(plan, tmp_path / "rig.mcap", night, link=RigLink("udp", real_time=True))
+    files = sorted((tmp_path / "rig").glob("*.mcap"))
+    logs = [read_log(file) for file in files]
+    assert [log.time[0] for log in logs] == pytest.approx([0.0, 6.0, 12.0, 18.0])
+    assert all(log.metadata["rig"] == "udp" and log.truth is None for log in logs)
+    assert len(done.falls) >= 1
+    assert len(done.returns) >= 1
+    assert done.repetitions >= 1
+    assert not done.endings
+    assert done.deadlines is not None
+    assert done.deadlines["ticks"] >= 22_000
+    with pytest.raises(InputError, match="is complete"):
+        run_night(plan, tmp_path / "rig.mcap", night, link=RigLink("udp", real_time=True), resume=True)
+    with pytest.raises(InputError, match=r"of another run .*rig"):
+        run_night(plan, tmp_path / "rig.mcap", night, resume=True)
+
+
+def test_a_night_whose_bench_does_not_answer_leaves_nothing(tmp_path, monkeypatch) -> None:
+    plan, night = falling(), NightSettings(hours=1.0)
+    monkeypatch.setattr(LinkSettings, "__init__", partialmethod(LinkSettings.__init__, answer=0.3))
+    with pytest.raises(InputError, match="no bench answered"):
+        run_night(plan, tmp_path / "rig.mcap", night, link=RigLink("udp://127.0.0.1:9"))
+    assert not (tmp_path / "rig").exists()
 
 
 class Dies(NoSink):
