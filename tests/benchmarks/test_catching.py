@@ -1,7 +1,7 @@
-"""What catching buys: the same runs under blows, where one that errs goes on from an earlier place, and where not.
+"""What recovery and catching buy under blows: README's table of two blows in a run, and catching alone.
 
-Prints a row for each, and how often a catch at so much of a cost to go was followed by a fall within 1.5 s. Takes some
-ten minutes of one core.
+The second prints falls and catches, and how often a catch at so much of a cost to go was followed by a fall within
+1.5 s. Each takes some ten minutes of one core.
 """
 
 import math
@@ -12,10 +12,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpcontrol.logs import CATCH, RETURN
+from dpcontrol.logs import CATCH, RESUME, RETURN
 from dpcontrol.loop import recovery
 from dpcontrol.loop.loop import loop_controller, loop_recovery, run_loop
-from dpcontrol.loop.result import NoSink
+from dpcontrol.loop.result import BatchRun, Ending, NoSink
+from dpcontrol.review.score import Flown, verdict_on
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.night import night_itinerary
 from dpcontrol.scenes.plan import make_plan
@@ -32,13 +33,51 @@ EDGES = (10.0, 30.0, 100.0, 300.0, math.inf)
 """Of costs to go."""
 
 
+TWICE = RunOptions(
+    on_fall="resume", mismatch=0.05, lag=0.005, command_noise=0.3, initial_error=0.05, zero_error=0.01, travel=0.8,
+    pushes=2,
+)  # fmt: skip
+
+
 class Told(NoSink):
     def __init__(self) -> None:
         self.events: list[tuple[float, str, str]] = []
 
     def event(self, time_s, level, name, text) -> None:
-        if name == CATCH or (name == RETURN and level == "warn"):
+        if name in (CATCH, RESUME) or (name == RETURN and level == "warn"):
             self.events.append((time_s, name, text))
+
+    def times(self, which: str) -> list[float]:
+        return [time for time, name, _ in self.events if name == which]
+
+
+@pytest.mark.parametrize("name", ["outer-turn", "turn-from-rest"])
+@pytest.mark.parametrize("impulse", [0.003, 0.01])
+def test_two_blows_are_recovered_from(name: str, impulse: float) -> None:
+    scene = load_itinerary(name).with_run(replace(TWICE, push_impulse=impulse))
+    plan = make_plan(scene)
+    law = loop_controller(plan.reference, scene.model.arms, scene.loop)
+    how = loop_recovery(plan.reference, scene.model.arms, scene.loop, law)
+    done, falls, catches, back = 0, 0, 0, list[float]()
+    for seed in range(70_000, 70_100):
+        told, settings = Told(), replace(scene.loop, seed=seed)
+        result = run_loop(plan.reference, scene.model.arms, settings=settings, controller=law, recovery=how, sink=told)
+        run, limits = BatchRun.of(result), settings.limits(plan.reference)
+        flown = Flown(
+            time=run.times, states=run.truth, reference_angles=run.references, applied=run.applied,
+            rate_hz=settings.rate, limits=(limits.position, limits.velocity, limits.acceleration),
+            ended="" if result.ending is Ending.FINISHED else result.reason, flights=result.flights,
+        )  # fmt: skip
+        done += not verdict_on(flown, plan.reference).problem
+        falls, catches = falls + result.falls, catches + len(told.times(CATCH))
+        resumed = np.array(told.times(RESUME))
+        back += [float(resumed[resumed > time].min(initial=math.inf)) - time for time in told.times(RETURN)]
+    back = [seconds for seconds in back if seconds < math.inf] or [0.0]
+    sys.stdout.write(
+        f"\n{name}, {impulse} N m s: {done} completed, {falls} falls, {catches} catches, "
+        f"back {np.median(back):.1f} s ({np.quantile(back, 0.99):.1f} s)\n"
+    )
+    assert done == 100
 
 
 def test_catching_spares_falls(monkeypatch) -> None:
@@ -59,13 +98,13 @@ def test_catching_spares_falls(monkeypatch) -> None:
                     plan.reference, scene.model.arms, settings=replace(scene.loop, seed=seed), controller=law,
                     recovery=how, sink=told, until=round(SECONDS * scene.loop.rate), keep=False,
                 )  # fmt: skip
-                ends = np.array([time for time, name, _ in told.events if name == RETURN])
+                ends = np.array(told.times(RETURN))
                 for time, name, text in told.events:
                     if name == CATCH:
                         costs.append(float(re.search(r"instead of (\S+)", text)[1]))
                         fell.append(bool(((ends > time) & (ends < time + 1.5)).any()))
                 falls[catches] += len(ends)
-                caught += sum(name == CATCH for _, name, _ in told.events)
+                caught += len(told.times(CATCH))
         minutes = len(SEEDS) * SECONDS / 60
         sys.stdout.write(f"\n{minutes:g} minutes, catching {catches}: {falls[catches]} falls, caught {caught} times")
     which = np.digitize(costs, EDGES)
