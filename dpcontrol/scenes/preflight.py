@@ -42,7 +42,7 @@ from dpcontrol.scenes.campaign import MOST_TICKS, Case, Job, run_job
 from dpcontrol.scenes.itinerary import Itinerary, overridden
 from dpcontrol.scenes.plan import Plan
 from dpcontrol.scenes.run_options import RunOptions
-from dpcontrol.scenes.why import Change, changes
+from dpcontrol.scenes.why import SceneChange, changes
 
 ASSUMED_MISMATCH = 0.05
 """Of arms of which neither the model's file nor [run] says how well they are known."""
@@ -123,7 +123,7 @@ class _Search:
 class _Trial:
     """A change to be tried: job of the changed bench, with the seeds and how they ended without it; most: at once."""
 
-    change: Change
+    change: SceneChange
     job: Job
     completed: tuple[bool, ...]
     rate: float

@@ -20,7 +20,7 @@ from dpcontrol.scenes.run_options import RunOptions
 
 
 @dataclass(frozen=True)
-class Change:
+class SceneChange:
     """A change to be tried: what is said of a run that it saves, and the run's settings with it.
 
     options: the same by the names of run settings, where these have it. advice: what to do on a bench, as a preflight
@@ -98,22 +98,22 @@ def why(
     return Why(score.log, score.seed, score.reason, tuple(trials))
 
 
-def changes(scene: Itinerary) -> Iterator[Sequence[Change]]:
+def changes(scene: Itinerary) -> Iterator[Sequence[SceneChange]]:
     """Yield the changes of each kind, the least first, of those that this scene's run leaves room for."""
     loop = scene.loop
     limit = loop.travel or scene.limits.position
 
-    def by(text: str, advice: str = "", **options: Any) -> Change:
+    def by(text: str, advice: str = "", **options: Any) -> SceneChange:
         given = RunOptions(**options)
-        return Change(text, overridden(loop, given), given, advice)
+        return SceneChange(text, overridden(loop, given), given, advice)
 
-    def longer(factor: float, advice: str = "") -> Change:
+    def longer(factor: float, advice: str = "") -> SceneChange:
         change = by(f"with a travel of ±{factor * limit:.3g} m", advice, travel=factor * limit)
         return replace(change, loop=replace(change.loop, drive=replace(change.loop.drive, track=math.inf)))
 
     yield longer(1.5, f"more travel: ±{1.5 * limit:.3g} m"), longer(2.0)
 
-    def less(key: str, half: str, none: str, advice: str = "", nothing: Any = 0.0) -> Iterator[Sequence[Change]]:
+    def less(key: str, half: str, none: str, advice: str = "", nothing: Any = 0.0) -> Iterator[Sequence[SceneChange]]:
         value = setting_of(loop, key)
         if value == nothing:
             return
@@ -139,7 +139,7 @@ def changes(scene: Itinerary) -> Iterator[Sequence[Change]]:
     yield from less("delay", "with half the delay", "without the delay", "half the delay")
     yield from less("friction", "with half the friction's factor", "with the plant's own friction", nothing=1.0)
     if loop.plant is not None:
-        yield (Change("with the model's own arms as the plant", replace(loop, plant=None)),)
+        yield (SceneChange("with the model's own arms as the plant", replace(loop, plant=None)),)
     yield from less("response", "with half the error of response", "with a drive that does as told", nothing=1.0)
     yield from less(
         "command_noise", "with half the noise on the command", "without noise on the command",
@@ -164,7 +164,7 @@ def changes(scene: Itinerary) -> Iterator[Sequence[Change]]:
     yield from less("knock_velocity", "with half the knocks' velocity", "without the knocks")
     if loop.disturbances.explicit:
         without = replace(loop, disturbances=replace(loop.disturbances, explicit=()))
-        yield (Change("without the blows", without),)
+        yield (SceneChange("without the blows", without),)
     if loop.sensors.counts:
         finer = 4 * loop.sensors.counts
         yield (by(f"with {finer} counts a turn", "finer encoders: four times the counts", counts=finer),)
@@ -175,7 +175,7 @@ def changes(scene: Itinerary) -> Iterator[Sequence[Change]]:
         known = {*loop.estimator.augments, Augment.ZEROS, Augment.DRIVE}
         asked = replace(loop.estimator, augment=tuple(kind.value for kind in Augment if kind in known))
         text = 'with an estimator of the drive\'s error (augment = "drive")'
-        yield (Change(text, replace(loop, estimator=asked)),)
+        yield (SceneChange(text, replace(loop, estimator=asked)),)
     if loop.keep == "none" and scene.stay is None:
         other = "tvlqr" if loop.controller.kind == "adaptive" else "adaptive"
         yield (by(f"with {other} as the law", f"another law: {other}", controller=other),)

@@ -21,7 +21,7 @@ from dpcontrol.scenes.itinerary import load_itinerary, overridden
 from dpcontrol.scenes.plan import Plan, make_plan
 from dpcontrol.scenes.preflight import ASSUMED_MISMATCH, PreflightSettings, as_known, falling, preflight
 from dpcontrol.scenes.run_options import RunOptions
-from dpcontrol.scenes.why import Change
+from dpcontrol.scenes.why import SceneChange
 
 HARD = RunOptions(mismatch=0.2, initial_error=0.05, lag=0.005, command_noise=0.3, controller="tvlqr")
 """Bench on which some runs fail and some do not."""
@@ -140,7 +140,7 @@ def test_its_runs_are_those_of_a_campaign_and_are_kept(
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(module, "hazards", lambda plan, scene, **most: [])
     half = RunOptions(mismatch=0.1)
-    monkeypatch.setattr(module, "changes", lambda scene: [[Change("", overridden(scene.loop, half), half, "half")]])
+    monkeypatch.setattr(module, "changes", lambda scene: [[SceneChange("", overridden(scene.loop, half), half, "half")]])
     found = preflight(turn, HARD, settings=SMALL)
     assert found.changes[0].gain > 0
     cases = cases_of(turn.itinerary, fixed=HARD, over={})
