@@ -140,8 +140,8 @@ def test_its_runs_are_those_of_a_campaign_and_are_kept(
     monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(module, "hazards", lambda plan, scene, **most: [])
     half = RunOptions(mismatch=0.1)
-    changed = [[SceneChange("", overridden(scene.loop, half), half, "half")]]
-    monkeypatch.setattr(module, "changes", lambda scene: changed)
+    changed = SceneChange("", overridden(turn.itinerary.with_run(HARD).loop, half), half, "half")
+    monkeypatch.setattr(module, "changes", lambda scene: [[changed]])
     found = preflight(turn, HARD, settings=SMALL)
     assert found.changes[0].gain > 0
     cases = cases_of(turn.itinerary, fixed=HARD, over={})
