@@ -32,13 +32,14 @@ def plan_command(
     from dpcontrol import api
     from dpcontrol.foundation.files import write_whole
     from dpcontrol.scenes.levels import plan_remarks
+    from dpcontrol.scenes.off_tubes import off_tubes_remarks
 
     plan = api.plan(itinerary, fresh=fresh, yes=yes, progress=True)
     document = plan.document()
     if out is not None and plan.converged:
         write_whole(out, plan.archive)
         document["file"] = out
-    for line in plan_remarks(plan.itinerary):
+    for line in (*plan_remarks(plan.itinerary), *off_tubes_remarks(plan.itinerary)):
         say(line)
     found = plan.margins() if margins and plan.converged else None
     if found is not None:

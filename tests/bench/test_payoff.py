@@ -38,7 +38,9 @@ from dpcontrol.references.find import smooth_guess
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import EndConditions, Limits, ReferenceProblem, ReferenceSettings
 from dpcontrol.references.trajectory import Trajectory, times_on
+from dpcontrol.scenes.itinerary import Itinerary, itinerary_from
 from dpcontrol.scenes.model import load_model
+from dpcontrol.scenes.off_tubes import known_flights, off_tubes_remarks
 
 ARMS = load_model("lab").arms
 EQUATIONS = equations_of(ARMS, Level.CART)
@@ -215,3 +217,23 @@ def test_energies_of_more_than_a_walk_are_refused(tmp_path) -> None:
     ended = dpcontrol("plan", "hold-down-up", "--explore-energy", str(tmp_path / "e.png"))
     assert ended.code == 2
     assert "compares energies of one walk" in ended.message
+
+
+def scene(*parts: str, start: str = "orbit") -> Itinerary:
+    tables = "\n".join(f"[[parts]]\n{part}" for part in parts)
+    text = f'model = "lab"\nstart = "{start}"\nfinish = "{start}"\n{tables}\n'
+    return itinerary_from(text, "test", load_model("lab"))
+
+
+def test_plan_says_where_a_flight_off_the_tubes_is_cheaper_and_only_for_those_ends() -> None:
+    hold, turn = 'hold = "down-up"\nseconds = 1.0', 'energy = {}\nwalk = ["down-up {}"]\nwraps = []'
+    for sense in "+-":
+        (said,) = off_tubes_remarks(scene(hold, turn.format(-0.07, sense), hold, start="rest"))
+        assert said.startswith(f"'down-up {sense}' at -0.07 J: from hold to hold a flight off the tubes is cheaper")
+    assert not [text for text in off_tubes_remarks(scene(turn.format(-0.07, "+"))) if "hold" in text]
+    assert off_tubes_remarks(scene(hold, turn.format(-0.05, "+"), hold, start="rest")) == ()
+
+
+def test_what_is_known_off_the_tubes_is_cheaper_than_along_them() -> None:
+    assert known_flights()
+    assert all(0 < one.effort < one.along for one in known_flights())
