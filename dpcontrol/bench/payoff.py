@@ -13,8 +13,8 @@ What is charted is computed again from the equations of motion as any textbook h
 from its own first state, and the effort as one more state. A flight counts if no interval ends farther than `GAP`
 (scaled) from where the next begins. Each is then followed by the shipped law on plants that are off by 5 %.
 
-The others' settings were tuned on flights that are not charted: an outer turn at 0 J and a crossing at 0.25 J, eight
-tries of each amplitude of waves (0.5, 1, 2) and inputs (0.3, 1, 3 m/s²).
+The others' settings were tuned on flights that are not charted: waves (0.5, 1, 2 rad) and inputs (0.3, 1 m/s²) on an
+outer turn at 0 J, eight tries each; CEM there and on a crossing at 0.25 J, four tries of each setting.
 
 Sources: Betts, Practical Methods for Optimal Control Using Nonlinear Programming, 3rd ed., ch. 4; Rubinstein & Kroese,
 The Cross-Entropy Method (2004), ch. 5.
