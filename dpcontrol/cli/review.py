@@ -188,8 +188,8 @@ def report_command(
     """Write one page on a log, a long run or a campaign, for those who do not open a viewer; matplotlib draws it.
 
     Of a log: the itinerary as asked and as done, a film, angles, rates, cart, command, errors, energy, phase planes,
-    and what was estimated besides the state, with the truth where it is known. Of a long run's folder: a strip of each
-    hour that shows when it was on its itinerary, when not and why; times to return, causes, drift. Of a campaign:
+    and what was estimated besides the state, with the truth where it is known. Of a long run's folder: strips of half
+    an hour that show when it was on its itinerary, when not and why; times to return, causes, drift. Of a campaign:
     shares of success by group with Wilson's intervals, failures by symbol and reason.
     """
     from dpcontrol.foundation.files import checked_source

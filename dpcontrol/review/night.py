@@ -364,7 +364,7 @@ _REMAINDER = 5.0
 
 
 def draw_night(night: Night) -> "Figure":
-    """Return one page on a night: a strip of each hour, times to return, causes, drift of what was estimated."""
+    """Return one page on a night: strips of half an hour, times to return, causes, drift of what was estimated."""
     from dpcontrol.review.page import new_figure
 
     last = max(span.end for span in night.spans)
