@@ -75,7 +75,7 @@ MISMATCH, SEEDS, BLOWN = 0.05, 24, 16
 
 
 @dataclass(frozen=True, eq=False)
-class Flight:
+class ChartedFlight:
     """From a state of one sustained orbit to a state of another: the problem, whose guess shadows the tubes.
 
     seconds: of one processor, for orbits, tubes, connections and the shadowing orbit.
@@ -93,7 +93,7 @@ class Flight:
 
 
 @cache
-def flight(name: str, walk: tuple[str, ...], energy: float, wraps: int = 1) -> Flight:
+def flight(name: str, walk: tuple[str, ...], energy: float, wraps: int = 1) -> ChartedFlight:
     """Return the flight of a walk's symbols between the sustained orbits of the lab's arms, at their phase 0.
 
     Raises:
@@ -119,7 +119,7 @@ def flight(name: str, walk: tuple[str, ...], energy: float, wraps: int = 1) -> F
         equations_of(model.arms, Level.CART), model.arms.base(), lambda times: sample(times + goal.begin), goal.seconds,
         limits=LIMITS, ends=EndConditions(start=ends[0], end=ends[1]),
     )  # fmt: skip
-    return Flight(name, problem, (orbits[0], orbits[1]), spent)
+    return ChartedFlight(name, problem, (orbits[0], orbits[1]), spent)
 
 
 def on_turns(orbit: SustainedOrbit, angles: Array) -> Array:
@@ -249,7 +249,7 @@ def searched(method: str, problem: ReferenceProblem, first: Trajectory | None = 
     return Try(method, spent, solved.trajectory if solved.succeeded else None)
 
 
-def along_tubes(one: Flight) -> Try:
+def along_tubes(one: ChartedFlight) -> Try:
     """Return what the search makes of the shadowing orbit; its seconds hold those of tubes and connections."""
     return searched(TUBES, one.problem, spent=one.seconds)
 
@@ -381,7 +381,7 @@ def resampled(motion: Trajectory, duration: float) -> Trajectory:
 
 
 @dataclass(frozen=True)
-class Followed:
+class FollowedFlight:
     """What the loop makes of a flight with a period of its orbits on either side.
 
     completed: share of plants; effort: mean ∫u² of those that were, m²/s³, not-a-number if none; sensitivity: rad for a
@@ -395,7 +395,7 @@ class Followed:
     blow: float = 0.0
 
 
-def between_orbits(one: Flight, motion: Reference) -> Reference:
+def between_orbits(one: ChartedFlight, motion: Reference) -> Reference:
     """Return a period of the first orbit, the flight, and a period of the second, as one reference."""
     start, end = one.ends
     pieces = [motion]
@@ -406,14 +406,14 @@ def between_orbits(one: Flight, motion: Reference) -> Reference:
     return joined(pieces)[0]
 
 
-def _did(one: Flight, run: BatchRun) -> bool:
+def _did(one: ChartedFlight, run: BatchRun) -> bool:
     orbit = one.orbits[1]
     angles = orbit.state(np.linspace(0.0, orbit.period, 400))[:, :2]
     end = whole_turns(run.truth[-1, :2] - run.references[-1])
     return held(angles, period=orbit.period)(run) and not end.any()
 
 
-def followed(one: Flight, motion: Reference, *, seeds: int, blows: bool = False) -> Followed:
+def followed(one: ChartedFlight, motion: Reference, *, seeds: int, blows: bool = False) -> FollowedFlight:
     """Return how the shipped law follows a flight on plants that are off by 5 %."""
     arms = load_model("lab").arms
     scene = load_itinerary("outer-turn").loop
@@ -436,7 +436,7 @@ def followed(one: Flight, motion: Reference, *, seeds: int, blows: bool = False)
     if blows:
         border = find_border(struck, x=0.0, line=one.name, near=3e-4, far=3e-2, ratio=1.3)
     blow = (border.measured or border.near or 0.0) if border else 0.0
-    return Followed(len(done) / len(every), effort, sensitivity(arms, motion), blow)
+    return FollowedFlight(len(done) / len(every), effort, sensitivity(arms, motion), blow)
 
 
 # --- What is charted.
@@ -485,7 +485,7 @@ class Charted:
     method: str
     duration: float
     checked: Recomputed
-    followed: Followed | None = None
+    followed: FollowedFlight | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -506,7 +506,7 @@ class Compared:
         return self.best[TUBES]
 
 
-def tries_of(one: Flight, effort: Effort, generator: np.random.Generator) -> Iterator[Try]:
+def tries_of(one: ChartedFlight, effort: Effort, generator: np.random.Generator) -> Iterator[Try]:
     """Yield the tries of every method that does not know the tubes."""
     arms, smooth = load_model("lab").arms, lasting(one.problem, one.problem.duration)
     yield searched(STRAIGHT, smooth)
@@ -523,7 +523,7 @@ def tries_of(one: Flight, effort: Effort, generator: np.random.Generator) -> Ite
 
 
 def charted(
-    one: Flight, problem: ReferenceProblem, tries: Sequence[Try], *, seeds: int = 0, blows: bool = False
+    one: ChartedFlight, problem: ReferenceProblem, tries: Sequence[Try], *, seeds: int = 0, blows: bool = False
 ) -> Charted | None:
     """Return the cheapest of some tries refined, checked and, with seeds, followed; None where none flies."""
     for first in sorted(tries, key=lambda t: t.effort)[:_LOOKED_AT]:
@@ -537,7 +537,7 @@ def charted(
     return None
 
 
-def by_method(one: Flight, tries: Sequence[Try], effort: Effort, *, feedback: bool) -> Compared:
+def by_method(one: ChartedFlight, tries: Sequence[Try], effort: Effort, *, feedback: bool) -> Compared:
     """Return tries, by method the cheapest that flies, and how the loop follows that of the tubes and of the rest."""
     cheapest = min((t for t in tries if t.method != TUBES), key=lambda t: t.effort).method
     best: dict[str, Charted] = {}
@@ -591,7 +591,7 @@ def front(which: tuple[str, tuple[str, ...], float], effort: Effort, *, resting:
     return found if resting else found + with_wobbles(one, arms, effort)
 
 
-def with_wobbles(one: Flight, arms: ArmChainParameters, effort: Effort) -> list[Charted]:
+def with_wobbles(one: ChartedFlight, arms: ArmChainParameters, effort: Effort) -> list[Charted]:
     """Return the flight along tubes alone, and after one wobble more, two, … to the front's longest time."""
     ours = along_tubes(one)
     fine = None if ours.motion is None else refined(one.problem, ours.motion)
