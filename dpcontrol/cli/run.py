@@ -6,6 +6,7 @@ import os
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -166,12 +167,12 @@ def run_command(
         announce_night(scene, night, night_folder(out), real_time=address is not None, yes=yes)
         with progress_bar("night") as progress:
             plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
-            if address is None:
-                done = run_night(plan, out, night, resume=resume, force=force, progress=part_of(progress, 0.05, 1.0))
+            fly = partial(run_night, plan, out, night, resume=resume, force=force)
+            found = fly(progress=part_of(progress, 0.05, 1.0)) if address is None else None
         if address is not None:
-            link = RigLink(address, key, insecure, real_time)
-            done = run_night(plan, out, night, link=link, resume=resume, force=force)
-        return Answer(done.document(), done.lines())
+            found = fly(link=RigLink(address, key, insecure, real_time))
+        assert found is not None
+        return Answer(found.document(), found.lines())
     with progress_bar("run") as progress:
         plan = make_plan(scene, progress=progress, yes=yes)
         verdict = None
