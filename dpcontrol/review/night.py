@@ -13,6 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -377,7 +378,8 @@ def draw_night(night: Night) -> "Figure":
         3, 2, height_ratios=[strip, others, others], left=0.09, right=0.94, top=1 - 0.75 / height,
         bottom=0.75 / height, hspace=2.7 / (strip + 2 * others), wspace=0.25,
     )  # fmt: skip
-    figure.text(0.03, 1 - 0.22 / height, f"{night.folder.name}: {night.sentence}", fontsize=10.5, va="center")
+    title = fill(f"{night.folder.name}: {night.sentence}", 150)
+    figure.text(0.03, 1 - 0.22 / height, title, fontsize=9.5, va="center")
     _draw_strip(figure.add_subplot(grid[0, :]), night, row, rows)
     _draw_returns(figure.add_subplot(grid[1, 0]), night)
     _draw_causes(figure.add_subplot(grid[1, 1]), night)
