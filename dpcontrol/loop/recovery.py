@@ -56,8 +56,8 @@ _HELD = 0.08
 """rad, by the estimate: farther from the last stop's orbit than this over its last period a run has not held it."""
 _EVERY = 10
 """Ticks between those that are looked at for it."""
-_FAR, _NEARER, _SETTLES = 10.0, 0.5, 0.1
-"""Cost-to-go from which another place is looked for, the share of it that it must be below, and s between two tries."""
+_FAR, _NEARER = 10.0, 0.5
+"""Cost-to-go from which another place is looked for, and the share of it that the other's must be below."""
 _NEAR, _WORTH = 0.8, 1.0
 """rad: places from which an arm is farther are not looked at; and s: so far back a place counts as twice as far."""
 _LOOKS, _DRIFTS = 0.1, 0.005
@@ -205,6 +205,7 @@ class FallRecovery:
         self._plan, self._main, self._laps = plan, main, laps
         self.motion = Motion.ITINERARY
         self.falls = 0
+        self._near = False
         self._attempts: dict[int, int] = {}
         self._stop, self._lap, self._begins = 0, 1, False
         self._at, self._joins = 0.0, 0
@@ -322,26 +323,26 @@ class FallRecovery:
     def _caught(self, k: int, report: Array, ticker: Ticker, period: float) -> Sequence[Choice]:
         """Go on from an earlier place to which the way is much shorter, where the own is long; return what is told."""
         plan, reach, n = self._plan, self._plan.reach, self._arms
-        since = (k - self._joins) * period
-        if since < _SETTLES:
-            return ()
         state = report[: 2 * n + 2, 0]
         here = min(round((self._at / period + k - self._joins) / reach.every), len(reach.states) - 1)
         own = reach.cost(state, here)
-        if not own > _FAR:
+        self._near = self._near or not own > _FAR
+        # Once for each time that it has been near: a run that chases its reference would be sent back for ever.
+        if not own > _FAR or not self._near:
             return ()
         place, least = reach.nearest(state, here, worth=_WORTH / (reach.every * period))
         if not least < _NEARER * own:
             return ()
         back, tick = (here - place) * reach.every * period, place * reach.every + 1
         stop = max((start.stop for start in plan.starts if start.at <= tick * period), default=0)
-        if back > min(plan.period, since):
-            # A symbol, or a part of it, is flown again, or the run gets nowhere.
+        if back > plan.period:
+            # A symbol, or a part of it, is flown again.
             if plan.attempts and self._attempts.get(stop, 0) + 2 > plan.attempts:
                 return ()
             self._attempts[stop] = self._attempts.get(stop, 0) + 1
         self._flown.append(Flight(self._joins, k + 1, self._at))
         self._stop, self._at, self._joins, self._followed = stop, tick * period, k + 1, k
+        self._near = False
         turns = whole_turns(state[:n] - reach.states[place, :n])
         rest = replace(plan.gains, rows=plan.gains.rows[tick:], references=plan.gains.references[tick:])
         ticker.follow(k + 1, StartController(stop, self._at, 0, turns, rest), lift=turns, bounds=self._bounds)

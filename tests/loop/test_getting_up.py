@@ -194,3 +194,11 @@ def test_a_place_farther_back_must_be_the_nearer() -> None:
     assert reach.nearest(state, 4, worth=1.0) == (3, pytest.approx(0.02 * 2))
     assert reach.nearest(state, 0, worth=1.0) == (0, pytest.approx(0.01))
     assert reach.nearest(state + 2.0, 4, worth=1.0) == (4, math.inf)
+
+
+def test_a_run_is_caught_once_until_it_has_been_near_again(ready) -> None:
+    _, told = ready(Push(0.6, 1, 0.01), Push(0.7, 1, 0.01))
+    times = [time for time, name, _ in told.events if name in ("catch", "return")]
+    # It chases its reference until it falls, or settles.
+    assert len(times) <= 1 or np.diff(times).min() > 0.05
+    assert sum(name == "catch" for _, name, _ in told.events) <= 4
