@@ -197,8 +197,7 @@ def test_a_place_farther_back_must_be_the_nearer() -> None:
 
 
 def test_a_run_is_caught_once_until_it_has_been_near_again(ready) -> None:
-    _, told = ready(Push(0.6, 1, 0.01), Push(0.7, 1, 0.01))
-    times = [time for time, name, _ in told.events if name in ("catch", "return")]
-    # It chases its reference until it falls, or settles.
-    assert len(times) <= 1 or np.diff(times).min() > 0.05
-    assert sum(name == "catch" for _, name, _ in told.events) <= 4
+    _, told = ready(Push(0.6, 1, 0.01))
+    # It chases its reference until it falls, and is not sent back meanwhile.
+    names = [name for _, name, _ in told.events if name in ("catch", "return")]
+    assert names[:2] == ["catch", "return"]
