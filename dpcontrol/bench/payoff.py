@@ -385,7 +385,7 @@ class FollowedFlight:
     """What the loop makes of a flight with a period of its orbits on either side.
 
     completed: share of plants; effort: mean ∫u² of those that were, m²/s³, not-a-number if none; sensitivity: rad for a
-    unit of relative error of a parameter; blow: N m s on an arm, anywhen, that half of the plants survive, 0 if not
+    unit of relative error of a parameter; blow: N m s on an arm, at any time, that half of the plants survive, 0 if not
     asked.
     """
 
@@ -808,19 +808,15 @@ def feedback_panel(flights: Sequence[Compared]) -> Panel:
 
 def front_panel(title: str, found: Sequence[Charted]) -> Panel:
     """Return the diagram of effort against time, of references and of the loops that follow them."""
-    points = [Point(_place(c), "", c.duration, c.checked.effort, default=c.method == TUBES, others=numbers(c))
+    points = [Point(c.method, "", c.duration, c.checked.effort, default=c.method == TUBES, others=numbers(c))
               for c in found]  # fmt: skip
     points += [
-        Point(_place(c) + LOOP, "", c.duration, c.followed.effort, note=f"{c.followed.completed:.0%} come through",
+        Point(c.method + LOOP, "", c.duration, c.followed.effort, note=f"{c.followed.completed:.0%} come through",
               others=numbers(c))
         for c in found
         if c.followed is not None and c.followed.completed
     ]  # fmt: skip
     return Panel(title, "time, s", "∫u², m²/s³", tuple(points), judged=False, timed=False)
-
-
-def _place(one: Charted) -> str:
-    return one.method
 
 
 def walk_panels(walks: Sequence[Compared]) -> tuple[Panel, ...]:

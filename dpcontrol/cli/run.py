@@ -168,11 +168,11 @@ def run_command(
         with progress_bar("night") as progress:
             plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
             fly = partial(run_night, plan, out, night, resume=resume, force=force)
-            found = fly(progress=part_of(progress, 0.05, 1.0)) if address is None else None
-        if address is not None:
-            found = fly(link=RigLink(address, key, insecure, real_time))
-        assert found is not None
-        return Answer(found.document(), found.lines())
+            if address is None:
+                done = fly(progress=part_of(progress, 0.05, 1.0))
+                return Answer(done.document(), done.lines())
+        done = fly(link=RigLink(address, key, insecure, real_time))
+        return Answer(done.document(), done.lines())
     with progress_bar("run") as progress:
         plan = make_plan(scene, progress=progress, yes=yes)
         verdict = None

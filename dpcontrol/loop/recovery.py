@@ -91,7 +91,7 @@ def calming_bounds(limits: Limits) -> Mapping[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class StartController:
-    """A way from hanging at rest to one stop of the walk, and on with the itinerary.
+    """A way onto the itinerary, and on with it: from hanging at rest to one stop of the walk, or from a place near it.
 
     stop: which; at s: the time of the plan's reference at which that is joined, after `lead_in` ticks. turns (n,) rad:
     of the plan's reference against this one. gains: of all of it.
@@ -168,9 +168,9 @@ class Reach:
 class RecoveryPlan:
     """What recoveries of an itinerary share: the law that calms, ways from rest to its stops, in their order.
 
-    restarts: whether the itinerary begins anew after a fall. attempts: of one symbol, 0 for no limit. names: of the
-    stops; symbols: their texts, fewer by one. limits: the cart's. path (M, n) rad: of the
-    last stop's orbit, on any turns; period s: its own. gains: of the whole itinerary; reach: of its reference.
+    names: of the stops; symbols: their texts, fewer by one. limits: the cart's. path (M, n) rad: of the last stop's
+    orbit, on any turns; period s: its own. gains: of the whole itinerary; reach: of its reference. restarts: whether
+    the itinerary begins anew after a fall. attempts: of one symbol, 0 for no limit.
     """
 
     calming: CalmingController
@@ -321,13 +321,13 @@ class FallRecovery:
         return [rested, *self._start(k, report, ticker)]
 
     def _caught(self, k: int, report: Array, ticker: Ticker, period: float) -> Sequence[Choice]:
-        """Go on from an earlier place to which the way is much shorter, where the own is long; return what is told."""
+        """Go on from an earlier place where the way back is long and that to it much shorter; return what is told."""
         plan, reach, n = self._plan, self._plan.reach, self._arms
         state = report[: 2 * n + 2, 0]
         here = min(round((self._at / period + k - self._joins) / reach.every), len(reach.states) - 1)
         own = reach.cost(state, here)
         self._near = self._near or not own > _FAR
-        # Once for each time that it has been near: a run that chases its reference would be sent back for ever.
+        # Only after it has been near again: a run that never gets there would be sent back for ever.
         if not own > _FAR or not self._near:
             return ()
         place, least = reach.nearest(state, here, worth=_WORTH / (reach.every * period))
@@ -346,7 +346,7 @@ class FallRecovery:
         turns = whole_turns(state[:n] - reach.states[place, :n])
         rest = replace(plan.gains, rows=plan.gains.rows[tick:], references=plan.gains.references[tick:])
         ticker.follow(k + 1, StartController(stop, self._at, 0, turns, rest), lift=turns, bounds=self._bounds)
-        what = f"{self._progress()}; caught, {back:.2f} s back, at a cost to go of {least:.3g} instead of {own:.3g}"
+        what = f"{self._progress()}; caught, {back:.2f} s back, at a cost-to-go of {least:.3g} instead of {own:.3g}"
         return [Choice("warn", CATCH, joined_text(self._at, what))]
 
     def _keep_standing(self, k: int, report: Array, ticker: Ticker, period: float) -> None:
