@@ -94,7 +94,7 @@ class Ticker:
             """(K, N): of each tick; (K, n, runs): of the angles alone, where each of many runs has a clock of its own.
             """
             self._rows = self._schedule.rows[:, :, None]
-            self._lift: Array | None = None
+            self._lift = np.zeros(self._rows.shape[1:])
             self.queued = self._schedule.queued[:, None]
             program.set_number("mode", float(self._schedule.mode))
         else:
@@ -152,19 +152,10 @@ class Ticker:
         program.take(positions, reading.present, reading.switch if self._heeds_switch else 0, rate_error)
         self._carts[k % len(self._carts)] = positions[-1] if reading.present is None or reading.present[-1] else np.nan
         if self._whole:
-            self._fetch(k - self.began)
+            np.add(self._rows[k - self.began], self._lift, out=program.row)
             program.tick()
             return program.report
         return self._by_parts(k - self.began, reading)
-
-    def _fetch(self, k: int) -> None:
-        """Have the program use row k of what is followed, on the run's own turns."""
-        row = self.program.row
-        row[:] = self._rows[k]
-        # A table is long: what is turned is the one row.
-        if self._lift is not None:
-            row[self._state] += self._lift
-            row[self._wanted] += self._lift
 
     def _by_parts(self, k: int, reading: Reading) -> Array:
         """Do the tick that is k after what is followed began."""
@@ -178,7 +169,7 @@ class Ticker:
             z = sensed[: program.equations.filter.dimension]
         back: Any = 0.0
         if self._session is None:
-            self._fetch(k)
+            np.add(self._rows[k], self._lift, out=program.row)
         elif not self._many and program.memory[self._stopped, 0]:
             # Being brought to rest: the law is asked no more.
             self.references[k] = self.references[k - 1]
@@ -265,9 +256,11 @@ class Ticker:
             self.references = np.tile(now, (self.count, 1))
             self._coming.extend([now] * self.lead)
             return
-        self._session, self._lift = None, lift[:, None]
-        self.references, self._rows = schedule.references.copy(), schedule.rows[:, :, None]
+        self._session, self._rows, self.references = None, schedule.rows[:, :, None], schedule.references.copy()
         self.references[:, : self._arms] += lift
+        # A table is long: each row is turned when its tick comes.
+        self._lift = np.zeros(self._rows.shape[1:])
+        self._lift[self._state] = self._lift[self._wanted] = lift[:, None]
         program.set_number("mode", float(schedule.mode))
 
     def lose(self) -> None:

@@ -37,7 +37,7 @@ from dpcontrol.scenes.run import RigLink, bench_recipe, drawn_metadata, log_writ
 
 _BYTES_A_TICK = 430
 """Of a log of two arms on a cart, packed."""
-_SPEED = 20_000
+_SPEED = 12_000
 """Ticks in a second of simulation, logging included, on one core."""
 _MEMORY, _MEMORY_A_TICK, _MEMORY_A_STOP = 3.5e8, 3900, 210
 """Of a night however long, bytes: of itself, and for each tick of its itinerary the laws' gains and the latest rows,
