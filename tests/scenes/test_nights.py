@@ -59,7 +59,7 @@ def test_what_a_night_takes_is_said_and_too_much_is_refused(tmp_path: Path) -> N
         announce_night(TURN, night, folder)
     with pytest.raises(InputError, match=r"20 GB are begun unasked: thin the logs with --keep-every"):
         announce_night(TURN, NightSettings(hours=18.0), folder)
-    thinned = NightSettings(hours=18.0, keep_every=20)
+    thinned = NightSettings(hours=11.0, keep_every=20)
     assert thinned.disk(1000.0) < NightSettings(hours=18.0).disk(1000.0) / 10
     with pytest.warns(Remark, match="of which one in 20 is kept"):
         announce_night(TURN, thinned, folder)
