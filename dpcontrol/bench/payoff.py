@@ -474,7 +474,7 @@ class Effort:
     quick: bool = False
 
 
-WHOLE = Effort(40, 10, 5, 2, 2, SEEDS, True, FACTORS, FLIGHTS, WALKS)
+WHOLE = Effort(80, 15, 5, 3, 2, SEEDS, True, FACTORS, FLIGHTS, WALKS)
 QUICK = Effort(3, 1, 1, 0, 0, 8, False, (0.5, 1.0, 2.0), FLIGHTS[:1] + FLIGHTS[4:], WALKS[:2], quick=True)
 
 

@@ -364,7 +364,8 @@ def _draw_panel(axis: Any, panel: Panel, looks: dict[str, tuple[str, str]]) -> N
                   zorder=4)  # fmt: skip
     if panel.defaults:
         standing = "; ".join(dict.fromkeys(panel.standing(p) for p in panel.defaults))
-        axis.plot([], [], "o", markersize=9, markerfacecolor="none", color=LIMIT, label=f"default: {standing}")
+        label = fill(f"default: {standing}", 30) if panel.judged else "default"
+        axis.plot([], [], "o", markersize=9, markerfacecolor="none", color=LIMIT, label=label)
     axis.set_xscale("log")
     if panel.log_y:
         axis.set_yscale("log")
