@@ -35,12 +35,7 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Pr
         InputError: the itinerary is not one walk at one energy.
         GoalMissed: its own energy cannot be planned, or no run comes through.
     """
-    if len(itinerary.parts) != 1 or not itinerary.walks:
-        raise InputError(
-            f"{itinerary.path}: --explore-energy compares energies of one walk, and this itinerary is "
-            f"{len(itinerary.parts)} parts; take one walk of it"
-        )
-    walk, system = itinerary.walks[0], itinerary.model.system
+    walk, system = only_walk(itinerary), itinerary.model.system
     symbols = parse_walk(walk.walk, system.saddles)
     names = {saddle for symbol in symbols for one in symbol.simple for saddle in (one.source, one.target)}
     floor = max(equilibrium(system, name).energy for name in names)
@@ -76,6 +71,21 @@ def energies_chart(itinerary: Itinerary, progress: Progress = no_progress) -> Pr
         ),
         chosen=energy_text(walk.energy, points),
         parts=(panel,),
+    )
+
+
+def only_walk(itinerary: Itinerary) -> WalkPart:
+    """Return the one walk that an itinerary is.
+
+    Raises:
+        InputError: it is something else.
+    """
+    if len(itinerary.parts) == 1 and itinerary.walks:
+        return itinerary.walks[0]
+    parts = f"has {len(itinerary.parts)} parts" if len(itinerary.parts) > 1 else "is no walk"
+    raise InputError(
+        f"{itinerary.path}: --explore-energy compares energies of one walk, and this itinerary {parts}; "
+        "name one that is a single walk"
     )
 
 

@@ -34,6 +34,11 @@ def plan_command(
     from dpcontrol.scenes.levels import plan_remarks
     from dpcontrol.scenes.off_tubes import off_tubes_remarks
 
+    if explore_energy is not None:
+        from dpcontrol.bench.energies import only_walk
+        from dpcontrol.scenes.itinerary import load_itinerary
+
+        only_walk(load_itinerary(itinerary))
     plan = api.plan(itinerary, fresh=fresh, yes=yes, progress=True)
     document = plan.document()
     if out is not None and plan.converged:
