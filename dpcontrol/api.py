@@ -440,7 +440,7 @@ def identify(
     """
     from dpcontrol.identification.identify import IdentificationSettings
     from dpcontrol.identification.identify import identify as found_in
-    from dpcontrol.recordings.contradictions import contradiction
+    from dpcontrol.recordings.checks import contradiction
     from dpcontrol.recordings.recording import Recording
     from dpcontrol.scenes.model import write_model
 

@@ -24,8 +24,7 @@ from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
 from dpcontrol.references.reference import Reference
 from dpcontrol.scenes.campaign import Case, Job, run_job
-from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart, load_itinerary, overridden
-from dpcontrol.scenes.levels import (
+from dpcontrol.scenes.evidence import (
     CART_MASS,
     CART_VISCOUS,
     LAG,
@@ -35,6 +34,7 @@ from dpcontrol.scenes.levels import (
     LevelRuns,
     motion_key,
 )
+from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart, load_itinerary, overridden
 from dpcontrol.scenes.plan import Plan, make_plan
 from dpcontrol.scenes.run_options import RunOptions
 

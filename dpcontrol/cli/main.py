@@ -27,7 +27,7 @@ GROUPS = {
         "cache": ("start", "Show what is kept of earlier work, where, and its sizes, or empty it."),
     },
     "Design": {
-        "orbit": ("orbit", "Compute a Lyapunov orbit, or its family, and its Floquet multipliers."),
+        "orbit": ("connections", "Compute a Lyapunov orbit, or its family, and its Floquet multipliers."),
         "connect": ("connections", "Find all homoclinic or heteroclinic connections of an energy."),
         "bifurcations": ("connections", "Find the energies at which connections appear, split or change their hits."),
         "atlas": ("connections", "Compute all of an energy: orbits, tubes, connections, their graph."),

@@ -31,8 +31,7 @@ def plan_command(
     """
     from dpcontrol import api
     from dpcontrol.foundation.files import write_whole
-    from dpcontrol.scenes.levels import plan_remarks
-    from dpcontrol.scenes.off_tubes import off_tubes_remarks
+    from dpcontrol.scenes.evidence import off_tubes_remarks, plan_remarks
 
     if explore_energy is not None:
         from dpcontrol.bench.energies import only_walk

@@ -59,7 +59,7 @@ def import_command(
     from dpcontrol.foundation.cost import announce
     from dpcontrol.foundation.errors import remark
     from dpcontrol.foundation.files import checked_other_file
-    from dpcontrol.recordings.contradictions import constant_angles, contradiction
+    from dpcontrol.recordings.checks import constant_angles, contradiction
     from dpcontrol.recordings.importing import import_recording
     from dpcontrol.recordings.recording import swings_cost, write_recording
     from dpcontrol.scenes.model import load_model
@@ -224,7 +224,7 @@ def replay_command(
     from dpcontrol.foundation.errors import remark
     from dpcontrol.foundation.files import checked_other_file
     from dpcontrol.identification.replay import ReplaySettings, filter_settings, replay_recording, write_replay
-    from dpcontrol.recordings.contradictions import contradiction
+    from dpcontrol.recordings.checks import contradiction
     from dpcontrol.recordings.recording import load_recording
     from dpcontrol.scenes.model import load_model
 

@@ -143,8 +143,8 @@ def run_command(
         if address != OWN_BENCH:
             parse_address(address)
             key = shared_key(key_file)
+    from dpcontrol.scenes.evidence import run_remarks
     from dpcontrol.scenes.itinerary import load_itinerary
-    from dpcontrol.scenes.levels import run_remarks
     from dpcontrol.scenes.plan import make_plan
     from dpcontrol.scenes.run import RigLink, default_log, run_plan
 

@@ -13,9 +13,8 @@ from dpcontrol.dynamics.chain import Level, arm_chain_equations
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE, Limits
 from dpcontrol.references.reference import Reference, still
-from dpcontrol.scenes import levels
-from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
-from dpcontrol.scenes.levels import (
+from dpcontrol.scenes import evidence as shipped
+from dpcontrol.scenes.evidence import (
     Evidence,
     LevelRuns,
     evidence_text,
@@ -24,6 +23,7 @@ from dpcontrol.scenes.levels import (
     plan_remarks,
     run_remarks,
 )
+from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
 from dpcontrol.scenes.model import load_model
 from dpcontrol.scenes.run_options import RunOptions
 
@@ -112,7 +112,7 @@ def test_evidence_reads_back_as_it_was_written(monkeypatch, tmp_path):
         replace(evidence(), scene="two-part", motion="other"),
     ]
     (tmp_path / "level_evidence.toml").write_text(evidence_text(written, heading="made up"))
-    monkeypatch.setattr(levels, "files", lambda package: tmp_path)
+    monkeypatch.setattr(shipped, "files", lambda package: tmp_path)
     known_evidence.cache_clear()
     try:
         assert list(known_evidence().values()) == written

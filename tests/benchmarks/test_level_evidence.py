@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from dpcontrol.bench.levels import HEADING, gather
-from dpcontrol.scenes import levels
+from dpcontrol.scenes import evidence as shipped
+from dpcontrol.scenes.evidence import Evidence, evidence_text, known_evidence
 from dpcontrol.scenes.itinerary import load_itinerary
-from dpcontrol.scenes.levels import Evidence, evidence_text, known_evidence
 
 pytestmark = pytest.mark.benchmark
 
@@ -27,7 +27,7 @@ def gathered() -> list[Evidence]:
 
 def test_the_levels_that_scenes_need_are_those_kept(gathered):
     if os.environ.get("DPCONTROL_STORE_EVIDENCE") == "1":
-        kept = Path(levels.__file__).with_name("level_evidence.toml")
+        kept = Path(shipped.__file__).with_name("level_evidence.toml")
         kept.write_text(evidence_text(gathered, heading=HEADING))
         known_evidence.cache_clear()
     known = {found.scene: found for found in known_evidence().values()}

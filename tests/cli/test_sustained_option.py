@@ -79,7 +79,7 @@ def test_friction_beyond_reach_ends_with_1_and_a_reason(tmp_path: Path) -> None:
 
 def test_a_system_without_arms_is_refused_before_its_orbit_is_sought(monkeypatch: pytest.MonkeyPatch) -> None:
     # Following the family up to this energy takes minutes.
-    monkeypatch.setattr("dpcontrol.cli.orbit._lyapunov", lambda *_: pytest.fail("the orbit was sought"))
+    monkeypatch.setattr("dpcontrol.cli.connections._lyapunov", lambda *_: pytest.fail("the orbit was sought"))
     ended = dpcontrol("orbit", "three-body", "--saddle", "L1", "--energy", "0.5", "--sustained")
     assert ended.code == 2
     assert "has no arms" in ended.message

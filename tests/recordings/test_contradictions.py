@@ -9,7 +9,7 @@ import pytest
 from command_line import dpcontrol
 
 from dpcontrol.dynamics.chain import ArmChainParameters
-from dpcontrol.recordings.contradictions import constant_angles, contradiction
+from dpcontrol.recordings.checks import constant_angles, contradiction
 from dpcontrol.recordings.recording import Recording, simulated_recording
 from dpcontrol.scenes.model import load_model
 
