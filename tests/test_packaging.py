@@ -66,7 +66,7 @@ def test_the_wheel_carries_every_module_its_tables_and_pages_and_nothing_of_the_
     package = {file for end in ends for file in (ROOT / "dpcontrol").rglob(end)}
     package |= {ROOT / "dpcontrol/control/target" / name for name in ("Makefile", "CMakeLists.txt")}
     assert names == {str(file.relative_to(ROOT)) for file in package}
-    pages = {"dpcontrol/guide/rig.md", "dpcontrol/guide/payoff.md"}
+    pages = {f"dpcontrol/guide/{name}.md" for name in ("README", "rig", "payoff")}
     assert {"dpcontrol/recordings/mappings/multi-arm.toml", *pages} <= names
 
 

@@ -1,4 +1,8 @@
-"""Every command in the README runs and prints what the README says.
+"""Every block of commands, Python and TOML in the README and in the guide runs, and prints what stands below it.
+
+A page's sections are tests of their own, each in a fresh folder that holds the files its page shows. Of a section the
+blocks run from above, Python in one namespace. A block whose fence says `slow` runs with the slow tests, together with
+the blocks of its section; a block of ```text only shows.
 
 The two lines that set up an environment are not run here, where one is already set up: `.ci/run` takes the line that
 runs the tests from the README itself and executes it; here both are checked against the project's own files.
@@ -9,6 +13,7 @@ import re
 import shlex
 import tomllib
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
 from command_line import Ended, dpcontrol
@@ -16,59 +21,109 @@ from command_line import Ended, dpcontrol
 from dpcontrol.cli.main import VERBS
 
 ROOT = Path(__file__).parents[1]
-README = (ROOT / "README.md").read_text()
-BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```$", README, re.MULTILINE | re.DOTALL)
+GUIDE = ROOT / "dpcontrol" / "guide"
+PAGES = {path: path.read_text(encoding="utf-8") for path in (ROOT / "README.md", *sorted(GUIDE.glob("*.md")))}
+README = PAGES[ROOT / "README.md"]
 ENVIRONMENT = "python3 -m venv .venv && .venv/bin/pip install -e "
 
 
-def blocks(kind: str) -> list[str]:
-    return [text for name, text in BLOCKS if name == kind]
+class Block(NamedTuple):
+    """A fenced block of a page: of which kind, whether it is for the slow tests, and what it holds."""
 
+    kind: str
+    slow: bool
+    text: str
 
-def conversations(text: str = README) -> list[tuple[str, list[str]]]:
-    """Return each `$ command` of the console blocks of `text` with the lines that it is said to print."""
-    found: list[tuple[str, list[str]]] = []
-    for block in re.findall(r"^```console\n(.*?)^```$", text, re.MULTILINE | re.DOTALL):
-        for line in block.splitlines():
+    def conversations(self) -> list[tuple[str, list[str]]]:
+        """Return each `$ command` with the lines that it is said to print."""
+        found: list[tuple[str, list[str]]] = []
+        for line in self.text.splitlines() if self.kind == "console" else ():
             if line.startswith("$ "):
                 found.append((line[2:], []))
             elif line:
                 found[-1][1].append(line)
+        return found
+
+
+def blocks(text: str, *kinds: str) -> list[Block]:
+    """Return the blocks of a text, of some kinds only where these are named."""
+    found = re.findall(r"^```(\w+)((?: slow)?)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    return [Block(kind, bool(slow), inside) for kind, slow, inside in found if not kinds or kind in kinds]
+
+
+EVERYTHING = "\n".join(PAGES.values())
+FRONT_DOOR = blocks(README, "python")[0].text
+"""The first example in Python, which test_api runs."""
+COMMANDS = [said for block in blocks(EVERYTHING, "console") for said in block.conversations()]
+TOML = [block.text for block in blocks(EVERYTHING, "toml")]
+
+
+def sections(text: str) -> list[str]:
+    """Return the parts of a page, from heading to heading of the second level, each beginning with its title."""
+    return text.removeprefix("# ").split("\n## ")
+
+
+class Section(NamedTuple):
+    """A part of a page under one heading, with the blocks that run."""
+
+    page: Path
+    title: str
+    blocks: list[Block]
+
+
+SECTIONS = [
+    Section(page, part.split("\n", 1)[0], running)
+    for page, text in PAGES.items()
+    for part in sections(text)
+    if (running := [one for one in blocks(part, "console", "python") if one.text != FRONT_DOOR])
+]
+
+
+def cases() -> list[Any]:
+    """Return each section with its quick blocks, and where there are slow ones, with all of its blocks."""
+    found = []
+    for section in SECTIONS:
+        name = f"{section.page.parent.name}-{section.page.stem}-{section.title}"
+        quick = [one for one in section.blocks if not one.slow]
+        if quick:
+            found.append(pytest.param(section._replace(blocks=quick), id=name))
+        if quick != section.blocks:
+            found.append(pytest.param(section, id=f"{name}-slow", marks=pytest.mark.slow))
     return found
 
 
-SECTIONS = {text.split("\n", 1)[0]: conversations(text) for text in README.split("\n## ")[1:] if conversations(text)}
-"""The README's sections that hold commands, by title."""
-LONG = [title for title, shown in SECTIONS.items() if "dpcontrol bench" in str(shown)] + [
-    "The atlas of an energy",
-    "Write an itinerary",
-    "The bench, and what controls it",
-    "Recordings from a rig",
-]
-"""Sections that take longest: they draw a chart, search many energies, fly several itineraries, or fit a model."""
+def made_by() -> dict[str, str]:
+    """Return the commands that make the files which pages name: those that print a log first, or write a file."""
+    found: dict[str, str] = {}
+    for command, lines in COMMANDS:
+        makes = command.split()[1] in ("run", "import", "replay", "campaign")
+        names = re.findall(r"^logs/\S+", "\n".join(lines), re.MULTILINE) if makes else []
+        for name in [*names, *re.findall(r"--(?:out|save) (\S+\.\w+)", command)]:
+            found.setdefault(name, command)
+    return found
 
 
 def makers(text: str) -> list[str]:
-    """Return the commands that make the logs which `text` names: those that print a log's name first."""
-    found: dict[str, str] = {}
-    for command, lines in conversations():
-        for name in re.findall(r"^logs/\S+", "\n".join(lines), re.MULTILINE):
-            found.setdefault(name, command)
-    return [command for name, command in found.items() if name in text]
+    """Return the commands that make the files which `text` names, those that they need first."""
+    found: list[str] = []
+    for name, command in made_by().items():
+        if re.search(rf"{re.escape(name)}(?![\w.-])", text) and command not in text:
+            found += [one for one in [*makers(command), command] if one not in found]
+    return found
 
 
 def commands_in_text() -> list[str]:
     """Return the complete `dpcontrol …` commands that tables quote: those of the numbers reached."""
-    return re.findall(r"\| `(dpcontrol [^`]+)` \|$", README, re.MULTILINE)
+    return re.findall(r"\| `(dpcontrol [^`]+)` \|$", EVERYTHING, re.MULTILINE)
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A folder with the files that the README shows, under the names it gives them."""
-    for text in blocks("toml"):
-        (name,) = re.findall(r"\A# ([\w/-]+\.toml)\n", text)
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(text)
+    """A folder with the files that the pages show, under the names they give them."""
+    for text in TOML:
+        for name in re.findall(r"\A# ([\w/-]+\.toml)\n", text):
+            (tmp_path / name).parent.mkdir(exist_ok=True)
+            (tmp_path / name).write_text(text)
     return tmp_path
 
 
@@ -82,47 +137,67 @@ def in_the_folder(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def said(line: str) -> re.Pattern[str]:
-    """Return what matches a line of the README in a program's output: … is anything, spaces may differ in number."""
+    """Return what matches a line of a page in a program's output: … is anything, spaces may differ in number."""
     words = [".*?".join(map(re.escape, word.split("…"))) for word in line.split()]
     return re.compile(r"\s+".join(words), re.MULTILINE)
 
 
 def ended_as_said(command: str) -> Ended:
-    """Run a command of the README and check its exit code."""
+    """Run a command of a page and check its exit code."""
     words = shlex.split(command, comments=True)
     assert words[0] == "dpcontrol"
     ended = dpcontrol(*words[1:])
-    assert ended.code == (1 if "exits with 1" in command or "feedforward" in command else 0), (command, ended.stderr)
+    told = re.search(r"# .*exits with (\d+)", command)
+    code = int(told[1]) if told else int("feedforward" in command)
+    assert ended.code == code, (command, ended.stderr)
     return ended
 
 
-def test_the_readme_shows_every_verb_at_work() -> None:
-    assert {command.split()[1] for command, _ in conversations()} >= set(VERBS) - {"demo", "rig"}
-
-
-@pytest.mark.parametrize(
-    "section",
-    [pytest.param(title, marks=pytest.mark.slow if title in LONG else []) for title in SECTIONS],
-)
-def test_the_commands_of_a_section_print_what_it_shows(section: str) -> None:
-    own = [command for command, _ in SECTIONS[section]]
-    for command in makers("\n".join(own)):
-        if command not in own:
-            ended_as_said(command)
-    for command, lines in SECTIONS[section]:
+def printed_as_said(block: Block) -> None:
+    """Run a block's commands and check what they print and write."""
+    for command, lines in block.conversations():
         ended = ended_as_said(command)
+        output = ended.stdout + ended.stderr if ended.code == 2 else ended.stdout
         for line in lines:
-            assert said(line).search(ended.stdout), f"{command}\ndid not print\n{line}\nbut\n{ended.stdout}"
-        for name in re.findall(r"--(?:out|save|picture) (\S+)", command):
+            assert said(line).search(output), f"{command}\ndid not print\n{line}\nbut\n{output}"
+        for name in re.findall(r"--(?:out|save|picture|film) (\S+)", command):
             assert Path(name).exists(), f"{command} did not write {name}"
 
 
-@pytest.mark.parametrize("block", [pytest.param(text, id=text.split("\n")[0]) for text in blocks("python")[1:]])
-def test_the_python_shown_runs(block: str) -> None:
-    """The first block, the front door, is run by test_api."""
-    for command in makers(block):
+def test_the_pages_show_every_verb_at_work() -> None:
+    assert {command.split()[1] for command, _ in COMMANDS} >= set(VERBS) - {"demo", "rig"}
+
+
+@pytest.mark.parametrize("section", cases())
+def test_the_blocks_of_a_section_run_and_print_what_it_shows(section: Section) -> None:
+    for command in makers("\n".join(block.text for block in section.blocks)):
         ended_as_said(command)
-    exec(compile(block, "README.md", "exec"), {})
+    names: dict[str, Any] = {}
+    for block in section.blocks:
+        if block.kind == "python":
+            exec(compile(block.text, section.page.name, "exec"), names)
+        else:
+            printed_as_said(block)
+
+
+@pytest.mark.parametrize("text", [pytest.param(text, id=text.split("\n")[0]) for text in TOML])
+def test_the_toml_shown_is_that_of_a_model_an_itinerary_or_a_part_of_one(text: str, folder: Path) -> None:
+    """`# models/NAME.toml` begins a whole file, `# added to itineraries/NAME.toml` what a shipped one gains by it."""
+    from dpcontrol.scenes.itinerary import load_itinerary
+    from dpcontrol.scenes.model import load_model
+
+    head = text.split("\n")[0]
+    (added, name), *_ = re.findall(r"^# (added to )?([\w/-]+\.toml)$", head) or [("", "")]
+    assert name, f"{head}: the first line must be a comment that names the file"
+    assert [other.split("\n")[0] for other in TOML].count(head) == 1, f"{head} is shown twice"
+    shown = folder / name
+    if added:
+        shown.parent.mkdir(exist_ok=True)
+        shown.write_text((ROOT / name).read_text(encoding="utf-8") + text, encoding="utf-8")
+    assert tomllib.loads(shown.read_text(encoding="utf-8"))
+    kind = shown.parent.name
+    if kind in ("models", "itineraries"):
+        assert {"models": load_model, "itineraries": load_itinerary}[kind](str(shown))
 
 
 def test_the_commands_that_show_the_numbers_run() -> None:
@@ -134,13 +209,14 @@ def test_the_commands_that_show_the_numbers_run() -> None:
 def test_every_verb_and_option_that_the_text_mentions_exists() -> None:
     helps = {verb: dpcontrol(verb, "--help") for verb in VERBS}
     assert all(ended.code == 0 for ended in helps.values())
-    known = set(re.findall(r"--[a-z][a-z-]*", "".join(ended.stdout for ended in helps.values())))
-    mentioned = re.findall(r"`(?:dpcontrol )?(\w*)[^`\n]*?(--[a-z][a-z-]*)", README)
-    assert {option for verb, option in mentioned if verb != "ruff"} <= known
+    known = {"--version", "--help", *re.findall(r"--[a-z][a-z-]*", "".join(ended.stdout for ended in helps.values()))}
+    for page, text in PAGES.items():
+        mentioned = re.findall(r"`(?:dpcontrol )?(\w*)[^`\n]*?(--[a-z][a-z-]*)", text)
+        assert {option for verb, option in mentioned if verb != "ruff"} <= known, page.name
 
 
 def test_the_two_lines_that_set_up_an_environment_are_there() -> None:
-    lines = "".join(blocks("sh")).splitlines()
+    lines = "".join(block.text for block in blocks(README, "sh")).splitlines()
     assert len(lines) == 2
     demo, tests = lines
     assert demo == f"{ENVIRONMENT}. && .venv/bin/dpcontrol demo"
@@ -160,20 +236,63 @@ def test_the_check_in_ci_takes_its_command_from_the_readme() -> None:
     text = script.read_text()
     (pattern,) = re.findall(r"grep -E '([^']+)' README\.md", text)
     (tests,) = [line for line in README.splitlines() if re.search(pattern, line)]
-    assert tests in "".join(blocks("sh")).splitlines()
+    assert tests in "".join(block.text for block in blocks(README, "sh")).splitlines()
     assert os.access(script, os.X_OK)
     for tool in ("ruff check", "ruff format --check", "pyright", "lint-imports"):
         assert f".venv/bin/{tool}" in text
 
 
-def test_the_files_that_the_readme_shows_or_links_to_exist() -> None:
-    links = re.findall(r"\]\(([^)]+)\)", README)
-    shown = [link for link in links if link.startswith(".assets/")]
-    assert sorted(shown) == sorted(f".assets/{file.name}" for file in (ROOT / ".assets").iterdir())
-    for link in links:
-        assert (ROOT / link).is_file(), link
-    for picture in shown:
-        assert (ROOT / picture).read_bytes().startswith(b"\x89PNG\r\n\x1a\n")
+def anchors(text: str) -> set[str]:
+    """Return the anchors that forges give a page's headings."""
+    prose = re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
+    titles = re.findall(r"^#+ (.+)$", prose, re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
+
+
+@pytest.mark.parametrize("page", [pytest.param(page, id=f"{page.parent.name}-{page.stem}") for page in PAGES])
+def test_the_links_of_a_page_lead_to_files_and_headings(page: Path) -> None:
+    for link in re.findall(r"\]\(([^)\s]+)\)", PAGES[page]):
+        if link.startswith(("https://", "http://")):
+            continue
+        name, _, anchor = link.partition("#")
+        target = (page.parent / name).resolve() if name else page
+        assert target.is_file(), link
+        assert not anchor or anchor in anchors(PAGES[target]), link
+
+
+def test_every_picture_is_shown_and_is_one() -> None:
+    links = re.findall(r"!\[[^\]]+\]\(([^)]+)\)", EVERYTHING)
+    assert {Path(link).name for link in links} == {file.name for file in (ROOT / ".assets").iterdir()}
+    for file in (ROOT / ".assets").iterdir():
+        head = {".png": b"\x89PNG\r\n\x1a\n", ".gif": b"GIF89a"}[file.suffix]
+        assert file.read_bytes().startswith(head)
+        assert file.stat().st_size <= 3e6
+
+
+def test_a_section_with_a_picture_names_the_command_that_draws_it() -> None:
+    for page, text in PAGES.items():
+        for part in sections(text):
+            if "![" in part:
+                assert re.search(r"dpcontrol |`run |pytest ", part), (page.name, part.split("\n")[0])
+
+
+def test_the_guide_lists_each_of_its_pages_once_and_shows_it() -> None:
+    listed = [one["topic"] for one in dpcontrol("guide", "--json").document["topics"]]
+    assert sorted(listed) == sorted(page.stem for page in PAGES if page.parent == GUIDE and page.stem != "README")
+    plain = dpcontrol("guide").stdout
+    for topic in listed:
+        assert re.search(rf"^  {topic} +\S", plain, re.MULTILINE)
+        shown = dpcontrol("guide", topic)
+        title = PAGES[GUIDE / f"{topic}.md"].split("\n")[0].removeprefix("# ")
+        assert shown.code == 0
+        assert title in shown.stdout
+    assert dpcontrol("guide", listed[0], "--json").document["text"] == PAGES[GUIDE / f"{listed[0]}.md"]
+
+
+def test_a_page_that_there_is_not_is_bad_input_with_a_suggestion() -> None:
+    ended = dpcontrol("guide", "rigg")
+    assert ended.code == 2
+    assert ended.message.startswith("dpcontrol: the guide has no page 'rigg'; did you mean 'rig'?")
 
 
 def test_the_table_of_topics_is_that_of_the_logs() -> None:
@@ -181,6 +300,6 @@ def test_the_table_of_topics_is_that_of_the_logs() -> None:
 
     names = [value for value in vars(layout).values() if isinstance(value, str)]
     topics = {name for name in names if re.fullmatch(r"(/[a-z_]+)+", name)}
-    (table,) = re.findall(r"^\| topic .*?\n\n", README, re.MULTILINE | re.DOTALL)
+    (table,) = re.findall(r"^\| topic .*?\n\n", EVERYTHING, re.MULTILINE | re.DOTALL)
     assert len(topics) == 10
     assert set(re.findall(r"`(/[a-z_/]+)`", table)) == topics

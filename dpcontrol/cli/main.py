@@ -24,6 +24,7 @@ GROUPS = {
     "Start": {
         "demo": ("start", "Plan, run, score and picture one itinerary."),
         "model": ("start", "Show a model: parameters, equilibria, eigenvalues."),
+        "guide": ("start", "Read a page of the guide, or list its pages."),
         "cache": ("start", "Show what is kept of earlier work, where, and its sizes, or empty it."),
     },
     "Design": {

@@ -1,13 +1,28 @@
-"""The verbs to start with: demo, model."""
+"""The verbs to start with: demo, model, guide, cache."""
 
+import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from dpcontrol.cli.review import score_text, shortfall
-from dpcontrol.cli.verbs import FOLDER, OUTPUT, YES, Answer, TextTable, argument, force_option, option, table, verb
+from dpcontrol.cli.verbs import (
+    FOLDER,
+    OUTPUT,
+    YES,
+    Answer,
+    Markdown,
+    TextTable,
+    argument,
+    force_option,
+    option,
+    table,
+    verb,
+)  # fmt: skip
+from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import part_of, progress_bar
+from dpcontrol.foundation.settings import suggest
 
 if TYPE_CHECKING:
     from dpcontrol.orbits.symmetric_shooting import Equilibrium
@@ -88,6 +103,26 @@ def model_command(*, model: str = argument()) -> Answer:
         "equilibria": {name: picked(e, "state", "energy", "eigenvalues", "kind") for name, e in points.items()},
     }
     return Answer(document, _text(loaded, points))
+
+
+GUIDE = Path(__file__).parents[1] / "guide"
+"""The folder of the guide's pages; its README.md lists them in reading order."""
+
+
+@verb("guide", example="dpcontrol guide start", note="`dpcontrol guide` lists the pages in reading order.")
+def guide_command(*, topic: str | None = argument()) -> Answer:
+    """Read a page of the guide, or list its pages."""
+    index = (GUIDE / "README.md").read_text(encoding="utf-8")
+    topics = dict(re.findall(r"^- \[([\w-]+)\]\(\1\.md\): (.+)$", index, re.MULTILINE))
+    document = {"topics": [{"topic": name, "about": about} for name, about in topics.items()]}
+    if topic is None:
+        width = max(map(len, topics))
+        lines = [f"  {name:{width}}  {about}" for name, about in topics.items()]
+        return Answer(document, ["The guide, in reading order:", *lines, "", "`dpcontrol guide TOPIC` shows a page."])
+    if topic not in topics:
+        raise InputError(f"the guide has no page {topic!r}; {suggest(topic, topics)}")
+    text = (GUIDE / f"{topic}.md").read_text(encoding="utf-8")
+    return Answer({"topic": topic, "text": text, **document}, [Markdown(text)])
 
 
 @verb("cache", example="dpcontrol cache --clear", note="The folder is $DPCONTROL_CACHE, else ~/.cache/dpcontrol.")

@@ -52,6 +52,12 @@ class TextTable(NamedTuple):
     rows: Iterable[Sequence[str]]
 
 
+class Markdown(NamedTuple):
+    """A page for people, drawn for the terminal."""
+
+    text: str
+
+
 def table(title: str, items: Iterable[Any], columns: Mapping[str, str | Callable[[Any], str]]) -> TextTable:
     """Return a table with a row for each item; a column has a heading, and a format of the item or what writes it."""
     rows = [[show.format(one) if isinstance(show, str) else show(one) for show in columns.values()] for one in items]
@@ -68,7 +74,7 @@ class Answer:
     """What a verb found: its JSON document, the lines and tables for people, and why the goal was missed, or ""."""
 
     document: Mapping[str, Any]
-    text: Iterable[str | TextTable]
+    text: Iterable[str | TextTable | Markdown]
     missed: str = ""
 
 
@@ -240,7 +246,7 @@ def show(answer: Answer) -> None:
         print_json(answer.document)
     else:
         for item in answer.text:
-            click.echo(printable(item)) if isinstance(item, str) else _print_table(item)
+            _print(item)
     if answer.missed:
         raise GoalMissed(answer.missed)
 
@@ -255,6 +261,19 @@ def print_json(document: Mapping[str, Any]) -> None:
 def say(text: str) -> None:
     """Print a line on stderr, beside the answer."""
     click.echo(printable(text), err=True)
+
+
+def _print(item: str | TextTable | Markdown) -> None:
+    if isinstance(item, str):
+        click.echo(printable(item))
+    elif isinstance(item, TextTable):
+        _print_table(item)
+    else:
+        from rich.console import Console
+        from rich.markdown import Markdown as Page
+
+        console = Console()
+        Console(width=min(console.width, 110) if console.is_terminal else 110).print(Page(item.text))
 
 
 def _print_table(shown: TextTable) -> None:
