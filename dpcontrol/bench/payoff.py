@@ -475,7 +475,7 @@ class Effort:
 
 
 WHOLE = Effort(80, 15, 5, 3, 2, SEEDS, True, FACTORS, FLIGHTS, WALKS)
-QUICK = Effort(3, 1, 1, 0, 0, 8, False, (0.5, 1.0, 2.0), FLIGHTS[:1] + FLIGHTS[4:], WALKS[:2], quick=True)
+QUICK = Effort(2, 1, 1, 0, 0, 6, False, (0.5, 1.0, 2.0), FLIGHTS[:1] + FLIGHTS[4:], WALKS[:2], quick=True)
 
 
 @dataclass(frozen=True, eq=False)

@@ -68,7 +68,7 @@ class DrawnChart:
 
 _SECONDS, _QUICKLY = 90.0, 10.0
 """What a chart takes on one processor, and a quick one, in s."""
-_SPREAD_SECONDS, _SPREAD_QUICKLY = 800.0, 100.0
+_SPREAD_SECONDS, _SPREAD_QUICKLY = 1400.0, 90.0
 """The same of one that uses several."""
 _MEMORY = 4e8
 """Bytes that a process takes which draws charts."""
