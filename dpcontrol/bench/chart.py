@@ -421,11 +421,12 @@ def _of(module: str, function: str = "chart") -> Drawer:
     return chart
 
 
-_PRECISION = ("propagation", "connections", "transcription", "estimation", "control", "logging", "levels", "payoff")
-_EDGES = ("propagation", "seeds", "walks", "references", "control", "moving", "ogy", "estimation")
-CHARTS: dict[str, Drawer] = {name: _of(name) for name in _PRECISION} | {
+_EDGES = ("propagation", "seeds", "walks", "references", "control", "moving", "ogy", "estimation", "margins")
+CHARTS: dict[str, Drawer] = {
+    **{name: _of(name) for name in ("propagation", "connections", "transcription")},
+    **{name: _of("control", f"{name}_chart") for name in ("estimation", "control")},
+    **{name: _of(name) for name in ("logging", "levels", "payoff")},
     **{f"edges-{name}": _of("edges", f"{name}_chart") for name in _EDGES},
-    "edges-margins": _of("control", "margins_chart"),
 }
 GROUPS = {"edges": tuple(name for name in CHARTS if name.startswith("edges-"))}
 """Names that stand for several charts."""

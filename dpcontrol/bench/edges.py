@@ -22,11 +22,13 @@ inputs, Hu & Lin, Control Systems with Actuator Saturation (2001), chapter 2.
 K (1 - p) pᵐ times on average, nearly independently: half of the runs see none at K (1 - p) pᵐ = ln 2.
 Source: Feller, An Introduction to Probability Theory and Its Applications I, 3rd ed., section XIII.7, for runs.
 
+*Margins.* What a loop's margins say it bears, beside campaigns with a drive that is not as believed.
+
 Seeds of tubes, and OGY by its sections, are measured only. Where chance decides, the border is where half succeed.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from typing import Any
@@ -44,7 +46,7 @@ from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.interface import Controller, SampledModel
 from dpcontrol.control.lqr import HoldController, HoldSettings, hold_controller
 from dpcontrol.control.ogy import OgyController, OgySettings, ogy_controller
-from dpcontrol.control.periodic import orbit_controller
+from dpcontrol.control.periodic import OrbitController, orbit_controller
 from dpcontrol.control.tracking import TvlqrSettings, tracking_controller
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import fixed_step
@@ -52,8 +54,8 @@ from dpcontrol.dynamics.plant import PlantParameters, longest_step
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.loop.bench import DriveSettings, SensorSettings
-from dpcontrol.loop.loop import LoopSettings, run_batch, run_loop, sampled_model
-from dpcontrol.loop.result import Ending
+from dpcontrol.loop.loop import LoopSettings, loop_controller, loop_margins, run_batch, run_loop, sampled_model
+from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
@@ -65,6 +67,7 @@ from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
 from dpcontrol.scenes.model import load_model
 from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.planning import shadowing_orbit
+from dpcontrol.scenes.run_options import RunOptions
 from dpcontrol.shooting.newton import NewtonSettings
 from dpcontrol.tubes.connection import Connection
 from dpcontrol.tubes.connections import find_connections
@@ -795,3 +798,120 @@ def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: floa
     # What must pass at least: the filter's doubt comes on top.
     least = earliest_report(orbit, at % orbit.period, sensor=sensor)
     return find_border(probe, x=phase, line=f"{phase:g}", near=least / 2, far=8 * least, ratio=1.1, unit=1e-3)
+
+
+FOLLOWED = (
+    ("hold-up-up", "lqr"), ("outer-turn", "tvlqr"), ("outer-turn", "adaptive"), ("keep-down-up", "tvlqr"),
+    ("cross", "tvlqr"), ("cross", "adaptive"), ("turn-from-rest", "tvlqr"), ("turn-from-rest", "adaptive"),
+    ("up-up", "adaptive"),
+)  # fmt: skip
+"""Itineraries and laws whose margins are compared with campaigns; a quick chart has the first three."""
+MARGIN_ERROR = 2e-3
+"""rad on each angle at the start: small, so that stability decides and not the size of what it has to bear."""
+STAYED = 10.0
+"""s, for which a stay lasts."""
+ASTRAY = 0.3
+"""rad from the reference over a run's last tenth: what is farther off was not held."""
+TRIED = 10.0
+"""The greatest gain that a simulated drive has: what a loop bears beyond it is not tried."""
+CHATTER = 3.0
+"""m/s² rms of the feedback, which stays below 1 while the loop is stable: more is a swing that limits alone contain."""
+SHORT = 1.0
+"""By what share a border may lie beyond its margin: a flight ends before what grows slowly has grown."""
+
+
+@dataclass(frozen=True, eq=False)
+class FollowedReference:
+    """A reference with the law that follows it, in runs of `seeds` seeds."""
+
+    reference: Reference
+    arms: ArmChainParameters
+    settings: LoopSettings
+    controller: Controller
+    margins: Mapping[str, float]
+    seeds: int
+
+    def run(self, *, gain: float = 1.0, delay: float = 0.0, lag: float = 0.0) -> Attempt:
+        """Return whether half of the seeds hold on to the reference with a drive that is so unlike the one believed."""
+        believed, rate = self.settings.drive.delay, self.settings.rate
+        drive = replace(self.settings.drive, response=gain, lag=lag, delay=believed + delay * rate)
+        runs = run_batch(
+            self.arms, settings=replace(self.settings, drive=drive), seeds=range(self.seeds),
+            controller=self.controller, limits=self.settings.limits(self.reference), believed_delay=believed,
+        )  # fmt: skip
+        failed = [why for run in runs if (why := _astray(run))]
+        return Attempt(2 * len(failed) < self.seeds, failed[0] if failed else "")
+
+
+def _astray(run: BatchRun) -> str:
+    """Return why a run did not hold on to its reference, "" where it did."""
+    if run.ending is not Ending.FINISHED:
+        return run.reason
+    if run.rms_feedback > CHATTER:
+        return f"finished, but the command swings: feedback of {run.rms_feedback:.2g} m/s² rms"
+    tail, n = max(len(run.times) // 10, 1), run.references.shape[1]
+    away = float(np.abs(run.truth[-tail:, :n] - run.references[-tail:]).max())
+    return "" if away < ASTRAY else f"finished, but {away:.2g} rad away over its last tenth"
+
+
+@cache
+def followed(itinerary: str, law: str, seeds: int) -> FollowedReference:
+    """Return an itinerary followed by a law; a stay for `STAYED` s."""
+    scene = load_itinerary(itinerary).with_run(RunOptions(controller=law, travel=0.8))
+    reference, arms = make_plan(scene).reference, scene.model.arms
+    settings = LoopSettings(
+        seed=0, controller=scene.loop.controller, estimator=scene.loop.estimator, initial_error=MARGIN_ERROR, travel=0.8
+    )
+    controller: Any = loop_controller(reference, arms, settings)
+    if isinstance(controller, OrbitController | HoldController):
+        controller = replace(controller, ticks=round(STAYED * settings.rate))
+    least = loop_margins(reference, arms, settings, controller).least()
+    margins = {name: value for name, (value, _) in least.items()}
+    return FollowedReference(reference, arms, settings, controller, margins, seeds)
+
+
+def margin_border(name: str, case: tuple[str, str], *, seeds: int, ratio: float) -> Border:
+    """Return the border of gain_low, gain_high, delay or lag, beside its margin."""
+    loop, key = followed(*case, seeds), name.partition("_")[0]
+    predicted = loop.margins[name]
+    near, far = {"gain_low": (1.0, predicted / 4), "gain_high": (1.0, min(4 * predicted, TRIED))}.get(
+        name, (predicted / 16, 4 * predicted)
+    )
+    return find_border(
+        lambda value: loop.run(**{key: value}), x=0.0, line=", ".join(case), near=near, far=far, ratio=ratio,
+        predicted=predicted if name != "gain_high" or predicted < TRIED else None,
+    )  # fmt: skip
+
+
+def margins_chart(quick: bool, progress: Progress) -> EdgeChart:
+    """Return the chart of margins beside campaigns; quick: fewer itineraries and seeds."""
+    cases, seeds, ratio = (FOLLOWED[:3], 8, 1.15) if quick else (FOLLOWED, 32, 1.08)
+
+    def border(case: tuple[str, str], name: str) -> Border:
+        found = margin_border(name, case, seeds=seeds, ratio=ratio)
+        return replace(found, x=float(cases.index(case)))
+
+    theory = "the loop's margin, least along the reference"
+    maps = [
+        (
+            EdgeMap(title, "itinerary and law", label, theory=theory, far="lost", log_x=False, agrees=SHORT),
+            partial(border, name=name), cases,
+        )
+        for name, title, label in (
+            ("gain_low", "Too little of a command", "share that the drive gives"),
+            ("gain_high", "Too much of a command", "factor that the drive gives"),
+            ("delay", "Further delay", "s"), ("lag", "Further lag", "s"),
+        )
+    ]  # fmt: skip
+    return EdgeChart(
+        name="edges-margins",
+        title="Margins of the loop, and where campaigns end",
+        reading=(
+            f"Borders: where half of {seeds} runs are lost, or swing within the limits; the drive is not as believed.",
+            "Diamonds: the margins, by multipliers over a period where the motion repeats itself, by growth over a "
+            "wobble along flights.",
+            "A flight may end before what grows has grown, so its border may lie beyond its margin.",
+        ),
+        chosen=f"Margins as `plan --margins` shows them; a border up to {1 + SHORT:g} times as far counts as agreeing.",
+        parts=measured_maps(progress, *maps),
+    )

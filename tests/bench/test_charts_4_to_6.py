@@ -12,8 +12,17 @@ import numpy as np
 import pytest
 from log_recording import RATE, hand_over, recording
 
-from dpcontrol.bench.control import ControlTask, held, measured
-from dpcontrol.bench.estimation import PERIOD, derivative_trial, differences, estimator_trial, noise_of, swing
+from dpcontrol.bench.control import (
+    PERIOD,
+    ControlTask,
+    derivative_trial,
+    differences,
+    estimator_trial,
+    held,
+    measured,
+    noise_of,
+    swing,
+)
 from dpcontrol.bench.logging import Arrays, Blocks, ByMessage, Lines, RowGroups, losses
 from dpcontrol.control.estimator_settings import EkfSettings
 from dpcontrol.control.ogy import OgySettings, ogy_controller

@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from dpcontrol.bench.control import TRIED, followed
 from dpcontrol.bench.edges import (
     STRONG,
+    TRIED,
     WEAK,
     WITHOUT_FILTER,
     delay_border,
+    followed,
     held_at_rest,
     held_delay_border,
     held_mismatch_border,
