@@ -17,7 +17,7 @@ import click
 
 import dpcontrol
 from dpcontrol.cli.verbs import DEBUG, Call, print_json, say
-from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
+from dpcontrol.foundation.errors import GoalMissed, InputError, PartMissing, Remark
 from dpcontrol.foundation.interrupts import interrupts
 
 GROUPS = {
@@ -169,7 +169,7 @@ def _failed(error: Exception, arguments: Sequence[str], call: Call) -> int:
     """Say in a sentence what went wrong; return the exit code."""
     if isinstance(error, GoalMissed):
         sentence, code = str(error), 1
-    elif isinstance(error, InputError):
+    elif isinstance(error, InputError | PartMissing):
         sentence, code = str(error), 2
     elif isinstance(error, OSError) and error.errno == errno.ENOSPC:
         sentence, code = "no space left where the output goes; nothing more was written", 1

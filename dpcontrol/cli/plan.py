@@ -13,7 +13,11 @@ if TYPE_CHECKING:
     from dpcontrol.scenes.plan import Plan
 
 
-@verb("plan", example="dpcontrol plan outer-turn", note="ITINERARY is a name (in ./itineraries or shipped) or a path.")
+@verb(
+    "plan",
+    example="dpcontrol plan outer-turn",
+    note="ITINERARY is a name (in ./itineraries or shipped) or a path: of a .toml, or of a plan that --out wrote.",
+)
 def plan_command(
     *,
     itinerary: str = argument(),
@@ -140,7 +144,9 @@ def _reference_text(document: Mapping[str, Any]) -> Iterator[str | TextTable]:
         f"{1e3 * document['shortest_interval']:.3g} to {1e3 * document['longest_interval']:.3g} ms"
     )
     measured = document["measured_error_between_nodes"]
-    anew = "not measured anew: the file names no arms" if measured is None else f"{measured:.1e} measured anew"
+    anew = f"{measured:.1e} measured anew" if measured is not None else "not measured anew: the file names no arms"
+    if measured is None and "parameters" in document["made_from"]:
+        anew = "not measured anew: that takes heyoka, which is not installed"
     yield f"  error        {document['max_error_between_nodes']:.1e} between nodes as stored, {anew}"
     yield f"  effort       {document['rms_cart_acceleration']:.4g} m/s² rms, ∫u² {document['effort']:.4g} m²/s³"
     if origin := document["made_from"]:

@@ -22,11 +22,10 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 import casadi as ca
-import heyoka as hy
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from dpcontrol.dynamics.compiled import to_heyoka
+from dpcontrol.dynamics.compiled import hy, to_heyoka
 from dpcontrol.dynamics.equations import Equations
 from dpcontrol.foundation.errors import GoalMissed
 
@@ -154,7 +153,6 @@ def _copied(equations: Equations, kind: Hashable, make: Callable[[], Any]) -> An
 # time; with it: 4 lanes 0.09 s, 8 lanes 0.067 s, 16 lanes 0.064 s, 0.2 s to compile. Sixteen waste more on the few
 # trajectories of a refinement.
 LANES = 8
-_FLYING = hy.taylor_outcome.success
 
 
 class CrossingFinder:
@@ -208,7 +206,7 @@ class CrossingFinder:
         first_sheets = np.full(len(states), section.offset)
         if section.period is not None:
             first_sheets[waiting] += section.period * np.floor(section.height(states[waiting]) / section.period)
-        ends = np.zeros(LANES)
+        ends, success = np.zeros(LANES), hy.taylor_outcome.success
         flying: list[int | None] = [None] * LANES
         seen = [0] * LANES
 
@@ -224,7 +222,7 @@ class CrossingFinder:
             integrator.propagate_until(ends)
             for lane, (outcome, *_) in enumerate(integrator.propagate_res):
                 k = flying[lane]
-                if k is None or outcome == _FLYING:
+                if k is None or outcome == success:
                     continue
                 # A stopping terminal event reports -1 - its index; everything else ends the flight.
                 sheet = -1 - int(outcome)

@@ -34,6 +34,7 @@ from dpcontrol.dynamics.equations import (
 )
 from dpcontrol.dynamics.propagator import Propagator, Section, taylor_system
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.parts import installed
 from dpcontrol.foundation.settings import Settings, setting, suggest
 
 Array = NDArray[np.float64]
@@ -289,10 +290,11 @@ def described_system(
         InputError: what is wrong with a guess, a symmetry or an option.
     """
     n, numeric = len(coordinates), NumericEquations(equations, parameters)
-    try:
-        taylor_system(equations, [])
-    except NotImplementedError as error:
-        raise InputError(f"{name} cannot be compiled: {error}") from error
+    if installed("heyoka"):
+        try:
+            taylor_system(equations, [])
+        except NotImplementedError as error:
+            raise InputError(f"{name} cannot be compiled: {error}") from error
     states = _equilibria(name, numeric, equilibria, n)
     saddles = {key: state for key, state in states.items() if saddle_index(numeric, state) == 1}
     if not saddles:

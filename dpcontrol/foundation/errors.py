@@ -1,4 +1,4 @@
-"""Two kinds of failure, told apart by the exit code; remarks, which stop nothing; text made safe to print."""
+"""Kinds of failure, told apart by the exit code; remarks, which stop nothing; text made safe to print."""
 
 import re
 import warnings
@@ -6,6 +6,13 @@ import warnings
 
 class InputError(Exception):
     """Bad input: one sentence naming file, key, value and remedy. The command line exits with 2."""
+
+
+class PartMissing(Exception):
+    """A package is not installed: one sentence with what needs it and how to install it. The command line exits with 2.
+
+    No InputError: whoever mends or explains a user's input has nothing to say about it.
+    """
 
 
 class GoalMissed(Exception):

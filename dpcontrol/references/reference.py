@@ -34,6 +34,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.equations import NumericEquations
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive, picked, plain, write_archive
+from dpcontrol.foundation.parts import installed
 from dpcontrol.references.method import Method, method_named
 from dpcontrol.references.problem import LIMIT_UNITS, Limits, ReferenceProblem, state_scale
 from dpcontrol.references.trajectory import Trajectory, error_between_nodes, largest_values, where_largest
@@ -300,8 +301,11 @@ class ReferenceSummary:
 
     @cached_property
     def errors(self) -> Array | None:
-        """Errors between nodes (N,), scaled, measured again on each interval; None where the arms are not known."""
-        if self.arms is None:
+        """Errors between nodes (N,), scaled, measured again on each interval.
+
+        None where the arms are not known or heyoka is not installed.
+        """
+        if self.arms is None or not installed("heyoka"):
             return None
         nothing = np.zeros(self.reference.states.shape[-1] - 2)
         problem = ReferenceProblem(

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import InputError, PartMissing, remark
 from dpcontrol.logs import RunLog
 from dpcontrol.logs.layout import SLOW_RATE
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
@@ -97,6 +97,9 @@ def _flown(system: System, orbit_note: OrbitNote, *, section: Section, hit: int,
     try:
         orbit = lyapunov_orbit(system, orbit_note["saddle"], energy=float(orbit_note["energy"]))
     except InputError:
+        return
+    except PartMissing as missing:
+        remark(f"the tubes along the way are not shown: {missing}")
         return
     manifold = UnstableManifold(orbit)
     cut = tube_cut(manifold, section, hit=hit, settings=_CUT)

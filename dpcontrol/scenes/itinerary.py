@@ -37,7 +37,8 @@ from dpcontrol.loop.result import SupervisorSettings
 from dpcontrol.orbits.symmetric_shooting import equilibria
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
-from dpcontrol.scenes.model import Model, find, load_model, quoted
+from dpcontrol.references.reference import Reference, load_reference
+from dpcontrol.scenes.model import Model, find, load_model, model_from, quoted
 from dpcontrol.scenes.run_options import RunOptions
 from dpcontrol.walks.symbols import expanded, parse_walk
 
@@ -277,6 +278,7 @@ class Itinerary:
     "rest" (hanging still) or "hold" (at the equilibrium that
     is its only part). keeps: whether the stops of its walk are planned as stays on sustained orbits, as the file asks
     for; runs with other controllers follow the same reference. zeros (n,) rad, or none: what a rig's hanging arms read.
+    stored: the .npz of the plan that it was taken from, if any, and is not planned again.
     """
 
     name: str
@@ -292,6 +294,7 @@ class Itinerary:
     text: str
     keeps: bool = False
     zeros: tuple[float, ...] = ()
+    stored: Path | None = None
 
     @property
     def stay(self) -> HoldPart | OrbitPart | None:
@@ -342,16 +345,33 @@ class Itinerary:
 
 
 def load_itinerary(name: str) -> Itinerary:
-    """Load an itinerary, and its model, by name or path.
+    """Load an itinerary, and its model, by name or path: of a TOML file, or of a plan (.npz) that was made of one.
 
     A relative model path is taken from the itinerary's folder.
 
     Raises:
         InputError: no such file, or a mistake in it or in its model: names file, table, key, value and remedy.
     """
+    if name.endswith(".npz"):
+        return stored_itinerary(Path(name), load_reference(Path(name)))
     path = find("itineraries", name)
     table, text = read_toml(path)
     return _itinerary(table, text, path, None)
+
+
+def stored_itinerary(file: Path, reference: Reference) -> Itinerary:
+    """Return the itinerary of a plan's file, from the texts that its reference was made from.
+
+    Raises:
+        InputError: it is a reference that no plan made.
+    """
+    notes = reference.notes
+    try:
+        model = model_from(notes["made_from"]["model"], notes["model"])
+        scene = itinerary_from(notes["made_from"]["scene"], notes["itinerary"], model)
+    except (KeyError, TypeError) as error:
+        raise InputError(f"{file} is a reference, but its notes are not those of a plan: {error}") from error
+    return replace(scene, path=file, stored=file)
 
 
 def itinerary_of(

@@ -16,12 +16,11 @@ from typing import TYPE_CHECKING, Any
 
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
 from dpcontrol.foundation.cost import Cost, announce
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.references.reference import PlanNotes, Reference, load_reference, plan_notes, save_reference
-from dpcontrol.scenes.itinerary import HoldPart, Itinerary, WalkPart, itinerary_from
-from dpcontrol.scenes.model import model_from
+from dpcontrol.scenes.itinerary import HoldPart, Itinerary, WalkPart, stored_itinerary
 from dpcontrol.scenes.run_options import RunOptions
 
 if TYPE_CHECKING:
@@ -208,7 +207,7 @@ def make_plan(
     fresh: bool = False,
     yes: bool = False,
 ) -> Plan:
-    """Return the plan of an itinerary, from the cache unless `fresh`; yes: however long it takes to make.
+    """Return the plan of an itinerary, as it is stored or from the cache unless `fresh`; yes: however long it takes.
 
     orbits: that shadow the itinerary's walks, one for each, where they are known already. A reference that did not
     converge is returned with its status and not kept.
@@ -222,6 +221,8 @@ def make_plan(
         whole, rest = part_of(progress, 0.0, 0.7), part_of(progress, 0.7, 1.0)
         plan = make_plan(replace(itinerary, loop=stops), orbits=orbits, progress=whole, fresh=fresh, yes=yes)
         return recoverable(replace(plan, itinerary=itinerary), fresh=fresh, progress=rest)
+    if itinerary.stored is not None and not fresh:
+        return replace(load_plan(itinerary.stored), itinerary=itinerary)
     file = cache_file("plans", itinerary.name, plan_key(itinerary))
     if not fresh and (content := kept(file)) is not None:
         return Plan(itinerary, load_reference(BytesIO(content)), file, cached=True)
@@ -270,10 +271,4 @@ def load_plan(file: Path) -> Plan:
         InputError: the file is missing, damaged, or a reference that no plan made.
     """
     reference = load_reference(file)
-    notes = reference.notes
-    try:
-        model = model_from(notes["made_from"]["model"], notes["model"])
-        scene = itinerary_from(notes["made_from"]["scene"], notes["itinerary"], model)
-    except (KeyError, TypeError) as error:
-        raise InputError(f"{file} is a reference, but its notes are not those of a plan: {error}") from error
-    return Plan(scene, reference, file, cached=True)
+    return Plan(stored_itinerary(file, reference), reference, file, cached=True)

@@ -681,6 +681,8 @@ def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path
     Raises:
         InputError: the file cannot be read, or its text not be changed.
     """
+    if itinerary.stored is not None:
+        raise InputError(f"{itinerary.stored} is a plan, which stays as it is; give the itinerary's own .toml")
     try:
         text = itinerary.path.read_bytes().decode()
     except OSError as error:

@@ -1,0 +1,53 @@
+"""Packages that an installation may lack: imported when they are needed, with one sentence where they are missing.
+
+    hy = Later("heyoka")        # nothing is imported before something of it is asked for
+
+A system for which a package is not made, and an installation without an extra, does all that does not need it.
+"""
+
+import importlib
+from importlib.util import find_spec
+from typing import Any
+
+from dpcontrol.foundation.errors import PartMissing
+
+_NEEDED = {
+    "heyoka": "orbits, tubes and new plans need heyoka, which pip has for Linux alone; install it by `conda install -c "
+    "conda-forge heyoka.py`, or take a plan that was saved where heyoka is by `dpcontrol plan NAME --out FILE.npz`",
+    "matio": "MATLAB 7.3 files and MATLAB objects need mat-io; install it by `pip install 'dpcontrol[matlab]'`, or "
+    "save the recording in MATLAB as version 7",
+}
+
+
+def part(name: str) -> Any:
+    """Return a package.
+
+    Raises:
+        PartMissing: it cannot be imported.
+    """
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise PartMissing(_NEEDED[name.partition(".")[0]]) from error
+
+
+def installed(name: str) -> bool:
+    """Tell whether a package is installed, without importing it."""
+    return find_spec(name) is not None
+
+
+class Later:
+    """A package that is imported when something of it is first asked for.
+
+    Raises:
+        PartMissing: then, where it cannot be imported.
+    """
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def __getattr__(self, name: str) -> Any:
+        value = getattr(part(self._name), name)
+        # Found without this function from now on.
+        setattr(self, name, value)
+        return value

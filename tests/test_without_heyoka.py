@@ -1,0 +1,142 @@
+"""Where heyoka cannot be had, as pip has it for Linux alone: all that needs no new orbit works, the rest says so.
+
+Each verb runs in a program that starts without heyoka, and so do those that it starts itself.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bench_recordings import rig_variables, write_mat
+from command_line import Ended, dpcontrol
+
+from dpcontrol.dynamics import compiled
+from dpcontrol.dynamics.chain import Level, equations_of
+from dpcontrol.scenes.model import load_model
+
+WITHOUT = """
+import io, json, sys
+from contextlib import redirect_stderr, redirect_stdout
+from dpcontrol.cli.main import main
+
+ended = []
+for arguments in json.loads(sys.argv[1]):
+    out, err = io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        try:
+            main(arguments)
+        except SystemExit as end:
+            ended.append((end.code, out.getvalue(), err.getvalue()))
+assert not sys.modules["heyoka"]
+print(json.dumps(ended))
+"""
+"""Verbs one after the other, in one program: each would take a second to start."""
+
+
+def without_heyoka(folder: Path, *lines: str) -> list[Ended]:
+    """Call the program in `folder`, line by line, in a Python that cannot import heyoka, nor can its children."""
+    site = folder / "site"
+    site.mkdir(exist_ok=True)
+    (site / "sitecustomize.py").write_text('import sys\nsys.modules["heyoka"] = None\n')
+    path = os.pathsep.join([str(site), str(Path(compiled.__file__).parents[2])])
+    done = subprocess.run(
+        [sys.executable, "-c", WITHOUT, json.dumps([line.split() for line in lines])],
+        cwd=folder, env={**os.environ, "PYTHONPATH": path}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return [Ended(*one) for one in json.loads(done.stdout)]
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a plan in a file and in the cache, made where heyoka is."""
+    folder = tmp_path_factory.mktemp("bench")
+    assert dpcontrol("plan", "outer-turn", "--out", folder / "turn.npz").code == 0
+    return folder
+
+
+def test_a_stored_plan_is_shown_and_run_and_its_log_scored(bench: Path) -> None:
+    lines = ("model lab", "plan outer-turn", "reference turn.npz", "run turn.npz --out quick.mcap", "info quick.mcap")
+    for line, ended in zip(lines, without_heyoka(bench, *lines), strict=True):
+        assert (line, ended.code, ended.stderr.count("heyoka")) == (line, 0, 0), ended.stderr
+    assert dpcontrol("score", bench / "quick.mcap", "--json").document["completed"]
+
+
+@pytest.mark.slow  # Sixteen seconds: every verb that the sentence below is not for.
+def test_all_that_needs_no_new_orbit_works(bench: Path) -> None:
+    lines = [
+        "run outer-turn --seed 3 --out here.mcap --json",
+        "score here.mcap --json",
+        "run --from here.mcap --out again.mcap --json",
+        "review here.mcap --save here.rrd --picture here.png --json",
+        "report here.mcap --picture here.pdf --json",
+        "recover here.mcap --json",
+        "campaign turn.npz --runs 3 --out turn.parquet --json",
+        "report turn.parquet --picture campaign.png --json",
+        "export turn.npz --out controller --json",
+        "cache --json",
+    ]
+    ended = dict(zip(lines, without_heyoka(bench, *lines), strict=True))
+    assert {line: one.stderr for line, one in ended.items() if one.code} == {}
+    assert "tubes along the way are not shown" in ended[lines[3]].stderr
+    assert (bench / "controller" / "Makefile").is_file()
+    # The same run but for rounding, which the seconds on an unstable orbit enlarge.
+    here, there = (
+        ended[lines[1]].document,
+        dpcontrol("run", "outer-turn", "--seed", "3", "--out", bench / "there.mcap", "--json").document,
+    )
+    assert here["completed"]
+    assert here["rms_tracking_error"] == pytest.approx(there["rms_tracking_error"], rel=0.05)
+    assert here["max_cart_position"] == pytest.approx(there["max_cart_position"], rel=1e-3)
+
+
+@pytest.mark.slow  # Four seconds: a model is fitted.
+def test_a_recording_of_the_bench_is_imported_replayed_and_identified(tmp_path: Path) -> None:
+    write_mat(tmp_path / "swing.mat", rig_variables(segments=3))
+    for ended in without_heyoka(
+        tmp_path,
+        "import swing.mat --out swing.mcap --json",
+        "replay swing.mcap --json",
+        "identify swing.mcap --no-zeros --out models/own.toml --json",
+        "model own --json",
+    ):
+        assert ended.code == 0, ended.stderr
+
+
+@pytest.mark.parametrize("json_asked", [False, True])
+def test_where_an_orbit_or_a_plan_is_asked_for_one_sentence_says_what_to_install(
+    json_asked: bool, tmp_path: Path
+) -> None:
+    lines = [
+        "orbit lab --saddle down-up --energy -0.07",
+        "connect lab --from down-up --to down-up --energy -0.07",
+        "bifurcations lab --from down-up --to down-up --energies -0.11 -0.09 --samples 6",
+        "atlas lab --energy -0.07",
+        "walk lab --energy -0.07 --length 3 --from down-up --to down-up",
+        "plan cross --fresh",
+        "run round-trip",
+    ]
+    for ended in without_heyoka(tmp_path, *(f"{line} --json" if json_asked else line for line in lines)):
+        assert ended.code == 2
+        assert "need heyoka" in ended.message
+        assert "conda install -c conda-forge heyoka.py" in ended.message
+        assert ended.stderr.count("dpcontrol: ") == 1
+        if json_asked:
+            assert ended.document["error"]
+
+
+@pytest.mark.parametrize("points", [(), (1,), (8,), (200,)])
+def test_casadis_own_machine_computes_what_the_compiled_code_does(points: tuple[int, ...]) -> None:
+    arms = load_model("lab").arms
+    function = compiled.fixed_step(equations_of(arms, Level.CART))
+    step = compiled.Compiled(function)
+    inputs = np.random.default_rng(0).normal(size=(step.size_in, *points))
+    for name, value in (("duration", np.array([1e-3])), ("parameters", np.array(arms.base()))):
+        inputs[step.slices[name]] = value.reshape(-1, *[1] * len(points))
+    expected = step(inputs, np.empty((step.size_out, *points)))
+    found = compiled._ByCasadi(function)(inputs, np.empty((step.size_out, *points)))
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
