@@ -423,7 +423,8 @@ def _of(module: str, function: str = "chart") -> Drawer:
 
 _EDGES = ("propagation", "seeds", "walks", "references", "control", "moving", "ogy", "estimation", "margins")
 CHARTS: dict[str, Drawer] = {
-    **{name: _of(name) for name in ("propagation", "connections", "transcription")},
+    "propagation": _of("propagation"),
+    **{name: _of("design", f"{name}_chart") for name in ("connections", "transcription")},
     **{name: _of("control", f"{name}_chart") for name in ("estimation", "control")},
     **{name: _of(name) for name in ("logging", "levels", "payoff")},
     **{f"edges-{name}": _of("edges", f"{name}_chart") for name in _EDGES},

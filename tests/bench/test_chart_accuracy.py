@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dpcontrol.bench import connections, measure, transcription
+from dpcontrol.bench import design, measure
 from dpcontrol.bench.chart import CHARTS, GROUPS, Point
 from dpcontrol.bench.measure import Alternative, Timed
 from dpcontrol.bench.propagation import (
@@ -156,24 +156,24 @@ def test_ticks_of_the_plant_are_at_rounding_and_of_the_model_below_an_encoder_co
 
 @pytest.mark.slow
 def test_refined_connections_are_at_rounding_and_two_flights_are_not(system):
-    orbit = lyapunov_orbit(system, "down-up", energy=connections.ENERGY)
-    truths = connections.true_states(orbit, count=1)
+    orbit = lyapunov_orbit(system, "down-up", energy=design.ENERGY)
+    truths = design.true_states(orbit, count=1)
     # The double search against 113 bits.
-    assert connections.worst(orbit, [truths[0][0]], truths) < 1e-13
-    near, far = (connections.worst(orbit, connections._two_flights(orbit, d), truths) for d in (3e-4, 1e-2))
+    assert design.worst(orbit, [truths[0][0]], truths) < 1e-13
+    near, far = (design.worst(orbit, design._two_flights(orbit, d), truths) for d in (3e-4, 1e-2))
     assert 1e-13 < near < 0.1 * far
-    assert connections.worst(orbit, [], truths) == float("inf")
-    assert connections.worst(orbit, [np.zeros(4)], truths) == float("inf")
+    assert design.worst(orbit, [], truths) == float("inf")
+    assert design.worst(orbit, [np.zeros(4)], truths) == float("inf")
 
 
 @pytest.mark.slow
 def test_more_points_on_the_same_intervals_are_nearer_and_cost_the_same():
-    problem = transcription.crossing_problem()
+    problem = design.crossing_problem()
     error = {}
     for name in ("radau-5", "radau-7"):
-        solved = transcription.transcribed(problem, name, 0.03)
+        solved = design.transcribed(problem, name, 0.03)
         assert solved.succeeded
-        error[name] = float(transcription.error_between_nodes(problem, solved.trajectory).max())
+        error[name] = float(design.error_between_nodes(problem, solved.trajectory).max())
     assert error["radau-7"] < 0.1 * error["radau-5"]
 
 

@@ -20,7 +20,7 @@ from dpcontrol.foundation import files
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs.container import CHUNK_HEAD, ZSTD
 from dpcontrol.logs.reader import unpacked
-from dpcontrol.recordings import formats
+from dpcontrol.recordings import importing
 
 READERS = (
     ("score",), ("info",), ("recover",), ("replay",), ("review",), ("report",), ("identify",), ("run", "--from"),
@@ -128,7 +128,7 @@ def test_a_matlab_file_whose_packed_variable_claims_gigabytes_is_refused(tmp_pat
     path = tmp_path / "swing.mat"
     path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(124) + b"\x00\x01IM" + struct.pack("<II", 15, len(packed)) + packed)
     with pytest.raises(InputError, match=r"swing\.mat.*would unpack to 3 GB"):
-        formats.read_matlab(path)
+        importing.read_matlab(path)
 
 
 def test_a_matlab_file_of_version_73_that_claims_gigabytes_is_refused(tmp_path: Path) -> None:
@@ -136,7 +136,7 @@ def test_a_matlab_file_of_version_73_that_claims_gigabytes_is_refused(tmp_path: 
     with h5py.File(path, "w") as file:
         file.create_dataset("angles", shape=(10**10,), dtype="f8", chunks=True)
     with pytest.raises(InputError, match=r"swing\.mat.*would unpack to 80 GB"):
-        formats.read_matlab(path)
+        importing.read_matlab(path)
 
 
 def test_a_parquet_table_is_refused_by_the_rows_that_it_declares(
@@ -144,6 +144,6 @@ def test_a_parquet_table_is_refused_by_the_rows_that_it_declares(
 ) -> None:
     path = tmp_path / "swing.parquet"
     pq.write_table(pa.table({"t": np.zeros(1000)}), path)
-    monkeypatch.setattr(formats, "checked_size", lambda size: files.checked_size(size, most=1000))
+    monkeypatch.setattr(importing, "checked_size", lambda size: files.checked_size(size, most=1000))
     with pytest.raises(InputError, match=r"swing\.parquet.*would unpack to"):
-        formats.read_table(path, ["t"])
+        importing.read_table(path, ["t"])
