@@ -30,18 +30,22 @@ def score_command(
     seed, or that none of those tried would; only what was simulated can be tried again. With --json, one log gives one
     object, several give {"runs": [...]}. Exits with 1 if a run is not completed.
     """
-    from dpcontrol import api
+    from dpcontrol.logs import read_log
+    from dpcontrol.review.score import score
 
     if nights := [path for path in logs if path.is_dir()]:
         return _nights(nights, [path for path in logs if not path.is_dir()], why=why)
-    runs = [api.open_log(path) for path in logs]
-    verdicts = [run.score() for run in runs]
+    runs = [read_log(path) for path in logs]
+    verdicts = [score(run) for run in runs]
     documents = [verdict.document() for verdict in verdicts]
     lines = [[*score_text(verdict)] for verdict in verdicts]
     if why:
+        # Loops and plants, which a score needs nothing of.
+        from dpcontrol.scenes.run import Run
+
         for run, document, text in zip(runs, documents, lines, strict=True):
             with progress_bar("why") as progress:
-                found = run.why(progress=progress)
+                found = Run(run).why(progress=progress)
             document["why"] = found.document()
             text[:] = [line for line in text if not line.startswith(_WHY)]
             text.append(f"{_WHY}{found.sentence}")

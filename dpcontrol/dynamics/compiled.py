@@ -200,7 +200,8 @@ class _ByCasadi:
         """Return what evaluates `count` points at once, between arrays (count, size) of its inputs and its output."""
         if count not in self._made:
             function = self._function.map(count)
-            buffer, evaluate = function.buffer()
+            made: Any = function.buffer()
+            buffer, evaluate = made
             inputs = [np.zeros((count, self._function.size1_in(i))) for i in range(function.n_in())]
             out = np.zeros((count, self._function.numel_out(0)))
             for i, array in enumerate(inputs):

@@ -14,7 +14,9 @@ SHARE = 0.02  # About 95 %; the bar for a nominal plant with the noise that is m
 def test_bands_are_the_published_ones() -> None:
     # Chi-square with 3 degrees of freedom, 2.5 and 97.5 %: Abramowitz & Stegun, table 26.8.
     assert chi_square_band(3) == pytest.approx((0.215795, 9.34840), rel=1e-5)
-    assert chi_square_band(8, share=0.5) == tuple(chi2.ppf([0.25, 0.75], 8))
+    for freedom in (1, 2, 8, 150):
+        expected = chi2.ppf([0.025, 0.975], freedom)
+        assert chi_square_band(freedom) == pytest.approx(tuple(expected), rel=1e-12)
 
 
 def test_too_small_counts_as_outside_as_well_as_too_large() -> None:
