@@ -17,7 +17,8 @@ from dpcontrol.rig.bench import FAULTS, BenchServerSettings
 from dpcontrol.rig.client import LinkSettings, UdpRig
 from dpcontrol.rig.packets import CommandPacket, Condition, Kind, ReadingPacket, Role, Start, Welcome
 
-PAGE = (Path(dpcontrol.__file__).parent / "guide" / "rig.md").read_text()
+GUIDE = Path(dpcontrol.__file__).parent / "guide"
+PAGE = (GUIDE / "rig.md").read_text(encoding="utf-8")
 PACKETS = PAGE.split("\n## Packets\n")[1].split("\n## ")[0]
 SECTIONS = {text.split("\n", 1)[0]: text for text in PACKETS.split("\n### ")[1:]}
 TYPES = {"u8": "B", "u16": "H", "u32": "I", "u64": "Q", "i8": "b", "f64": "d"}
@@ -162,4 +163,5 @@ def free_port() -> int:
 def test_the_page_names_every_member_of_a_rig_and_every_fault_for_practice() -> None:
     members = {name for name in vars(Rig) if not name.startswith("_")}
     assert members == set(re.findall(r"`(\w+)[`(]", PAGE.split("## A rig in Python")[1].split("\n## ")[0])) & members
-    assert dict(re.findall(r"^\| `([\w-]+)` \| (.+) \|$", PAGE.split("| fault |")[1], re.MULTILINE)) == FAULTS
+    practice = (GUIDE / "commission.md").read_text(encoding="utf-8").split("| fault |")[1]
+    assert dict(re.findall(r"^\| `([\w-]+)` \| (.+) \|$", practice, re.MULTILINE)) == FAULTS
