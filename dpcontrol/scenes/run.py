@@ -90,7 +90,7 @@ if TYPE_CHECKING:
     from dpcontrol.rig.bench import BenchProcess, BenchRecipe
     from dpcontrol.rig.client import Deadlines, UdpRig
     from dpcontrol.rig.commissioning import Commissioning, CommissioningSettings
-    from dpcontrol.scenes.why import Why
+    from dpcontrol.scenes.preflight import Why
 
 _SCENE, _MODEL = "scene.toml", "model.toml"
 _LIBRARY = "controller_library"
@@ -139,7 +139,7 @@ class Run:
         Raises:
             InputError: the log is not of a simulated run, or lacks what a repetition needs.
         """
-        from dpcontrol.scenes.why import why
+        from dpcontrol.scenes.preflight import why
 
         with TemporaryDirectory() as folder:
             plan = _plan(self.log, Path(folder))

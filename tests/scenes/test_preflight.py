@@ -19,9 +19,8 @@ from dpcontrol.scenes import preflight as module
 from dpcontrol.scenes.campaign import CampaignSettings, Job, cases_of, run_campaign
 from dpcontrol.scenes.itinerary import load_itinerary, overridden
 from dpcontrol.scenes.plan import Plan, make_plan
-from dpcontrol.scenes.preflight import ASSUMED_MISMATCH, PreflightSettings, as_known, falling, preflight
+from dpcontrol.scenes.preflight import ASSUMED_MISMATCH, PreflightSettings, SceneChange, as_known, falling, preflight
 from dpcontrol.scenes.run_options import RunOptions
-from dpcontrol.scenes.why import SceneChange
 
 HARD = RunOptions(mismatch=0.2, initial_error=0.05, lag=0.005, command_noise=0.3, controller="tvlqr")
 """Bench on which some runs fail and some do not."""

@@ -11,9 +11,9 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import LogWriter
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import Plan, make_plan
+from dpcontrol.scenes.preflight import Why, changes
 from dpcontrol.scenes.run import Run, run_plan
 from dpcontrol.scenes.run_options import RunOptions
-from dpcontrol.scenes.why import Why, changes
 
 SHORT = RunOptions(controller="tvlqr", travel=0.015, mismatch=0.0)
 """A track that the plan itself nearly fills."""
