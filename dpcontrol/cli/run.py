@@ -331,7 +331,7 @@ def rig_command(
     """Start an example bench: the itinerary's arms and cart, simulated in real time, reached over UDP.
 
     Prints its address, for `dpcontrol run ITINERARY --rig ADDRESS`, and serves one run after the other until Ctrl-C.
-    The arms start where the itinerary does. The packets are described in dpcontrol/guide/rig.md. Where --host can be
+    The arms start where the itinerary does. The packets are described in `dpcontrol guide rig`. Where --host can be
     reached from other computers, loops need the bench's key.
     """
     from dpcontrol.rig.bench import BenchServerSettings, UdpBench, checked_faults
@@ -401,7 +401,7 @@ def commission_command(
     The arms must hang and the cart stand at the centre. The cart shifts a few millimetres, then follows a chirp within
     10 mm: signs, order and counts of the encoders, zeros, direction and gain of the drive come from how cart and arms
     move. Ctrl-C brakes the cart. Exits with 1 where something is wrong. Settings and faults are the example bench's.
-    More is in dpcontrol/guide/rig.md.
+    More is in `dpcontrol guide commission`.
     """
     from dpcontrol.rig.client import parse_address
     from dpcontrol.rig.packets import shared_key
