@@ -115,8 +115,7 @@ class _Verbs(click.Group):
 @click.group(
     cls=_Verbs,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
-    epilog="Start with `dpcontrol demo` and `dpcontrol guide start`; every verb has --help with an example, and --json for "
-    "programs.",
+    epilog="Start with `dpcontrol demo`, then `dpcontrol guide`; every verb has --help with an example, and --json.",
 )
 @click.version_option(dpcontrol.__version__, prog_name="dpcontrol")
 @click.option("--debug", **DEBUG)

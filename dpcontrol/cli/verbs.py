@@ -273,7 +273,7 @@ def _print(item: str | TextTable | Markdown) -> None:
         from rich.markdown import Markdown as Page
 
         console = Console()
-        Console(width=min(console.width, 110) if console.is_terminal else 110).print(Page(item.text))
+        Console(width=min(console.width, 126) if console.is_terminal else 126).print(Page(item.text))
 
 
 def _print_table(shown: TextTable) -> None:
