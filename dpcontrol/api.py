@@ -524,37 +524,46 @@ def open_recording(
         return import_recording(path, mapping, repairs=list(repairs), progress=report)
 
 
-def picture(result: "Run | Plan | ShadowingOrbit | Atlas", *, file: Place | None = None) -> "Figure":
+def picture(
+    result: "Run | Plan | ShadowingOrbit | Atlas", *, file: Place | None = None, film: Place | None = None
+) -> "Figure":
     """Draw a run, a plan, a walk's orbit or an atlas as a figure of matplotlib.
 
-    file: the PNG or PDF to write as well, if any.
+    file: the PNG or PDF to write as well, if any. film: the GIF, WebP or MP4, which shows the motion in real time.
 
     >>> len(dp.picture(walk).axes) > 1
     True
 
     Raises:
-        InputError: the file cannot be written.
+        InputError: a file cannot be written; a film is of an atlas, or of a system without arms.
     """
     from dpcontrol.references.reference import summarised
     from dpcontrol.review.atlas import draw_atlas
-    from dpcontrol.review.of_log import reference_view
+    from dpcontrol.review.film import write_film
+    from dpcontrol.review.of_log import reference_view, run_view
     from dpcontrol.review.page import draw, save_figure
-    from dpcontrol.review.walks import draw_walk
+    from dpcontrol.review.walks import WalkStory, draw_walk
     from dpcontrol.scenes.plan import Plan
     from dpcontrol.scenes.run import Run
     from dpcontrol.walks.shadowing import ShadowingOrbit
 
-    if isinstance(result, Run):
-        figure = result.plot()
-    elif isinstance(result, Plan):
-        figure = draw(reference_view(summarised(result.reference), result.file))
+    view = None
+    if isinstance(result, Run | Plan):
+        plan = isinstance(result, Plan)
+        view = reference_view(summarised(result.reference), result.file) if plan else run_view(result.log)
+        figure = draw(view)
     elif isinstance(result, ShadowingOrbit):
         system = result.connections[0].source.system
         arms = system.model.parameters if isinstance(system, ModelSystem) else None
         lengths = arms.length if isinstance(arms, ArmChainParameters) else None
         figure = draw_walk(result, arm_lengths=lengths, model=system.name)
+        view = WalkStory(result, lengths).view(system.name)
     else:
         figure = draw_atlas(result)
+    if film is not None:
+        if view is None:
+            raise InputError(f"{film}: an atlas does not move: give a run, a plan or a walk's orbit")
+        write_film(view, film)
     if file is not None:
         save_figure(figure, file)
     return figure

@@ -7,9 +7,21 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dpcontrol.cli.verbs import Answer, TextTable, argument, file_option, force_option, option, say, table, verb
+from dpcontrol.cli.verbs import (
+    FILMS,
+    YES,
+    Answer,
+    TextTable,
+    argument,
+    file_option,
+    force_option,
+    option,
+    say,
+    table,
+    verb,
+)
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.progress import progress_bar
+from dpcontrol.foundation.progress import Progress, progress_bar
 
 if TYPE_CHECKING:
     from dpcontrol.logs import LogSummary, Recovery
@@ -103,38 +115,60 @@ def review_command(
     align: int = option(default=1, metavar="N", help="Symbol at which several logs are aligned."),
     save: Path | None = file_option(suffix=".rrd", help="Save a Rerun recording (.rrd)."),
     picture: Path | None = file_option(suffix=".png", help="Save a picture (.png)."),
+    film: Path | None = file_option(
+        suffix=FILMS, help="Save a film of the arms in real time; .mp4 needs pip install 'dpcontrol[film]'."
+    ),
+    stretch: tuple[float, float] | None = option(
+        metavar="BEGIN END", help="With --film: of the log's time in s, if not all."
+    ),
+    yes: bool = YES,
 ) -> Answer:
     """Open a log in the Rerun viewer: arms with the reference's ghost, the itinerary as asked and as done, angles,
     rates, command, errors, energy, phase planes with the tubes used. A recording from the bench opens as well.
 
     Several logs open side by side, each delayed so that all cross the section of symbol N at the same moment. An atlas
     (.npz) opens as its tubes, orbits and flights in space, and its cuts with the connections numbered on them; a
-    reference (.npz) as its motion, command and limits. With --save or --picture the viewer is not opened; where no
-    renderer is installed the picture is drawn by matplotlib, and the message says so.
+    reference (.npz) as its motion, command and limits. With --save, --picture or --film the viewer is not opened; where
+    no renderer is installed the picture is drawn by matplotlib, and the message says so. A film shows the arms on their
+    cart, the reference's ghost, the tip's path and the itinerary.
     """
     from dpcontrol.review.picture import write_picture, write_recording
 
     first = files[0]
+    if stretch is not None and film is None:
+        raise InputError("--stretch is that of a film: give --film FILE.gif as well")
     with progress_bar("review") as progress:
         progress("reading", 0.05)
         shown = _opened(files, align)
-        document: dict[str, Any] = {"log": first, "recording": None, "picture": None, "status": "done"}
+        document: dict[str, Any] = {"log": first, "recording": None, "picture": None, "film": None, "status": "done"}
         if len(files) > 1:
             document |= {"logs": files, "aligned": shown.status}
         if save is not None:
             progress("recording", 0.2)
             write_recording(shown, save)
             document["recording"] = save
-        elif picture is None:
+        elif picture is None and film is None:
             progress("recording", 0.2)
             document["recording"] = _viewed(shown, first.stem)
+        if film is not None:
+            document["film"] = _filmed(shown, film, stretch, yes=yes, progress=progress)
         if picture is not None:
             progress("picture", 0.5)
             drawn = write_picture(shown, picture)
             document |= {"picture": drawn.path, "renderer": drawn.renderer, "status": drawn.status}
-    kinds = ("recording", "picture", "aligned")
+    kinds = ("recording", "picture", "film", "aligned")
     lines = [f"{kind:<10} {document[kind]}" for kind in kinds if document.get(kind)]
     return Answer(document, lines if picture is None else [*lines, document["status"]])
+
+
+def _filmed(shown: Any, file: Path, stretch: tuple[float, float] | None, *, yes: bool, progress: Progress) -> Path:
+    """Write a film of what is to be seen."""
+    from dpcontrol.review.film import write_film
+    from dpcontrol.review.motion import RunView
+
+    if not isinstance(shown, RunView):
+        raise InputError(f"{file}: a film shows one motion: give one log, recording or reference")
+    return write_film(shown, file, stretch=stretch, yes=yes, progress=progress)
 
 
 def _viewed(shown: Any, name: str) -> Path:

@@ -347,6 +347,8 @@ class DecimalNumber(click.ParamType):
         raise InputError(f"{param.opts[0] if param else 'number'} {value}: must be a finite number")
 
 
+FILMS = (".gif", ".webp", ".mp4")
+"""What a film may be."""
 YES = option(group=OUTPUT, help="Begin work that will take more than an hour, or than 4 GB of memory.")
 """Option of verbs whose work can be of any length."""
 ENERGY = option(help="Energy in J, zero at the pivot's height.")

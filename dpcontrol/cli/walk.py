@@ -10,6 +10,7 @@ import click
 
 from dpcontrol.cli.verbs import (
     ENERGY,
+    FILMS,
     FOLDER,
     OUTPUT,
     YES,
@@ -96,6 +97,7 @@ def walk_command(
     ),
     out: Path | None = option(type=FOLDER, group=OUTPUT, help="Write each orbit to this folder (.npz)."),
     picture: Path | None = file_option(suffix=".png", help="Draw the walk's orbit to this PNG."),
+    film: Path | None = file_option(suffix=FILMS, help="Film the walk's orbit in real time."),
     yes: bool = YES,
 ) -> Answer:
     """List, count and make walks on the connection graph of an energy, and the orbits that follow them.
@@ -120,6 +122,7 @@ def walk_command(
     needs = {
         "--out writes orbits": out is not None,
         "--picture draws an orbit": picture is not None,
+        "--film shows an orbit": film is not None,
         "--precision extended refines orbits": precision == "extended",
     }
     for what, given in needs.items():
@@ -171,11 +174,12 @@ def walk_command(
         requests = [request(walk, wraps=wraps, extra=extra_wraps[0], periodic=periodic, leads=leads) for walk in walks]
     if not solve:
         return _walks(edges, requests)
-    if picture is not None and len(requests) != 1:
-        raise InputError(f"--picture draws one walk, and here are {len(requests)}: give its symbols with -s")
+    for name, given in (("--picture draws", picture), ("--film shows", film)):
+        if given is not None and len(requests) != 1:
+            raise InputError(f"{name} one walk, and here are {len(requests)}: give its symbols with -s")
     if precision == "extended" and len(requests) > REFINED:
         raise InputError(f"--precision extended refines {REFINED} walks at most, and here are {len(requests)}")
-    return _solve(edges, requests, loaded, energy if precision == "extended" else None, out, picture)
+    return _solve(edges, requests, loaded, energy if precision == "extended" else None, out, picture, film)
 
 
 def _graph(edges: "Edges") -> Answer:
@@ -209,6 +213,7 @@ def _solve(
     exact_energy: Decimal | None,
     out: Path | None,
     picture: Path | None,
+    film: Path | None,
 ) -> Answer:
     """Solve, keep and draw walks; refine them where their energy is given exactly."""
     from dpcontrol import api
@@ -224,13 +229,15 @@ def _solve(
                 answer = refined_answer(answer, energy=exact_energy, parameters=model.exact_parameters)
             file = None
             if answer.orbit is None or not answer.converged:
-                picture = None
+                picture = film = None
             else:
                 if out is not None:
                     file = out / f"walk-{k + 1}.npz"
                     save_walk(file, model.name, answer.orbit, refined=answer.refined)
                 if picture is not None:
                     api.picture(answer.orbit, file=picture)
+                if film is not None:
+                    api.picture(answer.orbit, film=film)
             answers.append((answer, file))
             progress("walks", (k + 1) / len(requests))
     failed = [(k, answer.status) for k, (answer, _) in enumerate(answers, start=1) if not answer.converged]
@@ -243,10 +250,11 @@ def _solve(
         "least_seen": [{"before": a, "after": b, "wraps": n} for (a, b), n in sorted(solver.least_seen.items())],
         "notes": edges.notes,
         "picture": picture,
+        "film": film,
         "status": status,
     }
     text = [line for k, found in enumerate(answers, start=1) for line in _answer_text(k, *found)]
-    return Answer(document, [*text, *drawn_to(picture), status], status if failed else "")
+    return Answer(document, [*text, *drawn_to(picture), *drawn_to(film), status], status if failed else "")
 
 
 def _answer_text(number: int, answer: "WalkAnswer", file: Path | None) -> Iterator[str]:

@@ -331,8 +331,8 @@ def _name_ends(axes: Axes, first: Array, last: Array) -> None:
             )  # fmt: skip
 
 
-_LETTER = 0.0052
-"""Width of a letter as a share of the strip's."""
+_LETTER = 0.077
+"""Width of a letter, in inches."""
 _TALL = 0.84
 _WRONG = {"facecolor": "#f7d9d6", "edgecolor": style.LIMIT, "hatch": "xxxx"}
 _BETWEEN = {"facecolor": "#eceef0", "edgecolor": style.FAINT, "hatch": "////"}
@@ -350,7 +350,8 @@ def story(axes: Axes, view: RunView, *, span: Range | None = None, legend: bool 
     """
     rows = story_rows(view, span=span)
     begin, end = span or view.span
-    letter = _LETTER * (end - begin)
+    figure = axes.get_figure(root=True)
+    letter = _LETTER * (end - begin) / (axes.get_position().width * figure.get_figwidth())  # type: ignore[union-attr]
     for place, strip in enumerate(reversed(rows)):
         for part in strip.spans:
             _part(axes, part, place, view, letter=letter, named=strip.name != "controller")

@@ -190,3 +190,17 @@ def test_report_shows_the_margins_of_a_logs_loop_where_they_are_asked_for(
     assert page.read_bytes().startswith(PNG)
     assert shown["margins"] == dpcontrol("plan", "outer-turn", "--margins", "--json").document["margins"]
     assert shown["margins"]["lag"]["value"] < 0.2
+
+
+def test_a_stretch_of_a_log_is_filmed_and_no_viewer_opens(demo, tmp_path) -> None:
+    log, film = demo[0] / "logs/outer-turn-0.mcap", tmp_path / "turn.gif"
+    ended = dpcontrol("review", log, "--film", film, "--stretch", "1", "1.4", "--json")
+    assert ended.code == 0, ended.stderr
+    assert ended.document["film"] == str(film)
+    assert film.read_bytes().startswith(b"GIF89a")
+    bad = (["--stretch", "1", "2"], ["--film", tmp_path / "turn.avi"], ["--film", film, "--stretch", "9", "8"])
+    for arguments in bad:
+        assert dpcontrol("review", log, *arguments).code == 2
+    beside = dpcontrol("review", log, log, "--film", tmp_path / "two.gif")
+    assert (beside.code, "one motion" in beside.message) == (2, True)
+    assert [file.name for file in tmp_path.iterdir()] == ["turn.gif"]

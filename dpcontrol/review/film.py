@@ -1,0 +1,301 @@
+"""A film of a run, a recording, a reference or an orbit: the arms on their cart, in real time, over the itinerary.
+
+What stands still (title, track, limits, the story over time) is drawn once by matplotlib as on a page; what moves is
+drawn over it for each frame by Pillow: the reference's ghost, the tip's path, cart, arms, and a cursor in the story.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache, cached_property
+from pathlib import Path
+from textwrap import shorten
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties, findfont
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from dpcontrol.foundation.cost import Cost, announce
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import whole_file
+from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.review import style
+from dpcontrol.review.motion import RunView
+from dpcontrol.review.page import SMALL, key, new_figure, story, story_rows
+from dpcontrol.review.series import Range, arm_points
+
+Array = NDArray[np.float64]
+Point = tuple[float, float]
+
+RATE = 25
+"""Frames in a second."""
+_INCHES, _SCENE = 7.2, 3.7
+"""Width of a film, and height of what is seen of the pendulum."""
+_PIXELS = 100
+"""To an inch; frames are drawn at twice as many and halved, which smooths their lines."""
+_FINE = 2
+_HEAD, _ROW, _FOOT = 0.42, 0.2, 0.42
+_GHOST, _TRACK = "#c3c9d0", "#dfe3e7"
+_TRACE, _PIECES = 0.9, 12
+"""Seconds of the tip's path that are shown, in so many shades."""
+_COLOURS = 96
+_SECONDS = {".gif": 0.03, ".webp": 0.05, ".mp4": 0.03}
+"""That a frame takes; of its memory a GIF holds all frames to the end."""
+
+
+@dataclass(frozen=True, eq=False)
+class Film:
+    """What a film shows: a view, and the stretch of its time in s."""
+
+    view: RunView
+    stretch: Range
+
+    @property
+    def times(self) -> Array:
+        """(K,) in s of the frames."""
+        first, last = self.stretch
+        return np.arange(first, last + 0.5 / RATE, 1 / RATE)
+
+    @cached_property
+    def rows(self) -> NDArray[np.int64]:
+        """(K,) the ticks that the frames show; -1 in a gap of more than two frames."""
+        time = self.view.time
+        rows = np.searchsorted(time, self.times - 1e-9).clip(0, len(time) - 1)
+        return np.where(np.abs(time[rows] - self.times) <= 2 / RATE, rows, -1)
+
+    @cached_property
+    def pivots(self) -> Array:
+        """(N,) where the pivot is at each tick, m."""
+        return self.view.pivot
+
+    @cached_property
+    def still(self) -> tuple[Image.Image, Axes, Axes | None]:
+        """What stands still, twice as large, with the axes of the pendulum and of the story, if there is one."""
+        view, strips = self.view, story_rows(self.view)
+        below = _FOOT + _ROW * len(strips) if strips else 0.0
+        height = _HEAD + _SCENE + below
+        figure = new_figure(_INCHES, height)
+        figure.set_dpi(_FINE * _PIXELS)
+        look: dict[str, Any] = {"fontsize": 10.5, "weight": "bold", "va": "center", "color": style.INK}
+        figure.text(0.02, 1 - 0.2 / height, shorten(view.title, 78, placeholder=" …"), **look)
+        scene = figure.add_axes((0.0, below / height, 1.0, _SCENE / height))
+        self._draw_scene(scene)
+        told = None
+        if strips:
+            told = figure.add_axes((0.09, (_FOOT - 0.04) / height, 0.89, _ROW * len(strips) / height))
+            story(told, view, span=self.stretch, legend=False)
+        return _image(figure), scene, told
+
+    def _extent(self) -> tuple[Range, Range]:
+        """Return from where to where arms, ghost and cart reach in the film, along x and y; m."""
+        view, reach = self.view, sum(self.view.arm_lengths)
+        rows, cart = self.rows[self.rows >= 0], 0.16 * reach
+        spots = [np.array([(middle + side, 0.0) for middle in self.pivots[rows] for side in (-cart, cart)])]
+        for states in (view.state, view.reference):
+            if states is not None:
+                points = arm_points(states[rows, : view.arms], view.arm_lengths)
+                points[..., 0] += self.pivots[rows, None]
+                spots.append(points)
+        places = np.concatenate([np.zeros((1, 2)), *(spot.reshape(-1, 2) for spot in spots)])
+        places = places[np.isfinite(places).all(axis=1)]
+        (left, low), (right, high) = places.min(axis=0), places.max(axis=0)
+        edge = 0.12 * reach
+        return (float(left - edge), float(right + edge)), (float(low - edge), float(high + edge))
+
+    def _draw_scene(self, axes: Axes) -> None:
+        view, reach = self.view, sum(self.view.arm_lengths)
+        (left, right), (low, high) = self._extent()
+        half = max((right - left) / _INCHES, (high - low) / _SCENE, 0.8 * reach / _SCENE) / 2
+        middle, level = (left + right) / 2, (low + high) / 2
+        axes.set_xlim(middle - half * _INCHES, middle + half * _INCHES)
+        axes.set_ylim(level - half * _SCENE, level + half * _SCENE)
+        axes.axis("off")
+        entries: list[tuple[str, str | dict[str, Any]]] = []
+        if view.reference is not None:
+            entries.append((view.against, {"color": _GHOST, "linewidth": 5, "solid_capstyle": "round"}))
+        if view.has_cart:
+            axes.axhline(0.0, color=_TRACK, linewidth=3.0)
+            most = np.inf if view.limits is None else view.limits[0]
+            within = [at for at in (-most, most) if abs(at - middle) < half * _INCHES]
+            for at in within:
+                axes.plot([at, at], [-0.09 * reach, 0.09 * reach], color=style.LIMIT, linewidth=1.5)
+            if within:
+                entries.append(("the cart's limit", {"color": style.LIMIT, "linewidth": 1.5}))
+        if entries:
+            key(axes, entries, loc="lower left", borderaxespad=0.6)
+
+    def frame(self, number: int) -> Image.Image:
+        """Return a frame, counted from zero."""
+        still, scene, told = self.still
+        view, reach = self.view, sum(self.view.arm_lengths)
+        time, row = float(self.times[number]), int(self.rows[number])
+        frame = still.copy()
+        draw = ImageDraw.Draw(frame)
+        right, top = 0.98 * frame.width, _FINE * _PIXELS * (_HEAD - 0.1)
+        draw.text((right, top), f"{time:.2f} s", fill=style.INK, font=_font(), anchor="rt")
+        past = [f"{k + 1}: {name}" for k, (name, at, done) in enumerate(view.symbols) if (done or at) <= time]
+        if past:
+            draw.text((right, top + 1.4 * _font().size), past[-1], fill=style.NOTE, font=_font(), anchor="rt")
+        if told is not None:
+            draw.line(_placed(frame, told, [time, time], told.get_ylim()), fill=style.LIMIT, width=2 * _FINE)
+        at = self.pivots[row]
+        if row < 0 or not np.isfinite([*view.state[row, : view.arms], at]).all():
+            middle = _placed(frame, scene, [np.mean(scene.get_xlim())], [np.mean(scene.get_ylim())])[0]
+            draw.text(middle, "no data", fill=style.MARK, font=_font(), anchor="mm")
+            return frame.reduce(_FINE)
+        unit = frame.width / np.ptp(scene.get_xlim())
+        thick = 0.055 * reach * unit
+
+        def joints(states: Array, pivot: float) -> list[Point]:
+            points = arm_points(states[row : row + 1, : view.arms], view.arm_lengths)[0]
+            return _placed(frame, scene, points[:, 0] + pivot, points[:, 1])
+
+        if view.reference is not None and np.isfinite(view.reference[row, : view.arms]).all():
+            there = view.reference[row, 2 * view.arms] if view.has_cart else 0.0
+            _bar(draw, joints(view.reference, there if np.isfinite(there) else at), _GHOST, 1.7 * thick)
+        self._draw_trace(frame, draw, row)
+        if view.has_cart:
+            (left, upper), (right, lower) = _placed(
+                frame, scene, [at - 0.14 * reach, at + 0.14 * reach], [0.05 * reach, -0.05 * reach]
+            )
+            draw.rounded_rectangle((left, upper, right, lower), radius=0.02 * reach * unit, fill=style.CART)
+        places = joints(view.state, at)
+        for arm in range(view.arms):
+            _bar(draw, places[arm : arm + 2], style.arm_colour(arm), thick)
+        for place in places[:-1]:
+            _disc(draw, place, style.INK, 0.42 * thick)
+        _disc(draw, places[-1], style.arm_colour(view.arms - 1), 0.95 * thick)
+        return frame.reduce(_FINE)
+
+    def _draw_trace(self, frame: Image.Image, draw: ImageDraw.ImageDraw, row: int) -> None:
+        """Draw the tip's path up to a tick, fainter the longer ago."""
+        view = self.view
+        first = int(np.searchsorted(view.time, view.time[row] - _TRACE))
+        if len(view.breaks):
+            first = max(first, int(view.breaks[view.breaks <= row].max(initial=0)))
+        ticks = np.unique(np.linspace(first, row, 10 * _PIECES).round().astype(int))
+        tips = arm_points(view.state[ticks, : view.arms], view.arm_lengths)[:, -1]
+        points = _placed(frame, self.still[1], tips[:, 0] + self.pivots[ticks], tips[:, 1])
+        colour = np.array(style.rgb(style.arm_colour(view.arms - 1)))
+        for piece in range(_PIECES):
+            begin, end = (len(points) * k // _PIECES for k in (piece, piece + 1))
+            part = points[begin : end + 1]
+            if len(part) > 1 and np.isfinite(part).all():
+                share = 0.55 * (piece + 1) / _PIECES
+                faded = tuple(round(float(c)) for c in 255 + share * (colour - 255))
+                draw.line(part, fill=faded, width=_FINE * 2, joint="curve")
+
+
+@cache
+def _font() -> ImageFont.FreeTypeFont:
+    return ImageFont.truetype(findfont(FontProperties(family="DejaVu Sans")), round(_FINE * _PIXELS * SMALL / 72))
+
+
+def _placed(frame: Image.Image, axes: Axes, x: Any, y: Any) -> list[Point]:
+    """Return places on axes as pixels of a frame, from its upper left corner."""
+    points = axes.transData.transform(np.column_stack([x, y]))
+    return [(float(px), frame.height - float(py)) for px, py in points]
+
+
+def _image(figure: Figure) -> Image.Image:
+    figure.canvas.draw()
+    return Image.fromarray(np.asarray(figure.canvas.buffer_rgba())[..., :3].copy())  # type: ignore[attr-defined]
+
+
+def _bar(draw: ImageDraw.ImageDraw, points: list[Point], colour: str, thick: float) -> None:
+    """Draw a bar with round ends and joints."""
+    draw.line(points, fill=colour, width=round(thick))
+    for point in points:
+        _disc(draw, point, colour, thick / 2)
+
+
+def _disc(draw: ImageDraw.ImageDraw, at: Point, colour: str, radius: float) -> None:
+    draw.ellipse((at[0] - radius, at[1] - radius, at[0] + radius, at[1] + radius), fill=colour)
+
+
+def write_film(
+    view: RunView,
+    file: Path | str,
+    *,
+    stretch: Range | None = None,
+    yes: bool = False,
+    progress: Progress = no_progress,
+) -> Path:
+    """Write a film in real time, 25 frames a second: a GIF, a WebP or, with imageio-ffmpeg, an MP4, by the name's end.
+
+    The same view gives the same bytes. stretch: of time in s, if not all; yes: however long that takes.
+
+    Raises:
+        InputError: a name that ends otherwise, a file that cannot be written, a motion without arms, a stretch outside
+            the motion, a film that would take too long, or no imageio-ffmpeg.
+    """
+    file = Path(file)
+    kind = file.suffix.lower()
+    if kind not in _WRITERS:
+        raise InputError(f"{file}: a film is a .gif, .webp or .mp4 file; choose a name that ends so")
+    if not view.arm_lengths:
+        raise InputError(f"{file}: a film shows arms, and this system has none; use --picture")
+    begin, end = view.time_range
+    first, last = (begin, end) if stretch is None else stretch
+    if not begin <= first < last or first >= end:
+        raise InputError(
+            f"--stretch {first:g} {last:g}: no stretch of the motion, which lasts from {begin:.2f} to {end:.2f} s; "
+            "give a begin and a later end within it"
+        )
+    film = Film(view, (first, min(last, end)))
+    count = len(film.times)
+    size = _INCHES * (_HEAD + _SCENE + _FOOT + 3 * _ROW) * _PIXELS**2
+    memory = 3e8 + count * size * (kind == ".gif")
+    announce(Cost(f"{count:,} frames", _SECONDS[kind] * count, memory, f"--film {file.name}"), yes=yes)
+
+    with whole_file(file, suffix=kind) as temporary:
+        _WRITERS[kind](film, temporary, progress)
+    return file
+
+
+def _shown(film: Film, progress: Progress) -> Iterator[Image.Image]:
+    count = len(film.times)
+    for k in range(count):
+        progress("film", k / count)
+        yield film.frame(k)
+
+
+def _write_gif(film: Film, file: Path, progress: Progress) -> None:
+    # One palette for all: colours do not flicker, and what stands still is stored once.
+    samples = [film.frame(k) for k in np.linspace(0, len(film.times) - 1, 4).astype(int)]
+    sheet = Image.fromarray(np.concatenate([np.asarray(sample) for sample in samples]))
+    palette = sheet.quantize(_COLOURS, method=Image.Quantize.FASTOCTREE)
+    first, *rest = (frame.quantize(palette=palette, dither=Image.Dither.NONE) for frame in _shown(film, progress))
+    first.save(file, save_all=True, append_images=rest, duration=1000 // RATE, loop=0, optimize=False)
+
+
+def _write_webp(film: Film, file: Path, progress: Progress) -> None:
+    frames = _shown(film, progress)
+    next(frames).save(file, save_all=True, append_images=frames, duration=1000 // RATE, loop=0, quality=70, method=2)
+
+
+def _write_mp4(film: Film, file: Path, progress: Progress) -> None:
+    try:
+        import imageio_ffmpeg
+    except ImportError as error:
+        raise InputError(
+            f"{file.suffix} needs imageio-ffmpeg: pip install 'dpcontrol[film]', or choose .gif or .webp"
+        ) from error
+    # H.264 has even sizes only; neither time nor program is written, so that the same film has the same bytes.
+    width, height = (length // 2 * 2 for length in film.frame(0).size)
+    exact = ["-fflags", "+bitexact", "-flags:v", "+bitexact", "-map_metadata", "-1", "-threads", "1"]
+    writer = imageio_ffmpeg.write_frames(
+        str(file), (width, height), fps=RATE, codec="libx264", quality=8, macro_block_size=2, output_params=exact
+    )
+    writer.send(None)
+    try:
+        for frame in _shown(film, progress):
+            writer.send(frame.crop((0, 0, width, height)).tobytes())
+    finally:
+        writer.close()
+
+
+_WRITERS = {".gif": _write_gif, ".webp": _write_webp, ".mp4": _write_mp4}

@@ -1,0 +1,89 @@
+"""Films: what they show, that they are the same each time, and what is refused."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.review import style
+from dpcontrol.review.film import RATE, Film, write_film
+from dpcontrol.review.motion import PlanView, RunView
+
+
+def swinging(seconds: float = 4.0, **more) -> RunView:
+    """Return a view of two arms on a cart that turns evenly and drifts to the right, ahead of its reference."""
+    time = np.arange(0.0, seconds, 0.01)
+    state = np.zeros((len(time), 6))
+    state[:, 0], state[:, 1], state[:, 4] = 2.0 * time, 3.0 * time, 0.05 * time
+    behind = state - np.array([0.4, 0.4, 0, 0, 0, 0])
+    plan = PlanView(symbols=((1.0, "down-up +"),), duration=seconds)
+    return RunView(
+        path=Path(), title="A turn", time=time, state=state, what="plant", arm_lengths=(0.2, 0.3), has_cart=True,
+        rate_hz=100.0, reference=behind, limits=(0.4, 3.0, 30.0), plan=plan, **more,
+    )  # fmt: skip
+
+
+def frames_of(file) -> list[Image.Image]:
+    with Image.open(file) as film:
+        found = []
+        for k in range(film.n_frames):
+            film.seek(k)
+            found.append(film.convert("RGB").copy())
+        return found
+
+
+def middle_of(frame: Image.Image, colour: str) -> tuple[float, float]:
+    """Return the mean place of a colour's pixels above the story."""
+    pixels = np.asarray(frame.crop((0, 60, frame.width, 400))).astype(int)
+    rows, columns = np.nonzero(np.abs(pixels - style.rgb(colour)).max(axis=-1) < 12)
+    return float(columns.mean()), float(rows.mean())
+
+
+def has_arms(frame: Image.Image) -> bool:
+    return bool((np.abs(np.asarray(frame).astype(int) - style.rgb(style.arm_colour(0))).max(axis=-1) < 12).any())
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".webp"])
+def test_a_film_lasts_as_long_as_the_motion_and_is_the_same_each_time(tmp_path, suffix) -> None:
+    one, two = (write_film(swinging(0.4), tmp_path / f"{name}{suffix}") for name in "ab")
+    assert one.read_bytes() == two.read_bytes()
+    with Image.open(one) as film:
+        assert film.n_frames == round(0.39 * RATE) + 1
+        film.load()
+        assert film.info["duration"] == pytest.approx(1000 / RATE)
+
+
+def test_arms_and_cart_are_where_the_state_has_them(tmp_path) -> None:
+    view = swinging(2.0)
+    film = Film(view, (0.0, 1.99))
+    scene = film.still[1]
+    for k in (0, 20, 40):
+        at = view.state[film.rows[k], 4]
+        place = scene.transData.transform((at, 0.0))[0] / 2
+        assert middle_of(film.frame(k), style.CART)[0] == pytest.approx(place, abs=8.0)
+    # At first both arms hang, later the outer arm's bob is elsewhere.
+    tip = [middle_of(film.frame(k), style.arm_colour(1)) for k in (0, 12)]
+    assert tip[0][1] > tip[1][1] + 20
+
+
+def test_a_stretch_is_cut_out_and_a_gap_says_so(tmp_path) -> None:
+    view = swinging(4.0)
+    view.state[200:] = np.nan
+    file = write_film(view, tmp_path / "part.gif", stretch=(1.8, 2.6))
+    frames = frames_of(file)
+    assert len(frames) == 21
+    assert has_arms(frames[0])
+    assert not has_arms(frames[-1])
+
+
+def test_what_is_no_film_is_refused_in_one_sentence(tmp_path) -> None:
+    with pytest.raises(InputError, match=r"a film is a \.gif, \.webp or \.mp4 file"):
+        write_film(swinging(), tmp_path / "a.avi")
+    with pytest.raises(InputError, match=r"lasts from 0\.00 to 3\.99 s"):
+        write_film(swinging(), tmp_path / "a.gif", stretch=(3.0, 2.0))
+    with pytest.raises(InputError, match="and this system has none"):
+        write_film(replace(swinging(), arm_lengths=()), tmp_path / "a.gif")
+    assert not list(tmp_path.iterdir())
