@@ -1,6 +1,7 @@
 """What is installed is whole: the wheel carries models and itineraries, a checkout uses its own."""
 
 import configparser
+import json
 import os
 import re
 import subprocess
@@ -10,6 +11,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
+import dpcontrol
 
 ROOT = Path(__file__).parents[1]
 WHERE = """
@@ -42,8 +45,6 @@ def found_from(folder: Path, *, path: Path | None) -> list[str]:
         [sys.executable, "-c", WHERE], cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-    import json
-
     return json.loads(done.stdout)
 
 
@@ -100,6 +101,51 @@ def test_an_unpacked_wheel_finds_its_own_models_and_itineraries(wheel: Path, tmp
         data / "itineraries" / "outer-turn.toml",
         data / "itineraries" / "cross.toml",
     ]
+
+
+@pytest.mark.slow  # Two installations, seven seconds.
+@pytest.mark.parametrize("kind", ["wheel", "sdist"])
+def test_what_is_built_installs_in_a_folder_of_its_own_and_runs_there(kind: str, wheel: Path, tmp_path: Path) -> None:
+    built, site = wheel, tmp_path / "site"
+    if kind == "sdist":
+        build = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(tmp_path)]
+        subprocess.run(build, cwd=ROOT, capture_output=True, check=True)
+        (built,) = tmp_path.glob("*.tar.gz")
+    # With nothing fetched: the packages that it needs, and what builds it, are this environment's.
+    pip = [sys.executable, "-m", "pip", "install", "--no-deps", "--no-index", "--no-build-isolation", "--target"]
+    done = subprocess.run([*pip, str(site), str(built)], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    environment = {**os.environ, "PYTHONPATH": str(site)}
+    for program in ([sys.executable, site / "bin" / "dpcontrol"], [sys.executable, "-m", "dpcontrol"]):
+        said = subprocess.run(
+            [*program, "--version", "--json"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        )
+        versions = json.loads(said.stdout)
+        assert versions["dpcontrol"] == dpcontrol.__version__
+        assert set(versions) >= {"python", "system", "casadi", "heyoka", "numpy", "scipy", "rerun-sdk", "mcap"}
+    assert found_from(tmp_path, path=site)[1:] == [
+        str(site.resolve() / "dpcontrol" / "data" / kind / f"{name}.toml")
+        for kind, name in (
+            ("models", "lab"), ("models", "printed"), ("itineraries", "outer-turn"), ("itineraries", "cross")
+        )
+    ]  # fmt: skip
+
+
+def test_one_version_stands_in_the_package_the_changes_and_the_citation() -> None:
+    changes = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    cited = re.search(r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE)
+    assert re.findall(r"^## \[(.+?)\]", changes, re.MULTILINE)[0] == dpcontrol.__version__
+    assert cited is not None
+    assert cited[1] == dpcontrol.__version__
+
+
+def test_the_shell_completes_verbs_and_options() -> None:
+    for words, place, expected in (("dpcontrol sc", "1", "plain,score"), ("dpcontrol run --mism", "2", "--mismatch")):
+        asked = {"_DPCONTROL_COMPLETE": "bash_complete", "COMP_WORDS": words, "COMP_CWORD": place}
+        done = subprocess.run(
+            [sys.executable, "-m", "dpcontrol"], env={**os.environ, **asked}, capture_output=True, text=True, check=True
+        )
+        assert expected in done.stdout
 
 
 def test_a_checkout_finds_its_own_folders_from_anywhere(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Where heyoka cannot be had, as pip has it for Linux alone: all that needs no new orbit works, the rest says so.
 
-Each verb runs in a program that starts without heyoka, and so do those that it starts itself.
+Likewise without the extras, and without what only POSIX systems have. Each verb runs in a program that starts without
+these modules, and so do those that it starts itself. No test here replaces one on Windows or macOS.
 """
 
 import json
@@ -11,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bench_recordings import rig_variables, write_mat
+from bench_recordings import rig_variables, table_columns, write_csv, write_mat
 from command_line import Ended, dpcontrol
 
 from dpcontrol.dynamics import compiled
@@ -31,17 +32,16 @@ for arguments in json.loads(sys.argv[1]):
             main(arguments)
         except SystemExit as end:
             ended.append((end.code, out.getvalue(), err.getvalue()))
-assert not sys.modules["heyoka"]
 print(json.dumps(ended))
 """
 """Verbs one after the other, in one program: each would take a second to start."""
 
 
-def without_heyoka(folder: Path, *lines: str) -> list[Ended]:
-    """Call the program in `folder`, line by line, in a Python that cannot import heyoka, nor can its children."""
+def without(modules: tuple[str, ...], folder: Path, *lines: str) -> list[Ended]:
+    """Call the program in `folder`, line by line, where neither Python nor its children can import these modules."""
     site = folder / "site"
     site.mkdir(exist_ok=True)
-    (site / "sitecustomize.py").write_text('import sys\nsys.modules["heyoka"] = None\n')
+    (site / "sitecustomize.py").write_text(f"import sys\nsys.modules |= dict.fromkeys({modules!r})\n")
     path = os.pathsep.join([str(site), str(Path(compiled.__file__).parents[2])])
     done = subprocess.run(
         [sys.executable, "-c", WITHOUT, json.dumps([line.split() for line in lines])],
@@ -49,6 +49,11 @@ def without_heyoka(folder: Path, *lines: str) -> list[Ended]:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return [Ended(*one) for one in json.loads(done.stdout)]
+
+
+def without_heyoka(folder: Path, *lines: str) -> list[Ended]:
+    """Call the program in `folder`, line by line, where there is no heyoka."""
+    return without(("heyoka",), folder, *lines)
 
 
 @pytest.fixture(scope="module")
@@ -140,3 +145,32 @@ def test_casadis_own_machine_computes_what_the_compiled_code_does(points: tuple[
     expected = step(inputs, np.empty((step.size_out, *points)))
     found = compiled._ByCasadi(function)(inputs, np.empty((step.size_out, *points)))
     np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+EXTRAS = ("rerun", "rerun_cli", "rerun_bindings", "psutil", "pyarrow", "matio", "h5py", "pandas")
+POSIX = ("fcntl", "resource", "pwd", "grp", "termios")
+
+
+@pytest.mark.slow  # Six seconds: nine verbs.
+def test_without_extras_and_posix_all_else_works_and_a_sentence_names_the_extra(bench: Path) -> None:
+    (bench / "mat.mat").write_bytes(b"MATLAB 7.3 MAT-file" + bytes(1000))
+    write_csv(bench / "swing.csv", table_columns())
+    lines = {
+        "run turn.npz --out bare.mcap": "",
+        "score bare.mcap": "",
+        "import swing.csv --out swing.mcap": "",
+        "review bare.mcap --picture bare.png": "",
+        "review bare.mcap": "dpcontrol[viewer]",
+        "review bare.mcap --save bare.rrd": "dpcontrol[viewer]",
+        "campaign turn.npz --runs 1 --workers 1": "dpcontrol[tables]",
+        "import swing.parquet": "dpcontrol[tables]",
+        "import mat.mat": "dpcontrol[matlab]",
+    }
+    (bench / "swing.parquet").write_bytes(b"PAR1")
+    ended = without((*EXTRAS, *POSIX, "heyoka"), bench, *lines)
+    for (line, extra), one in zip(lines.items(), ended, strict=True):
+        assert (line, one.code) == (line, 2 if extra else 0), one.stderr
+        assert f"pip install '{extra}'" in one.message if extra else True, one.stderr
+    assert "drawn by matplotlib" in ended[3].stdout
+    assert "dpcontrol[viewer]" in ended[3].stdout
+    assert (bench / "bare.png").stat().st_size > 100_000

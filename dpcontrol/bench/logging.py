@@ -20,13 +20,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from dpcontrol.bench.chart import Missing, Panel, Point, PrecisionChart
 from dpcontrol.bench.measure import Alternative, Judged, compare
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.parts import Later
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.logs import LogWriter, recover
 from dpcontrol.logs.container import Messages, MessageWriter, messages_of, ticks_left
@@ -36,6 +35,7 @@ from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.run_options import RunOptions
 
+pa, pq = Later("pyarrow"), Later("pyarrow.parquet")
 Array = NDArray[np.float64]
 
 SURVIVES = 0.25

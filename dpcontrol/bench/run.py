@@ -17,7 +17,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, fields, replace
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from itertools import combinations, pairwise
 from pathlib import Path
 from textwrap import fill
@@ -28,7 +27,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator, PercentFormatter
 from numpy.typing import NDArray
 
-from dpcontrol import __version__
 from dpcontrol.bench.chart import (
     ALLOWED,
     AT_ONCE,
@@ -47,13 +45,12 @@ from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.cost import Cost, announce
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file, write_whole
+from dpcontrol.foundation.parts import versions
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.review.style import FAINT, INK, LIMIT, REFERENCE, STABLE
 
 Array = NDArray[np.float64]
-
-PACKAGES = ("numpy", "scipy", "casadi", "heyoka", "filterpy", "control", "mcap", "zstandard", "matplotlib")
 
 
 @dataclass(frozen=True)
@@ -152,18 +149,6 @@ def machine() -> dict[str, Any]:
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
     }
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of this package and of those it measures; "" for one that is not installed."""
-    return {"dpcontrol": __version__} | {name: _version(name) for name in PACKAGES}
-
-
-def _version(name: str) -> str:
-    try:
-        return version(name)
-    except PackageNotFoundError:
-        return ""
 
 
 def _processor() -> str:

@@ -88,6 +88,14 @@ class _Verbs(click.Group):
                     raise
                 raise click.Abort from error
 
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        if set(args) == {"--version", "--json"}:
+            from dpcontrol.foundation.parts import versions
+
+            print_json({name: number or None for name, number in versions().items()})
+            ctx.exit()
+        return super().parse_args(ctx, args)
+
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(VERBS)
 
@@ -117,7 +125,9 @@ class _Verbs(click.Group):
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
     epilog="Start with `dpcontrol demo`, then `dpcontrol guide`; every verb has --help with an example, and --json.",
 )
-@click.version_option(dpcontrol.__version__, prog_name="dpcontrol")
+@click.version_option(
+    dpcontrol.__version__, prog_name="dpcontrol", help="Show the version; with --json those of its parts, too."
+)
 @click.option("--debug", **DEBUG)
 def cli() -> None:
     """Design trajectories of a double pendulum on a cart, and test closed loops that follow them.

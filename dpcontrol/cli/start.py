@@ -48,6 +48,7 @@ def demo_command(
     with progress_bar("demo") as progress:
         progress("loading", 0.0)
         from dpcontrol import api
+        from dpcontrol.foundation.parts import installed
         from dpcontrol.review.of_log import run_view
         from dpcontrol.review.picture import write_picture
         from dpcontrol.review.rerun_recording import write_recording
@@ -57,9 +58,10 @@ def demo_command(
         log = folder / f"{scene.name}-{seed}.mcap"
         run = api.run(plan, seed=seed, log=log, force=force, progress=part_of(progress, 0.5, 0.75))
         verdict, view = run.score(), run_view(run.log)
-        progress("recording", 0.8)
-        recording = log.with_suffix(".rrd")
-        write_recording(view, recording)
+        recording = log.with_suffix(".rrd") if installed("rerun") else None
+        if recording is not None:
+            progress("recording", 0.8)
+            write_recording(view, recording)
         progress("picture", 0.85)
         picture = write_picture(view, log.with_suffix(".png"))
     seconds = time.perf_counter() - began
@@ -76,7 +78,7 @@ def demo_command(
         f"  planned: {plan.status}",
         *score_text(verdict),
         f"log        {log}",
-        f"recording  {recording}     (open it with `rerun {recording}`)",
+        *([f"recording  {recording}     (open it with `rerun {recording}`)"] if recording else []),
         f"picture    {picture.path}     ({picture.status})",
         f"{seconds:.1f} s in all; next: `dpcontrol review {log}`, `dpcontrol connect --help`",
     ]

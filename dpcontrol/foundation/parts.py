@@ -6,9 +6,12 @@ A system for which a package is not made, and an installation without an extra, 
 """
 
 import importlib
+import platform
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from typing import Any
 
+from dpcontrol import __version__
 from dpcontrol.foundation.errors import PartMissing
 
 _NEEDED = {
@@ -16,7 +19,11 @@ _NEEDED = {
     "conda-forge heyoka.py`, or take a plan that was saved where heyoka is by `dpcontrol plan NAME --out FILE.npz`",
     "matio": "MATLAB 7.3 files and MATLAB objects need mat-io; install it by `pip install 'dpcontrol[matlab]'`, or "
     "save the recording in MATLAB as version 7",
+    "pyarrow": "Parquet tables, as campaigns write them, need pyarrow; install it by `pip install 'dpcontrol[tables]'`",
+    "rerun": "the viewer and its recordings need rerun-sdk; install it by `pip install 'dpcontrol[viewer]'`, or have "
+    "matplotlib draw with --picture FILE.png",
 }
+_NEEDED["h5py"] = _NEEDED["matio"]
 
 
 def part(name: str) -> Any:
@@ -51,3 +58,20 @@ class Later:
         # Found without this function from now on.
         setattr(self, name, value)
         return value
+
+
+_DISTRIBUTIONS = (
+    "numpy", "scipy", "casadi", "heyoka", "networkx", "control", "filterpy", "mcap", "zstandard", "matplotlib",
+    "rerun-sdk", "pyarrow", "mat-io", "pandas",
+)  # fmt: skip
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of dpcontrol, Python, the system and the packages; "" for one that is not installed."""
+    found = {"dpcontrol": __version__, "python": platform.python_version(), "system": platform.platform()}
+    for name in _DISTRIBUTIONS:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = ""
+    return found

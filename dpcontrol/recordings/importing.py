@@ -22,7 +22,8 @@ import re
 import struct
 import zlib
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -31,8 +32,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.errors import InputError, PartMissing
 from dpcontrol.foundation.files import UNREADABLE, checked_size, checked_source
+from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Table, read_toml, suggest
 from dpcontrol.recordings.checks import (
@@ -473,8 +475,6 @@ def read_table(path: Path, columns: Sequence[str]) -> dict[str, Array]:
     Raises:
         InputError: the file cannot be read, is not a table, lacks a column, or holds text where numbers belong.
     """
-    import pyarrow as pa
-
     try:
         table = _parquet(path, columns) if path.suffix.lower() == ".parquet" else _csv(path, columns)
     except OSError as error:
@@ -482,11 +482,11 @@ def read_table(path: Path, columns: Sequence[str]) -> dict[str, Array]:
         raise InputError(
             f"cannot read {path}: {error.strerror or _reason(error)}; check the name, or save the recording again"
         ) from error
-    except (pa.ArrowException, ValueError, csv.Error, MemoryError) as error:
+    except (ValueError, csv.Error, MemoryError) as error:
         raise InputError(f"{path} is not a readable table ({_reason(error)}); save the recording again") from error
-    if table.num_rows == 0:
+    if not all(map(len, table.values())):
         raise InputError(f"{path} holds no rows; save the recording again")
-    return {name: _numbers(table.column(name), name, path) for name in columns}
+    return {name: _numbers(cells, name, path) for name, cells in table.items()}
 
 
 def _reason(error: BaseException) -> str:
@@ -504,24 +504,42 @@ def _check(path: Path, header: Sequence[str], columns: Sequence[str]) -> None:
 
 def table_columns(path: Path) -> list[str]:
     """Return the names of a table's columns; none where it cannot be read, which reading it reports."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     try:
         if path.suffix.lower() == ".parquet":
-            return list(pq.ParquetFile(path).schema_arrow.names)
+            with _parquet_file(path) as file:
+                return list(file.schema_arrow.names)
         return _header(path)[0]
-    except (OSError, ValueError, pa.ArrowException, csv.Error, InputError):
+    except (OSError, ValueError, csv.Error, InputError, PartMissing):
         return []
 
 
-def _parquet(path: Path, columns: Sequence[str]) -> Any:
-    import pyarrow.parquet as pq
+@contextmanager
+def _parquet_file(path: Path) -> Iterator[Any]:
+    """Open a Parquet file; what is wrong with it is an OSError or a ValueError."""
+    arrow = part("pyarrow")
+    try:
+        yield part("pyarrow.parquet").ParquetFile(path)
+    except arrow.ArrowException as error:
+        raise ValueError(_reason(error)) from error
 
-    file = pq.ParquetFile(path)
-    checked_size(8.0 * file.metadata.num_rows * len(columns))
-    _check(path, list(file.schema_arrow.names), columns)
-    return file.read(columns=list(columns))
+
+def _parquet(path: Path, columns: Sequence[str]) -> dict[str, Array | list[str | None]]:
+    with _parquet_file(path) as file:
+        checked_size(8.0 * file.metadata.num_rows * len(columns))
+        _check(path, list(file.schema_arrow.names), columns)
+        table = file.read(columns=list(columns))
+        return {name: _parquet_column(table.column(name), name, path) for name in columns}
+
+
+def _parquet_column(values: Any, name: str, path: Path) -> Array | list[str | None]:
+    import pyarrow as pa
+
+    kind = values.type
+    if pa.types.is_integer(kind) or pa.types.is_floating(kind):
+        return np.asarray(values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), dtype=float)
+    if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
+        raise InputError(f"{path}: the column {name!r} holds values of type {kind}; a column holds numbers")
+    return values.to_pylist()
 
 
 def _header(path: Path) -> tuple[list[str], str]:
@@ -534,40 +552,27 @@ def _header(path: Path) -> tuple[list[str], str]:
     return [name.strip() for name in next(csv.reader([first], delimiter=delimiter))], delimiter
 
 
-def _csv(path: Path, columns: Sequence[str]) -> Any:
-    import pyarrow as pa
-    from pyarrow import csv as arrow
-
+def _csv(path: Path, columns: Sequence[str]) -> dict[str, list[str | None]]:
     header, delimiter = _header(path)
     _check(path, header, columns)
-    # Read as text, so that a cell that is not a number can be reported by its row.
-    table = arrow.read_csv(
-        path,
-        read_options=arrow.ReadOptions(column_names=header, skip_rows=1),
-        parse_options=arrow.ParseOptions(delimiter=delimiter),
-        convert_options=arrow.ConvertOptions(
-            include_columns=list(columns), column_types=dict.fromkeys(columns, pa.string()), strings_can_be_null=False
-        ),
-    )
-    if delimiter == ",":
-        return table
-    import pyarrow.compute as pc
-
-    parts = {name: pc.replace_substring(table.column(name), ",", ".") for name in columns}  # type: ignore[attr-defined]
-    return pa.table(parts)
+    with path.open(encoding="utf-8-sig", newline="") as stream:
+        lines = [line for line in csv.reader(stream, delimiter=delimiter) if line][1:]
+    for row, line in enumerate(lines, start=1):
+        if len(line) != len(header):
+            raise ValueError(f"row {row} has {len(line)} cells, its header {len(header)}")
+    found: dict[str, list[str | None]] = {}
+    for name in columns:
+        place = header.index(name)
+        found[name] = [line[place] if delimiter == "," else line[place].replace(",", ".") for line in lines]
+    return found
 
 
-def _numbers(values: Any, name: str, path: Path) -> Array:
-    import pyarrow as pa
-
-    kind = values.type
-    if pa.types.is_integer(kind) or pa.types.is_floating(kind):
-        return np.asarray(values.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False), dtype=float)
-    if not (pa.types.is_string(kind) or pa.types.is_large_string(kind)):
-        raise InputError(f"{path}: the column {name!r} holds values of type {kind}; a column holds numbers")
-    cells = np.array(values.to_pylist(), dtype=object)
+def _numbers(cells: Array | list[str | None], name: str, path: Path) -> Array:
+    """Return a column's numbers; what stands for a missing one is nan, and any other text is reported by its row."""
+    if isinstance(cells, np.ndarray):
+        return cells
     try:
-        return np.array([float(cell) for cell in cells])
+        return np.array([float(cell) for cell in cells])  # type: ignore[arg-type]
     except (TypeError, ValueError):
         return np.array([_number(cell, row, name, path) for row, cell in enumerate(cells, start=1)])
 
@@ -656,8 +661,7 @@ def _unpacked_size(path: Path) -> int:
 
 def _hdf5_size(path: Path) -> int:
     """Return to how many bytes the data sets of a version 7.3 file unpack."""
-    import h5py
-
+    h5py = part("h5py")
     sizes: list[int] = []
 
     def visit(name: str, one: Any) -> None:
@@ -671,12 +675,10 @@ def _hdf5_size(path: Path) -> int:
 
 def _with_objects(path: Path) -> dict[str, Any]:
     # Takes half a second to import, and most files do not need it.
-    from matio import load_from_mat
-    from matio.utils.matclass import MatReadError
-
+    matio = part("matio")
     try:
-        return load_from_mat(str(path), raw_data=True) or {}
-    except MatReadError as error:
+        return matio.load_from_mat(str(path), raw_data=True) or {}
+    except part("matio.utils.matclass").MatReadError as error:
         raise ValueError(str(error)) from error
 
 

@@ -4,6 +4,8 @@ Space is (first coordinate, second, first rate), for arms (θ₁, θ₂, ω₁);
 tubes are about as high as wide. On the sections, (q, p/p₀) with p upwards. Dots move along the flights with time.
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -11,8 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import rerun as rr
-import rerun.blueprint as rrb
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.review import style
 from dpcontrol.review.page import DOTTED, angle_axis, key, new_figure, quiet, quiet_space, wrapped_runs
-from dpcontrol.review.rerun_recording import Box, page, reading_lines, recording_to, summary_view
+from dpcontrol.review.rerun_recording import Box, page, reading_lines, recording_to, rr, rrb, summary_view
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, AtlasOrbit, section_axes
 
 Array = NDArray[np.float64]

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_size, checked_source, picked
+from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.statistics import Share, wilson
 from dpcontrol.review import style
 from dpcontrol.review.page import new_figure, quiet
@@ -183,16 +184,14 @@ def _groups(table: dict[str, list[Any]], columns: list[str], done: Rows) -> list
 
 def _columns(path: Path) -> dict[str, list[Any]]:
     # pyarrow takes a third of a second to import.
-    import pyarrow
-    import pyarrow.parquet
-
+    arrow = part("pyarrow")
     if not checked_source(path).is_file():
         raise InputError(f"there is no campaign {path}")
     try:
-        file = pyarrow.parquet.ParquetFile(path)
+        file = part("pyarrow.parquet").ParquetFile(path)
         checked_size(8.0 * file.metadata.num_rows * file.metadata.num_columns)
         return file.read().to_pydict()
-    except (pyarrow.ArrowException, OSError, ValueError) as error:
+    except (arrow.ArrowException, OSError, ValueError) as error:
         reason = str(error).splitlines()[0]
         raise InputError(f"{path} is not a Parquet table, or is damaged: {reason}; run the campaign again") from error
 

@@ -5,6 +5,8 @@ For a symbol without a section, or one that the run did not complete, it is the 
 at its start. The comparison's status reports which it was for each run.
 """
 
+from __future__ import annotations
+
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,7 +15,6 @@ from textwrap import shorten
 from typing import Any
 
 import numpy as np
-import rerun.blueprint as rrb
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -280,7 +281,7 @@ def write_comparison_recording(comparison: RunComparison, path: Path) -> None:
             rerun_recording.record_chart(recording, "plots", chart, runs[0].view)
 
 
-def _blueprint(comparison: RunComparison, charts: Sequence[Chart], boxes: list[rerun_recording.Box]) -> rrb.Blueprint:
+def _blueprint(comparison: RunComparison, charts: Sequence[Chart], boxes: list[rerun_recording.Box]) -> rerun_recording.rrb.Blueprint:
     runs = comparison.runs
     scenes = [
         rerun_recording.scene_view(run.view, from_log=False, home=f"/runs/{k + 1}/scene", name=run.name)
@@ -302,7 +303,7 @@ def _blueprint(comparison: RunComparison, charts: Sequence[Chart], boxes: list[r
     if any(run.view.plan.planned for run in runs):
         name = f"Itineraries, aligned at symbol {comparison.symbol}"
         contents = [f"+ /{_home(k, run)}/**" for k, run in enumerate(runs)]
-        middle.insert(0, rrb.StateTimelineView(name=name, contents=contents))
-    beside = rrb.Grid(*planes, grid_columns=len(runs))
-    left = rrb.Vertical(rrb.Horizontal(*scenes), beside, rerun_recording.summary_view(), row_shares=[3, 4, 1.6])
-    return rerun_recording.page([left, *(rrb.Vertical(*views) for views in (middle, checks) if views)], [5, 4, 4])
+        middle.insert(0, rerun_recording.rrb.StateTimelineView(name=name, contents=contents))
+    beside = rerun_recording.rrb.Grid(*planes, grid_columns=len(runs))
+    left = rerun_recording.rrb.Vertical(rerun_recording.rrb.Horizontal(*scenes), beside, rerun_recording.summary_view(), row_shares=[3, 4, 1.6])
+    return rerun_recording.page([left, *(rerun_recording.rrb.Vertical(*views) for views in (middle, checks) if views)], [5, 4, 4])

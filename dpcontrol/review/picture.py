@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
+from dpcontrol.foundation.parts import installed, part
 from dpcontrol.review.motion import RunView
 
 if TYPE_CHECKING:
@@ -36,7 +37,9 @@ _PACKAGES = "mesa-vulkan-drivers libegl1 libgl1 libxkbcommon-x11-0 fonts-dejavu-
 
 
 def viewer_program() -> Path | None:
-    """Return the viewer's executable as the rerun-sdk package ships it, or None where it does not."""
+    """Return the viewer's executable as the rerun-sdk package ships it, or None where it does not, or is not installed."""
+    if not installed("rerun_cli"):
+        return None
     import rerun_cli
 
     folder = Path(rerun_cli.__file__).parent
@@ -67,7 +70,9 @@ def check_viewer() -> Path:
 
     Raises:
         InputError: there is none, or no display to open it on.
+        PartMissing: rerun-sdk is not installed.
     """
+    part("rerun")
     program = viewer_program()
     if program is None:
         raise InputError("the installed rerun-sdk holds no viewer; install rerun-sdk from PyPI again")
@@ -104,6 +109,8 @@ def open_viewer(recording: Path, *, temporary: Path | None = None) -> None:
 
 def missing_renderer() -> str | None:
     """Return why the viewer cannot draw without a screen here, or None if it may be able to."""
+    if not installed("rerun"):
+        return "rerun-sdk is not installed (pip install 'dpcontrol[viewer]')"
     if viewer_program() is None:
         return "the installed rerun-sdk holds no viewer"
     if sys.platform != "linux":

@@ -6,19 +6,19 @@ In the phase planes the viewer's y points down and its scales are equal: a rate 
 of 2 rad.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import rerun as rr
-import rerun.blueprint as rrb
 from numpy.typing import NDArray
-from rerun.chunk import McapReader
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file
+from dpcontrol.foundation.parts import Later
 from dpcontrol.review import style
 from dpcontrol.review.motion import RunView
 from dpcontrol.review.series import (
@@ -38,6 +38,12 @@ from dpcontrol.review.series import (
     strips,
     ticked,
 )
+
+if TYPE_CHECKING:
+    import rerun as rr
+    import rerun.blueprint as rrb
+else:
+    rr, rrb = Later("rerun"), Later("rerun.blueprint")
 
 Array = NDArray[np.float64]
 
@@ -432,7 +438,7 @@ def write_recording(view: RunView, path: Path) -> None:
             record_chart(recording, "plots", chart, view)
         record_planes(recording, "phase_planes", view)
         if from_log:
-            recording.send_chunks(McapReader(view.path, timeline_type="duration", include_topic_regex=_TOPICS).stream())
+            recording.send_chunks(Later("rerun.chunk").McapReader(view.path, timeline_type="duration", include_topic_regex=_TOPICS).stream())
             trace_tip(recording, "tip", view, frame=WORLD)
         else:
             draw_pendulum(recording, SCENE, view)

@@ -56,6 +56,7 @@ from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.cost import Cost, announce
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash, in_the_way, whole_file
+from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.processes import ATTEMPTS, in_processes, processors
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
@@ -270,11 +271,9 @@ def _write(path: Path, table: "pa.Table") -> None:
 
 
 def _read(path: Path) -> "pa.Table":
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
+    pa = part("pyarrow")
     try:
-        table = pq.read_table(path)
+        table = part("pyarrow.parquet").read_table(path)
     except FileNotFoundError as error:
         raise InputError(f"{path} does not exist; `dpcontrol campaign ITINERARY --out {path}` makes it") from error
     except (pa.ArrowException, OSError) as error:
@@ -567,8 +566,7 @@ def run_campaign(
         InputError: the file cannot be written; no cluster answers; the settings do not fit the plan.
         GoalMissed: the plan did not converge, or workers died again and again.
     """
-    import pyarrow as pa
-
+    pa = part("pyarrow")
     began = time.perf_counter()
     itinerary = plan.itinerary
     announce(_cost(plan.followed(), cases, settings), yes=yes)
@@ -582,7 +580,7 @@ def run_campaign(
         _check_replaced(file, _metadata(itinerary, cases, settings))
     extra = tuple(dict.fromkeys(name for case in cases for name in _numbers(case)))
     parts = None if file is None else file.with_name(file.name + ".parts")
-    kept: dict[str, pa.Table] = {}
+    kept: dict[str, Any] = {}
     if parts is not None:
         kept = {job.key: rows for job in jobs if (rows := _kept(parts / f"{job.key}.parquet", extra)) is not None}
     if left := [job for job in jobs if job.key not in kept]:
