@@ -242,7 +242,7 @@ class Lines(Format):
         self._file.close()
 
     def left(self, path: Path) -> int:
-        return path.read_text().count("\n")
+        return path.read_text(encoding="utf-8").count("\n")
 
 
 class Arrays(Format):

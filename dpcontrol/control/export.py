@@ -369,7 +369,7 @@ _HELPERS = {
 
 def _filled(name: str, known: Mapping[str, Any]) -> str:
     """Return a template with what stands between @ put in."""
-    return re.sub(r"@([A-Z_]+)@", lambda found: str(known[found[1]]), (_TEMPLATES / name).read_text())
+    return re.sub(r"@([A-Z_]+)@", lambda found: str(known[found[1]]), (_TEMPLATES / name).read_text(encoding="utf-8"))
 
 
 def _comment(text: str) -> str:
@@ -395,13 +395,14 @@ def _measured(files: Mapping[str, str]) -> tuple[int | None, int | None]:
     with TemporaryDirectory(prefix="dpcontrol-") as name:
         folder = Path(name)
         for file, text in files.items():
-            (folder / file).write_text(text)
+            (folder / file).write_text(text, encoding="utf-8")
         flags = ["-std=c99", "-O2", "-ffp-contract=off", "-fno-asynchronous-unwind-tables", "-fstack-usage", "-c"]
         try:
             for command in (["gcc", *flags, "dpc_controller.c"], ["size", "dpc_controller.o"]):
                 done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120, check=True)
             code = int(done.stdout.splitlines()[1].split()[0])
-            used = [line.split("\t") for line in (folder / "dpc_controller.su").read_text().splitlines()]
+            usage = (folder / "dpc_controller.su").read_text(encoding="utf-8")
+            used = [line.split("\t") for line in usage.splitlines()]
             step = sum(int(size) for place, size, *_ in used if re.search(r":dpc_(step|tick)\b", place))
         except (OSError, ValueError, LookupError, subprocess.SubprocessError):
             return None, None

@@ -151,7 +151,7 @@ def controller_unit(
     source: ControllerSource, program: TickProgram, schedule: GainSchedule, *, name: str, title: str, delay: float
 ) -> Unit:
     """Return the unit `name` of a controller's C, which was made of this program and schedule; delay in periods."""
-    template = _TEMPLATE.read_text()
+    template = _TEMPLATE.read_text(encoding="utf-8")
     sources = {file: text for file, text in source.files.items() if file in _SOURCES}
     guid = content_hash(template, *sources.values())
     sources["fmu.c"] = template.replace("@GUID@", guid)
@@ -195,7 +195,7 @@ def _binary(sources: Mapping[str, str]) -> tuple[bytes | None, str]:
     with TemporaryDirectory(prefix="dpcontrol-") as name:
         folder = Path(name)
         for file, text in sources.items():
-            (folder / file).write_text(text)
+            (folder / file).write_text(text, encoding="utf-8")
         command = [compiler, *_FLAGS, "-o", "unit", *_COMPILED, "-lm"]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if done.returncode:

@@ -240,7 +240,7 @@ def _kept_at(function: ca.Function) -> Path | None:
 def _processor() -> str:
     """Return what the processor can do, as Linux tells it; empty on other systems."""
     with suppress(OSError):
-        lines = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").split("\n\n")[0].splitlines()
         return platform.machine() + "".join(
             line for line in lines if line.startswith(("model name", "flags", "Features"))
         )

@@ -189,7 +189,8 @@ def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -
     try:
         there = path.is_dir() and any(path.iterdir())
         if there and not force:
-            if all((path / name).is_file() and (path / name).read_text() == text for name, text in files.items()):
+            places = {path / name: text for name, text in files.items()}
+            if all(file.is_file() and file.read_text(encoding="utf-8") == text for file, text in places.items()):
                 return
             raise in_the_way(path, "holds something else")
         beside = path if there else path.absolute().parent
@@ -198,7 +199,7 @@ def write_folder(path: Path, files: Mapping[str, str], *, force: bool = False) -
             whole = Path(name) / "whole"
             whole.mkdir()
             for file, text in files.items():
-                (whole / file).write_text(text)
+                (whole / file).write_text(text, encoding="utf-8")
             if there:
                 for file in files:
                     (whole / file).replace(path / file)

@@ -93,7 +93,9 @@ def _exit_after(sentinel: int) -> None:
 def _ignoring_interrupts() -> Iterator[None]:
     """Delay Ctrl-C until the block ends; processes started in it ignore it, as it is for the one that started them."""
     noted: list[int] = []
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    # Windows has no masks; the handler alone delays it there.
+    masks = hasattr(signal, "pthread_sigmask")
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if masks else ()
     # Another thread may still be given the signal, and the main one would leave a process half started.
     in_main = threading.current_thread() is threading.main_thread()
     handler = signal.signal(signal.SIGINT, lambda number, _: noted.append(number)) if in_main else None
@@ -102,6 +104,7 @@ def _ignoring_interrupts() -> Iterator[None]:
     finally:
         if in_main:
             signal.signal(signal.SIGINT, handler)
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        if masks:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
     if noted:
         signal.raise_signal(signal.SIGINT)

@@ -150,7 +150,7 @@ class Digest:
 def resident_memory() -> float:
     """Return how much memory this process has now, bytes; not-a-number where the system does not say."""
     try:
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
+        pages = int(Path("/proc/self/statm").read_text(encoding="utf-8").split()[1])
     except (OSError, ValueError, IndexError):
         return math.nan
     return float(pages * os.sysconf("SC_PAGE_SIZE"))
@@ -338,5 +338,5 @@ class RollingLog:
         if number < 1 or (number - 1) % self._keep_every == 0:
             return
         with suppress(OSError, ValueError, TypeError, KeyError):
-            if Digest.of(self.path(number, ".json").read_text()).number == number:
+            if Digest.of(self.path(number, ".json").read_text(encoding="utf-8")).number == number:
                 self.path(number).unlink(missing_ok=True)

@@ -34,7 +34,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError, PartMissing
 from dpcontrol.foundation.files import UNREADABLE, checked_size, checked_source
-from dpcontrol.foundation.parts import part
+from dpcontrol.foundation.parts import part as package
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Table, read_toml, suggest
 from dpcontrol.recordings.checks import (
@@ -516,9 +516,9 @@ def table_columns(path: Path) -> list[str]:
 @contextmanager
 def _parquet_file(path: Path) -> Iterator[Any]:
     """Open a Parquet file; what is wrong with it is an OSError or a ValueError."""
-    arrow = part("pyarrow")
+    arrow = package("pyarrow")
     try:
-        yield part("pyarrow.parquet").ParquetFile(path)
+        yield package("pyarrow.parquet").ParquetFile(path)
     except arrow.ArrowException as error:
         raise ValueError(_reason(error)) from error
 
@@ -661,7 +661,7 @@ def _unpacked_size(path: Path) -> int:
 
 def _hdf5_size(path: Path) -> int:
     """Return to how many bytes the data sets of a version 7.3 file unpack."""
-    h5py = part("h5py")
+    h5py = package("h5py")
     sizes: list[int] = []
 
     def visit(name: str, one: Any) -> None:
@@ -675,10 +675,10 @@ def _hdf5_size(path: Path) -> int:
 
 def _with_objects(path: Path) -> dict[str, Any]:
     # Takes half a second to import, and most files do not need it.
-    matio = part("matio")
+    matio = package("matio")
     try:
         return matio.load_from_mat(str(path), raw_data=True) or {}
-    except part("matio.utils.matclass").MatReadError as error:
+    except package("matio.utils.matclass").MatReadError as error:
         raise ValueError(str(error)) from error
 
 

@@ -31,6 +31,7 @@ from dpcontrol.review.page import (
     story,
     story_rows,
 )
+from dpcontrol.review.rerun_recording import rrb
 from dpcontrol.review.series import Chart, Line, Range, charts, plane, strips
 
 MOST = len(style.RUNS)
@@ -281,7 +282,7 @@ def write_comparison_recording(comparison: RunComparison, path: Path) -> None:
             rerun_recording.record_chart(recording, "plots", chart, runs[0].view)
 
 
-def _blueprint(comparison: RunComparison, charts: Sequence[Chart], boxes: list[rerun_recording.Box]) -> rerun_recording.rrb.Blueprint:
+def _blueprint(comparison: RunComparison, charts: Sequence[Chart], boxes: list[rerun_recording.Box]) -> rrb.Blueprint:
     runs = comparison.runs
     scenes = [
         rerun_recording.scene_view(run.view, from_log=False, home=f"/runs/{k + 1}/scene", name=run.name)
@@ -303,7 +304,7 @@ def _blueprint(comparison: RunComparison, charts: Sequence[Chart], boxes: list[r
     if any(run.view.plan.planned for run in runs):
         name = f"Itineraries, aligned at symbol {comparison.symbol}"
         contents = [f"+ /{_home(k, run)}/**" for k, run in enumerate(runs)]
-        middle.insert(0, rerun_recording.rrb.StateTimelineView(name=name, contents=contents))
-    beside = rerun_recording.rrb.Grid(*planes, grid_columns=len(runs))
-    left = rerun_recording.rrb.Vertical(rerun_recording.rrb.Horizontal(*scenes), beside, rerun_recording.summary_view(), row_shares=[3, 4, 1.6])
-    return rerun_recording.page([left, *(rerun_recording.rrb.Vertical(*views) for views in (middle, checks) if views)], [5, 4, 4])
+        middle.insert(0, rrb.StateTimelineView(name=name, contents=contents))
+    beside = rrb.Grid(*planes, grid_columns=len(runs))
+    left = rrb.Vertical(rrb.Horizontal(*scenes), beside, rerun_recording.summary_view(), row_shares=[3, 4, 1.6])
+    return rerun_recording.page([left, *(rrb.Vertical(*views) for views in (middle, checks) if views)], [5, 4, 4])

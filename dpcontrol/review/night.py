@@ -344,7 +344,7 @@ def _digests(folder: Path) -> Iterator[Digest]:
         size = log.stat().st_size if log.is_file() else None
         digest = None
         with suppress(OSError, ValueError, TypeError, KeyError):
-            digest = Digest.of(beside.read_text())
+            digest = Digest.of(beside.read_text(encoding="utf-8"))
         if digest is not None and size in (None, digest.size):
             yield digest
         elif size is not None:

@@ -37,7 +37,7 @@ _PACKAGES = "mesa-vulkan-drivers libegl1 libgl1 libxkbcommon-x11-0 fonts-dejavu-
 
 
 def viewer_program() -> Path | None:
-    """Return the viewer's executable as the rerun-sdk package ships it, or None where it does not, or is not installed."""
+    """Return the viewer's executable as the rerun-sdk package ships it, or None where there is none."""
     if not installed("rerun_cli"):
         return None
     import rerun_cli

@@ -438,7 +438,8 @@ def write_recording(view: RunView, path: Path) -> None:
             record_chart(recording, "plots", chart, view)
         record_planes(recording, "phase_planes", view)
         if from_log:
-            recording.send_chunks(Later("rerun.chunk").McapReader(view.path, timeline_type="duration", include_topic_regex=_TOPICS).stream())
+            reader = Later("rerun.chunk").McapReader
+            recording.send_chunks(reader(view.path, timeline_type="duration", include_topic_regex=_TOPICS).stream())
             trace_tip(recording, "tip", view, frame=WORLD)
         else:
             draw_pendulum(recording, SCENE, view)

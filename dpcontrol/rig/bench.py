@@ -716,8 +716,9 @@ class BenchProcess:
             figures, said = process.communicate()
         finally:
             if process.poll() is None:
-                # It stops the cart first.
-                process.send_signal(signal.SIGINT)
+                # It stops the cart first; Windows knows no way to ask.
+                if os.name == "posix":
+                    process.send_signal(signal.SIGINT)
                 with suppress(subprocess.TimeoutExpired):
                     process.communicate(timeout=_END)
                 process.kill()

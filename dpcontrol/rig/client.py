@@ -209,8 +209,6 @@ class UdpRig:
         # What comes during a stall should wait there.
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
         self._socket.setblocking(False)
-        self._poll = select.poll()
-        self._poll.register(self._socket, select.POLLIN)
         self._waiting: dict[int, ReadingPacket] = {}
         self._tick, self._begin = -1, math.inf
         self._stopped, self._gone = False, ""
@@ -387,7 +385,7 @@ class UdpRig:
                 try:
                     heard = self._believed(self._socket.recv(LARGEST))
                 except BlockingIOError:
-                    if not self._poll.poll(math.ceil(max(until - time.perf_counter(), 0.0) * 1e3)):
+                    if not select.select([self._socket], [], [], max(until - time.perf_counter(), 0.0))[0]:
                         return None
                     continue
                 if heard is not None:
