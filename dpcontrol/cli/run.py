@@ -34,6 +34,7 @@ from dpcontrol.cli.verbs import (
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_target, write_whole
 from dpcontrol.foundation.interrupts import forget_interrupts
+from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.progress import part_of, progress_bar
 from dpcontrol.foundation.settings import suggest
 from dpcontrol.scenes.run_options import RunOptions
@@ -532,6 +533,8 @@ def campaign_command(
     else:
         cases = cases_of(scene, fixed=fixed, over=varied)
     file = out or Path("logs") / f"{scene.name}.parquet"
+    # What writes the table, before the plan, which can take minutes.
+    part("pyarrow")
     with progress_bar("campaign") as progress:
         plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
         rest = part_of(progress, 0.05, 1.0)
