@@ -134,21 +134,13 @@ def run_command(
         raise click.UsageError("--controller-program controls the example bench of a run: give --rig udp as well")
     if program is not None and not (program.is_file() and os.access(program, os.X_OK)):
         raise InputError(f"--controller-program {program}: there is no such program that may be run; compile it first")
-    key = b""
-    if address is not None:
-        from dpcontrol.rig.client import parse_address
-        from dpcontrol.rig.packets import shared_key
-        from dpcontrol.scenes.run import OWN_BENCH
-
-        # Before the plan, which can take minutes.
-        if address != OWN_BENCH:
-            parse_address(address)
-            key = shared_key(key_file)
     from dpcontrol.scenes.evidence import run_remarks
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.plan import make_plan
-    from dpcontrol.scenes.run import RigLink, default_log, run_plan
+    from dpcontrol.scenes.run import default_log, rig_link, run_on_rig, run_plan, run_with_program
 
+    # Before the plan, which can take minutes.
+    link = rig_link(address, key_file=key_file, insecure=insecure, real_time=real_time)
     scene = load_itinerary(itinerary).with_run(settings, seed=seed)
     out = out or default_log(scene)
     if hours is not None:
@@ -168,28 +160,27 @@ def run_command(
         announce_night(scene, night, night_folder(out), real_time=address is not None, yes=yes)
         with progress_bar("night") as progress:
             plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
-            fly = partial(run_night, plan, out, night, resume=resume, force=force)
-            if address is None:
+            fly = partial(run_night, plan, out, night, link=link, resume=resume, force=force)
+            if link is None:
                 done = fly(progress=part_of(progress, 0.05, 1.0))
                 return Answer(done.document(), done.lines())
-        done = fly(link=RigLink(address, key, insecure, real_time))
+        done = fly()
         return Answer(done.document(), done.lines())
     with progress_bar("run") as progress:
         plan = make_plan(scene, progress=progress, yes=yes)
         verdict = None
-        if address is None:
+        if link is None:
             verdict = run_plan(plan, out, library=library, force=force, progress=progress).score()
-    if verdict is not None:
+    if link is None:
+        assert verdict is not None
         for line in run_remarks(scene):
             say(line)
         return Answer(verdict.document(), score_text(verdict), shortfall(verdict))
     # Without a progress bar, whose own thread would take time from the loop's.
-    from dpcontrol.scenes.run import run_on_rig, run_with_program
-
     if program is not None:
         run = run_with_program(plan, out, program, real_time=real_time, force=force)
     else:
-        run = run_on_rig(plan, out, address or "", key=key, insecure=insecure, real_time=real_time, force=force)
+        run = run_on_rig(plan, out, link, force=force)
     verdict, result = run.score, run.result
     kept = None if run.deadlines is None else asdict(run.deadlines)
     document = {**verdict.document(), "ending": result.ending.value, "deadlines": kept}
@@ -404,27 +395,23 @@ def commission_command(
     move. Ctrl-C brakes the cart. Exits with 1 where something is wrong. Settings and faults are the example bench's.
     More is in `dpcontrol guide commission`.
     """
-    from dpcontrol.rig.client import parse_address
-    from dpcontrol.rig.packets import shared_key
     from dpcontrol.scenes.itinerary import load_itinerary
-    from dpcontrol.scenes.run import OWN_BENCH, commission_rig, measured_text
+    from dpcontrol.scenes.run import OWN_BENCH, commission_rig, measured_text, rig_link
 
     own = address in (None, OWN_BENCH)
     if address is None and (real_time or key_file or insecure):
         raise click.UsageError("--real-time, --key-file and --insecure are for a rig: give --rig as well")
     if not own and (fault or settings.given()):
         raise click.UsageError("--fault and settings of the bench are for the example bench: leave them out with --rig")
-    if address is not None and not own:
-        parse_address(address)
-    key = b"" if own else shared_key(key_file)
+    link = rig_link(address, key_file=key_file, insecure=insecure, real_time=real_time)
     scene = load_itinerary(itinerary)
     practice = scene.with_run(settings, seed=seed)
     if write:
         # A file that cannot be changed is found out before the cart moves.
         measured_text(scene, {"delay": 1.0, "lag": 0.0, "zeros": [0.0], "counts": 1})
     found = commission_rig(
-        scene, address, practice=practice, faults=fault, switches=switches or 0.0, key=key, insecure=insecure,
-        real_time=real_time, tell=lambda text: say(f"dpcontrol: {text}"),
+        scene, link, practice=practice, faults=fault, switches=switches or 0.0,
+        tell=lambda text: say(f"dpcontrol: {text}"),
     )  # fmt: skip
     lines = [f"commissioning for {scene.name} on {address or 'the example bench, simulated'}"]
     for finding in found.findings:

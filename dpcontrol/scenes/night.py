@@ -202,7 +202,7 @@ def run_night(
                 recipe = replace(bench_recipe(plan, controller), recovering=ticks)
                 with _switching_soon(), SinkBeside(LogSink(rolling)) as sink:
                     on_rig = loop(sink)
-                    with link.connected(plan, recipe, on_rig, ticks=ticks, what="the night") as (rig, _):
+                    with link.connected(scene, recipe, ticks=ticks, what="the night", loop=on_rig) as (rig, _):
                         result = on_rig.run(rig)
                 if not rig.deadlines.ticks:
                     raise GoalMissed(result.reason)

@@ -67,7 +67,7 @@ from dpcontrol.loop.loop import (
     run_loop,
 )
 from dpcontrol.loop.recovery import FallRecovery
-from dpcontrol.loop.result import LogSink, LoopResult, NoSink, Rig, Ticks
+from dpcontrol.loop.result import LogSink, LoopResult, NoSink, Ticks
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import load_reference
 from dpcontrol.review.score import (
@@ -89,7 +89,7 @@ if TYPE_CHECKING:
 
     from dpcontrol.rig.bench import BenchProcess, BenchRecipe
     from dpcontrol.rig.client import Deadlines, UdpRig
-    from dpcontrol.rig.commissioning import Commissioning, CommissioningSettings
+    from dpcontrol.rig.commissioning import Commissioning
     from dpcontrol.scenes.preflight import Why
 
 _SCENE, _MODEL = "scene.toml", "model.toml"
@@ -622,124 +622,6 @@ def _limits(itinerary: Itinerary) -> Limits:
     return replace(itinerary.limits, position=travel) if travel else itinerary.limits
 
 
-def commission_rig(
-    itinerary: Itinerary,
-    address: str | None = None,
-    *,
-    practice: Itinerary | None = None,
-    faults: Sequence[str] = (),
-    switches: float = 0.0,
-    key: bytes = b"",
-    insecure: bool = False,
-    real_time: bool = False,
-    options: "CommissioningSettings | None" = None,
-    tell: Callable[[str], None] = lambda text: None,
-) -> "Commissioning":
-    """Find out what must be right before the first run on the rig at `address`; see `dpcontrol.rig.commissioning`.
-
-    address: udp://HOST:PORT, `udp` for the example bench in a process of its own, or None for that in simulated time.
-    practice: the itinerary as that bench has it, with other settings; faults: it has besides.
-
-    Raises:
-        InputError: the address is malformed, no bench answers, it needs a key or does not fit the itinerary.
-    """
-    from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
-    from dpcontrol.rig.client import UdpRig, parse_address, real_time_priority, without_collecting
-    from dpcontrol.rig.commissioning import CommissioningSettings, commission
-
-    arms, options = itinerary.model.arms, options or CommissioningSettings()
-    limits = _limits(itinerary)
-    recipe = hanging_recipe(practice or itinerary, faults=faults)
-    with ExitStack() as stack:
-        if address is None:
-            rig: Rig = recipe.rig(())
-        else:
-            where = None if address == OWN_BENCH else parse_address(address)
-            if where is None:
-                process = stack.enter_context(BenchProcess(recipe, BenchServerSettings(real_time=real_time)))
-                where, key = process.address, process.key
-            rig = stack.enter_context(UdpRig(where, key=key, insecure=insecure))
-            ticks = round((options.seconds + 4 * switches / options.creep) * itinerary.loop.rate)
-            _fits(
-                rig, arms=arms.count, rate=itinerary.loop.rate, ticks=ticks, what="commissioning",
-                remedy="set rate = {0:g} in [run]", longer="; start the example bench with --hanging",
-            )  # fmt: skip
-            stack.enter_context(without_collecting())
-            if real_time:
-                stack.enter_context(real_time_priority())
-        return commission(
-            rig, arms, itinerary.loop, limits=limits, zeros=itinerary.zeros, switches=switches, options=options,
-            tell=tell,
-        )  # fmt: skip
-
-
-def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path, str]:
-    """Return the file that is to hold an itinerary with values in its [run], and its text.
-
-    That is its own file, or, of one that is shipped, a copy in the working folder's `itineraries`.
-
-    Raises:
-        InputError: the file cannot be read, or its text not be changed.
-    """
-    if itinerary.stored is not None:
-        raise InputError(f"{itinerary.stored} is a plan, which stays as it is; give the itinerary's own .toml")
-    try:
-        text = itinerary.path.read_bytes().decode()
-    except OSError as error:
-        raise InputError(f"cannot read {itinerary.path}: {error.strerror or error}; check the file") from error
-    own, shipped = folders("itineraries")
-    path = itinerary.path.resolve()
-    if path.is_relative_to(shipped.resolve()) and not path.is_relative_to(own.resolve()):
-        path = own / path.name
-    mark = "\ufeff" if text.startswith("\ufeff") else ""
-    return path, mark + with_values(text.removeprefix(mark), "run", values, file=str(itinerary.path))
-
-
-def run_on_rig(
-    plan: Plan,
-    out: Path,
-    address: str,
-    *,
-    key: bytes = b"",
-    insecure: bool = False,
-    real_time: bool = False,
-    force: bool = False,
-    progress: Progress = no_progress,
-) -> RigRun:
-    """Run the closed loop of a planned itinerary on the bench at `address`, write its log to `out`, and score it.
-
-    address: udp://HOST:PORT, or `udp` for an example bench of its own. key: the one that is shared with the bench;
-    insecure: a bench on another computer needs none. real_time: ask the system for priority.
-
-    Raises:
-        InputError: the address is malformed, no bench answers, it needs a key or does not fit the itinerary, or the log
-            cannot be written.
-        GoalMissed: the plan did not converge, no controller can be made for it, or the bench failed at once.
-    """
-    itinerary, reference = plan.itinerary, plan.followed().reference
-    arms, settings = itinerary.model.arms, itinerary.loop
-    link = RigLink(address, key, insecure, real_time)
-    # What a rig does is not what any log there says, whatever its settings.
-    check_replaced(out, {**run_metadata(itinerary), "rig": address}, force=force)
-    controller = loop_controller(reference, arms, settings)
-    fallback = loop_fallback(reference, arms, settings)
-    recovers = loop_recovery(reference, arms, settings, controller)
-    with log_writer(plan, out) as writer:
-        loop = control_loop(
-            arms, settings, controller, limits=settings.limits(reference), sink=LogSink(writer), fallback=fallback,
-            recovery=None if recovers is None else FallRecovery(recovers, controller), progress=progress,
-        )  # fmt: skip
-        with link.connected(plan, bench_recipe(plan, controller), loop, ticks=loop.count) as (rig, process):
-            result = loop.run(rig)
-        if not len(result.ticks.times):
-            raise GoalMissed(result.reason)
-        deadlines = rig.deadlines
-        if deadlines.strangers:
-            writer.event(float(result.ticks.times[-1]), "warn", "rig", deadlines.strangers)
-        writer.result(**outcome(result), rig=rig.address, **deadlines.record())
-    return RigRun(score(read_log(out)), result, deadlines, tuple(process.said if process else ()))
-
-
 @dataclass(frozen=True)
 class RigLink:
     """How a loop reaches its bench.
@@ -765,11 +647,11 @@ class RigLink:
 
     @contextmanager
     def connected(
-        self, plan: Plan, recipe: "BenchRecipe", loop: ControlLoop, *, ticks: int, what: str = "the itinerary"
+        self, itinerary: Itinerary, recipe: "BenchRecipe", *, ticks: int, what: str, loop: ControlLoop | None = None
     ) -> "Iterator[tuple[UdpRig, BenchProcess | None]]":
-        """Rehearse a loop and yield its rig, which can run for `ticks`, and the example bench if there is one.
+        """Yield the rig, which can run for the `ticks` that `what` takes, and the example bench if there is one.
 
-        recipe: of that. what: takes these ticks, in words.
+        recipe: of that. loop: is rehearsed first, and knows the commands on their way; without one the arms hang.
 
         Raises:
             InputError: no bench answers, it needs a key, or it does not fit the itinerary.
@@ -777,29 +659,137 @@ class RigLink:
         from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
         from dpcontrol.rig.client import UdpRig, parse_address, real_time_priority, without_collecting
 
-        itinerary, key = plan.itinerary, self.key
-        arms, process = itinerary.model.arms, None
-        if self.address != OWN_BENCH and itinerary.start == "orbit":
-            fastest = np.abs(recipe.start[arms.count : 2 * arms.count]).max()
-            remark(
-                f'{itinerary.path}: start = "orbit" begins at the orbit\'s exact rates, {fastest:.3g} rad/s, which '
-                'only a simulated bench can; on a rig use an itinerary with start = "rest", such as turn-from-rest'
-            )
-        loop.rehearse()
+        arms, rate, key, process = itinerary.model.arms.count, itinerary.loop.rate, self.key, None
+        begun: dict[str, Any] = {}
+        if loop is not None:
+            if self.address != OWN_BENCH and itinerary.start == "orbit":
+                fastest = np.abs(recipe.start[arms : 2 * arms]).max()
+                remark(
+                    f'{itinerary.path}: start = "orbit" begins at the orbit\'s exact rates, {fastest:.3g} rad/s, which '
+                    'only a simulated bench can; on a rig use an itinerary with start = "rest", such as turn-from-rest'
+                )
+            loop.rehearse()
+            begun = {"queued": loop.queued, "zeros": itinerary.zeros}
         with ExitStack() as stack:
             if self.address == OWN_BENCH:
                 process = stack.enter_context(BenchProcess(recipe, BenchServerSettings(real_time=self.real_time)))
                 where, key = process.address, process.key
             else:
                 where = parse_address(self.address)
-            rig = stack.enter_context(
-                UdpRig(where, queued=loop.queued, zeros=itinerary.zeros, key=key, insecure=self.insecure)
-            )
-            _fits(rig, arms=arms.count, rate=itinerary.loop.rate, ticks=ticks, what=what)
+            rig = stack.enter_context(UdpRig(where, key=key, insecure=self.insecure, **begun))
+            there = rig.welcome
+            if there.arms != arms:
+                raise InputError(f"rig {rig.address} has {there.arms} arms, the itinerary's model {arms}")
+            if abs(there.period * rate - 1) > 1e-6:
+                own = 1 / there.period
+                remedy = f"set rate = {own:g} in [run]" if loop is None else f"run with --rate {own:g}"
+                raise InputError(f"rig {rig.address} ticks at {own:g} Hz, the loop at {rate:g} Hz; {remedy}")
+            if there.ticks < ticks:
+                longer = "; start the example bench with --hanging" if loop is None else ""
+                raise InputError(f"rig {rig.address} can run for {there.ticks} ticks, {what} takes {ticks}{longer}")
             stack.enter_context(without_collecting())
             if self.real_time:
                 stack.enter_context(real_time_priority())
             yield rig, process
+
+
+def rig_link(address: str | None, *, key_file: Path | None, insecure: bool, real_time: bool) -> RigLink | None:
+    """Return the link to a bench, with the key of a file or of the environment; None without an address.
+
+    Raises:
+        InputError: the address is malformed, or the key does not read.
+    """
+    from dpcontrol.rig.packets import shared_key
+
+    if address is None:
+        return None
+    link = RigLink(address, insecure=insecure, real_time=real_time)
+    return link if address == OWN_BENCH else replace(link, key=shared_key(key_file))
+
+
+def commission_rig(
+    itinerary: Itinerary,
+    link: RigLink | None = None,
+    *,
+    practice: Itinerary | None = None,
+    faults: Sequence[str] = (),
+    switches: float = 0.0,
+    tell: Callable[[str], None] = lambda text: None,
+) -> "Commissioning":
+    """Find out what must be right before the first run on a rig; see `dpcontrol.rig.commissioning`.
+
+    link: to the rig; without one it is the example bench in simulated time. practice: the itinerary as that bench has
+    it, with other settings; faults: it has besides.
+
+    Raises:
+        InputError: no bench answers, it needs a key or does not fit the itinerary.
+    """
+    from dpcontrol.rig.commissioning import CommissioningSettings, commission
+
+    options, rate = CommissioningSettings(), itinerary.loop.rate
+    recipe = hanging_recipe(practice or itinerary, faults=faults)
+    find = partial(
+        commission, arms=itinerary.model.arms, settings=itinerary.loop, limits=_limits(itinerary),
+        zeros=itinerary.zeros, switches=switches, options=options, tell=tell,
+    )  # fmt: skip
+    if link is None:
+        return find(recipe.rig(()))
+    ticks = round((options.seconds + 4 * switches / options.creep) * rate)
+    with link.connected(itinerary, recipe, ticks=ticks, what="commissioning") as (rig, _):
+        return find(rig)
+
+
+def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path, str]:
+    """Return the file that is to hold an itinerary with values in its [run], and its text.
+
+    That is its own file, or, of one that is shipped, a copy in the working folder's `itineraries`.
+
+    Raises:
+        InputError: the file cannot be read, or its text not be changed.
+    """
+    if itinerary.stored is not None:
+        raise InputError(f"{itinerary.stored} is a plan, which stays as it is; give the itinerary's own .toml")
+    try:
+        text = itinerary.path.read_bytes().decode()
+    except OSError as error:
+        raise InputError(f"cannot read {itinerary.path}: {error.strerror or error}; check the file") from error
+    own, shipped = folders("itineraries")
+    path = itinerary.path.resolve()
+    if path.is_relative_to(shipped.resolve()) and not path.is_relative_to(own.resolve()):
+        path = own / path.name
+    mark = "\ufeff" if text.startswith("\ufeff") else ""
+    return path, mark + with_values(text.removeprefix(mark), "run", values, file=str(itinerary.path))
+
+
+def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False) -> RigRun:
+    """Run the closed loop of a planned itinerary on a bench, write its log to `out`, and score it.
+
+    Raises:
+        InputError: no bench answers, it needs a key or does not fit the itinerary, or the log cannot be written.
+        GoalMissed: the plan did not converge, no controller can be made for it, or the bench failed at once.
+    """
+    itinerary, reference = plan.itinerary, plan.followed().reference
+    arms, settings = itinerary.model.arms, itinerary.loop
+    # What a rig does is not what any log there says, whatever its settings.
+    check_replaced(out, {**run_metadata(itinerary), "rig": link.address}, force=force)
+    controller = loop_controller(reference, arms, settings)
+    fallback = loop_fallback(reference, arms, settings)
+    recovers = loop_recovery(reference, arms, settings, controller)
+    with log_writer(plan, out) as writer:
+        loop = control_loop(
+            arms, settings, controller, limits=settings.limits(reference), sink=LogSink(writer), fallback=fallback,
+            recovery=None if recovers is None else FallRecovery(recovers, controller),
+        )  # fmt: skip
+        recipe = bench_recipe(plan, controller)
+        with link.connected(itinerary, recipe, ticks=loop.count, what="the itinerary", loop=loop) as (rig, process):
+            result = loop.run(rig)
+        if not len(result.ticks.times):
+            raise GoalMissed(result.reason)
+        deadlines = rig.deadlines
+        if deadlines.strangers:
+            writer.event(float(result.ticks.times[-1]), "warn", "rig", deadlines.strangers)
+        writer.result(**outcome(result), rig=rig.address, **deadlines.record())
+    return RigRun(score(read_log(out)), result, deadlines, tuple(process.said if process else ()))
 
 
 PROGRAM_WATCHDOG = 0.03
@@ -859,19 +849,3 @@ def _log_recorded(
             **(kept.record() if kept else {}),
         )  # fmt: skip
     return RigRun(score(read_log(out)), result, kept, tuple(process.said), rig.difference)
-
-
-def _fits(
-    rig: "UdpRig", *, arms: int, rate: float, ticks: int, what: str, remedy: str = "run with --rate {0:g}",
-    longer: str = "",
-) -> None:  # fmt: skip
-    welcome = rig.welcome
-    if welcome.arms != arms:
-        raise InputError(f"rig {rig.address} has {welcome.arms} arms, the itinerary's model {arms}")
-    if abs(welcome.period * rate - 1) > 1e-6:
-        raise InputError(
-            f"rig {rig.address} ticks at {1 / welcome.period:g} Hz, the loop at {rate:g} Hz; "
-            f"{remedy.format(1 / welcome.period)}"
-        )
-    if welcome.ticks < ticks:
-        raise InputError(f"rig {rig.address} can run for {welcome.ticks} ticks, {what} takes {ticks}{longer}")

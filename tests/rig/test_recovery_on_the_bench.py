@@ -33,7 +33,7 @@ def falling() -> Plan:
 
 
 def test_a_run_on_the_example_bench_falls_and_resumes_by_itself(tmp_path) -> None:
-    run = run_on_rig(falling(), tmp_path / "rig.mcap", "udp")
+    run = run_on_rig(falling(), tmp_path / "rig.mcap", RigLink("udp"))
     assert run.result.ending is Ending.FINISHED
     assert run.score.falls >= 1
     assert run.score.symbols_completed == 3
