@@ -21,6 +21,7 @@ def law_of(sections: int) -> OgyController:
     return pulses(orbit(), sections, seconds=4.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sections", "enough"), [(4, 0.5), (16, 0.2)])
 def test_large_pulses_hold_and_small_ones_lose_the_orbit(sections: int, enough: float):
     law = law_of(sections)

@@ -25,6 +25,7 @@ def test_rounding_bounds_the_gaps_from_below():
         assert border(segments, 2).near > rounding_floor(round_trip(), segments=segments) / 2
 
 
+@pytest.mark.slow
 def test_many_wraps_are_as_good_as_few():
     assert border(1, 8).near < 4 * border(1, 4).near
 

@@ -148,6 +148,7 @@ def test_a_pitchforks_pair_leaves_the_mirror_as_the_square_root(system, events):
     assert offsets[1] / offsets[0] == pytest.approx(2.0, rel=LAW)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [SADDLE_NODE, PITCHFORK, GRAZE], ids=["saddle-node", "pitchfork", "artefact"])
 def test_energies_repeat_under_doubled_sampling_and_halved_seed_distance(system, events, name):
     again = located(system, name, distance=5e-5, chord=0.025)
@@ -208,6 +209,7 @@ def test_the_state_at_a_bifurcation_flows_to_its_orbit_both_ways_by_scipy(system
         assert system.scaled_distance(np.broadcast_to(flown, curve.shape), curve).min() < 1e-3
 
 
+@pytest.mark.slow
 def test_a_connection_that_grazes_its_section_goes_on_beyond(system, events):
     """Multiple shooting, which knows no hits, carries it below the energy at which the first-hit list loses it."""
     event = events[GRAZE]
@@ -236,6 +238,7 @@ def test_a_connection_that_grazes_its_section_goes_on_beyond(system, events):
         assert np.count_nonzero(np.diff(np.sign(heights[np.abs(heights) > 1e-12]))) == crossings
 
 
+@pytest.mark.slow
 def test_two_events_in_one_interval_are_told_apart(of_up_down):
     assert [(e.kind, e.count_below, e.count_above) for e in of_up_down] == [
         ("saddle-node", 0, 4),

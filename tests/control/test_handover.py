@@ -64,6 +64,7 @@ def done(request: pytest.FixtureRequest, there_and_back: Program) -> Flight:
     return fly(there_and_back.begin(), plant, there_and_back.first_state, there_and_back.ticks * PERIOD)
 
 
+@pytest.mark.slow
 def test_ogy_keeps_the_wobbles_and_tvlqr_flies_the_turns_there_and_back(there_and_back: Program, done: Flight) -> None:
     assert len(done.states) == there_and_back.ticks
     assert [event.split(":")[1] for event in done.events] == [" turn", " wobble 2", " turn back", " wobble 3"]

@@ -15,6 +15,9 @@ from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.run_options import RunOptions
 
+pytestmark = pytest.mark.slow
+"""Ways from rest to the stops take most of a minute to plan."""
+
 BENCH = RunOptions(
     on_fall="resume", lag=0.005, command_noise=0.3, zero_error=0.01, initial_error=0.05, mismatch=0.05, travel=0.8
 )

@@ -158,6 +158,7 @@ def test_a_family_turns_back_where_its_multipliers_meet_at_one(family):
     assert fold.trace == pytest.approx(2.0, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_changes_of_stability_do_not_depend_on_the_steps(found, family):
     finer = rotating_family(found[2, -0.06985][-1], (-0.12, 0.42), settings=RotatingFamilySettings(step=0.02))
     assert len(finer.changes) == len(family.changes)
@@ -165,6 +166,7 @@ def test_changes_of_stability_do_not_depend_on_the_steps(found, family):
         assert a.orbit.energy == pytest.approx(b.orbit.energy, abs=LOCATED)
 
 
+@pytest.mark.slow
 def test_families_of_one_energy_are_followed_once_each(system, found):
     """The fold at -0.1107 J joins the two fastest of the six: five families."""
     families = rotating_families(found[2, -0.06985], (-0.115, -0.05))

@@ -109,6 +109,7 @@ def test_sweeps_report_how_far_a_figure_is(gallery, tmp_path):
     assert shares == pytest.approx([7 / 12, 9 / 12, 11 / 12])
 
 
+@pytest.mark.slow
 def test_captions_of_figures_drawn_before_are_kept_in_the_papers_order(gallery, tmp_path):
     draw_figures(["graph"], gallery, tmp_path)
     draw_figures(["energy-landscape"], gallery, tmp_path)

@@ -25,6 +25,7 @@ def log():
     return run_plan(make_plan(replace(scene, loop=loop))).log
 
 
+@pytest.mark.slow
 def test_a_strip_shows_what_the_run_was_doing(log) -> None:
     view = run_view(log)
     (strip,) = [one for one in strips(view) if one.key == "motion"]
@@ -34,6 +35,7 @@ def test_a_strip_shows_what_the_run_was_doing(log) -> None:
     assert all(a.last == b.first for a, b in zip(strip.spans[:-1], strip.spans[1:], strict=True))
 
 
+@pytest.mark.slow
 def test_what_was_done_stands_where_it_was_done_by_the_runs_own_clock(log) -> None:
     view = run_view(log)
     returned = next(event.time for event in log.events if event.name == "resume" and event.time)

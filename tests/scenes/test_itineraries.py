@@ -127,6 +127,7 @@ def test_a_repeated_walk_is_planned_run_and_scored_as_all_its_rounds(tmp_path: P
     assert again.document["symbols_total"] == 4
 
 
+@pytest.mark.slow
 def test_two_turns_are_planned_and_run(tmp_path: Path) -> None:
     done = dpcontrol("run", "double-turn", "--seed", "1", "--out", tmp_path / "turns.mcap", "--json")
     assert done.code == 0

@@ -77,6 +77,7 @@ def test_what_sticks_comes_back_also_in_a_night_that_is_resumed() -> None:
     assert _since(loop, 200.0).sensors == SensorSettings(stuck_for=10.0)
 
 
+@pytest.mark.slow
 def test_a_short_night_is_repeated_interrupted_resumed_and_told(tmp_path: Path) -> None:
     scene = night_itinerary(TURN.with_run(BENCH, seed=5), asked={})
     plan, out = make_plan(scene), tmp_path / "turn.mcap"

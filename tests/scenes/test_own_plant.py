@@ -62,6 +62,7 @@ def test_an_itinerary_names_its_plant_from_its_own_folder(rusty: Path) -> None:
     assert loaded.loop.friction == 2.0
 
 
+@pytest.mark.slow
 def test_lockstep_and_loop_run_the_same_plant_and_a_log_repeats_it(turn: Itinerary, rusty: Path) -> None:
     plan = make_plan(turn)
     cases = cases_of(turn, fixed=RunOptions(plant=str(rusty), friction=1.5), over={})

@@ -28,6 +28,7 @@ def plan():
     return make_plan(replace(scene, loop=loop))
 
 
+@pytest.mark.slow
 def test_each_stop_has_a_way_from_rest_that_ends_on_the_reference(plan) -> None:
     starts = plan_notes(plan.reference)["starts"]
     assert [start["stop"] for start in starts] == [0, 1]
@@ -40,6 +41,7 @@ def test_each_stop_has_a_way_from_rest_that_ends_on_the_reference(plan) -> None:
         np.testing.assert_allclose(meets, 0.0, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_plan_is_the_same_with_starts_and_without(plan) -> None:
     alone = make_plan(load_itinerary("outer-turn"))
     np.testing.assert_array_equal(alone.reference.states, plan.reference.states)
@@ -47,6 +49,7 @@ def test_a_plan_is_the_same_with_starts_and_without(plan) -> None:
     assert make_plan(plan.itinerary).cached
 
 
+@pytest.mark.slow
 def test_a_run_that_fell_and_was_done_again_is_completed_and_repeats_itself(plan, tmp_path) -> None:
     log = tmp_path / "fell.mcap"
     verdict = run_plan(plan, log).score()
@@ -58,6 +61,7 @@ def test_a_run_that_fell_and_was_done_again_is_completed_and_repeats_itself(plan
     assert repeat_run(log, tmp_path / "again.mcap").comparison.difference is None
 
 
+@pytest.mark.slow
 def test_a_stop_that_cannot_be_reached_on_the_track_that_is_left_is_passed_over(plan, monkeypatch) -> None:
     bare, asked = make_plan(load_itinerary("outer-turn")).reference, []
 
@@ -81,11 +85,13 @@ def test_a_stop_that_cannot_be_reached_on_the_track_that_is_left_is_passed_over(
         planned_starts(short, bare)
 
 
+@pytest.mark.slow
 def test_what_gets_up_after_a_fall_cannot_leave_as_c(plan) -> None:
     with pytest.raises(InputError, match=r'on_fall = "resume".*export with on_fall = "stop"'):
         check_exportable(plan.itinerary)
 
 
+@pytest.mark.slow
 def test_a_law_with_a_clock_of_its_own_cannot_be_taken_up_anywhere(plan) -> None:
     scene = plan.itinerary
     loop = replace(scene.loop, controller=TvlqrSettings(schedule="phase"))
@@ -94,6 +100,7 @@ def test_a_law_with_a_clock_of_its_own_cannot_be_taken_up_anywhere(plan) -> None
         loop_recovery(plan.reference, scene.model.arms, loop, controller)
 
 
+@pytest.mark.slow
 def test_a_plan_that_was_made_without_starts_gets_them_where_its_runs_recover(plan) -> None:
     alone = make_plan(load_itinerary("outer-turn"))
     (case,) = cases_of(alone.itinerary, fixed=replace(RESUME, pushes=2, push_impulse=0.02), over={})

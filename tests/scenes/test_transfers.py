@@ -58,6 +58,7 @@ def flown_again(plan: Plan, number: int) -> Reference:
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_a_hold_where_arms_rest_is_the_rest_at_an_end(there_and_back: Plan) -> None:
     notes = there_and_back.notes
     assert [stop["saddle"] for stop in notes["stops"]] == ["down-down", "down-up", "down-down"]

@@ -34,6 +34,7 @@ def found(failed: Run) -> Why:
     return failed.why()
 
 
+@pytest.mark.slow
 def test_the_changes_that_are_named_complete_the_seed_and_no_other_does(plan: Plan, found: Why, failed: Run) -> None:
     assert failed.score().completed is False
     assert found.reason == failed.score().reason

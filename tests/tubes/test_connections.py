@@ -215,6 +215,7 @@ def test_near_touches_are_those_within_the_curves_sagitta(gap, seen):
     assert all(abs(x[int(i)]) < 0.02 for i, _ in touches)
 
 
+@pytest.mark.slow
 def test_closed_cuts_that_cross_unevenly_are_refined_until_they_do_not():
     """With λ = 9e4 the cut has folds thinner than its chords; two closed curves cross an even number of times."""
     orbits = orbits_between(load_model("printed").system, "down-up", "up-down", 0.1788112)

@@ -62,6 +62,7 @@ def test_the_least_wraps_of_a_closed_walk_cannot_be_lowered_anywhere(system, tan
         assert not solver.solve(walk, fewer, periodic=True).converged
 
 
+@pytest.mark.slow
 def test_the_nearly_tangent_symbol_among_transversal_ones_is_the_one_at_fault(system, crossing):
     solver, classifier = WalkSolver(crossing.connections), WalkClassifier(system, crossing.connections)
     turns = [c for c in crossing.between("down-up", "down-up") if c.symmetric and c.transversality_angle > 20]
