@@ -61,10 +61,12 @@ class Film:
 
     @cached_property
     def rows(self) -> NDArray[np.int64]:
-        """(K,) the ticks that the frames show; -1 in a gap of more than two frames."""
+        """(K,) the ticks that the frames show; -1 without a pose, or in a gap of more than two frames or ticks."""
         time = self.view.time
         rows = np.searchsorted(time, self.times - 1e-9).clip(0, len(time) - 1)
-        return np.where(np.abs(time[rows] - self.times) <= 2 / RATE, rows, -1)
+        near = np.abs(time[rows] - self.times) <= 2 / min(RATE, self.view.rate_hz)
+        posed = np.isfinite(self.view.state[rows, : self.view.arms]).all(axis=1) & np.isfinite(self.pivots[rows])
+        return np.where(near & posed, rows, -1)
 
     @cached_property
     def pivots(self) -> Array:
@@ -141,11 +143,11 @@ class Film:
             draw.text((right, top + 1.4 * _font().size), past[-1], fill=style.NOTE, font=_font(), anchor="rt")
         if told is not None:
             draw.line(_placed(frame, told, [time, time], told.get_ylim()), fill=style.LIMIT, width=2 * _FINE)
-        at = self.pivots[row]
-        if row < 0 or not np.isfinite([*view.state[row, : view.arms], at]).all():
+        if row < 0:
             middle = _placed(frame, scene, [np.mean(scene.get_xlim())], [np.mean(scene.get_ylim())])[0]
             draw.text(middle, "no data", fill=style.MARK, font=_font(), anchor="mm")
             return frame.reduce(_FINE)
+        at = self.pivots[row]
         unit = frame.width / np.ptp(scene.get_xlim())
         thick = 0.055 * reach * unit
 
@@ -230,7 +232,7 @@ def write_film(
 
     Raises:
         InputError: a name that ends otherwise, a file that cannot be written, a motion without arms, a stretch outside
-            the motion, a film that would take too long, or no imageio-ffmpeg.
+            the motion or without angles, a film that would take too long, or no imageio-ffmpeg.
     """
     file = Path(file)
     kind = file.suffix.lower()
@@ -245,11 +247,16 @@ def write_film(
             f"--stretch {first:g} {last:g}: no stretch of the motion, which lasts from {begin:.2f} to {end:.2f} s; "
             "give a begin and a later end within it"
         )
-    film = Film(view, (first, min(last, end)))
+    last = min(last, end)
+    film = Film(view, (first, last))
     count = len(film.times)
+    if count < 2 or (film.rows < 0).all():
+        why = "holds no angles" if count > 1 else f"is shorter than the {1 / RATE:g} s of a frame"
+        raise InputError(f"{file}: the motion from {first:g} to {last:g} s {why}; film another log or stretch")
     size = _INCHES * (_HEAD + _SCENE + _FOOT + 3 * _ROW) * _PIXELS**2
     memory = 3e8 + count * size * (kind == ".gif")
-    announce(Cost(f"{count:,} frames", _SECONDS[kind] * count, memory, f"--film {file.name}"), yes=yes)
+    key = f"--film {file.name} of {last - first:.0f} s (--stretch takes a part)"
+    announce(Cost(f"{count:,} frames", _SECONDS[kind] * count, memory, key), yes=yes)
 
     with whole_file(file, suffix=kind) as temporary:
         _WRITERS[kind](film, temporary, progress)

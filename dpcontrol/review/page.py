@@ -393,14 +393,14 @@ def _numbers(axes: Axes, view: RunView, rows: list[str], *, letter: float, begin
     free = begin
     for i, (name, planned, done) in enumerate(view.symbols):
         for row, moment in ((rows[0], planned), ("done", done)):
-            if row in rows and moment is not None:
+            if row in rows and moment is not None and begin <= moment <= end:
                 place = len(rows) - 1 - rows.index(row)
                 axes.plot([moment, moment], [place, place + _TALL], color=style.INK, linewidth=1.4, zorder=4.5)
                 if row == rows[0]:
                     badge(axes, i + 1, moment, place + _TALL / 2)
         half = letter * len(name) / 2
         left = min(max(planned - half, begin), end - 2 * half)
-        if left > free:
+        if left > free and begin <= planned <= end:
             axes.text(left + half, len(rows) - 0.02, name, ha="center", va="bottom", fontsize=SMALL, color=style.INK)
             free = left + 2 * half + letter
 

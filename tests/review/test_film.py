@@ -1,5 +1,6 @@
 """Films: what they show, that they are the same each time, and what is refused."""
 
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,7 +11,7 @@ from PIL import Image
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.review import style
 from dpcontrol.review.film import RATE, Film, write_film
-from dpcontrol.review.motion import PlanView, RunView
+from dpcontrol.review.motion import PlanView, RunView, Stay
 
 
 def swinging(seconds: float = 4.0, **more) -> RunView:
@@ -87,3 +88,52 @@ def test_what_is_no_film_is_refused_in_one_sentence(tmp_path) -> None:
     with pytest.raises(InputError, match="and this system has none"):
         write_film(replace(swinging(), arm_lengths=()), tmp_path / "a.gif")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_motion_without_angles_or_shorter_than_a_frame_is_refused(tmp_path) -> None:
+    blank = swinging()
+    blank.state[:] = np.nan
+    with pytest.raises(InputError, match="holds no angles"):
+        write_film(blank, tmp_path / "a.gif")
+    with pytest.raises(InputError, match=r"shorter than the 0\.04 s of a frame"):
+        write_film(swinging(), tmp_path / "a.gif", stretch=(1.0, 1.01))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_recording_slower_than_the_film_has_its_pose_in_every_frame() -> None:
+    fast = swinging(4.0)
+    slow = replace(fast, time=fast.time[::25], state=fast.state[::25], reference=fast.reference[::25], rate_hz=4.0)
+    assert (Film(slow, slow.time_range).rows >= 0).all()
+
+
+def test_symbols_outside_the_stretch_are_neither_numbered_nor_named() -> None:
+    stay = Stay(0.0, 3.99, "down-up", "down-up")
+    symbols = ((0.5, "before"), (1.5, "within"), (2.5, "after"))
+    view = replace(swinging(), plan=PlanView(symbols=symbols, planned=(stay,), duration=4.0))
+    told = Film(view, (1.0, 2.0)).still[2]
+    assert told is not None
+    assert {text.get_text() for text in told.texts} - {"down-up"} == {"2", "within"}
+
+
+def test_a_film_too_long_to_begin_unasked_says_how_to_take_a_part(tmp_path) -> None:
+    hours = replace(swinging(), time=np.linspace(0.0, 1e4, 400), rate_hz=0.04)
+    with pytest.raises(InputError, match=r"a\.gif of 10000 s \(--stretch takes a part\): 250,001 frames will take"):
+        write_film(hours, tmp_path / "a.gif")
+
+
+def test_an_mp4_is_the_same_each_time_or_says_what_it_needs(tmp_path, monkeypatch) -> None:
+    pytest.importorskip("imageio_ffmpeg")
+    one, two = (write_film(swinging(0.2), tmp_path / f"{name}.mp4") for name in "ab")
+    assert one.read_bytes() == two.read_bytes()
+    assert one.read_bytes()[4:8] == b"ftyp"
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    with pytest.raises(InputError, match=r"pip install 'dpcontrol\[film\]'"):
+        write_film(swinging(0.2), tmp_path / "c.mp4")
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["a.mp4", "b.mp4"]
+
+
+@pytest.mark.slow
+def test_ten_seconds_stay_within_three_megabytes(tmp_path) -> None:
+    """Slow: 250 frames in each of two formats, of arms that turn all the time, the most that can change."""
+    for suffix in (".gif", ".webp"):
+        assert write_film(swinging(10.0), tmp_path / f"ten{suffix}").stat().st_size <= 3e6
