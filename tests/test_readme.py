@@ -224,7 +224,7 @@ def test_the_two_lines_that_set_up_an_environment_are_there() -> None:
     lines = "".join(block.text for block in blocks(README, "sh")).splitlines()
     assert len(lines) == 2
     demo, tests = lines
-    assert demo == f"{ENVIRONMENT}. && .venv/bin/dpcontrol demo"
+    assert demo == f"{ENVIRONMENT}'.[all]' && .venv/bin/dpcontrol demo"
     assert tests.startswith(f"{ENVIRONMENT}'.[dev]' && .venv/bin/pytest")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     assert "dpcontrol" in project["scripts"]
