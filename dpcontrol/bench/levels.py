@@ -54,9 +54,6 @@ _WHY = (
     "the cart level holds all that the rig's identified values support; its drive is not identified, so what the "
     "levels above add is there for those who know theirs"
 )
-HEADING = f"""What each shipped scene needs of the model: `pytest -m benchmark tests/benchmarks/test_level_evidence.py`.
-reference: one run on a plant that is the model. plant: runs with the scene's own mismatch; drive: lag {LAG:g} s;
-force: a cart of {CART_MASS:g} kg besides. effort: m/s² rms of the cart; error: rad rms of the angles."""
 
 
 def chart(quick: bool, progress: Progress) -> PrecisionChart:

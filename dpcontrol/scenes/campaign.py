@@ -270,38 +270,20 @@ def _write(path: Path, table: "pa.Table") -> None:
         pq.write_table(table, temporary, compression="zstd")
 
 
-def _read(path: Path) -> "pa.Table":
+def _read(path: Path) -> "pa.Table | None":
+    """Return a campaign's table; None where there is none, or the file is damaged or something else."""
     pa = part("pyarrow")
     try:
         table = part("pyarrow.parquet").read_table(path)
-    except FileNotFoundError as error:
-        raise InputError(f"{path} does not exist; `dpcontrol campaign ITINERARY --out {path}` makes it") from error
-    except (pa.ArrowException, OSError) as error:
-        first = str(error).splitlines()[0]
-        raise InputError(f"{path} cannot be read as Parquet ({first}); run the campaign again") from error
-    missing = [name for name in COLUMNS if name not in table.column_names]
-    if missing:
-        raise InputError(f"{path} is no campaign of dpcontrol: it has no column {missing[0]!r}")
-    return table
-
-
-def read_rows(path: Path) -> tuple[list[Row], dict[str, Any]]:
-    """Return a campaign file's rows, and its metadata.
-
-    Raises:
-        InputError: the file is missing, damaged or no campaign.
-    """
-    table = _read(path)
-    return table.to_pylist(), json.loads((table.schema.metadata or {}).get(METADATA, b"{}"))
+    except (pa.ArrowException, OSError):
+        return None
+    return table if set(COLUMNS) <= set(table.column_names) else None
 
 
 def _kept(part: Path, extra: Sequence[str]) -> "pa.Table | None":
     """Return a finished job's rows; None where there are none, or they are damaged or have other columns."""
-    try:
-        table = _read(part)
-    except InputError:
-        return None
-    return table if table.schema.equals(_schema(extra)) else None
+    table = _read(part)
+    return table if table is not None and table.schema.equals(_schema(extra)) else None
 
 
 ANSWERS_WITHIN = "10s"
@@ -607,10 +589,8 @@ def _check_replaced(file: Path, metadata: Mapping[str, Any]) -> None:
     """
     if not file.is_file():
         return
-    try:
-        table = _read(file)
-    except InputError as error:
-        raise in_the_way(file, "is no table of a campaign") from error
+    if (table := _read(file)) is None:
+        raise in_the_way(file, "is no table of a campaign")
     there, seeds = json.loads((table.schema.metadata or {}).get(METADATA, b"{}")), table["seed"].to_numpy()
     same = all(there.get(key) == metadata[key] for key in ("itinerary", "model", "scene_hash", "model_hash", "cases"))
     first, runs, path = (metadata["settings"][key] for key in ("first_seed", "runs", "path"))

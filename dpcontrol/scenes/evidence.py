@@ -98,20 +98,6 @@ def _evidence(name: str, entry: Mapping[str, dict[str, dict[str, Any]]]) -> Evid
     return Evidence(name, str(entry["motion"]), references, plants)
 
 
-def evidence_text(evidence: list[Evidence], *, heading: str) -> str:
-    """Return the table as TOML, as the package keeps it."""
-    lines = [*(f"# {line}" for line in heading.splitlines())]
-    for found in evidence:
-        lines += ["", f"[{found.scene}]", f'motion = "{found.motion}"']
-        for key, levels in (("reference", found.references), ("plant", found.plants)):
-            lines += [
-                f"{key}.{level} = {{ runs = {r.runs}, completed = {r.completed}, effort = {r.effort:.4g}, "
-                f"error = {r.error:.4g} }}"
-                for level, r in levels.items()
-            ]
-    return "\n".join(lines) + "\n"
-
-
 def plan_remarks(itinerary: Itinerary) -> tuple[str, ...]:
     """Return a sentence if the reference's level is more, or less, than the evidence supports; else nothing."""
     if (evidence := known_evidence().get(motion_key(itinerary))) is None:

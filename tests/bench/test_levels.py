@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from evidence_text import evidence_text
 from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
@@ -17,7 +18,6 @@ from dpcontrol.scenes import evidence as shipped
 from dpcontrol.scenes.evidence import (
     Evidence,
     LevelRuns,
-    evidence_text,
     known_evidence,
     motion_key,
     plan_remarks,
@@ -111,7 +111,7 @@ def test_evidence_reads_back_as_it_was_written(monkeypatch, tmp_path):
         evidence(conservative=replace(FULL, effort=2.125)),
         replace(evidence(), scene="two-part", motion="other"),
     ]
-    (tmp_path / "level_evidence.toml").write_text(evidence_text(written, heading="made up"))
+    (tmp_path / "level_evidence.toml").write_text(evidence_text(written))
     monkeypatch.setattr(shipped, "files", lambda package: tmp_path)
     known_evidence.cache_clear()
     try:

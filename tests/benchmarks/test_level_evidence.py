@@ -7,10 +7,11 @@ import os
 from pathlib import Path
 
 import pytest
+from evidence_text import evidence_text
 
-from dpcontrol.bench.levels import HEADING, gather
+from dpcontrol.bench.levels import gather
 from dpcontrol.scenes import evidence as shipped
-from dpcontrol.scenes.evidence import Evidence, evidence_text, known_evidence
+from dpcontrol.scenes.evidence import Evidence, known_evidence
 from dpcontrol.scenes.itinerary import load_itinerary
 
 pytestmark = pytest.mark.benchmark
@@ -28,7 +29,7 @@ def gathered() -> list[Evidence]:
 def test_the_levels_that_scenes_need_are_those_kept(gathered):
     if os.environ.get("DPCONTROL_STORE_EVIDENCE") == "1":
         kept = Path(shipped.__file__).with_name("level_evidence.toml")
-        kept.write_text(evidence_text(gathered, heading=HEADING))
+        kept.write_text(evidence_text(gathered))
         known_evidence.cache_clear()
     known = {found.scene: found for found in known_evidence().values()}
     for found in gathered:
