@@ -40,7 +40,7 @@ from dpcontrol.foundation.settings import suggest
 from dpcontrol.scenes.run_options import RunOptions
 
 if TYPE_CHECKING:
-    from dpcontrol.review.preflight import Preflight
+    from dpcontrol.review.campaign import Preflight
     from dpcontrol.scenes.campaign import Campaign, StandardScore
 
 KINDS: dict[str, type] = {
@@ -604,7 +604,7 @@ def preflight_command(
 
 
 def _preflight_text(found: "Preflight") -> Iterator[str | TextTable]:
-    from dpcontrol.review.preflight import shown_number
+    from dpcontrol.review.campaign import shown_number
 
     yield f"{found.itinerary}: {found.status}"
     yield f"  {found.advice}"

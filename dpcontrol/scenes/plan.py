@@ -88,7 +88,7 @@ class Plan:
         progress: Progress = no_progress,
     ) -> Any:
         """Return how likely it completes on its bench, what ends it otherwise, how far each border is, what would help:
-        a `dpcontrol.review.preflight.Preflight`, with `status`, `advice`, `document()` and `plot()`.
+        a `dpcontrol.review.campaign.Preflight`, with `status`, `advice`, `document()` and `plot()`.
 
         options: run settings that take the place of the scene's. runs: seeds for the rate, 0 for as many as two minutes
         allow; workers: processes, 0 for one on each processor. yes: however long it takes.

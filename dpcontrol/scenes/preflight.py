@@ -44,8 +44,7 @@ from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.loop.loop import LoopSettings, can_batch
-from dpcontrol.review.campaign import plain_reason
-from dpcontrol.review.preflight import EndingShare, HazardBorder, Improvement, Known, Preflight, ShareAt
+from dpcontrol.review.campaign import EndingShare, HazardBorder, Improvement, Known, Preflight, ShareAt, plain_reason
 from dpcontrol.review.score import Score
 from dpcontrol.scenes.campaign import MOST_TICKS, Case, Job, run_job
 from dpcontrol.scenes.itinerary import Itinerary, overridden, setting_of

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.optimize import isotonic_regression
 
-from dpcontrol.review.preflight import HazardBorder, Preflight
+from dpcontrol.review.campaign import HazardBorder, Preflight
 from dpcontrol.scenes.campaign import CampaignSettings, Case, cases_of, run_campaign
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import Plan, make_plan

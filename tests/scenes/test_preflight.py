@@ -13,8 +13,8 @@ from dpcontrol.dynamics.chain import Uncertainty, ratio_names
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.loop.loop import LoopSettings
+from dpcontrol.review.campaign import HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.review.page import save_figure
-from dpcontrol.review.preflight import HazardBorder, Improvement, Preflight, ShareAt
 from dpcontrol.scenes import preflight as module
 from dpcontrol.scenes.campaign import CampaignSettings, Job, cases_of, run_campaign
 from dpcontrol.scenes.itinerary import load_itinerary, overridden
