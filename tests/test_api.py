@@ -14,10 +14,10 @@ from dpcontrol import api
 from dpcontrol.references.reference import load_reference
 from dpcontrol.scenes.atlas import make_atlas
 from dpcontrol.scenes.itinerary import itinerary_from
+from tests.guide_functions import FUNCTIONS, PAGE, with_functions
 
 README = (Path(__file__).parent.parent / "README.md").read_text(encoding="utf-8")
 EXAMPLE = README.partition("```python\n")[2].partition("```")[0]
-FUNCTIONS = [name for name in dp.__all__ if inspect.isfunction(getattr(api, name))]
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +62,11 @@ def test_every_function_has_types_and_an_example_that_runs(
     runner = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS)
     said: list[str] = []
     assert runner.run(test, out=said.append).failed == 0, "".join(said)
+
+
+def test_the_guide_lists_the_functions_as_their_docstrings_describe_them() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    assert page == with_functions(page), "run python tests/guide_functions.py"
 
 
 def test_a_run_in_memory_is_the_one_that_is_logged(example: dict[str, Any]) -> None:
