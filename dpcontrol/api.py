@@ -305,6 +305,7 @@ def run(
     options: RunOptions | None = None,
     log: Place | None = None,
     force: bool = False,
+    live: bool = False,
     yes: bool = False,
     progress: Reporting = None,
 ) -> "Run":
@@ -312,13 +313,15 @@ def run(
 
     mismatch: share by which the plant's parameters may be off; plant: model file or name of arms of its own; options:
     other settings that take the place of the scene's. seed: of all that is random. log: where to write the run's log,
-    if anywhere; force: also where there is that of another run. yes: however long its plan takes.
+    if anywhere; force: also where there is that of another run. live: show it in the viewer while it happens. yes:
+    however long its plan takes.
 
     >>> dp.run("outer-turn", mismatch=0.02, seed=3).converged
     True
 
     Raises:
-        InputError: an impossible setting, the plan would take too long, or the log cannot be written.
+        InputError: an impossible setting, the plan would take too long, the log cannot be written, or there is no
+            display for a live view.
         GoalMissed: there is no reference to follow, or no controller can be made for it.
     """
     from dpcontrol.scenes.run import run_plan
@@ -327,7 +330,9 @@ def run(
         planned = plan(planned, yes=yes, progress=part_of(report, 0.0, 0.5)) if isinstance(planned, str) else planned
         scene = planned.itinerary.with_run(_options(options, mismatch, plant), seed=seed)
         out = None if log is None else Path(log)
-        return run_plan(replace(planned, itinerary=scene), out, force=force, progress=part_of(report, 0.5, 1.0))
+        return run_plan(
+            replace(planned, itinerary=scene), out, force=force, live=live, progress=part_of(report, 0.5, 1.0)
+        )
 
 
 def export(

@@ -100,6 +100,7 @@ def run_command(
     keep_every: int = option(default=1, metavar="N", group=NIGHT, help="Of the older logs keep each N-th."),
     resume: bool = option(group=NIGHT, help="Go on with the night of this folder, which was interrupted."),
     settings: RunOptions = run_settings(),
+    live: bool = option(group=OUTPUT, help="Show the run in the viewer while it happens."),
     out: Path | None = file_option(
         suffix=".mcap", help="Log to write [logs/NAME-SEED.mcap]; with --hours the folder of that name without .mcap."
     ),
@@ -134,12 +135,17 @@ def run_command(
         raise click.UsageError("--controller-program controls the example bench of a run: give --rig udp as well")
     if program is not None and not (program.is_file() and os.access(program, os.X_OK)):
         raise InputError(f"--controller-program {program}: there is no such program that may be run; compile it first")
+    from dpcontrol.review.picture import check_viewer
     from dpcontrol.scenes.evidence import run_remarks
     from dpcontrol.scenes.itinerary import load_itinerary
     from dpcontrol.scenes.plan import make_plan
     from dpcontrol.scenes.run import default_log, rig_link, run_on_rig, run_plan, run_with_program
 
     # Before the plan, which can take minutes.
+    if live:
+        if program is not None:
+            raise click.UsageError("--live shows what the loop does, and a program does it here: give one of them")
+        check_viewer()
     link = rig_link(address, key_file=key_file, insecure=insecure, real_time=real_time)
     scene = load_itinerary(itinerary).with_run(settings, seed=seed)
     out = out or default_log(scene)
@@ -160,7 +166,7 @@ def run_command(
         announce_night(scene, night, night_folder(out), real_time=address is not None, yes=yes)
         with progress_bar("night") as progress:
             plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
-            fly = partial(run_night, plan, out, night, link=link, resume=resume, force=force)
+            fly = partial(run_night, plan, out, night, link=link, resume=resume, force=force, live=live)
             if link is None:
                 done = fly(progress=part_of(progress, 0.05, 1.0))
                 return Answer(done.document(), done.lines())
@@ -170,7 +176,7 @@ def run_command(
         plan = make_plan(scene, progress=progress, yes=yes)
         verdict = None
         if link is None:
-            verdict = run_plan(plan, out, library=library, force=force, progress=progress).score()
+            verdict = run_plan(plan, out, library=library, force=force, live=live, progress=progress).score()
     if link is None:
         assert verdict is not None
         for line in run_remarks(scene):
@@ -180,7 +186,7 @@ def run_command(
     if program is not None:
         run = run_with_program(plan, out, program, real_time=real_time, force=force)
     else:
-        run = run_on_rig(plan, out, link, force=force)
+        run = run_on_rig(plan, out, link, force=force, live=live)
     verdict, result = run.score, run.result
     kept = None if run.deadlines is None else asdict(run.deadlines)
     document = {**verdict.document(), "ending": result.ending.value, "deadlines": kept}

@@ -84,6 +84,15 @@ def check_viewer() -> Path:
     return program
 
 
+def viewer_command(*arguments: str) -> tuple[list[str], dict[str, str]]:
+    """Return what opens a viewer that listens here only and reports nothing, and its environment.
+
+    Raises:
+        InputError: there is none, or no display to open it on.
+    """
+    return [str(check_viewer()), *arguments, *_LOOPBACK], {**os.environ, **_QUIET}
+
+
 def open_viewer(recording: Path, *, temporary: Path | None = None) -> None:
     """Open a recording in a viewer of its own, which outlives this process, listens here only and reports nothing.
 
@@ -94,11 +103,11 @@ def open_viewer(recording: Path, *, temporary: Path | None = None) -> None:
     """
     if not Path(recording).is_file():
         raise InputError(f"there is no recording {recording}; write one with `dpcontrol review LOG --save {recording}`")
-    viewer = [str(check_viewer()), str(recording), *_LOOPBACK]
+    viewer, environment = viewer_command(str(recording))
     silent = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
     watch = subprocess.Popen(
         [sys.executable, "-I", "-c", _WATCH, str(temporary or ""), *viewer], start_new_session=True,
-        env={**os.environ, **_QUIET}, **silent,
+        env=environment, **silent,
     )  # fmt: skip
     with contextlib.suppress(subprocess.TimeoutExpired):
         if watch.wait(_STARTED):

@@ -177,7 +177,6 @@ _FAR = 60.0
 
 def record_planes(recording: rr.RecordingStream, home: str, view: RunView, *, boxes: list[Box] | None = None) -> None:
     """Record the phase plane of each arm under `home/arm_K`; lines to read by fill the arm's box."""
-    rows = trace_rows(view)
     for arm in range(view.arms):
         at, shown = f"{home}/arm_{arm + 1}", plane(view, arm)
         reading_lines(recording, at, boxes[arm] if boxes else bounds(shown), scale=_RATE)
@@ -187,9 +186,16 @@ def record_planes(recording: rr.RecordingStream, home: str, view: RunView, *, bo
             _strips(recording, f"{at}/{name}/cut", shown.cuts[stable], [colour] * len(shown.cuts[stable]), width=1.2)
         _strips(recording, f"{at}/orbits", [p for _, p in shown.orbits], [c for c, _ in shown.orbits], width=1.8)
         _strips(recording, f"{at}/run", shown.run, [style.INK] * len(shown.run), width=0.7)
+    record_places(recording, home, view)
+
+
+def record_places(recording: rr.RecordingStream, home: str, view: RunView) -> None:
+    """Record where each arm is in its phase plane."""
+    rows = trace_rows(view)
+    for arm in range(view.arms):
         look = rr.Points2D.from_fields(colors=[style.rgb(style.LIMIT)], radii=rr.Radius.ui_points(5))
         columns = rr.Points2D.columns(positions=view.state[rows][:, [arm, view.arms + arm]] * _SCALE)
-        follow(recording, f"{at}/now", look, view.time[rows], columns)
+        follow(recording, f"{home}/arm_{arm + 1}/now", look, view.time[rows], columns)
 
 
 def bounds(*planes: Plane) -> Box:
@@ -443,7 +449,7 @@ def write_recording(view: RunView, path: Path) -> None:
             trace_tip(recording, "tip", view, frame=WORLD)
         else:
             draw_pendulum(recording, SCENE, view)
-            _events(recording, view)
+            record_events(recording, view)
 
 
 @contextmanager
@@ -465,7 +471,8 @@ def recording_to(path: Path, name: str, view: rrb.Blueprint, summary: str) -> It
         temporary.write_bytes(kept.drain_as_bytes())
 
 
-def _events(recording: rr.RecordingStream, view: RunView) -> None:
+def record_events(recording: rr.RecordingStream, view: RunView) -> None:
+    """Record a run's events."""
     if view.events:
         columns = rr.TextLog.columns(
             text=[f"[{event.name}] {event.text}" for event in view.events],

@@ -33,7 +33,7 @@ from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.review.night import Night, read_night
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.scenes.plan import Plan, expected_seconds
-from dpcontrol.scenes.run import RigLink, bench_recipe, drawn_metadata, log_writer, outcome, run_metadata
+from dpcontrol.scenes.run import RigLink, bench_recipe, drawn_metadata, log_writer, outcome, run_metadata, watched
 
 _BYTES_A_TICK = 430
 """Of a log of two arms on a cart, packed."""
@@ -144,12 +144,14 @@ def run_night(
     link: RigLink | None = None,
     resume: bool = False,
     force: bool = False,
+    live: bool = False,
     progress: Progress = no_progress,
 ) -> Night:
     """Repeat a planned itinerary for hours, into the folder of `out`; return what it did.
 
     The itinerary is one of `night_itinerary`. link: to the bench that it runs on in real time; without one it is
-    simulated. resume: go on with the night in that folder, which was interrupted. force: replace it.
+    simulated. resume: go on with the night in that folder, which was interrupted. force: replace it. live: show it in
+    the viewer while it happens.
 
     Raises:
         InputError: the folder holds a night already, or none or another one to be resumed, or cannot be written; or no
@@ -192,15 +194,16 @@ def run_night(
             if link is None:
                 draw = settings.draw(arms, ticks=controller.ticks + 1, uncertainty=scene.uncertainty)
                 draw = draw.endless(since=since)
-                simulated = loop(LogSink(rolling), draw.reader("rate_noise", lambda rows: rows[:, :, None]))
                 bench = _since(settings, place.begin).bench
                 start = controller.first_state
-                rig = SimulatedRig(draw, bench, limits=limits, start=start, queued=simulated.queued)
-                rolling.result(**outcome(simulated.run(rig)))
+                with watched(plan, LogSink(rolling), live=live) as sink:
+                    simulated = loop(sink, draw.reader("rate_noise", lambda rows: rows[:, :, None]))
+                    rig = SimulatedRig(draw, bench, limits=limits, start=start, queued=simulated.queued)
+                    rolling.result(**outcome(simulated.run(rig)))
             else:
                 ticks = until - since + round(_BRAKING * settings.rate)
                 recipe = replace(bench_recipe(plan, controller), recovering=ticks)
-                with _switching_soon(), SinkBeside(LogSink(rolling)) as sink:
+                with _switching_soon(), SinkBeside(LogSink(rolling)) as log, watched(plan, log, live=live) as sink:
                     on_rig = loop(sink)
                     with link.connected(scene, recipe, ticks=ticks, what="the night", loop=on_rig) as (rig, _):
                         result = on_rig.run(rig)

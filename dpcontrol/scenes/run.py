@@ -67,7 +67,7 @@ from dpcontrol.loop.loop import (
     run_loop,
 )
 from dpcontrol.loop.recovery import FallRecovery
-from dpcontrol.loop.result import LogSink, LoopResult, NoSink, Ticks
+from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, NoSink, Ticks
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import load_reference
 from dpcontrol.review.score import (
@@ -196,16 +196,18 @@ def run_plan(
     *,
     library: Path | None = None,
     force: bool = False,
+    live: bool = False,
     progress: Progress = no_progress,
 ) -> Run:
     """Run the closed loop of a planned itinerary; write its log to `out`, if one is wanted.
 
     library: one made of what `export_plan` wrote for this itinerary, which does the ticks. force: replace a log of
-    another run at `out`.
+    another run at `out`. live: show it in the viewer while it happens.
 
     Raises:
         InputError: the log cannot be written, or there is that of another run; the plant is to be drawn from an
-            uncertainty that the model's file does not give; or the library is not of this itinerary.
+            uncertainty that the model's file does not give; the library is not of this itinerary; or there is no
+            display for a live view.
         GoalMissed: the plan did not converge, or no controller can be made for it, or no plant drawn.
     """
     plan = recoverable(plan.followed())
@@ -215,15 +217,34 @@ def run_plan(
         library=library, progress=progress,
     )  # fmt: skip
     if out is None:
-        return Run(_log_in_memory(plan, run(sink=sink), sink))
+        with watched(plan, sink, live=live) as sinks:
+            result = run(sink=sinks)
+        return Run(_log_in_memory(plan, result.ticks, sink.kept, **drawn_metadata(scene), **outcome(result)))
     made_by = drawn_metadata(scene)
     if library is not None:
         check_exportable(scene)
         made_by[_LIBRARY] = content_hash(checked_source(library).read_bytes()) if library.is_file() else str(library)
     check_replaced(out, {**run_metadata(plan.itinerary), **made_by}, force=force)
-    with log_writer(plan, out, **made_by) as writer:
-        writer.result(**outcome(run(sink=LogSink(writer))))
+    with log_writer(plan, out, **made_by) as writer, watched(plan, LogSink(writer), live=live) as sinks:
+        writer.result(**outcome(run(sink=sinks)))
     return Run(read_log(out))
+
+
+@contextmanager
+def watched(plan: Plan, sink: LoopSink, *, live: bool) -> Iterator[LoopSink]:
+    """Yield a run's sink, and beside it a live view if one is wanted.
+
+    Raises:
+        InputError: there is no display for it.
+    """
+    if not live:
+        yield sink
+        return
+    from dpcontrol.review.live import LiveView, Sinks
+
+    nothing = Ticks.empty(0, plan.itinerary.model.arms.count, has_truth=True, period=1.0)
+    with LiveView(_log_in_memory(plan, nothing, ())) as view:
+        yield Sinks(sink, view)
 
 
 def outcome(result: LoopResult) -> dict[str, str]:
@@ -253,9 +274,9 @@ class _Events(NoSink):
         self.kept.append(Event(time_s, level, name, text))
 
 
-def _log_in_memory(plan: Plan, result: LoopResult, events: _Events) -> RunLog:
-    """Return what the log of a run would say."""
-    scene, ticks = plan.itinerary, result.ticks
+def _log_in_memory(plan: Plan, ticks: Ticks, events: Sequence[Event], **more: str) -> RunLog:
+    """Return what the log of a run would say; more: metadata."""
+    scene = plan.itinerary
     lengths, limits = scene.model.arms.length, scene.loop.limits(plan.reference)
     states = {"estimate": ticks.estimates, "reference": ticks.references}
     return RunLog(
@@ -265,8 +286,8 @@ def _log_in_memory(plan: Plan, result: LoopResult, events: _Events) -> RunLog:
         rates=None,
         states=states if ticks.truth is None else {**states, "truth": ticks.truth},
         controls=dict(zip(control_fields(len(lengths), has_cart=True), ticks.control.T, strict=True)),
-        events=tuple(events.kept),
-        metadata={**run_metadata(scene), **drawn_metadata(scene), **outcome(result)},
+        events=tuple(events),
+        metadata={**run_metadata(scene), **more},
         attachments=_attachments(plan),
         joint_names=joint_names(len(lengths), has_cart=True),
         arm_lengths=lengths,
@@ -761,11 +782,14 @@ def measured_text(itinerary: Itinerary, values: Mapping[str, Any]) -> tuple[Path
     return path, mark + with_values(text.removeprefix(mark), "run", values, file=str(itinerary.path))
 
 
-def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False) -> RigRun:
+def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, live: bool = False) -> RigRun:
     """Run the closed loop of a planned itinerary on a bench, write its log to `out`, and score it.
 
+    live: show it in the viewer while it happens.
+
     Raises:
-        InputError: no bench answers, it needs a key or does not fit the itinerary, or the log cannot be written.
+        InputError: no bench answers, it needs a key or does not fit the itinerary, the log cannot be written, or there
+            is no display for a live view.
         GoalMissed: the plan did not converge, no controller can be made for it, or the bench failed at once.
     """
     itinerary, reference = plan.itinerary, plan.followed().reference
@@ -775,9 +799,9 @@ def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False) -> 
     controller = loop_controller(reference, arms, settings)
     fallback = loop_fallback(reference, arms, settings)
     recovers = loop_recovery(reference, arms, settings, controller)
-    with log_writer(plan, out) as writer:
+    with log_writer(plan, out) as writer, watched(plan, LogSink(writer), live=live) as sink:
         loop = control_loop(
-            arms, settings, controller, limits=settings.limits(reference), sink=LogSink(writer), fallback=fallback,
+            arms, settings, controller, limits=settings.limits(reference), sink=sink, fallback=fallback,
             recovery=None if recovers is None else FallRecovery(recovers, controller),
         )  # fmt: skip
         recipe = bench_recipe(plan, controller)

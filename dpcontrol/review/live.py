@@ -1,0 +1,268 @@
+"""A run as it happens, in a Rerun viewer: rows go from the loop through a pipe to a process that shows them.
+
+The loop waits for nothing: it writes a row of some 300 bytes fifty times a second to a pipe that does not block, and
+what the pipe has no room for is dropped. This module run as a program is the other end: of the file with what is known
+before the run, and the address of a viewer, it opens the viewer where that is "", and shows rows until the pipe is
+closed or the viewer is. Whatever happens to it, the run goes on.
+"""
+
+import contextlib
+import json
+import os
+import pickle
+import select
+import socket
+import struct
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.foundation.errors import InputError, remark
+from dpcontrol.logs import Event, RunLog
+from dpcontrol.loop.result import LoopSink, Ticks
+from dpcontrol.review.motion import RunView, series_of
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+Array = NDArray[np.float64]
+
+RATE = 50.0
+"""Hz of the rows that are shown."""
+_MOST = 4000
+"""Bytes of a message: as many are written to a pipe at once or not at all."""
+_ROOM = 1 << 20
+"""Bytes that the pipe may hold, where the system lets it be asked for: a minute of rows."""
+_HEAD = struct.Struct("<cI")
+_ROW, _EVENT = b"R", b"E"
+_PAUSE = 0.1
+"""s between two looks at what has come."""
+_TAIL = 20
+"""Rows of the last look that are drawn again, so that the tip's path has no gaps."""
+_MEMORY = "1GB"
+"""That the viewer may take; it drops what is oldest."""
+
+
+class LiveView:
+    """A sink that shows a run while it happens; a context manager. What it cannot show is dropped.
+
+    start: the log of the run as it is before its first row, with scene, model and reference attached.
+    viewer: the address of one that is open; else one is opened.
+
+    Raises:
+        InputError: there is no viewer, no display to open it on, or the system is Windows.
+    """
+
+    def __init__(self, start: RunLog, *, viewer: str = "") -> None:
+        from dpcontrol.review.picture import check_viewer
+
+        if sys.platform == "win32":
+            raise InputError("a live view needs pipes that Windows has not; review the log after the run")
+        if not viewer:
+            check_viewer()
+        self._start, self._viewer = start, viewer
+        self._every, self._left = max(1, round(start.rate_hz / RATE)), 0
+        self._pipe = -1
+        self._sent = self._dropped = 0
+
+    def __enter__(self) -> "LiveView":
+        handle, name = tempfile.mkstemp(prefix="dpcontrol-live-")
+        with os.fdopen(handle, "wb") as file:
+            pickle.dump(self._start, file)
+        quiet: dict[str, Any] = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL}
+        program = [sys.executable, "-m", __name__, name, self._viewer]
+        window = subprocess.Popen(program, stdin=subprocess.PIPE, start_new_session=True, **quiet)
+        assert window.stdin is not None
+        self.process = window.pid
+        self._pipe = os.dup(window.stdin.fileno())
+        window.stdin.close()
+        # It outlives the run: nobody here waits for its end.
+        window.returncode = 0
+        os.set_blocking(self._pipe, False)
+        with contextlib.suppress(ImportError, AttributeError, OSError):
+            import fcntl
+
+            fcntl.fcntl(self._pipe, fcntl.F_SETPIPE_SZ, _ROOM)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._pipe < 0:
+            remark("the live view ended before the run did; the log has everything")
+        else:
+            os.close(self._pipe)
+        if self._dropped:
+            remark(f"the live view was behind: {self._dropped:,} of {self._sent:,} rows were left out; the log has all")
+
+    def ticks(self, rows: Ticks) -> None:
+        """Show some of the next ticks."""
+        count = len(rows.times)
+        for k in range(self._left, count, self._every):
+            parts = [rows.times[k : k + 1], rows.measured[k], rows.estimates[k], rows.references[k], rows.control[k]]
+            if rows.truth is not None:
+                parts.append(rows.truth[k])
+            self._send(_ROW, np.concatenate(parts).tobytes())
+        self._left = -(count - self._left) % self._every
+
+    def event(self, time_s: float, level: str, name: str, text: str) -> None:
+        """Show one event."""
+        self._send(_EVENT, json.dumps([time_s, level, name, text[:800]]).encode())
+
+    def _send(self, kind: bytes, content: bytes) -> None:
+        if self._pipe < 0:
+            return
+        self._sent += 1
+        try:
+            os.write(self._pipe, _HEAD.pack(kind, len(content)) + content)
+        except BlockingIOError:
+            self._dropped += 1
+        except OSError:
+            os.close(self._pipe)
+            self._pipe = -1
+
+
+class Sinks:
+    """Hands ticks and events to several sinks in turn."""
+
+    def __init__(self, *sinks: LoopSink) -> None:
+        self._sinks = sinks
+
+    def ticks(self, rows: Ticks) -> None:
+        """Hand on the next ticks."""
+        for sink in self._sinks:
+            sink.ticks(rows)
+
+    def event(self, time_s: float, level: str, name: str, text: str) -> None:
+        """Hand on one event."""
+        for sink in self._sinks:
+            sink.event(time_s, level, name, text)
+
+
+@dataclass
+class Shown:
+    """What is shown of a run so far: the recording, the log before its first row, and the last rows (K, D)."""
+
+    recording: "rr.RecordingStream"
+    start: RunLog
+    planned: RunView
+    tail: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    @classmethod
+    def of(cls, recording: "rr.RecordingStream", start: RunLog) -> "Shown":
+        """Return the beginning: the plan with its orbits and tubes, nothing flown."""
+        from dpcontrol.references.reference import summarised
+        from dpcontrol.review.of_log import reference_view
+        from dpcontrol.review.score import plan_of
+
+        planned = reference_view(summarised(plan_of(start)), start.path)
+        return cls(recording, replace(start, rate_hz=RATE, extras=None), planned)
+
+    def add(self, rows: Array, events: tuple[Event, ...]) -> None:
+        """Show new rows (K, D) and events."""
+        from dpcontrol.review import rerun_recording as recorded
+        from dpcontrol.review.series import check_charts, motion_charts, strips
+
+        if not len(rows):
+            return
+        first, both = not len(self.tail), rows if not len(self.tail) else np.concatenate([self.tail, rows])
+        view, drawn = self._view(rows, events), self._view(both, ())
+        if first:
+            self.recording.send_blueprint(recorded.blueprint(view, from_log=False), make_active=True)
+            self.recording.send_recording_name(view.title)
+            recorded.record_strips(self.recording, "", strips(self.planned), self.planned)
+            recorded.record_planes(self.recording, "phase_planes", replace(view, plan=self.planned.plan))
+        for chart in (*motion_charts(view), *check_charts(view)):
+            recorded.record_chart(self.recording, "plots", chart, view)
+        modes = [strip for strip in strips(view, until=float(view.time[-1])) if strip.key == "mode"]
+        recorded.record_strips(self.recording, "", modes, view)
+        recorded.record_places(self.recording, "phase_planes", view)
+        recorded.draw_pendulum(self.recording, recorded.SCENE, drawn)
+        recorded.record_events(self.recording, view)
+        self.tail = both[-_TAIL:]
+
+    def _view(self, rows: Array, events: tuple[Event, ...]) -> RunView:
+        """Return rows as a run is seen."""
+        start, n = self.start, len(self.start.arm_lengths)
+        width = 2 * n + 2
+        sizes = np.cumsum([1, n + 1, width, width, len(start.controls)])
+        time, measured, estimate, reference, control, truth = np.split(rows, sizes, axis=1)
+        states = {"estimate": estimate, "reference": reference} | ({"truth": truth} if truth.size else {})
+        log = replace(
+            start, time=time[:, 0], measured=measured, states=states, events=events,
+            controls=dict(zip(start.controls, control.T, strict=True)),
+        )  # fmt: skip
+        return replace(series_of(log), limits=start.limits, plan=self.planned.plan, title=f"{self.planned.title}, live")
+
+
+def messages(pipe: int, viewer: "subprocess.Popen[Any] | None") -> Iterator[tuple[Array, tuple[Event, ...]]]:
+    """Yield rows (K, D) and events as they come, until the pipe is closed or the viewer has ended."""
+    kept, closed = b"", False
+    while not closed and (viewer is None or viewer.poll() is None):
+        ready, _, _ = select.select([pipe], [], [], _PAUSE)
+        if not ready:
+            continue
+        content = os.read(pipe, _ROOM)
+        kept, closed = kept + content, not content
+        rows: list[Array] = []
+        events: list[Event] = []
+        while len(kept) >= _HEAD.size:
+            kind, size = _HEAD.unpack_from(kept)
+            if len(kept) < _HEAD.size + size:
+                break
+            body, kept = kept[_HEAD.size : _HEAD.size + size], kept[_HEAD.size + size :]
+            if kind == _ROW:
+                rows.append(np.frombuffer(body))
+            else:
+                events.append(Event(*json.loads(body)))
+        if rows or events:
+            yield np.array(rows).reshape(len(rows), -1), tuple(events)
+        # What comes meanwhile is shown together.
+        with contextlib.suppress(ValueError):
+            select.select([], [], [], _PAUSE)
+
+
+def _opened(address: str) -> "tuple[str, subprocess.Popen[Any] | None]":
+    """Return the address of a viewer, which is opened where none is given, and its process."""
+    if address:
+        return address, None
+    from dpcontrol.review.picture import viewer_command
+
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    silent: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
+    command, environment = viewer_command("--port", str(port), "--memory-limit", _MEMORY, "--hide-welcome-screen")
+    return f"rerun+http://127.0.0.1:{port}/proxy", subprocess.Popen(command, env=environment, **silent)
+
+
+def show(file: Path, address: str) -> None:
+    """Show what comes on standard input; file: the pickled log before its first row, which is removed."""
+    with contextlib.suppress(AttributeError, OSError):
+        os.nice(10)
+    start: RunLog = pickle.loads(file.read_bytes())
+    file.unlink()
+    address, viewer = _opened(address)
+    import rerun as rr
+
+    recording = rr.RecordingStream("dpcontrol")
+    recording.connect_grpc(address)
+    shown, events = Shown.of(recording, start), ()
+    for rows, more in messages(sys.stdin.fileno(), viewer):
+        events += more
+        if len(rows):
+            shown.add(rows, events)
+            events = ()
+    recording.flush(timeout_sec=5.0)
+
+
+if __name__ == "__main__":
+    try:
+        show(Path(sys.argv[1]), sys.argv[2])
+    except (InputError, OSError, KeyboardInterrupt):
+        sys.exit(1)

@@ -1,0 +1,59 @@
+"""Runs of twenty seconds at 1 kHz on the example bench in real time, with a live view and without, in turn.
+
+The viewer is one without a window, which writes what it gets to a file: what a window costs to draw comes on top, and
+on two cores takes from bench and loop what they leave of the second.
+"""
+
+import os
+import socket
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from dpcontrol.review import live
+from dpcontrol.review.picture import viewer_program
+from dpcontrol.scenes.itinerary import load_itinerary
+from dpcontrol.scenes.plan import make_plan
+from dpcontrol.scenes.run import rig_link, run_on_rig
+
+TURNS = 3
+
+
+@pytest.mark.benchmark
+def test_a_live_view_makes_no_tick_late(tmp_path, monkeypatch, capsys) -> None:
+    plan = make_plan(load_itinerary("turn-cross-turn-return"))
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    viewer = subprocess.Popen(
+        [viewer_program(), "--save", tmp_path / "live.rrd", "--port", str(port), "--bind", "127.0.0.1"],
+        stderr=subprocess.DEVNULL, env={**os.environ, "CI": "1"},
+    )  # fmt: skip
+    address, real = f"rerun+http://127.0.0.1:{port}/proxy", live.LiveView
+    monkeypatch.setattr(live, "LiveView", lambda start: real(start, viewer=address))
+    link = rig_link("udp", key_file=None, insecure=False, real_time=True)
+    assert link is not None
+    seen: dict[bool, list[tuple[float, ...]]] = {False: [], True: []}
+    try:
+        for turn in range(2 * TURNS):
+            shown = bool(turn % 2)
+            run = run_on_rig(plan, tmp_path / f"{turn}.mcap", link, live=shown)
+            thinking, deadlines = run.result.thinking, run.deadlines
+            assert run.result.finished, run.result.reason
+            assert deadlines is not None
+            times = 1e6 * np.quantile(thinking, [0.5, 0.99])
+            seen[shown].append((deadlines.missed, len(thinking), *times))
+            text = f"{'with' if shown else 'without'} a live view: {deadlines.missed} of {len(thinking):,} deadlines"
+            text += f" missed, tick {times[0]:.1f} µs (median), {times[1]:.1f} (99 %), load {os.getloadavg()[0]:.1f}"
+            with capsys.disabled():
+                sys.stdout.write(f"\n{text}")
+            time.sleep(1.0)
+    finally:
+        viewer.terminate()
+        viewer.wait()
+    assert (tmp_path / "live.rrd").stat().st_size > 1e5
+    without, with_view = (np.median([row[2] for row in seen[shown]]) for shown in (False, True))
+    assert with_view < 1.5 * without
