@@ -20,9 +20,8 @@ from typing import TYPE_CHECKING, Literal
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.propagator import Section as Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.cost import Cost, announce
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
-from dpcontrol.foundation.progress import Progress, no_progress, part_of, progress_bar
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of, progress_bar
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.scenes.model import Model, ModelSystem, model_of
 from dpcontrol.scenes.model import load_model as load_model
@@ -148,8 +147,8 @@ def find_bifurcations(
     Raises:
         InputError: saddles or energies between which nothing can be swept.
     """
+    from dpcontrol.bifurcations.bifurcations import SweepSettings
     from dpcontrol.bifurcations.bifurcations import find_bifurcations as find
-    from dpcontrol.bifurcations.sweep import SweepSettings
 
     cost = Cost(f"{samples:,} energies", _SWEPT * samples * hits, _SWEPT_BYTES * samples, f"samples = {samples}")
     announce(cost, yes=yes)
@@ -214,9 +213,8 @@ def shadow(
     """
     from dpcontrol.tubes.connections import ConnectionSearch
     from dpcontrol.walks.edges import Edges
-    from dpcontrol.walks.requests import walks_cost
     from dpcontrol.walks.shadowing import WalkSolver
-    from dpcontrol.walks.walks import resolve
+    from dpcontrol.walks.walks import resolve, walks_cost
 
     edges = found if isinstance(found, Edges) else _edges([found] if isinstance(found, ConnectionSearch) else found)
     solver = WalkSolver(edges.known)

@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.tubes.connection import Connection
+from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
 Array = NDArray[np.float64]

@@ -69,8 +69,7 @@ from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.planning import shadowing_orbit
 from dpcontrol.scenes.run_options import RunOptions
 from dpcontrol.shooting.newton import NewtonSettings
-from dpcontrol.tubes.connection import Connection
-from dpcontrol.tubes.connections import find_connections
+from dpcontrol.tubes.connections import Connection, find_connections
 from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import ShadowingSettings, shadow

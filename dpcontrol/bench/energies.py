@@ -13,7 +13,7 @@ import numpy as np
 from dpcontrol.bench.chart import Missing, Panel, Point, PrecisionChart
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.orbits.symmetric_shooting import equilibrium
+from dpcontrol.orbits.lyapunov import equilibrium
 from dpcontrol.scenes.campaign import Case, Job, run_job
 from dpcontrol.scenes.itinerary import Itinerary, WalkPart
 from dpcontrol.scenes.plan import Plan

@@ -42,12 +42,11 @@ from dpcontrol.bench.chart import (
 )
 from dpcontrol.bench.measure import one_core
 from dpcontrol.foundation.cache import commit
-from dpcontrol.foundation.cost import Cost, announce
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file, write_whole
 from dpcontrol.foundation.parts import versions
 from dpcontrol.foundation.processes import in_processes, processors
-from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.review.style import FAINT, INK, LIMIT, REFERENCE, STABLE
 
 Array = NDArray[np.float64]

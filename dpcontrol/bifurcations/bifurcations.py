@@ -9,33 +9,571 @@ until they turn back in energy, split, or change how often they cross the sectio
     section-artefact   the connection goes on, but touches its section on the way: an earlier crossing is born or lost,
                        so that it leaves (or enters) the list of connections with the crossings asked for
 
-Each is located by its own equations (module sweep). The changes found must add up to the change of the count;
+Each is located by its own equations, see below. The changes found must add up to the change of the count;
 where they do not, the interval is halved and searched again, and what stays unexplained is reported.
 
 A connection with N crossings of the section is met by the unstable tube at crossing n_u and by the stable one at n_s
 with n_u + n_s - 1 = N; first hits, [1, 1], are those that cross once.
 
 The diagram of a sweep is a document of plain numbers, to be kept and drawn without the sweep it comes from.
+
+*A step of the sweep* is a search at both ends; what they do not share is followed, and what happened is located.
+Connections found at one energy are carried to the next by Newton's method; a connection that arrives there with the
+tangency's sign unchanged has met no turn. Those left over on either side are followed round their turns.
+
+Where a connection is born, splits, or grazes its section is located by equations of its own. With F, a, b and σ of
+module links, h the height over the section and ḣ its rate, Newton's method solves
+
+    saddle-node        F = 0, σ = 0             (φ_u, φ_s, T, H); for symmetric connections  off Fix R = 0, a = 0
+    pitchfork          off Fix R = 0, b = 0     (φ, T, H)
+    section artefact   F = 0, h = level, ḣ = 0  (φ_u, φ_s, T, time of touch, H)
+
+of the last, the time of touch is eliminated by ḣ = 0, and the rest solved by a bracketed secant in H. A symmetric
+connection may also touch with its midpoint, which stays on the section: there one crossing becomes three without an
+extremum that moves across, and the equations are  off Fix R = 0, ḣ = 0  (φ, T, H).
 """
 
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
-from itertools import pairwise
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from itertools import groupby, pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import brentq
 
-from dpcontrol.bifurcations.links import Link
-from dpcontrol.bifurcations.sweep import Branch, Change, Found, Sweep, SweepSettings
+from dpcontrol.bifurcations.links import (
+    UNSOLVED,
+    Link,
+    LinkProblem,
+    Path,
+    PathPoint,
+    Profile,
+    carry,
+    first_crossing,
+    follow,
+    halfway,
+    phase_gap,
+    profile,
+)
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.orbits.symmetric_shooting import equilibrium
+from dpcontrol.orbits.lyapunov import equilibrium
+from dpcontrol.tubes.cut import section_points, tube_cut
+from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
 
 Array = NDArray[np.float64]
+
+_HALVINGS = 8  # of the stretch of a path around a turn, before it is given up
+
+
+@dataclass(frozen=True)
+class Located:
+    """A solved event: kind, energy in J, the link there, the state (N,) that shows it, residual of its equations."""
+
+    kind: str
+    energy: float
+    link: Link
+    state: Array
+    residual: float
+
+
+def _located(
+    problem: LinkProblem,
+    kind: str,
+    equations: Callable[[Link, float], Array],
+    placed: Callable[[Array], Link],
+    guess: Array,
+) -> Located | None:
+    """Solve equations(link, H) = 0 by Newton's method from (unknowns of the link, H); None where it cannot go on.
+
+    placed: unknowns -> link, the last of which is its duration. There may be more equations than unknowns, one being
+    redundant. Derivatives are central differences.
+    """
+    # Phases, duration in s, energy in J.
+    steps = 1e-5 * np.array([*np.ones(len(guess) - 2), guess[-2], problem.system.energy_scale])
+
+    def value_at(y: Array) -> Array:
+        return equations(placed(y[:-1]), float(y[-1]))
+
+    y, best, smallest = guess, guess, np.inf
+    try:
+        for _ in range(10):
+            value = value_at(y)
+            residual = float(np.abs(value).max())
+            if residual < smallest:
+                best, smallest = y, residual
+            elif smallest < 1e-9:
+                break
+            columns = [(value_at(y + h) - value_at(y - h)) / (2 * h.max()) for h in np.diag(steps)]
+            y = y - np.linalg.lstsq(np.column_stack(columns), value, rcond=1e-13)[0]
+            if np.any(np.abs(y - guess) > 1e4 * steps):
+                # Farther than a tenth of everything is no solution near the guess; beyond it orbits may not even exist.
+                break
+        link, energy = placed(best[:-1]), float(best[-1])
+        return Located(kind, energy, link, problem.match(link, energy).state, smallest)
+    except UNSOLVED:
+        return None
+
+
+def locate_turn(problem: LinkProblem, path: Path, index: int) -> Located | None:
+    """Locate the turn after point `index` of a path, by the equations of its kind; None where they do not converge."""
+    start = path.points[0].energy
+    before, after = path.points[index : index + 2]
+    for _ in range(_HALVINGS):
+        for side in sorted((before, after), key=lambda p: -abs(p.energy - start)):
+            reach = 0.2 * abs(start - side.energy) + 1e-3 * problem.system.energy_scale
+            event = _turn_from(problem, side, before.link, after.link, reach)
+            if event is not None:
+                return event
+        # Where the fold is sharp its equations converge from nearer points only: σ changes its sign across it.
+        middle = halfway(problem, before, after)
+        if middle is None or before.tangency * after.tangency > 0:
+            return None
+        before, after = (middle, after) if middle.tangency * before.tangency > 0 else (before, middle)
+    return None
+
+
+def _turn_from(problem: LinkProblem, extreme: PathPoint, before: Link, after: Link, reach: float) -> Located | None:
+    """Locate a turn from one of the points beside it."""
+    which = problem.symmetry(extreme.link)
+    if which is not None:
+        return _near(_on_mirror(problem, extreme, which, shedding=False), extreme.energy, reach)
+    shed = None
+    for mirror in range(len(problem.system.reversers)):
+        image = problem.mirrored(extreme.link, mirror)
+        # A pair turns back on the mirror; far from it there is no pitchfork to look for.
+        if image is not None and problem.distance_between(extreme.link, image) < 0.1:
+            shed = _near(_on_mirror(problem, extreme, mirror, shedding=True), extreme.energy, reach)
+    if shed is not None and _exchanged(problem, before, after):
+        return shed
+    turned = _near(_tangent(problem, extreme), extreme.energy, reach)
+    # On the mirror a saddle-node's equations are degenerate: where both kinds are solved there, it is a pitchfork.
+    if shed is not None and (turned is None or abs(turned.energy - shed.energy) < 1e-6 * problem.system.energy_scale):
+        return shed
+    return turned
+
+
+def _near(event: Located | None, energy: float, reach: float) -> Located | None:
+    return event if event is not None and event.residual < 1e-8 and abs(event.energy - energy) < reach else None
+
+
+def _tangent(problem: LinkProblem, point: PathPoint) -> Located | None:
+    """Solve F = 0, σ = 0 from a point near."""
+
+    def equations(link: Link, energy: float) -> Array:
+        match = problem.match(link, energy)
+        return np.append(match.gap, match.tangency)
+
+    return _located(problem, "saddle-node", equations, point.link.at, point.coordinates)
+
+
+def _on_mirror(problem: LinkProblem, point: PathPoint, which: int, *, shedding: bool) -> Located | None:
+    """Solve off Fix R = 0 with b = 0 (shedding) or a = 0, from a symmetric connection or one of a pair near."""
+    link = point.link
+    image = problem.mirrored(link, which)
+    assert image is not None
+    # Halfway between a link and its image lies the symmetric one.
+    phase = link.phases[0] + phase_gap(image.phases[0], link.phases[0]) / 2
+
+    def equations(here: Link, energy: float) -> Array:
+        mirror = problem.mirror(here, energy, which)
+        return np.append(mirror.miss, mirror.shedding if shedding else mirror.fold)
+
+    kind, guess = "pitchfork" if shedding else "saddle-node", np.array([phase, link.duration, point.energy])
+    return _located(problem, kind, equations, lambda y: link.at([y[0], y[0] + 0.5 * which, y[1]]), guess)
+
+
+def _exchanged(problem: LinkProblem, before: Link, after: Link) -> bool:
+    """Whether a reverser carries one side of a turn towards the other, as at a pitchfork."""
+    for which in range(len(problem.system.reversers)):
+        images = problem.mirrored(before, which), problem.mirrored(after, which)
+        if images[0] is None or images[1] is None or images[0].branches != before.branches:
+            continue
+        if phase_gap(before.phases[0], images[0].phases[0]) * phase_gap(after.phases[0], images[1].phases[0]) < 0:
+            return True
+    return False
+
+
+def locate_graze(problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint) -> list[Located]:
+    """Locate every touch of the section between two points of one path that differ in their crossings.
+
+    The path must not turn between them. Returned in order of energy; empty where nothing brackets a touch.
+    """
+    middle = _middle_touch(problem, section, first, second)
+    found = _touches(problem, section, first, second) if middle is None else [middle]
+    return sorted(found, key=lambda e: e.energy)
+
+
+def _touches(
+    problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint, halvings: int = 31
+) -> list[Located]:
+    a, b = (profile(problem, p.link, p.energy, section) for p in (first, second))
+    if a.count == b.count:
+        return []
+    if len(a.heights) == len(b.heights):
+        # The same extrema on both sides: those that changed their side of a level have touched it between.
+        found = []
+        for k in range(1, len(a.heights) - 1):
+            low, high = sorted((a.heights[k], b.heights[k]))
+            level = np.ceil(low / section.period) * section.period if section.period else 0.0
+            if low < level <= high:
+                found.append(_touch(problem, section, first, second, k, float(level), len(a.heights)))
+        return [touch for touch in found if touch is not None]
+    if not halvings:
+        return []
+    try:
+        middle = problem.solved(_between(first, second, 0.5), (first.energy + second.energy) / 2)
+    except ArithmeticError:
+        return []
+    halves = (first, middle), (middle, second)
+    return [touch for half in halves for touch in _touches(problem, section, *half, halvings - 1)]
+
+
+def _middle_touch(problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint) -> Located | None:
+    """Locate where a symmetric connection's midpoint turns tangent to the section; None where it does not."""
+    which = problem.symmetry(first.link)
+    if which is None or problem.symmetry(second.link) != which:
+        return None
+    normal, system = np.asarray(section.normal), problem.system
+    states = [problem.match(p.link, p.energy).state for p in (first, second)]
+    if any(abs(normal @ x - section.level(x)) > 1e-6 for x in states):
+        return None
+    rates = [float(normal @ system.numeric.rate(x)) for x in states]
+    if rates[0] * rates[1] > 0:
+        return None
+    share = rates[0] / (rates[0] - rates[1])
+    guess = _between(first, second, share)
+    offset = guess.phases[1] - guess.phases[0]
+
+    def tangent(here: Link, energy: float) -> Array:
+        state = problem.match(here, energy).state
+        return np.append(problem.mirror(here, energy, which).miss, normal @ system.numeric.rate(state) / 10)
+
+    start = np.array([guess.phases[0], guess.duration, first.energy + share * (second.energy - first.energy)])
+    event = _located(
+        problem, "section-artefact", tangent, lambda y: guess.at([y[0], y[0] + offset, y[1]]), start
+    )  # fmt: skip
+    low, high = sorted((first.energy, second.energy))
+    return event if event is not None and event.residual <= 1e-8 and low <= event.energy <= high else None
+
+
+def _between(first: PathPoint, second: PathPoint, share: float) -> Link:
+    """Return the link a share of the way from one point to another."""
+    return first.link.at(first.link.unknowns + share * (second.link.unknowns - first.link.unknowns))
+
+
+def _touch(
+    problem: LinkProblem, section: Section, first: PathPoint, second: PathPoint, k: int, level: float, extrema: int
+) -> Located | None:
+    """Solve for the energy at which the k-th extremum of the height lies on a level."""
+    width = second.energy - first.energy
+    kept: dict[float, tuple[Link, Profile]] = {}
+
+    def above(energy: float) -> float:
+        link = problem.solved(_between(first, second, (energy - first.energy) / width), energy).link
+        flown = profile(problem, link, energy, section)
+        if len(flown.heights) != extrema:
+            raise ArithmeticError("an extremum vanished")
+        kept[energy] = (link, flown)
+        return float(flown.heights[k] - level)
+
+    try:
+        energy = float(brentq(above, first.energy, second.energy, xtol=1e-12, rtol=1e-14))  # type: ignore[arg-type]
+        residual = abs(above(energy))
+    except (ArithmeticError, ValueError):
+        return None
+    link, flown = kept[energy]
+    return Located("section-artefact", energy, link, flown.states[k], residual)
+
+
+@dataclass(frozen=True)
+class SweepSettings:
+    """How energies are swept. energies: how many at first; halvings: of an interval that does not add up.
+
+    same: largest difference of phases at which two links are one; closest: energies nearer to a saddle's than this
+    part of the energy scale are left out, tubes being thinner there than their seeds are far.
+    """
+
+    energies: int = 24
+    halvings: int = 3
+    same: float = 1e-4
+    closest: float = 1e-4
+    search: ConnectionSettings = field(default_factory=ConnectionSettings)
+
+
+@dataclass(frozen=True)
+class Found:
+    """Links found at one energy, each solved, one of every two that the symmetry S exchanges."""
+
+    energy: float
+    points: tuple[PathPoint, ...]
+    weight: int
+    caveat: str
+
+    @property
+    def complete(self) -> bool:
+        """Whether nothing is known to be missing."""
+        return not self.caveat
+
+    @property
+    def count(self) -> int:
+        """How many connections there are on the torus."""
+        return self.weight * len(self.points)
+
+
+@dataclass(frozen=True)
+class Change:
+    """An event of one link between two energies and what it adds to the number of links, going up in energy."""
+
+    event: Located
+    gain: int
+
+
+class Branch(NamedTuple):
+    """A connection followed in energy while it crosses its section as often as asked.
+
+    energies (K,) in J, in order along it; points (K, 2): the first of its crossings, in (q, p/p₀).
+    """
+
+    energies: Array
+    points: Array
+
+
+@dataclass(frozen=True)
+class Interval:
+    """What happened between two energies: the changes, and sentences on what could not be followed or located.
+
+    runs: the connections followed there, carried from end to end or round their turns.
+    """
+
+    changes: tuple[Change, ...]
+    reasons: tuple[str, ...]
+    runs: tuple[Branch, ...]
+
+    @property
+    def gain(self) -> int:
+        """How many links the changes add, going up in energy."""
+        return sum(c.gain for c in self.changes)
+
+
+class Sweep:
+    """One sweep's problem and its searches."""
+
+    def __init__(self, system: System, source: str, target: str, crossings: int, settings: SweepSettings) -> None:
+        self.problem = LinkProblem(system, source, target, distance=settings.search.distance)
+        self.section = system.sections[source, target]
+        self.crossings, self.settings = crossings, settings
+        self._found: dict[float, Found] = {}
+        self._intervals: dict[tuple[float, float], Interval] = {}
+        self._counts: dict[tuple[Link, float], int] = {}
+
+    def search(self, energy: float) -> Found:
+        """Find the links with the asked number of crossings at one energy; kept, and amended by later finds.
+
+        Where crossings of the cuts do not converge, as next to a graze, the search is repeated with finer cuts; not
+        where cuts scatter, for finer ones are given up sooner and meet less often.
+        """
+        if energy not in self._found:
+            found, resolved = self._searched(energy, 1.0)
+            if resolved and not found.complete:
+                found, _ = self._searched(energy, 0.25)
+            self._found[energy] = found
+        return self._found[energy]
+
+    def _searched(self, energy: float, fineness: float) -> tuple[Found, bool]:
+        """Return what intersecting cuts with chords times `fineness` finds, and whether they were resolved."""
+        try:
+            manifolds = self.problem.manifolds(energy)
+        except (ArithmeticError, InputError) as error:
+            return Found(energy, (), 1, str(error)), False
+        settings = self.settings.search
+        settings = replace(settings, cut=replace(settings.cut, chord=fineness * settings.cut.chord))
+        # Both tubes fly about equally far.
+        hits = (self.crossings // 2 + 1, self.crossings - self.crossings // 2)
+        unstable = tube_cut(manifolds[0], self.section, hit=hits[0], settings=settings.cut)
+        shared = manifolds[0] is manifolds[1] and hits[0] == hits[1]
+        stable = unstable if shared else tube_cut(manifolds[1], self.section, hit=hits[1], settings=settings.cut)
+        crossed = intersect_cuts(self.problem.system, self.section, manifolds, (unstable, stable), settings)
+        points: list[PathPoint] = []
+        caveat = ""
+        for c in crossed.found:
+            branches = (c.sides[0].branch, c.sides[1].branch)
+            phases = (float(c.phases[0]) % 1.0, float(c.phases[1]) % 1.0)
+            guess = Link(branches, phases, float(sum(c.times)), tuple(float(k) + 0.0 for k in c.turns))
+            try:
+                point = self.problem.solved(guess, energy)
+            except ArithmeticError as error:
+                caveat = f"a crossing of the cuts is no connection ({error})"
+                continue
+            if self.among(point.link, points) is None:
+                points.append(point)
+        if crossed.failed:
+            caveat = f"{crossed.failed} crossings of the cuts did not converge"
+        for cut in (unstable, stable):
+            if not cut.resolved:
+                caveat = f"{cut.hit}. crossing: {cut.status}"
+        weight = 2 if all(m.branches_are_mirrored for m in manifolds) else 1
+        return Found(energy, tuple(points), weight, caveat), unstable.resolved and stable.resolved
+
+    def among(self, link: Link, points: list[PathPoint] | tuple[PathPoint, ...]) -> int | None:
+        """Return the index of the point that is this link, None if none is."""
+        gaps = [self.problem.distance_between(link, p.link) for p in points]
+        if not gaps or min(gaps) > self.settings.same:
+            return None
+        return int(np.argmin(gaps))
+
+    def count(self, point: PathPoint) -> int:
+        """Return how often a solved link crosses the section."""
+        key = (point.link, point.energy)
+        if key not in self._counts:
+            self._counts[key] = profile(self.problem, point.link, point.energy, self.section).count
+        return self._counts[key]
+
+    def place(self, event: Located) -> tuple[float, float]:
+        """Return (q, p/p₀) where an event's connection crosses the section; of an artefact, where it touches."""
+        if event.kind == "section-artefact":
+            q, p = section_points(self.problem.system, self.section, event.state)
+        else:
+            q, p = self._first_crossing(event.link, event.energy)
+        return float(q), float(p)
+
+    def _first_crossing(self, link: Link, energy: float) -> Array:
+        state = first_crossing(self.problem, link, energy, self.section)
+        return np.full(2, np.nan) if state is None else section_points(self.problem.system, self.section, state)
+
+    def _runs(self, points: Sequence[PathPoint]) -> list[Branch]:
+        """Return where a connection, followed through points, crosses the section, for points that cross as asked."""
+        asked = [self.count(point) == self.crossings for point in points]
+        runs = [list(run) for crosses, run in groupby(zip(asked, points, strict=True), lambda pair: pair[0]) if crosses]
+        branches = []
+        for run in runs:
+            energies = np.array([point.energy for _, point in run])
+            places = np.array([self._first_crossing(point.link, point.energy) for _, point in run])
+            seen = np.isfinite(places[:, 0])
+            if np.count_nonzero(seen) > 1:
+                branches.append(Branch(energies[seen], places[seen]))
+        return branches
+
+    def between(self, low: float, high: float) -> Interval:
+        """Explain what two neighbouring searches do not share; kept until one of them is amended."""
+        before, after = self.search(low), self.search(high)
+        if (low, high) not in self._intervals:
+            interval, missed = self._changes(before, after)
+            amended = [self._amend(e, [p for p in missed if p.energy == e]) for e in sorted({p.energy for p in missed})]
+            if any(amended):
+                return self.between(low, high)
+            if missed:
+                reason = f"continuation meets {len(missed)} connections that the searches do not find"
+                interval = replace(interval, reasons=(*interval.reasons, reason))
+            self._intervals[low, high] = interval
+        return self._intervals[low, high]
+
+    def explained(self, low: float, high: float) -> bool:
+        """Whether the interval was explained since its searches were last amended."""
+        return (low, high) in self._intervals
+
+    def _amend(self, energy: float, missed: list[PathPoint]) -> bool:
+        """Add connections that continuation met and the search had not seen, with their mirror images; say if any."""
+        points = list(self._found[energy].points)
+        before = len(points)
+        for point in missed:
+            images = [self.problem.mirrored(point.link, k) for k in range(len(self.problem.system.reversers))]
+            for link in [point.link, *(i for i in images if i is not None)]:
+                known_branch = any(link.branches[0] == p.link.branches[0] for p in [*points, point])
+                if known_branch and self.among(link, points) is None:
+                    points.append(PathPoint(link, energy, point.tangency))
+        self._found[energy] = replace(self._found[energy], points=tuple(points))
+        self._intervals = {k: v for k, v in self._intervals.items() if energy not in k}
+        return len(points) > before
+
+    def _changes(self, before: Found, after: Found) -> tuple[Interval, list[PathPoint]]:
+        """Follow what two neighbouring searches do not share.
+
+        Returns what happened, and connections that the searches should have found.
+        """
+        runs: list[Branch] = []
+        missed: list[PathPoint] = []
+        lost, born = set(range(len(before.points))), set(range(len(after.points)))
+        for k, point in enumerate(before.points):
+            arrived = carry(self.problem, point, after.energy)
+            match = None if arrived is None else self.among(arrived.link, after.points)
+            if match is not None and match in born:
+                lost.discard(k)
+                born.discard(match)
+                runs += self._runs((point, after.points[match]))
+            elif arrived is not None and match is None and self.count(arrived) == self.crossings:
+                # It met no turn and crosses as often as asked: the search has not seen it.
+                lost.discard(k)
+                missed.append(arrived)
+        changes: list[Change] = []
+        reasons: list[str] = []
+        for left, start, goal in ((lost, before, after), (born, after, before)):
+            while left:
+                k = min(left)
+                left.discard(k)
+                path = follow(self.problem, start.points[k].link, start.energy, goal.energy)
+                if path.outcome == "lost":
+                    reasons.append(path.reason)
+                    continue
+                end = path.points[-1]
+                arrived = self.among(end.link, (goal if path.outcome == "reached" else start).points)
+                if path.outcome == "back" and arrived is not None:
+                    left.discard(arrived)
+                elif path.outcome == "reached" and arrived is not None and goal is after:
+                    born.discard(arrived)
+                elif arrived is None and self.count(end) == self.crossings:
+                    missed.append(end)
+                self._along(path, changes, reasons)
+                runs += self._runs(path.points)
+        return Interval(tuple(self._distinct(changes)), tuple(reasons), tuple(runs)), missed
+
+    def _along(self, path: Path, changes: list[Change], reasons: list[str]) -> None:
+        """Add the turns and touches along a path."""
+        points = path.points
+        counts = [self.count(p) for p in points]
+        for k in range(len(points) - 1):
+            if k in path.turns:
+                event = locate_turn(self.problem, path, k)
+                if event is None:
+                    reasons.append(f"a turn in energy near {points[k].energy:.9g} J could not be located")
+                    continue
+                if counts[k] != counts[k + 1]:
+                    reasons.append(f"a touch of the section next to the turn at {event.energy:.9g} J")
+                if counts[k] == self.crossings:
+                    # The partners lie on the side from which the path came.
+                    came_from = points[k].energy if points[k].energy != event.energy else points[k - 1].energy
+                    changes.append(Change(event, 2 if came_from > event.energy else -2))
+            elif counts[k] != counts[k + 1]:
+                touches = locate_graze(self.problem, self.section, points[k], points[k + 1])
+                gain = (counts[k + 1] == self.crossings) - (counts[k] == self.crossings)
+                if gain and not touches:
+                    reasons.append(
+                        f"crossings change from {counts[k]} to {counts[k + 1]} between {points[k].energy:.9g} and "
+                        f"{points[k + 1].energy:.9g} J without a located touch"
+                    )
+                elif gain:
+                    rising = 1 if points[k + 1].energy > points[k].energy else -1
+                    # Of several touches, the one on the side of the asked count changed it.
+                    near_end = points[k + 1].energy if gain > 0 else points[k].energy
+                    event = min(touches, key=lambda t: abs(t.energy - near_end))
+                    changes.append(Change(event, gain * rising))
+
+    def _distinct(self, changes: list[Change]) -> list[Change]:
+        """Leave out events met a second time, from the partner's side."""
+
+        def same(a: Located, b: Located) -> bool:
+            near = abs(a.energy - b.energy) < 1e-7 * self.problem.system.energy_scale
+            return a.kind == b.kind and near and self.problem.distance_between(a.link, b.link) < 10 * self.settings.same
+
+        kept: list[Change] = []
+        for change in changes:
+            if not any(same(c.event, change.event) for c in kept):
+                kept.append(change)
+        return kept
 
 
 @dataclass(frozen=True)

@@ -33,9 +33,14 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.orbits.lyapunov import LyapunovOrbit, described_orbit, lyapunov_orbit
+from dpcontrol.orbits.lyapunov import (
+    LyapunovOrbit,
+    SymmetricShooting,
+    described_orbit,
+    lyapunov_orbit,
+    symmetric_shooting,
+)
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.orbits.symmetric_shooting import SymmetricShooting, symmetric_shooting
 
 Array = NDArray[np.float64]
 

@@ -36,8 +36,7 @@ if TYPE_CHECKING:
     from dpcontrol.orbits.rotating import RotatingFamily
     from dpcontrol.references.sustained import SustainedOrbit
     from dpcontrol.scenes.model import Model
-    from dpcontrol.tubes.connection import Connection
-    from dpcontrol.tubes.connections import ConnectionSearch
+    from dpcontrol.tubes.connections import Connection, ConnectionSearch
     from dpcontrol.walks.atlas import Atlas
 
 
@@ -294,8 +293,7 @@ def connect_command(
     """
     from dpcontrol import api
     from dpcontrol.scenes.model import load_model
-    from dpcontrol.tubes.connection import searched_at
-    from dpcontrol.tubes.connections import orbits_between
+    from dpcontrol.tubes.connections import orbits_between, searched_at
 
     if precision == "extended" and name is None:
         raise InputError("--precision extended refines one connection: give its --name as `dpcontrol connect` lists it")

@@ -21,7 +21,7 @@ from dpcontrol.cli.verbs import (
 from dpcontrol.foundation.progress import progress_bar
 
 if TYPE_CHECKING:
-    from dpcontrol.identification.design import Design
+    from dpcontrol.identification.fit import Design
     from dpcontrol.identification.identify import Identification
     from dpcontrol.identification.replay import Replay
     from dpcontrol.recordings.recording import Recording
@@ -56,9 +56,9 @@ def import_command(
     cannot have made. With --simulated the truth is known: to try `identify` and `replay` on.
     """
     from dpcontrol import api
-    from dpcontrol.foundation.cost import announce
     from dpcontrol.foundation.errors import remark
     from dpcontrol.foundation.files import checked_other_file
+    from dpcontrol.foundation.progress import announce
     from dpcontrol.recordings.checks import constant_angles, contradiction
     from dpcontrol.recordings.importing import import_recording
     from dpcontrol.recordings.recording import swings_cost, write_recording
@@ -173,7 +173,7 @@ def _identify_text(found: "Identification", target: Path, picture: Path | None) 
 
 def _design(model: str, picture: Path | None) -> Answer:
     """Compare experiments by what they tell."""
-    from dpcontrol.identification.design import design_experiments
+    from dpcontrol.identification.fit import design_experiments
     from dpcontrol.scenes.model import load_model
 
     start = load_model(model)

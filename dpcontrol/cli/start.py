@@ -25,7 +25,7 @@ from dpcontrol.foundation.progress import part_of, progress_bar
 from dpcontrol.foundation.settings import suggest
 
 if TYPE_CHECKING:
-    from dpcontrol.orbits.symmetric_shooting import Equilibrium
+    from dpcontrol.orbits.lyapunov import Equilibrium
     from dpcontrol.scenes.model import Model
 
 
@@ -89,7 +89,7 @@ def demo_command(
 def model_command(*, model: str = argument()) -> Answer:
     """Show a model's parameters with units, and its equilibria (frictionless, pivot at rest)."""
     from dpcontrol.foundation.files import picked
-    from dpcontrol.orbits.symmetric_shooting import equilibria
+    from dpcontrol.orbits.lyapunov import equilibria
     from dpcontrol.scenes.model import load_model
 
     loaded = load_model(model)

@@ -31,7 +31,7 @@ from dpcontrol.foundation.progress import progress_bar
 if TYPE_CHECKING:
     from dpcontrol.scenes.model import Model
     from dpcontrol.walks.edges import Edges
-    from dpcontrol.walks.requests import WalkAnswer, WalkRequest
+    from dpcontrol.walks.walks import WalkAnswer, WalkRequest
 
 REFINED = 4
 """Walks that --precision extended may refine."""
@@ -131,12 +131,21 @@ def walk_command(
 
     with progress_bar("connections") as progress:
         progress("loading", 0.0)
-        from dpcontrol.foundation.cost import announce
+        from dpcontrol.foundation.progress import announce
         from dpcontrol.scenes.model import load_model
         from dpcontrol.walks.edges import find_edges
-        from dpcontrol.walks.requests import drawn_requests, request, walks_cost
         from dpcontrol.walks.symbols import parse_walk
-        from dpcontrol.walks.walks import all_walks, count_walks, is_closed, resolve, vertex_names, ways
+        from dpcontrol.walks.walks import (
+            all_walks,
+            count_walks,
+            drawn_requests,
+            is_closed,
+            request,
+            resolve,
+            vertex_names,
+            walks_cost,
+            ways,
+        )
         from dpcontrol.walks.walks import through as shortest
 
         def announced(number: int, longest: int, key: str) -> None:
@@ -217,8 +226,8 @@ def _solve(
 ) -> Answer:
     """Solve, keep and draw walks; refine them where their energy is given exactly."""
     from dpcontrol import api
-    from dpcontrol.walks.requests import refined_answer, save_walk, solved
     from dpcontrol.walks.shadowing import WalkSolver
+    from dpcontrol.walks.walks import refined_answer, save_walk, solved
 
     solver = WalkSolver(edges.connections)
     answers: list[tuple[WalkAnswer, Path | None]] = []

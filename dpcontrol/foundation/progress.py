@@ -1,10 +1,15 @@
-"""Progress of long work: a function that is called as the work goes on."""
+"""What long work will take, said before it is begun, and how far it is: a function that is called as it goes on.
+
+Costs are predicted from measured rates and are good to a factor of three; more than a stated limit is refused unless it
+is asked for by name.
+"""
 
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 
-from dpcontrol.foundation.errors import printable
+from dpcontrol.foundation.errors import InputError, printable, remark
 
 Progress = Callable[[str, float], None]
 """Called with what is being done and how much of it is done (0 to 1)."""
@@ -46,3 +51,59 @@ def progress_bar(label: str) -> Iterator[Progress]:
 
         yield report
         bar.update(task, completed=1.0, description=printable(label))
+
+
+MOST_SECONDS, MOST_BYTES = 3600.0, 4e9
+"""What is begun without being asked for by name."""
+NEVER_SECONDS, NEVER_BYTES = 1e8, 1e13
+"""What no one means to begin: to be asked for by name is not advised there."""
+SAID_FROM = 60.0
+"""s; work that takes longer is announced."""
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What work will take: how much of it there is, in words, its time in s and its memory in bytes.
+
+    key: the setting that makes it long, as the user gave it.
+    """
+
+    work: str
+    seconds: float
+    memory: float
+    key: str
+
+    @property
+    def sentence(self) -> str:
+        """What it will take."""
+        return f"{self.key}: {self.work} will take about {_time(self.seconds)} and {_size(self.memory)} of memory"
+
+
+def announce(cost: Cost, *, yes: bool) -> None:
+    """Say what work will take, where that is more than a minute, and refuse what is beyond the limits unless `yes`.
+
+    Raises:
+        InputError: it is beyond the limits; says what it will take, and what is allowed.
+    """
+    if not yes and (cost.seconds > MOST_SECONDS or cost.memory > MOST_BYTES):
+        allowed = f"{_time(MOST_SECONDS)} and {_size(MOST_BYTES)} are begun unasked"
+        beyond_all = cost.seconds > NEVER_SECONDS or cost.memory > NEVER_BYTES
+        remedy = "ask for less" if beyond_all else "ask for less, or give --yes (yes=True in Python)"
+        raise InputError(f"{cost.sentence}, and {allowed}; {remedy}")
+    if cost.seconds > SAID_FROM:
+        remark(cost.sentence)
+
+
+def _time(seconds: float) -> str:
+    for size, unit, above in ((86400.0, "days", 48 * 3600.0), (3600.0, "hours", 5400.0), (60.0, "minutes", 90.0)):
+        if seconds >= above:
+            return f"{_rounded(seconds / size)} {unit}"
+    return f"{_rounded(seconds)} seconds"
+
+
+def _size(memory: float) -> str:
+    return f"{_rounded(memory / 1e9)} GB" if memory >= 1e9 else f"{_rounded(memory / 1e6)} MB"
+
+
+def _rounded(value: float) -> str:
+    return f"{float(f'{value:.2g}'):,.10g}"

@@ -13,6 +13,11 @@ is known from the first one on (`layout.TickLayout`).
 
 Every message's bytes are known but for its numbers, so a block of K ticks is one numpy structured array of K copies of
 a template, filled column by column.
+
+For viewers of ROS 2 logs the arms are described as a URDF, with the poses of its links. The plane of motion is x to the
+right and z up, seen along +y. A joint's coordinate is the arm's *absolute* angle from hanging, counter-clockwise: at
+each elbow a link turns back by the inner arm's angle (a mimic joint with multiplier -1), so that the next arm hangs at
+zero. Source: the URDF specification (joint, mimic, origin).
 """
 
 import json
@@ -21,6 +26,7 @@ import struct
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from io import FileIO
+from itertools import pairwise
 from pathlib import Path
 from types import TracebackType
 from typing import NamedTuple
@@ -31,9 +37,147 @@ from numpy.typing import ArrayLike, NDArray
 import dpcontrol
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_target, unwritable
-from dpcontrol.logs import layout, urdf
+from dpcontrol.logs import layout
 from dpcontrol.logs.container import COMPRESSION, ChunkMessages, McapFile, moved_away, open_partial, sealed, sync_folder
 from dpcontrol.logs.layout import TickLayout
+
+WORLD = "world"
+_THICKNESS = 0.012
+_INK = {
+    "robot": {
+        "track": "0.45 0.45 0.47 1",
+        "cart": "0.20 0.22 0.26 1",
+        "arm": "0.10 0.42 0.72 1",
+        "tip": "0.90 0.45 0.10 1",
+    },
+    "ghost": dict.fromkeys(("track", "cart", "arm", "tip"), "0.6 0.6 0.6 0.35"),
+}
+
+
+def link_frames(arms: int, *, has_cart: bool, prefix: str = "") -> tuple[tuple[str, str], ...]:
+    """Return (parent, child) of every frame that moves, in the order of `link_poses`, after `world` to the base."""
+    names = ["base", *(["cart_link"] if has_cart else [])]
+    for i in range(1, arms + 1):
+        names += [f"arm_{i}_link", f"elbow_{i}_link"]
+    chain = [WORLD, *(prefix + name for name in names[:-1])]
+    return tuple(pairwise(chain))
+
+
+def link_poses(states: NDArray[np.float64], *, arm_lengths: Sequence[float], has_cart: bool) -> NDArray[np.float64]:
+    """Return the pose of each of `link_frames` in its parent.
+
+    Args:
+        states: (K, 2n+2), or (K, 2n) without a cart; rad, rad/s, m, m/s.
+        arm_lengths: (n,), m.
+        has_cart: whether the pivot is on a cart.
+
+    Returns:
+        (K, F, 7): x, y, z in m and the quaternion's x, y, z, w.
+    """
+    arms = len(arm_lengths)
+    first = 1 + has_cart
+    half = states[:, :arms] / 2
+    sine, cosine = np.sin(half), np.cos(half)
+    found = np.zeros((len(states), first + 2 * arms - 1, 7))
+    found[:, :first, 6] = 1.0
+    if has_cart:
+        found[:, 1, 0] = states[:, 2 * arms]
+    # Counter-clockwise with x right and z up is a turn about -y; arms and elbows alternate.
+    found[:, first::2, 4], found[:, first::2, 6] = -sine, cosine
+    found[:, first + 1 :: 2, 4], found[:, first + 1 :: 2, 6] = sine[:, :-1], cosine[:, :-1]
+    found[:, first + 1 :: 2, 2] = -np.asarray(arm_lengths[:-1])
+    return found
+
+
+def robot_description(
+    arm_lengths: Sequence[float],
+    *,
+    has_cart: bool = True,
+    limits: tuple[float, float, float] | None = None,
+    prefix: str = "",
+    ghost: bool = False,
+) -> str:
+    """Return the URDF of the pendulum.
+
+    Args:
+        arm_lengths: (n,) in m, pivot to elbow, elbow to elbow, last elbow to tip.
+        has_cart: whether the pivot is on a cart; then the base is a track.
+        limits: the cart's greatest distance from the centre in m, velocity in m/s, acceleration in m/s².
+        prefix: put before the name of every link and joint.
+        ghost: draw it grey and half transparent, and without the track.
+    """
+    reach, speed = (limits[0], limits[1]) if limits else (max(sum(arm_lengths), 0.1), 3.0)
+    ink = _INK["ghost" if ghost else "robot"]
+    # The ghost swings just behind the robot; in one plane the two would flicker.
+    depth = 1.5 * _THICKNESS if ghost else 0.0
+    names = [
+        (child.removeprefix(prefix), child)
+        for _, child in link_frames(len(arm_lengths), has_cart=has_cart, prefix=prefix)
+    ]
+    lines = ['<?xml version="1.0"?>', f'<robot name="{"reference_" if ghost else ""}pendulum">']
+    lines += [f'  <material name="{prefix}{part}"><color rgba="{colour}"/></material>' for part, colour in ink.items()]
+    for name, link in names:
+        lines.append(f'  <link name="{link}">')
+        lines += _visuals(name, arm_lengths, depth=depth, reach=reach, prefix=prefix, track=has_cart and not ghost)
+        lines.append("  </link>")
+    lines += _joints(arm_lengths, has_cart=has_cart, prefix=prefix, reach=reach, speed=speed)
+    return "\n".join([*lines, "</robot>"]) + "\n"
+
+
+def _visuals(
+    name: str, arm_lengths: Sequence[float], *, depth: float, reach: float, prefix: str, track: bool
+) -> list[str]:
+    def visual(shape: str, at: tuple[float, float, float], part: str, *, turn: str = "0 0 0") -> str:
+        x, y, z = at
+        return (
+            f'    <visual><origin xyz="{x:g} {y + depth:g} {z:g}" rpy="{turn}"/><geometry>{shape}</geometry>'
+            f'<material name="{prefix}{part}"/></visual>'
+        )
+
+    def box(x: float, y: float, z: float, at: tuple[float, float, float], part: str) -> str:
+        return visual(f'<box size="{x:g} {y:g} {z:g}"/>', at, part)
+
+    def disc(radius: float, at: tuple[float, float, float], part: str) -> str:
+        shape = f'<cylinder radius="{radius:g}" length="{1.4 * _THICKNESS:g}"/>'
+        return visual(shape, at, part, turn="1.5707963 0 0")
+
+    wide = 0.06
+    if name == "base" and track:
+        stops = [box(_THICKNESS, wide, 0.03, (side * (reach + 0.05), 0.06, 0), "track") for side in (-1, 1)]
+        return [box(2 * reach + 0.1, wide, 0.01, (0, 0.06, -0.02), "track"), *stops]
+    if name == "cart_link":
+        return [box(0.1, wide, 0.03, (0, 0.06, 0), "cart"), disc(0.6 * _THICKNESS, (0, 0.02, 0), "cart")]
+    if name.startswith("arm_"):
+        i = int(name.split("_")[1]) - 1
+        length = arm_lengths[i]
+        # Each arm swings in front of the last, as on the rig, and so is drawn whole.
+        y = -1.6 * _THICKNESS * i
+        return [
+            box(1.6 * _THICKNESS, _THICKNESS, length, (0, y, -length / 2), "arm"),
+            disc(1.3 * _THICKNESS, (0, y, 0), "cart"),
+            disc(1.3 * _THICKNESS, (0, y, -length), "tip" if i == len(arm_lengths) - 1 else "cart"),
+        ]
+    return []
+
+
+def _joints(arm_lengths: Sequence[float], *, has_cart: bool, prefix: str, reach: float, speed: float) -> list[str]:
+    lines = []
+    axis = '<axis xyz="0 -1 0"/>'
+    for parent, child in link_frames(len(arm_lengths), has_cart=has_cart, prefix=prefix)[1:]:
+        name = child.removeprefix(prefix).removesuffix("_link")
+        ends = f'<parent link="{parent}"/><child link="{child}"/>'
+        if name == "cart":
+            body = f'<axis xyz="1 0 0"/><limit lower="{-reach:g}" upper="{reach:g}" velocity="{speed:g}" effort="0"/>'
+            lines.append(f'  <joint name="{prefix}cart" type="prismatic">{ends}{body}</joint>')
+        elif name.startswith("arm_"):
+            lines.append(f'  <joint name="{prefix}{name}" type="continuous">{ends}{axis}</joint>')
+        else:
+            i = int(name.split("_")[1])
+            origin = f'<origin xyz="0 0 {-arm_lengths[i - 1]:g}" rpy="0 0 0"/>'
+            mimic = f'<mimic joint="{prefix}arm_{i}" multiplier="-1" offset="0"/>'
+            lines.append(f'  <joint name="{prefix}{name}" type="continuous">{ends}{origin}{axis}{mimic}</joint>')
+    return lines
+
 
 REFERENCE_PREFIX = "reference/"
 _SECOND = 1_000_000_000
@@ -80,7 +224,7 @@ class ChunkEncoder:
         self._ticks = 0
         prefixes = ("", REFERENCE_PREFIX) if "reference" in tick.parts else ("",)
         frames = [
-            frame for prefix in prefixes for frame in urdf.frames(tick.arms, has_cart=tick.has_cart, prefix=prefix)
+            frame for prefix in prefixes for frame in link_frames(tick.arms, has_cart=tick.has_cart, prefix=prefix)
         ]
         message = layout.transforms(frames)
         self._template = np.frombuffer(message.data, np.uint8)
@@ -180,7 +324,7 @@ class ChunkEncoder:
             if not chosen:
                 return []
         states = states.reshape(len(chosen) * len(robots), -1)
-        poses = urdf.poses(states, arm_lengths=self._lengths, has_cart=self.tick.has_cart)
+        poses = link_poses(states, arm_lengths=self._lengths, has_cart=self.tick.has_cart)
         stamps = np.empty(len(chosen), _STAMP)
         stamps["sec"], stamps["nanosec"] = np.divmod(times[chosen], _SECOND)
         # All stamps and all poses at once, byte by byte: thirty columns one at a time cost more than the rest.
@@ -459,7 +603,7 @@ class LogWriter:
         for topic in (topic for topic in tick.channels if topic in layout.LATCHED):
             ghost = topic == layout.GHOST
             prefix = REFERENCE_PREFIX if ghost else ""
-            text = urdf.robot_description(
+            text = robot_description(
                 self._lengths, has_cart=tick.has_cart, limits=self._limits, prefix=prefix, ghost=ghost
             )
             self._notes.insert(0, Note(0, topic, first, layout.string(text)))

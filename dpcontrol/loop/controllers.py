@@ -36,7 +36,7 @@ from dpcontrol.control.tracking import (
 )
 from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.orbits.symmetric_shooting import equilibria
+from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.references.reference import Reference, plan_notes
 
 if TYPE_CHECKING:

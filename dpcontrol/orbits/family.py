@@ -29,8 +29,13 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
-from dpcontrol.orbits.lyapunov import LyapunovOrbit, described_orbit
-from dpcontrol.orbits.symmetric_shooting import LinearCentre, SymmetricShooting, symmetric_shooting
+from dpcontrol.orbits.lyapunov import (
+    LinearCentre,
+    LyapunovOrbit,
+    SymmetricShooting,
+    described_orbit,
+    symmetric_shooting,
+)
 
 Array = NDArray[np.float64]
 

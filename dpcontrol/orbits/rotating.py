@@ -41,7 +41,7 @@ from dpcontrol.orbits.family import (
     follow,
     nearest_equilibrium,
 )
-from dpcontrol.orbits.symmetric_shooting import SymmetricShooting, fixed_and_moved
+from dpcontrol.orbits.lyapunov import SymmetricShooting, fixed_and_moved
 
 Array = NDArray[np.float64]
 

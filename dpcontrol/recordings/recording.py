@@ -30,9 +30,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
-from dpcontrol.foundation.cost import Cost
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_source, content_hash, picked
+from dpcontrol.foundation.progress import Cost
 from dpcontrol.logs import LogWriter, Mode, RunLog, check_replaced, control_fields, read_log
 from dpcontrol.logs.container import MAGIC
 

@@ -27,9 +27,8 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.family import lyapunov_family
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.lyapunov import equilibria, lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.orbits.symmetric_shooting import equilibria
 from dpcontrol.review import style
 from dpcontrol.review.atlas import (
     BRANCHES,
@@ -46,7 +45,7 @@ from dpcontrol.review.atlas import (
 from dpcontrol.review.orbits import draw_families
 from dpcontrol.review.page import DOTTED, angle_axis, key, new_figure, quiet, save_figure
 from dpcontrol.tubes.cut import tube_cut
-from dpcontrol.tubes.interior import InteriorSettings, Outline, Returns, TubeInterior, tube_interior
+from dpcontrol.tubes.intersections import InteriorSettings, Outline, Returns, TubeInterior, tube_interior
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, walks
 
 Array = NDArray[np.float64]

@@ -18,10 +18,9 @@ from matplotlib.font_manager import FontProperties, findfont
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from dpcontrol.foundation.cost import Cost, announce
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file
-from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.review import style
 from dpcontrol.review.motion import RunView
 from dpcontrol.review.page import SMALL, key, new_figure, story, story_rows

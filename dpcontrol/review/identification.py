@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from dpcontrol.identification.design import Design
+from dpcontrol.identification.fit import Design
 from dpcontrol.identification.identify import Identification, LossProfile
 from dpcontrol.review import style
 from dpcontrol.review.page import new_figure, quiet

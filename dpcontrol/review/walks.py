@@ -31,7 +31,7 @@ from dpcontrol.review.page import (
     wrapped_runs,
 )
 from dpcontrol.review.series import Chart, LevelLine, Line
-from dpcontrol.tubes.connection import Connection
+from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
 Array = NDArray[np.float64]

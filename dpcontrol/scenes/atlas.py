@@ -44,8 +44,13 @@ from typing import IO, Any, TypeVar, get_args, get_origin, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bifurcations.bifurcations import BranchDiagram, branch_diagram, diagram_from, find_bifurcations
-from dpcontrol.bifurcations.sweep import SweepSettings
+from dpcontrol.bifurcations.bifurcations import (
+    BranchDiagram,
+    SweepSettings,
+    branch_diagram,
+    diagram_from,
+    find_bifurcations,
+)
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
@@ -53,12 +58,11 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive, content_hash, picked, plain, write_archive
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting
-from dpcontrol.orbits.lyapunov import LyapunovOrbit, OrbitRecord
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, OrbitRecord, equilibria
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.orbits.rotating import RotatingOrbit, RotatingRecord, can_rotate, rotating_orbits
-from dpcontrol.orbits.symmetric_shooting import equilibria
 from dpcontrol.scenes.model import Model
-from dpcontrol.tubes.connection import Connection, ConnectionRecord
+from dpcontrol.tubes.connections import Connection, ConnectionRecord
 from dpcontrol.tubes.cut import Cut, Piece, section_points
 from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.atlas import (

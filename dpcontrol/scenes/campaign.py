@@ -53,12 +53,11 @@ from numpy.typing import NDArray
 import dpcontrol
 from dpcontrol.control.interface import Controller
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
-from dpcontrol.foundation.cost import Cost, announce
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash, in_the_way, whole_file
 from dpcontrol.foundation.parts import part
 from dpcontrol.foundation.processes import ATTEMPTS, in_processes, processors
-from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
 from dpcontrol.loop.loop import (

@@ -34,7 +34,7 @@ from dpcontrol.loop.bench import DisturbanceSettings, DriveSettings, Push, Senso
 from dpcontrol.loop.controllers import ESTIMATORS, KEEPERS, ControllerSettings
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.loop.result import SupervisorSettings
-from dpcontrol.orbits.symmetric_shooting import equilibria
+from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.references.reference import Reference, load_reference

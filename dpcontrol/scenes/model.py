@@ -19,8 +19,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 import dpcontrol
-from dpcontrol.dynamics.bodies import oddities
-from dpcontrol.dynamics.chain import ArmChainParameters, Friction, Uncertainty, pendulum_system, ratio_names, unit_name
+from dpcontrol.dynamics.chain import (
+    ArmChainParameters,
+    Friction,
+    Uncertainty,
+    oddities,
+    pendulum_system,
+    ratio_names,
+    unit_name,
+)
 from dpcontrol.dynamics.system import System, ThreeBodyParameters, three_body_system
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import checked_source, in_the_way, write_whole

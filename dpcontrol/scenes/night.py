@@ -18,9 +18,8 @@ from math import ceil
 from pathlib import Path
 
 from dpcontrol.control.estimator_settings import extra_names
-from dpcontrol.foundation.cost import MOST_SECONDS, Cost
 from dpcontrol.foundation.errors import GoalMissed, InputError, remark
-from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.progress import MOST_SECONDS, Cost, Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.logs import LogWriter, partials_of, recover
 from dpcontrol.logs.reader import check_same_run

@@ -19,16 +19,15 @@ from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria, resting_place
 from dpcontrol.orbits.manifold import OrbitCurve
-from dpcontrol.orbits.symmetric_shooting import equilibria, resting_place
 from dpcontrol.references.find import find_reference, shadowed
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import EndConditions, Guess, ReferenceProblem
 from dpcontrol.references.reference import OrbitNote, PlanNotes, Reference, StopNote, SymbolNote, still
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.scenes.transfers import kept_transfer, turned
-from dpcontrol.tubes.connection import Connection
+from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
 Array = NDArray[np.float64]

@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
-from dpcontrol.foundation.cost import Cost, announce
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash, picked
-from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.references.reference import PlanNotes, Reference, load_reference, plan_notes, save_reference
 from dpcontrol.scenes.itinerary import HoldPart, Itinerary, WalkPart, stored_itinerary
 from dpcontrol.scenes.run_options import RunOptions

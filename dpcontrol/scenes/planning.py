@@ -24,8 +24,7 @@ from numpy.typing import NDArray
 from dpcontrol.control.interface import whole_turns
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.orbits.symmetric_shooting import resting_place
+from dpcontrol.orbits.lyapunov import lyapunov_orbit, resting_place
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import EndConditions
 from dpcontrol.references.reference import PlanNotes, Reference, SegmentNote, joined
@@ -44,7 +43,7 @@ from dpcontrol.scenes.pieces import (
     walk_goal,
 )
 from dpcontrol.scenes.transfers import transfer_notes
-from dpcontrol.tubes.connection import Connection
+from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver, phase_gap
 from dpcontrol.walks.symbols import parse_walk

@@ -36,11 +36,10 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import Augment, EkfSettings
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
-from dpcontrol.foundation.cost import Cost, announce
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.processes import in_processes, processors
-from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.statistics import wilson
 from dpcontrol.loop.loop import LoopSettings, can_batch

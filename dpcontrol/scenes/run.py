@@ -527,7 +527,7 @@ def export_unit(
 
     single, force, and what is raised: see `export_plan`.
     """
-    from dpcontrol.control.fmu import controller_unit
+    from dpcontrol.control.export import controller_unit
 
     source, program, schedule = _exported(plan, single, progress)
     made = controller_unit(

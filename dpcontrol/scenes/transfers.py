@@ -35,9 +35,8 @@ from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.family import lyapunov_family
-from dpcontrol.orbits.lyapunov import LyapunovOrbit
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibrium
 from dpcontrol.orbits.manifold import OrbitCurve
-from dpcontrol.orbits.symmetric_shooting import equilibrium
 from dpcontrol.references.find import find_transfer
 from dpcontrol.references.reference import (
     ApproachNote,

@@ -21,7 +21,7 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import local_manifold
-from dpcontrol.shooting.equations import Guess, ManifoldEnd, ShootingEquations, Unknowns
+from dpcontrol.shooting.newton import Guess, ManifoldEnd, ShootingEquations, Unknowns
 
 Array = NDArray[np.float64]
 

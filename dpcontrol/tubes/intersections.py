@@ -1,4 +1,4 @@
-"""Where an unstable and a stable tube's cuts meet on a section.
+"""Where an unstable and a stable tube's cuts meet on a section, and what lies inside them.
 
 The stable tube is the unstable one turned around by a reverser. The cuts' polylines give first guesses, also where
 they only nearly touch; Newton's method on (phase_u, phase_s) with the variational equations solves
@@ -7,11 +7,28 @@ Beside every crossing others are looked for where the cuts' slopes and bend plac
 
 Source: Koon, Lo, Marsden, Ross, Heteroclinic connections between periodic orbits and resonance transitions in
 celestial mechanics (2000), section 4; Kaheman et al. (2023), section 3.
+
+*The inside of a tube*: a grid over the region that its cut encloses, carried through returns to the section.
+Points (q, p/p₀) of a grid inside the unstable cut are turned into states on the section at the tube's energy.
+What is inside the unstable tube has come through the saddle's bottleneck, what is inside the stable tube will go
+through it; at each return, forward and backward, a point is labelled by the cut that it lies in, if any, and by the
+whole turns since the start. The stable tube's interior is the unstable one's turned around in time, never integrated.
+
+Each point keeps an angle about the region's innermost point and a radius, 0 there and 1 on the cut: the hue and the
+saturation of a colour wheel. Source: Kaheman et al. (2023), section 3; Koon, Lo, Marsden, Ross (2000), section 4.
+
+Closed cuts as outlines of regions of a section: which points lie inside, and the states that points stand for.
+
+A point (q, p/p₀) becomes a state on the section: with θ(q) and the momentum along the section given, the velocity
+across it, v = v₀ + s w, solves the energy's quadratic
+
+    ½ vᵀ M v = H - V(θ),      the root with the asked direction of crossing.
 """
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from itertools import pairwise
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +37,8 @@ from scipy.spatial import KDTree
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.tubes.cut import Cut, CutSettings, Piece, longest_flight, section_points
 
@@ -599,3 +618,300 @@ def _add(
         if not (system.scaled_distance(known, one.states[0]) < settings.same).any():
             found.append(one)
             known = np.vstack([known, one.states[0]])
+
+
+Flags = NDArray[np.bool_]
+Labels = NDArray[np.int8]
+
+
+@dataclass(frozen=True)
+class Outline:
+    """A closed cut in (q, p/p₀): vertices (V, 2); branch of its tube; direction of crossing, +1 or -1."""
+
+    vertices: Array
+    branch: int
+    direction: int
+    stable: bool
+
+
+def outlines_of(cut: Cut, manifold: UnstableManifold) -> tuple[Outline, ...]:
+    """Return the closed pieces of a tube's cut and of the stable tube's, which is the cut turned around in time."""
+    system, section = manifold.orbit.system, cut.section
+    found = []
+    for stable in (False, True):
+        for piece in cut.pieces:
+            if not piece.closed:
+                continue
+            states = TubeSide(manifold, section, stable, cut.hit, piece.branch, 0.0).turned(piece.states)
+            points = section_points(system, section, states)
+            rate = float(system.numeric.rate(states[0]) @ np.asarray(section.normal))
+            if np.linalg.norm(points[0] - points[-1]) > np.abs(np.diff(points, axis=0)).max() * 4:
+                continue  # winds around the torus: it has no inside
+            found.append(Outline(points, piece.branch, int(np.sign(rate)), stable))
+    return tuple(found)
+
+
+def inside(points: Array, vertices: Array) -> Flags:
+    """Tell which points (K, 2) lie inside a closed polygon (V, 2), by counting the edges that a ray crosses."""
+    result = np.zeros(len(points), dtype=bool)
+    x, y = points[:, 0], points[:, 1]
+    for (x0, y0), (x1, y1) in zip(vertices, np.roll(vertices, -1, axis=0), strict=True):
+        if y0 == y1:
+            continue
+        spans = (y0 > y) != (y1 > y)
+        result ^= spans & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
+    return result
+
+
+def labels(
+    system: System, section: Section, outlines: tuple[Outline, ...], points: Array, direction: NDArray[Any]
+) -> Labels:
+    """Return the branch of the outline that each point (K, 2), crossing in `direction` (K,), lies in, or 0."""
+    found = np.zeros(len(points), dtype=np.int8)
+    period = position_period(system, section)
+    for outline in outlines:
+        q = points[:, 0]
+        if period is not None:
+            middle = (outline.vertices[:, 0].min() + outline.vertices[:, 0].max()) / 2
+            q = q - np.rint((q - middle) / period) * period
+        hit = inside(np.column_stack([q, points[:, 1]]), outline.vertices) & (direction == outline.direction)
+        found[hit] = outline.branch
+    return found
+
+
+def section_states(
+    system: System, section: Section, points: Array, *, energy: float, direction: int, level: float
+) -> tuple[Array, Flags]:
+    """Return states (K, N) at (q, p/p₀) (K, 2) on n·x = level with an energy and a direction, and which exist."""
+    n = system.dimension // 2
+    normal, position = np.asarray(section.normal)[:n], np.asarray(section.position)[:n]
+    along = np.asarray(section.momentum)
+    q = np.linalg.solve(np.array([normal, position]), np.array([np.full(len(points), level), points[:, 0]])).T
+    still = np.hstack([q, np.zeros_like(q)])
+    mass = system.numeric.mass_matrix(still)
+    momentum = points[:, 1] * momentum_scale(system, section)
+    # Any momentum with the given part along the section, and the direction that leaves that part alone.
+    base = np.outer(momentum / (along @ along), along) - system.numeric.momentum(still)
+    across = np.broadcast_to(np.array([-along[1], along[0]]), base.shape)
+    v0, w = (np.linalg.solve(mass, part[..., None])[..., 0] for part in (base, across))
+    a = np.einsum("ki,kij,kj->k", w, mass, w) / 2
+    b = np.einsum("ki,kij,kj->k", v0, mass, w)
+    c = np.einsum("ki,kij,kj->k", v0, mass, v0) / 2 + system.numeric.hamiltonian(still) - energy
+    discriminant = b * b - 4 * a * c
+    exists = discriminant >= 0
+    root = np.sqrt(np.where(exists, discriminant, 0.0))
+    chosen: Array = np.asarray(np.hstack([q, v0]), dtype=float)
+    fits = np.zeros(len(points), dtype=bool)
+    for sign in (1, -1):
+        velocity = v0 + ((-b + sign * root) / (2 * a))[:, None] * w
+        right = exists & (np.sign(velocity @ normal) == direction)
+        chosen[right, n:] = velocity[right]
+        fits |= right
+    return chosen, fits
+
+
+def position_period(system: System, section: Section) -> float | None:
+    """Return the period of the section's coordinate q, or None on a line."""
+    period = float(system.periods[int(np.argmax(np.abs(section.position)))])
+    return period if np.isfinite(period) else None
+
+
+def place_on_section(system: System, section: Section, states: Array) -> tuple[Array, Labels]:
+    """Return (q, p/p₀) with q within half a period of zero, and the direction of crossing, of states (…, N)."""
+    points = section_points(system, section, states)
+    period = position_period(system, section)
+    if period is not None:
+        points[..., 0] -= np.rint(points[..., 0] / period) * period
+    direction = np.sign(system.numeric.rate(states) @ np.asarray(section.normal))
+    return points, direction.astype(np.int8)
+
+
+SKIP = 1e-6
+"""Seconds flown before the next return is looked for, so that the start is not taken for it."""
+
+
+_AT_ONCE = 200
+"""Points flown to a return between two reports of progress."""
+
+
+@dataclass(frozen=True)
+class InteriorSettings:
+    """across: grid points over the cut's width and over its height; returns: either way; longest: periods to each."""
+
+    across: int = 60
+    returns: int = 3
+    longest: float = 12.0
+
+
+@dataclass(frozen=True)
+class Returns:
+    """Where K points are at each of R returns in one direction of time; entries count only where `arrived`.
+
+    states (K, R, N) lifted; points (K, R, 2): (q, p/p₀), q within half a period of zero; seconds (K, R) since the
+    start, positive either way; winding (K, R, n): whole turns of the angles since the start, nearest; direction
+    (K, R): sign of the crossing; in_unstable, in_stable (K, R): branch of the cut that the point lies in, or 0.
+    """
+
+    arrived: Flags
+    states: Array
+    points: Array
+    seconds: Array
+    winding: NDArray[np.int64]
+    direction: Labels
+    in_unstable: Labels
+    in_stable: Labels
+
+
+@dataclass(frozen=True)
+class TubeInterior:
+    """A grid of K points inside one tube's cut, and its returns.
+
+    branch: of the unstable tube. points (K, 2), states (K, N); angle (K,) rad and radius (K,) from 0 to 1: hue and
+    saturation. outlines: the closed cuts of both tubes. status: a sentence.
+    """
+
+    orbit: LyapunovOrbit
+    section: Section
+    branch: int
+    points: Array
+    states: Array
+    angle: Array
+    radius: Array
+    forward: Returns
+    backward: Returns
+    outlines: tuple[Outline, ...]
+    status: str
+
+
+def tube_interior(
+    manifold: UnstableManifold,
+    cut: Cut,
+    *,
+    branch: int = 1,
+    settings: InteriorSettings | None = None,
+    progress: Progress = no_progress,
+) -> TubeInterior:
+    """Carry a grid of the inside of an unstable tube's cut through returns, forward and backward.
+
+    Raises:
+        InputError: a branch that is not +1 or -1 or whose cut is not closed, or a system that has not two degrees of
+            freedom.
+    """
+    settings = settings or InteriorSettings()
+    orbit, section = manifold.orbit, cut.section
+    system = orbit.system
+    if branch not in (1, -1):
+        raise InputError(f"branch = {branch}: must be +1 or -1")
+    if system.dimension != 4:
+        raise InputError(
+            f"{system.name} has {system.dimension // 2} degrees of freedom: a cut encloses an area for two"
+        )
+    outlines = outlines_of(cut, manifold)
+    own = [o for o in outlines if o.branch == branch and not o.stable]
+    if not own:
+        ends = [end.reason for end in cut.open_ends if end.branch == branch]
+        reason = ends[0] if ends else cut.status
+        raise InputError(
+            f"branch {branch:+d} has no closed cut at crossing {cut.hit} of {section.name}, so no inside: {reason}; "
+            "use another section, crossing or energy"
+        )
+    piece = next(p for p in cut.pieces if p.branch == branch and p.closed)
+    level = float(piece.states[0] @ np.asarray(section.normal))
+    points = _grid(own[0].vertices, settings.across)
+    states, fits = section_states(system, section, points, energy=orbit.energy, direction=own[0].direction, level=level)
+    points, states = points[fits], states[fits]
+    if not len(points):
+        raise InputError(f"the cut of branch {branch:+d} is too thin for {settings.across} points across; ask for more")
+    angle, radius = _wheel(points, own[0].vertices)
+    runs = []
+    for k, sign in enumerate((1, -1)):
+
+        def report(what: str, done: float, share: float = k / 2) -> None:
+            progress(what, share + done / 2)
+
+        runs.append(_carried(orbit, section, states, sign, outlines, settings, report))
+    back = [int(np.count_nonzero(run.arrived[:, -1])) for run in runs]
+    status = f"{len(points)} points; {back[0]} return {settings.returns} times forward, {back[1]} backward"
+    return TubeInterior(orbit, section, branch, points, states, angle, radius, runs[0], runs[1], outlines, status)
+
+
+def _carried(
+    orbit: LyapunovOrbit,
+    section: Section,
+    states: Array,
+    sign: int,
+    outlines: tuple[Outline, ...],
+    settings: InteriorSettings,
+    progress: Progress,
+) -> Returns:
+    """Fly every state to its returns in one direction of time."""
+    system = orbit.system
+    shape = (len(states), settings.returns)
+    arrived = np.zeros(shape, dtype=bool)
+    flown = np.repeat(states[:, None, :], settings.returns, axis=1)
+    seconds = np.zeros(shape)
+    longest = settings.longest * orbit.period
+    here, elapsed, going = states, np.zeros(len(states)), np.arange(len(states))
+    for r in range(settings.returns):
+        following = []
+        for part in np.array_split(going, max(1, len(going) // _AT_ONCE)):
+            started = np.array([system.propagator.flow(here[k], sign * SKIP) for k in part]).reshape(
+                -1, system.dimension
+            )
+            crossings = system.propagator.crossings(started, section, longest=sign * longest)
+            for k, crossing in zip(part, crossings, strict=True):
+                if crossing is None:
+                    continue
+                elapsed[k] += SKIP + abs(crossing.time)
+                arrived[k, r], flown[k, r], seconds[k, r] = True, crossing.state, elapsed[k]
+                following.append(k)
+            done = (r + (int(part[-1]) / len(states) if len(part) else 1.0)) / settings.returns
+            progress("forward returns" if sign > 0 else "backward returns", done)
+        going = np.array(following, dtype=int)
+        here = flown[:, r]
+    points, direction = place_on_section(system, section, flown)
+    n = system.dimension // 2
+    winding = system.nearest_turns(flown - states[:, None, :])[..., :n].astype(np.int64)
+    found = [
+        labels(
+            system,
+            section,
+            tuple(o for o in outlines if o.stable is stable),
+            points.reshape(-1, 2),
+            direction.ravel(),
+        ).reshape(shape)
+        for stable in (False, True)
+    ]
+    return Returns(
+        arrived=arrived,
+        states=flown,
+        points=np.where(arrived[..., None], points, 0.0),
+        seconds=seconds,
+        winding=np.where(arrived[..., None], winding, 0),
+        direction=np.where(arrived, direction, 0).astype(np.int8),
+        in_unstable=np.where(arrived, found[0], 0).astype(np.int8),
+        in_stable=np.where(arrived, found[1], 0).astype(np.int8),
+    )
+
+
+def _grid(vertices: Array, across: int) -> Array:
+    """Return the points (K, 2) of a grid over the bounding box that lie inside."""
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    axes = [np.linspace(a, b, across + 2)[1:-1] for a, b in zip(low, high, strict=True)]
+    mesh = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    return mesh[inside(mesh, vertices)]
+
+
+def _wheel(points: Array, vertices: Array) -> tuple[Array, Array]:
+    """Return angles about the innermost point, in rad, and radii: 0 there, 1 on the cut."""
+    span = np.ptp(vertices, axis=0)
+    x, edge = points / span, np.vstack([vertices, vertices[:1]]) / span
+    depth = np.full(len(x), np.inf)
+    for a, b in pairwise(edge):
+        along = b - a
+        length = float(along @ along)
+        share = np.clip((x - a) @ along / length, 0, 1) if length else np.zeros(len(x))
+        depth = np.minimum(depth, np.linalg.norm(x - a - share[:, None] * along, axis=1))
+    centre = x[np.argmax(depth)]
+    gap = x - centre
+    return np.arctan2(gap[:, 1], gap[:, 0]) % (2 * np.pi), 1 - depth / depth.max()

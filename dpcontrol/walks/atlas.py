@@ -21,7 +21,7 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.orbits.lyapunov import OrbitRecord
 from dpcontrol.orbits.rotating import RotatingRecord
-from dpcontrol.tubes.connection import ConnectionRecord
+from dpcontrol.tubes.connections import ConnectionRecord
 from dpcontrol.tubes.cut import Piece
 
 

@@ -18,16 +18,16 @@ import networkx as nx
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
-from dpcontrol.foundation.cost import Cost, announce
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
-from dpcontrol.foundation.progress import Progress, no_progress, part_of
+from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.orbits.manifold import HyperbolicOrbit, UnstableManifold, local_manifold, rotating_vertex
 from dpcontrol.orbits.rotating import can_rotate, rotating_orbits
-from dpcontrol.tubes.connection import Connection, can_be_reversed
 from dpcontrol.tubes.connections import (
+    Connection,
     ConnectionSearch,
+    can_be_reversed,
     find_connections,
     find_lap_connections,
     grown_crossing,

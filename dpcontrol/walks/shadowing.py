@@ -21,9 +21,17 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import GoalMissed, InputError
-from dpcontrol.shooting.equations import Guess, ManifoldEnd, ShootingOrbit
-from dpcontrol.shooting.newton import ErrorEstimate, NewtonSettings, Shot, estimate_error, solve_shooting
-from dpcontrol.tubes.connection import Connection
+from dpcontrol.shooting.newton import (
+    ErrorEstimate,
+    Guess,
+    ManifoldEnd,
+    NewtonSettings,
+    ShootingOrbit,
+    Shot,
+    estimate_error,
+    solve_shooting,
+)
+from dpcontrol.tubes.connections import Connection
 
 Array = NDArray[np.float64]
 

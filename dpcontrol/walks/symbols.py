@@ -23,7 +23,7 @@ import numpy as np
 from dpcontrol.foundation.errors import InputError
 
 if TYPE_CHECKING:
-    from dpcontrol.tubes.connection import Connection
+    from dpcontrol.tubes.connections import Connection
 
 _PREFIX = re.compile(r"^(?:(?P<source>[\w-]+)>(?P<target>[\w-]+)\[[-\d,]+\]h\d+\.\d+(?::[\w-]+)?@)?(?=\()")
 # People may leave out the dots, which few keyboards have.

@@ -12,9 +12,8 @@ from walk_classifier import WalkClassifier
 
 from dpcontrol.scenes.model import load_model
 from dpcontrol.walks.edges import find_edges
-from dpcontrol.walks.requests import drawn_requests, solved
 from dpcontrol.walks.shadowing import WalkSolver
-from dpcontrol.walks.walks import random_walk
+from dpcontrol.walks.walks import drawn_requests, random_walk, solved
 
 pytestmark = pytest.mark.benchmark
 

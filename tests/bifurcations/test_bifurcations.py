@@ -8,9 +8,8 @@ import pytest
 from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
-from dpcontrol.bifurcations.bifurcations import find_bifurcations
+from dpcontrol.bifurcations.bifurcations import Sweep, SweepSettings, find_bifurcations
 from dpcontrol.bifurcations.links import LinkProblem, carry, follow
-from dpcontrol.bifurcations.sweep import Sweep, SweepSettings
 from dpcontrol.cli.main import main
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.manifold import UnstableManifold
@@ -259,7 +258,7 @@ def test_a_connection_that_a_search_misses_is_found_by_continuation(system, monk
     whole = sweep.search(low)
     with monkeypatch.context() as patch:
         one = lambda *cuts: Crossings(intersect_cuts(*cuts).found[:1], 0)  # noqa: E731
-        patch.setattr("dpcontrol.bifurcations.sweep.intersect_cuts", one)
+        patch.setattr("dpcontrol.bifurcations.bifurcations.intersect_cuts", one)
         assert sweep.search(high).count == whole.count - 2
     interval = sweep.between(low, high)
     assert sweep.search(high).count == whole.count

@@ -9,9 +9,8 @@ from command_line import dpcontrol
 import dpcontrol as dp
 from dpcontrol.bench.chart import CHARTS
 from dpcontrol.bench.run import charts_cost
-from dpcontrol.foundation import cost
-from dpcontrol.foundation.cost import Cost, announce
 from dpcontrol.foundation.errors import GoalMissed, InputError, Remark
+from dpcontrol.foundation.progress import MOST_BYTES, MOST_SECONDS, Cost, announce
 from dpcontrol.scenes.itinerary import itinerary_from, load_itinerary
 from dpcontrol.scenes.model import load_model
 from dpcontrol.scenes.plan import plan_cost
@@ -101,7 +100,7 @@ def test_an_atlas_says_what_it_takes_and_is_refused_likewise(monkeypatch: pytest
 
 
 def test_charts_say_what_they_take_and_are_refused_likewise(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert 600 < charts_cost(tuple(CHARTS), quick=False).seconds < cost.MOST_SECONDS / 2
+    assert 600 < charts_cost(tuple(CHARTS), quick=False).seconds < MOST_SECONDS / 2
     assert charts_cost(tuple(CHARTS), quick=True).seconds < 300
     monkeypatch.setattr("dpcontrol.bench.run._SECONDS", 1e4)
     ended = dpcontrol("bench", "--out", str(tmp_path / "charts"))
@@ -150,8 +149,8 @@ def test_what_is_asked_for_by_name_is_begun_and_announced() -> None:
 def test_shipped_itineraries_are_planned_unasked() -> None:
     for file in Path(dp.__file__).parent.parent.joinpath("itineraries").glob("*.toml"):
         foretold = plan_cost(load_itinerary(str(file)))
-        assert foretold.seconds < cost.MOST_SECONDS / 10
-        assert foretold.memory < cost.MOST_BYTES / 4
+        assert foretold.seconds < MOST_SECONDS / 10
+        assert foretold.memory < MOST_BYTES / 4
 
 
 def test_the_cost_of_a_plan_grows_with_each_thing_that_lengthens_it() -> None:

@@ -7,7 +7,7 @@ import pytest
 from command_line import dpcontrol
 from shadowing_stand_in import LAB
 
-from dpcontrol.dynamics.bodies import oddities
+from dpcontrol.dynamics.chain import oddities
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.scenes.model import find, known, load_model
 

@@ -14,8 +14,7 @@ import pytest
 from command_line import dpcontrol
 from shadowing_stand_in import LAB, StandIn
 
-from dpcontrol.control.export import ControllerSource, LibraryProgram, controller_source
-from dpcontrol.control.fmu import Unit, controller_unit
+from dpcontrol.control.export import ControllerSource, LibraryProgram, Unit, controller_source, controller_unit
 from dpcontrol.control.tracking import TrackingController, tracking_controller
 from dpcontrol.loop.loop import LoopSettings, make_ticker, sampled_model
 from dpcontrol.loop.simulated import SimulatedRig
@@ -233,12 +232,12 @@ def test_after_a_reset_it_begins_again(exported: Exported, tmp_path: Path) -> No
 
 def test_without_a_compiler_it_has_its_sources_and_says_so(exported: Exported, monkeypatch: pytest.MonkeyPatch) -> None:
     ticker = make_ticker(LAB, SETTINGS, exported.controller, limits=exported.reference.limits, delay=1.0)
-    monkeypatch.setattr("dpcontrol.control.fmu.shutil.which", lambda name: None)
+    monkeypatch.setattr("dpcontrol.control.export.shutil.which", lambda name: None)
     made = controller_unit(
         exported.source, ticker.program, exported.controller.schedule(1), name="2-turn", title="A turn", delay=1.0
     )
     assert "there is no C compiler here: the unit has its sources only" in made.lacks
-    monkeypatch.setattr("dpcontrol.control.fmu._here", lambda: ("Plan9", "mips"))
+    monkeypatch.setattr("dpcontrol.control.export._here", lambda: ("Plan9", "mips"))
     made = controller_unit(
         exported.source, ticker.program, exported.controller.schedule(1), name="2-turn", title="A turn", delay=1.0
     )

@@ -7,8 +7,15 @@ import pytest
 
 from dpcontrol.dynamics.chain import Friction, base_ratios, with_laws
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.identification.design import Design, DesignSettings, design_experiments, digits
-from dpcontrol.identification.fit import FitSettings, Swings, fit_swings
+from dpcontrol.identification.fit import (
+    Design,
+    DesignSettings,
+    FitSettings,
+    Swings,
+    design_experiments,
+    digits,
+    fit_swings,
+)
 from dpcontrol.identification.identify import cut_into_swings
 from dpcontrol.recordings.recording import simulated_recording
 from dpcontrol.scenes.model import load_model

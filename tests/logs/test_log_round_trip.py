@@ -17,7 +17,7 @@ from mcap_ros2.reader import read_ros2_messages
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import LogWriter, control_fields, read_log
-from dpcontrol.logs.urdf import frames, poses, robot_description
+from dpcontrol.logs.writer import link_frames, link_poses, robot_description
 
 NANOSECOND = 1e-9
 POSE_TOLERANCE = 1e-12
@@ -146,8 +146,8 @@ def test_the_urdf_turns_back_at_each_elbow_so_that_coordinates_are_absolute(arms
         assert mimic is not None
         assert (mimic.get("joint"), mimic.get("multiplier")) == (f"arm_{i}", "-1")
     links = {link.get("name") for link in root.findall("link")}
-    assert links == {child for _, child in frames(arms, has_cart=True)}
-    assert poses(np.zeros((4, 2 * arms + 2)), arm_lengths=lengths, has_cart=True).shape == (4, len(links), 7)
+    assert links == {child for _, child in link_frames(arms, has_cart=True)}
+    assert link_poses(np.zeros((4, 2 * arms + 2)), arm_lengths=lengths, has_cart=True).shape == (4, len(links), 7)
 
 
 def test_a_last_chunk_without_a_transform_is_written(tmp_path: Path) -> None:

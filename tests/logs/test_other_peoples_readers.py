@@ -20,7 +20,7 @@ from mcap_ros2.reader import read_ros2_messages
 from rosbags.highlevel import AnyReader
 
 from dpcontrol.logs import control_fields, joint_names
-from dpcontrol.logs.urdf import frames, poses, robot_description
+from dpcontrol.logs.writer import link_frames, link_poses, robot_description
 
 TICKS = 120
 LIMITS = (0.9, 3.0, 30.0)
@@ -86,7 +86,7 @@ def expected(run: Any, *, arms: int, has_cart: bool) -> Messages:
         )
         for k, (level, number) in enumerate(SEVERITIES.items())
     ]  # fmt: skip
-    links = (*frames(arms, has_cart=has_cart), *frames(arms, has_cart=has_cart, prefix="reference/"))
+    links = (*link_frames(arms, has_cart=has_cart), *link_frames(arms, has_cart=has_cart, prefix="reference/"))
     shown = range(0, TICKS, 20)
     found["/tf"] = [(times[k], {"transforms": transforms(times[k], links, run, k, has_cart)}) for k in shown]
     for topic, text in (
@@ -102,7 +102,7 @@ def expected(run: Any, *, arms: int, has_cart: bool) -> Messages:
 
 def transforms(time: int, links: Any, run: Any, k: int, has_cart: bool) -> list[dict[str, Any]]:
     rows = np.stack([run.truth[k], run.reference[k]])
-    places = poses(rows, arm_lengths=run.arm_lengths, has_cart=has_cart).reshape(-1, 7).tolist()
+    places = link_poses(rows, arm_lengths=run.arm_lengths, has_cart=has_cart).reshape(-1, 7).tolist()
     return [
         {
             "header": header(time, parent),

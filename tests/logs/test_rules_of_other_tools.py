@@ -19,7 +19,7 @@ from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from dpcontrol.logs import control_fields, joint_names, read_log
-from dpcontrol.logs.urdf import frames, poses, robot_description
+from dpcontrol.logs.writer import link_frames, link_poses, robot_description
 
 TICKS = 120
 SAME = 1e-12
@@ -96,12 +96,12 @@ def test_rosbags_reads_a_log_whole_and_sees_every_message_as_written(tmp_path: P
     assert len(slow) == TICKS / 20
     events = [(time / 1e9, message.level, message.name, message.msg) for time, message in found.pop("/rosout")]
     assert events == [(e.time, LEVELS[e.level], e.name, e.text) for e in log.events]
-    links = (*frames(2, has_cart=True), *frames(2, has_cart=True, prefix="reference/"))
+    links = (*link_frames(2, has_cart=True), *link_frames(2, has_cart=True, prefix="reference/"))
     for time, message in (moved := found.pop("/tf")):
         assert [(t.header.frame_id, t.child_frame_id) for t in message.transforms] == list(links)
         shown = [(t.transform.translation, t.transform.rotation) for t in message.transforms]
         rows = np.stack([states[time // 10**6] for states in (log.truth, log.reference)])
-        placed_at = poses(rows, arm_lengths=run.arm_lengths, has_cart=True).reshape(-1, 7)
+        placed_at = link_poses(rows, arm_lengths=run.arm_lengths, has_cart=True).reshape(-1, 7)
         assert np.array_equal([[at.x, at.y, at.z, q.x, q.y, q.z, q.w] for at, q in shown], placed_at)
     assert len(moved) == TICKS / 20
     limits = (0.9, 3.0, 30.0)

@@ -13,8 +13,7 @@ from dpcontrol.dynamics.equations import Equations
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.family import FamilySettings, lyapunov_family
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.orbits.symmetric_shooting import equilibrium
+from dpcontrol.orbits.lyapunov import equilibrium, lyapunov_orbit
 from dpcontrol.review.orbits import draw_families
 from dpcontrol.review.page import save_figure
 from dpcontrol.scenes.model import load_model

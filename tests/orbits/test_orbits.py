@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.orbits.lyapunov import ContinuationSettings, lyapunov_orbit
+from dpcontrol.orbits.lyapunov import ContinuationSettings, SymmetricShooting, equilibria, lyapunov_orbit
 from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold
-from dpcontrol.orbits.symmetric_shooting import SymmetricShooting, equilibria
 from dpcontrol.scenes.model import load_model
 from tests.reference_values import LYAPUNOV_ORBITS, SQUARED_EIGENVALUES
 

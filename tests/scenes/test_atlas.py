@@ -12,8 +12,7 @@ from scipy.integrate import solve_ivp
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.scenes.atlas import AtlasSettings, compute_atlas, load_atlas, make_atlas, save_atlas
 from dpcontrol.scenes.model import load_model
-from dpcontrol.tubes.connection import can_be_reversed
-from dpcontrol.tubes.connections import find_connections, orbits_between, reversed_search
+from dpcontrol.tubes.connections import can_be_reversed, find_connections, orbits_between, reversed_search
 from dpcontrol.walks import edges
 from dpcontrol.walks.atlas import Atlas
 from tests.command_line import dpcontrol

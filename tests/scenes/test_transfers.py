@@ -14,8 +14,7 @@ from dpcontrol.control.interface import SampledModel
 from dpcontrol.control.tracking import TvlqrSettings, riccati_gains, terminal_cost
 from dpcontrol.dynamics.chain import Level, equations_of
 from dpcontrol.foundation.errors import GoalMissed
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
-from dpcontrol.orbits.symmetric_shooting import resting_place
+from dpcontrol.orbits.lyapunov import lyapunov_orbit, resting_place
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference

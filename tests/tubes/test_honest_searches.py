@@ -5,8 +5,7 @@ import pytest
 from command_line import dpcontrol
 from uniform_rods import uniform_rods
 
-from dpcontrol.bifurcations.bifurcations import find_bifurcations
-from dpcontrol.bifurcations.sweep import SweepSettings
+from dpcontrol.bifurcations.bifurcations import SweepSettings, find_bifurcations
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import ConnectionSearch, find_connections, orbits_between
 from dpcontrol.tubes.intersections import ConnectionSettings

@@ -13,7 +13,7 @@ from dpcontrol.review.figures import draw_interior
 from dpcontrol.review.page import save_figure
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.cut import CutSettings, section_points, tube_cut
-from dpcontrol.tubes.interior import (
+from dpcontrol.tubes.intersections import (
     InteriorSettings,
     inside,
     labels,

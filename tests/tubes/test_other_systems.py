@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.orbits.lyapunov import lyapunov_orbit
+from dpcontrol.orbits.lyapunov import equilibria, lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
-from dpcontrol.orbits.symmetric_shooting import equilibria
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.model import load_model
 from dpcontrol.tubes.connections import find_connections, orbits_between

@@ -9,8 +9,8 @@ from walk_classifier import WalkClassifier
 
 from dpcontrol.scenes.model import load_model
 from dpcontrol.walks.edges import find_edges
-from dpcontrol.walks.requests import drawn_requests
 from dpcontrol.walks.shadowing import WalkSolver
+from dpcontrol.walks.walks import drawn_requests
 
 CLOSURE = 1e-11
 RECIPROCAL = 1e-8  # λ ≈ 1e3 a symbol: rounding of the state-transition matrices' small parts
