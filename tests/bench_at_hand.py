@@ -31,7 +31,6 @@ class Toy:
     stopped_at: int | None = None
     queued: tuple[float, ...] = ()
     truth: None = None
-    acted: None = None
 
     def read(self) -> Reading:
         self.tick += 1

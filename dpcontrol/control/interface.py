@@ -183,20 +183,6 @@ class Session(Protocol):
         ...
 
 
-class ManySession(Protocol):
-    """A controller during many runs in lockstep; what it gives for one run is what its `Session` gives.
-
-    A controller that can has `begin_many(count)`, which returns one.
-    """
-
-    def commands(self, tick: int, states: Array, extras: Array) -> tuple[float | Array, Array, Array]:
-        """Return feedforward (a number or (S,)) and feedback (S,) in m/s², and the reference (N,) of this tick.
-
-        states (N, S): those expected at the tick; extras (E, S).
-        """
-        ...
-
-
 class ClockedSession(ABC):
     """A session whose place on its path is its own, of one run or (S,) of as many in lockstep."""
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.calming import CalmingSettings, calming_controller
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterSettings
+from dpcontrol.control.handover import NearestKeeper
 from dpcontrol.control.interface import MANY, Controller, Mode, SampledModel, schedule_of
 from dpcontrol.control.lqr import HoldSettings
 from dpcontrol.control.margins import Margins, law_margins
@@ -58,7 +59,7 @@ from dpcontrol.loop.result import (
     explained,
 )
 from dpcontrol.loop.simulated import BatchBench, SimulatedRig
-from dpcontrol.loop.ticker import Fallback, Ticker
+from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference, StartNote, joined, plan_notes, start_reference
 
@@ -91,7 +92,7 @@ class ControlLoop:
         limits: Limits,
         sink: LoopSink,
         rate_noise: StreamReader | None = None,
-        fallback: Fallback | None = None,
+        fallback: NearestKeeper | None = None,
         recovery: FallRecovery | None = None,
         until: int = 0,
         keep: bool = True,
@@ -394,7 +395,7 @@ def loop_controller(reference: Reference, parameters: ArmChainParameters, settin
     )
 
 
-def loop_fallback(reference: Reference, parameters: ArmChainParameters, settings: LoopSettings) -> Fallback | None:
+def loop_fallback(reference: Reference, parameters: ArmChainParameters, settings: LoopSettings) -> NearestKeeper | None:
     """Return what these settings hold when tracking is lost, which any number of runs may share; None for nothing.
 
     Raises:
@@ -548,8 +549,8 @@ def control_loop(
     believed_delay: float | None = None,
     rate_noise: StreamReader | None = None,
     sink: LoopSink | None = None,
-    fallback: Fallback | None = None,
-    recovery: FallRecovery | None = None,
+    fallback: NearestKeeper | None = None,
+    recovery: RecoveryPlan | None = None,
     until: int = 0,
     keep: bool = True,
     library: Path | None = None,
@@ -557,7 +558,8 @@ def control_loop(
 ) -> ControlLoop:
     """Return a loop for any rig, simulated or real; believed_delay in periods, the drive's own by default.
 
-    rate_noise, (n, 1) rad/s by tick, recovery, until, keep: see `ControlLoop`. library: see `make_ticker`.
+    rate_noise, (n, 1) rad/s by tick, until, keep: see `ControlLoop`; until: the itinerary is repeated up to then.
+    recovery: of `loop_recovery`. library: see `make_ticker`.
 
     Raises:
         InputError: the delay is impossible, or the controller is not for these arms; or the library is not for this.
@@ -570,8 +572,9 @@ def control_loop(
     ticker = make_ticker(
         parameters, settings, controller, limits=limits, delay=delay, can_hold=fallback is not None, library=library
     )
+    falls = None if recovery is None else FallRecovery(recovery, controller, laps=until > 0)
     return ControlLoop(
-        ticker, limits=limits, sink=sink or NoSink(), rate_noise=rate_noise, fallback=fallback, recovery=recovery,
+        ticker, limits=limits, sink=sink or NoSink(), rate_noise=rate_noise, fallback=fallback, recovery=falls,
         until=until, keep=keep, progress=progress,
     )  # fmt: skip
 
@@ -584,7 +587,7 @@ def run_loop(
     controller: Controller | None = None,
     uncertainty: Uncertainty | None = None,
     sink: LoopSink | None = None,
-    fallback: Fallback | None = None,
+    fallback: NearestKeeper | None = None,
     recovery: RecoveryPlan | None = None,
     until: int = 0,
     keep: bool = True,
@@ -616,8 +619,7 @@ def run_loop(
     loop = control_loop(
         parameters, settings, controller, limits=limits,
         rate_noise=draw.reader("rate_noise", lambda rows: rows[:, :, None]), sink=sink, fallback=fallback,
-        recovery=None if recovery is None else FallRecovery(recovery, controller, laps=until > 0), until=until,
-        keep=keep, library=library, progress=progress,
+        recovery=recovery, until=until, keep=keep, library=library, progress=progress,
     )  # fmt: skip
     rig = SimulatedRig(draw, settings.bench, limits=limits, start=first, queued=loop.queued)
     return replace(loop.run(rig), plant=draw.plant.arms)

@@ -73,11 +73,6 @@ class Rig(Protocol):
         ...
 
     @property
-    def acted(self) -> float | None:
-        """Return the acceleration that really acted on the cart over the last period, None where nobody knows it."""
-        ...
-
-    @property
     def fault(self) -> str:
         """Return why the bench has failed, such as the end of its track, or "" while it works."""
         ...
@@ -327,29 +322,9 @@ class LoopResult:
         return self.ending is Ending.FINISHED
 
     @property
-    def _states(self) -> Array:
-        return self.ticks.estimates if self.ticks.truth is None else self.ticks.truth
-
-    @property
     def nis_inside_95(self) -> float:
         """Return the share of the ticks whose NIS lies in its two-sided 95 % band."""
         return inside_95(self.ticks.control[:, 5], self.ticks.measured.shape[1])
-
-    @property
-    def rms_tracking_error(self) -> float:
-        """Return the rms over all angles, rad, of the truth (where known, else the estimate) less the reference."""
-        n = self.ticks.measured.shape[1] - 1
-        return rms(self._states[:, :n] - self.ticks.references[:, :n])
-
-    @property
-    def max_cart_position(self) -> float:
-        """Return the cart's greatest distance from the centre, m."""
-        return float(np.abs(self._states[:, -2]).max())
-
-    @property
-    def rms_cart_acceleration(self) -> float:
-        """Return the rms of the cart's acceleration as applied, m/s²."""
-        return rms(self.ticks.control[:, 3])
 
     @property
     def rms_feedback(self) -> float:

@@ -275,7 +275,6 @@ class SimulatedBench:
         """The true state (2n+2,) or states (2n+2, S) at the last reading's tick; overwritten at the next."""
         self._seen: list[Any] | None = None
         self._cart, self._ticks, self._tick = 2 * n, draw.ticks, -1
-        self._began = self._plant.values[self._cart + 1]
         self._braking: Any = None
         self._blows: dict[int, list[tuple[int, Blow]]] = {}
         for run, d in enumerate(draws):
@@ -321,7 +320,7 @@ class SimulatedBench:
             plant.strike(blow, run)
         if k >= self._soonest:
             self._strike_at_random(k)
-        self._began, fraction = plant.values[self._cart + 1], self._fraction
+        fraction = self._fraction
         if not fraction and self._ages is None:
             plant.move(self._acting(demands[place + 1], period), period, time=k * period)
         else:
@@ -376,11 +375,6 @@ class SimulatedRig(SimulatedBench):
     def state(self) -> Array:
         """Return all of the plant's state (N,): the truth, then the demand of a drive that lags."""
         return self._plant.state
-
-    @property
-    def acted(self) -> float:
-        """Return the mean acceleration of the cart over the last period, m/s², blows apart."""
-        return (self._plant.values[self._cart + 1] - self._began) / self.period
 
     @property
     def fault(self) -> str:

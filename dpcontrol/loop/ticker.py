@@ -7,12 +7,13 @@ with a clock of its own is asked between its two parts; another estimator takes 
 import math
 from collections import deque
 from collections.abc import Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.interface import Controller, Estimate, Estimator, GainSchedule, Session, schedule_of
+from dpcontrol.control.handover import NearestKeeper
+from dpcontrol.control.interface import Controller, Estimate, Estimator, GainSchedule, schedule_of
 from dpcontrol.control.tick import UNROLLED, Outcome, TickProgram
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.result import Reading
@@ -23,14 +24,6 @@ _SCALE_SECONDS = 0.01
 """Over how long the cart's velocity is read off its scale."""
 _VELOCITY, _VELOCITY_SHARE = 0.1, 0.1
 """m/s and share: how far scale and estimate may be apart for the estimated velocity to be told."""
-
-
-class Fallback(Protocol):
-    """Finds something to hold where the reference was given up."""
-
-    def session(self, tick: int, state: Array) -> tuple[Session, str]:
-        """Return a session that holds what is nearest to `state` (N,) from `tick` on, and a sentence saying what."""
-        ...
 
 
 class Ticker:
@@ -209,7 +202,7 @@ class Ticker:
         sensed = program.equations.sensed.filled(parts, program.lanes)
         return sensed, program.with_rate_error(program.spread(ahead[:, None])), drive
 
-    def hold(self, k: int, fallback: Fallback) -> str:
+    def hold(self, k: int, fallback: NearestKeeper) -> str:
         """Give the reference up at tick k and hold what `fallback` finds; return what that is. For one run."""
         program, report = self.program, self.program.report
         self._session, held = fallback.session(k + self.lead, report[self._ahead, 0].copy())

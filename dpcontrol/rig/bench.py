@@ -139,8 +139,6 @@ class RecordedRig:
     between a command that was sent then and what is commanded now.
     """
 
-    acted: None = None
-
     def __init__(self, record: BenchRecord, program: TickProgram) -> None:
         self._record, self._program, self.period = record, program, record.period
         self._tick, self._stopped = -1, False
@@ -536,7 +534,6 @@ class FaultyRig:
     """A rig that is wired wrongly, for practice; zeros (n,) rad: what its hanging arms read."""
 
     truth: None = None
-    acted: None = None
 
     def __init__(self, rig: Rig, *, faults: Sequence[str], zeros: Sequence[float] = ()) -> None:
         self._rig, self._faults, self.period = rig, frozenset(faults), rig.period

@@ -182,9 +182,8 @@ class UdpRig:
         InputError: no such address, or no bench answers there, or it needs a key or another one.
     """
 
-    # Nobody knows the true state, nor what acted.
+    # Nobody knows the true state.
     truth: None = None
-    acted: None = None
 
     def __init__(
         self,

@@ -51,6 +51,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import dpcontrol
+from dpcontrol.control.handover import NearestKeeper
 from dpcontrol.control.interface import Controller
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.foundation.errors import GoalMissed, InputError
@@ -70,7 +71,6 @@ from dpcontrol.loop.loop import (
     run_loop,
 )
 from dpcontrol.loop.result import BatchRun, Ending
-from dpcontrol.loop.ticker import Fallback
 from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.review.score import Flown, verdict_on
 from dpcontrol.scenes.itinerary import Itinerary
@@ -148,7 +148,7 @@ class Job:
 @lru_cache(maxsize=8)
 def _prepared(
     archive: bytes, arms: ArmChainParameters, loop: LoopSettings
-) -> tuple[Reference, Controller, Fallback | None]:
+) -> tuple[Reference, Controller, NearestKeeper | None]:
     reference = load_reference(io.BytesIO(archive))
     return reference, loop_controller(reference, arms, loop), loop_fallback(reference, arms, loop)
 

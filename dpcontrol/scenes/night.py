@@ -26,7 +26,6 @@ from dpcontrol.logs.reader import check_same_run
 from dpcontrol.logs.rolling import NIGHT_METADATA, RollingLog
 from dpcontrol.loop.bench import StreamReader
 from dpcontrol.loop.loop import ControlLoop, LoopSettings, control_loop, loop_controller, loop_recovery
-from dpcontrol.loop.recovery import FallRecovery
 from dpcontrol.loop.result import LogSink, LoopSink, SinkBeside
 from dpcontrol.loop.simulated import SimulatedRig
 from dpcontrol.review.night import Night, read_night
@@ -185,7 +184,7 @@ def run_night(
     def loop(sink: LoopSink, noise: StreamReader | None = None) -> ControlLoop:
         return control_loop(
             arms, settings, controller, limits=limits, rate_noise=noise, sink=sink,
-            recovery=FallRecovery(recovery, controller, laps=True), keep=False, until=until - since, progress=progress,
+            recovery=recovery, keep=False, until=until - since, progress=progress,
         )  # fmt: skip
 
     with rolling:

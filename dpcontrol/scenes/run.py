@@ -66,7 +66,6 @@ from dpcontrol.loop.loop import (
     make_ticker,
     run_loop,
 )
-from dpcontrol.loop.recovery import FallRecovery
 from dpcontrol.loop.result import LogSink, LoopResult, LoopSink, NoSink, Ticks
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import load_reference
@@ -798,11 +797,11 @@ def run_on_rig(plan: Plan, out: Path, link: RigLink, *, force: bool = False, liv
     check_replaced(out, {**run_metadata(itinerary), "rig": link.address}, force=force)
     controller = loop_controller(reference, arms, settings)
     fallback = loop_fallback(reference, arms, settings)
-    recovers = loop_recovery(reference, arms, settings, controller)
+    recovery = loop_recovery(reference, arms, settings, controller)
     with log_writer(plan, out) as writer, watched(plan, LogSink(writer), live=live) as sink:
         loop = control_loop(
             arms, settings, controller, limits=settings.limits(reference), sink=sink, fallback=fallback,
-            recovery=None if recovers is None else FallRecovery(recovers, controller),
+            recovery=recovery,
         )  # fmt: skip
         recipe = bench_recipe(plan, controller)
         with link.connected(itinerary, recipe, ticks=loop.count, what="the itinerary", loop=loop) as (rig, process):

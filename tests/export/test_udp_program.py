@@ -224,7 +224,7 @@ class Recorded:
 
     def __init__(self, rig: SimulatedRig, ticks: int, loop: ControlLoop, other: float = 0.0) -> None:
         self.rig, self.other, self.k, self.period, self.program = rig, other, -1, rig.period, loop.ticker.program
-        self.record, self.truth, self.acted = BenchRecord(ticks, LAB.count, rig.period), rig.truth, None
+        self.record, self.truth = BenchRecord(ticks, LAB.count, rig.period), rig.truth
 
     def read(self) -> Reading:
         reading = self.rig.read()

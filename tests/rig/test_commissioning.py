@@ -32,7 +32,6 @@ class Watched:
     """A rig whose true cart and commands are remembered."""
 
     truth: None = None
-    acted: None = None
 
     def __init__(self, rig: Any, *, breaks_at: int = -1, error: type[BaseException] = ArithmeticError) -> None:
         self.rig, self.period = rig, rig.period

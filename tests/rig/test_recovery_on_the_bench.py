@@ -12,7 +12,6 @@ from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import read_log
 from dpcontrol.loop.bench import Push
 from dpcontrol.loop.loop import control_loop, loop_controller, loop_recovery
-from dpcontrol.loop.recovery import FallRecovery
 from dpcontrol.loop.result import Ending, NoSink
 from dpcontrol.rig.bench import BenchProcess, BenchServerSettings
 from dpcontrol.rig.client import LinkSettings, UdpRig
@@ -86,7 +85,7 @@ def fly(address: tuple[str, int], key: bytes) -> None:
     assert shared is not None
     loop = control_loop(
         arms, settings, controller, limits=settings.limits(plan.reference), sink=Dies(),
-        recovery=FallRecovery(shared, controller),
+        recovery=shared,
     )  # fmt: skip
     loop.rehearse()
     with UdpRig(address, queued=loop.queued, key=key) as rig:
