@@ -4,13 +4,15 @@ Run with every change, so that a method that loses digits is noticed; times are 
 """
 
 import importlib
+import pkgutil
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from dpcontrol.bench import design, measure
+import dpcontrol.bench
+from dpcontrol.bench import design
 from dpcontrol.bench.chart import CHARTS, GROUPS, Point
 from dpcontrol.bench.measure import Alternative, Timed
 from dpcontrol.bench.propagation import (
@@ -195,8 +197,8 @@ def test_no_default_of_a_quick_chart_errs_by_more_than_it_did(name, monkeypatch)
             worth(key, timed.result)
         return found
 
-    module = importlib.import_module(f"dpcontrol.bench.{name}")
-    for holder in (module, measure):
+    for found in pkgutil.iter_modules(dpcontrol.bench.__path__, "dpcontrol.bench."):
+        holder = importlib.import_module(found.name)
         if hasattr(holder, "timed_in_turns"):
             monkeypatch.setattr(holder, "timed_in_turns", once)
     before, after = earlier_panels(STORED, name), CHARTS[name](True, no_progress).parts

@@ -48,7 +48,7 @@ def test_one_section_a_period_is_lost_at_any_real_resolution_and_the_loop_says_s
         assert "tracking lost" in border.says or "cart at its stop" in border.says
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_the_border_at_eight_sections_lies_where_it_did():
     # As measured over a ladder of values when this was written: chance moves a border of a few runs.
     assert limit_border(orbit(), law_of(8), seeds=RUNS, ratio=1.6).measured == pytest.approx(0.12, rel=0.5)

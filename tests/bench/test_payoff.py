@@ -178,8 +178,11 @@ def test_an_energy_is_poor_where_another_takes_less_or_more_runs_come_through() 
 
 
 @pytest.mark.slow
-def test_the_quick_chart_holds_flights_that_scipy_confirms(tmp_path) -> None:
-    """Slow: a minute of searches on two cores."""
+def test_the_quick_chart_holds_flights_that_scipy_confirms(tmp_path, monkeypatch) -> None:
+    """Slow: searches, although in this process and no more than one of each kind."""
+    few = replace(payoff.QUICK, waves=1, inputs=0, cem=1, seeds=2, factors=(1.0,), walks=(1,))
+    monkeypatch.setattr(payoff, "QUICK", few)
+    monkeypatch.setattr(payoff, "processors", lambda: 1)
     ended = dpcontrol("bench", "payoff", "--quick", "--out", str(tmp_path))
     assert ended.code == 0, ended.stderr
     data = json.loads((tmp_path / "payoff.json").read_text())

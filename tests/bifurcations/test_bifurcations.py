@@ -102,7 +102,7 @@ def test_counts_by_the_search_alone_change_at_the_located_energies(system, event
         assert counts == [event.count_below, event.count_above]
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 @pytest.mark.parametrize(
     ("name", "which", "kind"),
     [
@@ -307,7 +307,7 @@ def test_carrying_a_connection_refuses_to_pass_a_fold(system):
     assert sweep.among(arrived.link, sweep.search(-0.1400).points) is not None
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_connections_of_a_strongly_unstable_orbit_are_followed_down_to_their_fold():
     """The printed pendulum: its multiplier of 9e4 lets no gap fall below 1e-10, and still nothing is lost."""
     found = located(load_model("printed").system, (0.1783, 0.1790), target="up-down")

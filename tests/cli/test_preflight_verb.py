@@ -8,7 +8,7 @@ from command_line import dpcontrol
 HARD = ("--mismatch", "0.2", "--lag", "0.005", "--controller", "tvlqr")
 
 
-@pytest.mark.slow  # finds seven borders
+@pytest.mark.benchmark  # finds seven borders, as the guide's own example does with the slow tests
 def test_the_document_says_how_likely_what_ends_it_how_far_and_what_helps(tmp_path: Path) -> None:
     page = tmp_path / "page.png"
     ended = dpcontrol("preflight", "outer-turn", *HARD, "--runs", "32", "--workers", "1", "--picture", page, "--json")

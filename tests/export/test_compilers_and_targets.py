@@ -22,6 +22,11 @@ CORTEX_M4 = ["-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d1
 TARGET = Path(__file__).with_name("cortex_m")
 ITINERARIES = sorted(file.stem for file in (Path(__file__).parents[2] / "itineraries").glob("*.toml"))
 
+
+def keeps_a_clock(name: str) -> bool:
+    return name.startswith("keep-") or name == "linger"
+
+
 Exported = tuple[Path, ControllerSource]
 
 
@@ -89,7 +94,17 @@ def test_a_cortex_m4_gives_the_loops_commands(single: Exported) -> None:
     assert "1499 ticks, commands differ by" in done.stderr
 
 
-@pytest.mark.parametrize(("name", "precise"), list(product(ITINERARIES, ["double", "single"])))
+WHOLE = {"outer-turn", "turn-from-rest", "hold-up-up"}
+"""One of each kind of start; the others, as long as they are, are replayed with the benchmarks."""
+
+
+@pytest.mark.parametrize(
+    ("name", "precise"),
+    [
+        pytest.param(name, precise, marks=() if name in WHOLE or keeps_a_clock(name) else pytest.mark.benchmark)
+        for name, precise in product(ITINERARIES, ["double", "single"])
+    ],
+)
 def test_every_shipped_itinerary_leaves_as_c_or_says_why_not(
     name: str, precise: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -97,7 +112,7 @@ def test_every_shipped_itinerary_leaves_as_c_or_says_why_not(
     # Whole runs are replayed, not their first seconds.
     monkeypatch.setattr(run, "_CHECKED_TICKS", 1_000_000)
     scene, folder = load_itinerary(name), tmp_path / "controller"
-    if name.startswith("keep-") or name == "linger":
+    if keeps_a_clock(name):
         with pytest.raises(InputError, match="keeps a clock of its own"):
             run.check_exportable(scene)
         return

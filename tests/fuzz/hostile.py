@@ -76,6 +76,7 @@ BASES: dict[str, tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]] = {
     "demo": (((), ("--itinerary=rest.toml", "--folder=made")),),
     "model": ((("lab.toml",), ()), (("triple",), ()), (("three-body",), ())),
     "cache": (((), ()),),
+    "guide": (((), ()), (("start",), ())),
     "orbit": (
         (("lab.toml",), ("--saddle=down-up", "--energy=-0.07")),
         (("lab",), ("--rotating=outer", "--energy=0.3")),

@@ -26,7 +26,7 @@ from dpcontrol.cli.main import VERBS
 
 OPTIONS, FILES = 6, 6
 """Inputs of each verb and of each kind of file in the quick tests."""
-MORE = 4
+MORE = 2
 """How many times as many the slow ones try, but for `demo`, which plans and runs whatever else is asked of it."""
 ROUND = 200
 """Inputs of one seed in the long test."""

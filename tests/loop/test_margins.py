@@ -102,7 +102,7 @@ def test_a_held_equilibrium_is_lost_where_its_margins_end() -> None:
     check_borders(plan, settings, margins, law, settled=4.0)
 
 
-@pytest.mark.slow(reason="a dozen nonlinear runs of 16 s")
+@pytest.mark.benchmark  # a dozen nonlinear runs of 16 s
 def test_a_kept_orbit_is_lost_where_its_margins_end() -> None:
     plan = plan_of("keep-down-up")
     settings = LoopSettings(seed=0)

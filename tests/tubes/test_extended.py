@@ -30,7 +30,6 @@ REFINED = [
     ("down-up", "down-up", -0.07, 0),
     ("down-up", "up-down", 0.2, 0),
     pytest.param(("down-up", "down-up", -0.07, 1), marks=pytest.mark.slow),
-    # The slow test of free flight refines these as well.
     pytest.param(("down-up", "down-up", 0.2, 2), marks=pytest.mark.slow),
     pytest.param(("up-down", "up-down", 0.2, 2), marks=pytest.mark.slow),
 ]
@@ -116,7 +115,7 @@ def test_the_residual_is_below_what_double_can_express(refined):
     assert found.correction <= AGREES
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_free_flight_in_extended_precision_reaches_both_orbits(refined):
     _, connection, found = refined
     assert free_flight(found, connection.target, forward=True) < FREE_EXTENDED
