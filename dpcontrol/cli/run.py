@@ -444,6 +444,9 @@ def commission_command(
 
 
 WORK = "Work"
+WORKERS = option(
+    type=click.IntRange(min=0), default=0, show_default=False, group=WORK, help="Processes [one for each processor]."
+)
 SHOWN = 10
 """Failures that are listed for people; all of them are in the file."""
 
@@ -480,13 +483,7 @@ def campaign_command(
     how: Literal["compiled", "ticks"] = option(
         "--path", default="compiled", group=WORK, help="Many seeds in lockstep, or the loop itself."
     ),
-    workers: int = option(
-        type=click.IntRange(min=0),
-        default=0,
-        show_default=False,
-        group=WORK,
-        help="Processes [one for each processor].",
-    ),
+    workers: int = WORKERS,
     scheduler: str = option(
         default="", metavar="ADDRESS", group=WORK, help="Run on this Dask cluster, as tcp://host:8786."
     ),
@@ -575,13 +572,7 @@ def preflight_command(
         help="Seeds for the rate [as many as two minutes allow].",
     ),
     seed_from: int = option(type=click.IntRange(min=0), default=1_000_000, help="First seed."),
-    workers: int = option(
-        type=click.IntRange(min=0),
-        default=0,
-        show_default=False,
-        group=WORK,
-        help="Processes [one for each processor].",
-    ),
+    workers: int = WORKERS,
     fixed: RunOptions = run_settings(),
     picture: Path | None = file_option(suffix=(".pdf", ".png"), help="Page to write [logs/NAME-preflight.pdf]."),
     yes: bool = YES,
