@@ -1,6 +1,6 @@
 """Families of periodic orbits, followed along their own curve until they end; and those of Lyapunov orbits.
 
-The shooting equations (module symmetric_shooting) leave a curve in (c, τ). It is followed by pseudo-arclength: the next
+The shooting equations (module lyapunov) leave a curve in (c, τ). It is followed by pseudo-arclength: the next
 point lies on the plane through the predicted point across the tangent, so that the curve may turn back in energy; steps
 halve where Newton's method leaves the curve and grow again after. Along a Lyapunov family are watched
 
