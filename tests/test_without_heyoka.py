@@ -114,8 +114,10 @@ def test_a_recording_of_the_bench_is_imported_replayed_and_identified(tmp_path: 
 
 @pytest.mark.parametrize("json_asked", [False, True])
 def test_where_an_orbit_or_a_plan_is_asked_for_one_sentence_says_what_to_install(
-    json_asked: bool, tmp_path: Path
+    json_asked: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # Nothing that another test has computed, and that would do.
+    monkeypatch.setenv("DPCONTROL_CACHE", str(tmp_path / "cache"))
     lines = [
         "orbit lab --saddle down-up --energy -0.07",
         "connect lab --from down-up --to down-up --energy -0.07",
