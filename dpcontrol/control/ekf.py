@@ -65,6 +65,12 @@ def unpack(triangle: ca.SX, n: int) -> ca.SX:
     return out
 
 
+def propagated(jacobian: ca.SX, covariance: ca.SX, noise: ca.SX) -> ca.SX:
+    """Return the lower triangle of A P Aᵀ + Q, row by row."""
+    # The upper one, transposed: the rows of A below the state's are diagonal, so that half of A P serves it as it is.
+    return pack((jacobian @ covariance @ jacobian.T + noise).T)
+
+
 def _sparse(matrix: Array) -> ca.SX:
     return ca.sparsify(ca.SX(ca.DM(matrix)))
 
@@ -258,9 +264,8 @@ class FilterEquations:
         before = z
         if predicts:
             before, jacobian, q = self.predicted(z, command, parameters, process)
-            covariance = jacobian @ covariance @ jacobian.T + q
             # Both triangles from one: casadi need not work out the other.
-            covariance = unpack(pack(covariance), size)
+            covariance = unpack(propagated(jacobian, covariance, q), size)
         after, covariance, y, nis = self.updated(before, covariance, measured, present, noise)
         sigmas = ca.vertcat(*(ca.sqrt(covariance[i, i]) for i in range(size)))
         # The last is not finite as soon as anything in the estimate is not: one comparison finds it.

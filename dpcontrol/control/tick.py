@@ -57,6 +57,7 @@ from dpcontrol.control.ekf import (
     checked_noise,
     pack,
     packed,
+    propagated,
     unpack,
 )
 from dpcontrol.control.estimator_settings import Augment, FilterSettings
@@ -630,7 +631,7 @@ class TickEquations:
             following, jacobian, noise = self.filter.predicted(start, acting, c["parameters"], c["process"], origin)
             covariance = unpack(e["covariance"], self.filter.dimension)
             memory["z"] = following
-            memory["covariance"] = pack(jacobian @ covariance @ jacobian.T + noise)
+            memory["covariance"] = propagated(jacobian, covariance, noise)
         else:
             memory |= {"z": m["z"], "covariance": m["covariance"]}
         if self.split:

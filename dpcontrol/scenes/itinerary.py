@@ -275,8 +275,7 @@ class Itinerary:
     """One scene: its parts and the settings of every stage. `loop` carries seed 0 until a run gives another.
 
     start, finish: "orbit" (on the first, last part's orbit; at the start with its exact rates, which no rig can make),
-    "rest" (hanging still) or "hold" (at the equilibrium that
-    is its only part). keeps: whether the stops of its walk are planned as stays on sustained orbits, as the file asks
+    "rest" (hanging still) or "hold" (at the equilibrium that is its first, last part; both or neither). keeps: whether the stops of its walk are planned as stays on sustained orbits, as the file asks
     for; runs with other controllers follow the same reference. zeros (n,) rad, or none: what a rig's hanging arms read.
     stored: the .npz of the plan that it was taken from, if any, and is not planned again.
     """
@@ -300,7 +299,7 @@ class Itinerary:
     def stay(self) -> HoldPart | OrbitPart | None:
         """The equilibrium or orbit that it stays at, if it goes nowhere."""
         only = self.parts[0]
-        if isinstance(only, OrbitPart) or (isinstance(only, HoldPart) and self.start == "hold"):
+        if isinstance(only, OrbitPart) or (isinstance(only, HoldPart) and self.start == "hold" and len(self.parts) == 1):
             return only
         return None
 
@@ -419,10 +418,10 @@ def _itinerary(table: Table, text: str, path: Path, model: Model | None) -> Itin
     parts = read_parts(table, model)
     start = table.text("start", "orbit", allowed=ENDS)
     finish = table.text("finish", start if start == "hold" else "orbit", allowed=ENDS)
-    if "hold" in (start, finish) and not (start == finish and len(parts) == 1 and isinstance(parts[0], HoldPart)):
+    if "hold" in (start, finish) and not (start == finish and all(isinstance(parts[k], HoldPart) for k in (0, -1))):
         raise InputError(
-            f'{table.where("start")} = "hold": for an itinerary whose only part is a hold; others start at "rest", '
-            'or in simulation at "orbit"'
+            f'{table.where("start")} = "hold": for an itinerary whose first and last part are holds, and its finish as '
+            'well; others start at "rest", or in simulation at "orbit"'
         )
     if isinstance(parts[0], OrbitPart) and (start, finish) != ("orbit", "orbit"):
         raise InputError(f'{table.where("orbit")}: an orbit is kept from "orbit" to "orbit"; remove start and finish')
