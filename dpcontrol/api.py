@@ -275,10 +275,19 @@ def reference(
         return make_plan(scene, orbits=orbits, progress=report, yes=yes)
 
 
-def plan(itinerary: str, *, fresh: bool = False, yes: bool = False, progress: Reporting = None) -> "Plan":
+def plan(
+    itinerary: str,
+    *,
+    fresh: bool = False,
+    workers: int = 1,
+    scheduler: str = "",
+    yes: bool = False,
+    progress: Reporting = None,
+) -> "Plan":
     """Return the plan of an itinerary's file, by name or path, from the cache unless `fresh`.
 
-    yes: however long it takes.
+    workers: processes that seek its transfers, 0 for as many as are worth it; scheduler: address of a Dask cluster in
+    their place. yes: however long it takes.
 
     >>> dp.plan("outer-turn").itinerary.walk
     ('down-up +',)
@@ -291,7 +300,9 @@ def plan(itinerary: str, *, fresh: bool = False, yes: bool = False, progress: Re
     from dpcontrol.scenes.plan import make_plan
 
     with _reporting(progress, "plan") as report:
-        return make_plan(load_itinerary(itinerary), progress=report, fresh=fresh, yes=yes)
+        return make_plan(
+            load_itinerary(itinerary), progress=report, fresh=fresh, workers=workers, scheduler=scheduler, yes=yes
+        )
 
 
 def run(

@@ -4,7 +4,9 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from dpcontrol.cli.verbs import YES, Answer, TextTable, argument, drawn_to, file_option, option, say, table, verb
+import click
+
+from dpcontrol.cli.verbs import WORK, YES, Answer, TextTable, argument, drawn_to, file_option, option, say, table, verb
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import progress_bar
 
@@ -27,11 +29,20 @@ def plan_command(
     explore_energy: Path | None = file_option(
         suffix=".png", help="Also chart its effort with feedback at ±5 % over energies to this PNG; takes a minute."
     ),
+    workers: int = option(
+        type=click.IntRange(min=0),
+        default=0,
+        show_default=False,
+        group=WORK,
+        help="Processes that seek its transfers [one for each processor where there are four or more].",
+    ),
+    scheduler: str = option(default="", metavar="ADDRESS", group=WORK, help="Seek them on this Dask cluster."),
     yes: bool = YES,
 ) -> Answer:
     """Plan an itinerary: connections, shadowing orbit, and the reference with friction and cart.
 
-    Plans are kept by content: the same itinerary is planned once.
+    Plans are kept by content: the same itinerary is planned once. Transfers are kept one by one: interrupted, it goes
+    on where it was when started again.
     """
     from dpcontrol import api
     from dpcontrol.foundation.files import write_whole
@@ -42,7 +53,7 @@ def plan_command(
         from dpcontrol.scenes.itinerary import load_itinerary
 
         only_walk(load_itinerary(itinerary))
-    plan = api.plan(itinerary, fresh=fresh, yes=yes, progress=True)
+    plan = api.plan(itinerary, fresh=fresh, workers=workers, scheduler=scheduler, yes=yes, progress=True)
     document = plan.document()
     if out is not None and plan.converged:
         write_whole(out, plan.archive)

@@ -17,6 +17,7 @@ from dpcontrol.cli.review import score_text, shortfall
 from dpcontrol.cli.verbs import (
     FILE,
     OUTPUT,
+    WORK,
     YES,
     Answer,
     Option,
@@ -443,7 +444,6 @@ def commission_command(
     return Answer(document, lines, unwritten)
 
 
-WORK = "Work"
 WORKERS = option(
     type=click.IntRange(min=0), default=0, show_default=False, group=WORK, help="Processes [one for each processor]."
 )

@@ -20,7 +20,7 @@ import click
 
 from dpcontrol.foundation.errors import GoalMissed, InputError, printable
 
-OUTPUT = "Output"
+OUTPUT, WORK = "Output", "Work"
 """Group of the options that say where results go."""
 
 

@@ -40,8 +40,6 @@ import shutil
 import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import CancelledError
-from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 from pathlib import Path
@@ -54,10 +52,10 @@ import dpcontrol
 from dpcontrol.control.handover import NearestKeeper
 from dpcontrol.control.interface import Controller
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
-from dpcontrol.foundation.errors import GoalMissed, InputError
+from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import content_hash, in_the_way, whole_file
 from dpcontrol.foundation.parts import part
-from dpcontrol.foundation.processes import ATTEMPTS, in_processes, processors
+from dpcontrol.foundation.processes import in_processes, on_cluster, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.foundation.statistics import Pairing, Share, paired, wilson
@@ -79,7 +77,6 @@ from dpcontrol.scenes.run_options import RunOptions
 
 if TYPE_CHECKING:
     import pyarrow as pa
-    from distributed import Client, Future
     from pandas import DataFrame
 
 Row = dict[str, Any]
@@ -285,10 +282,6 @@ def _kept(part: Path, extra: Sequence[str]) -> "pa.Table | None":
     return table if table is not None and table.schema.equals(_schema(extra)) else None
 
 
-ANSWERS_WITHIN = "10s"
-"""How long a cluster may take to answer."""
-
-
 def run_locally(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[Row]]]:
     """Run jobs in `workers` processes; where the caller is interrupted or takes no more, those under way are ended.
 
@@ -299,93 +292,6 @@ def run_locally(jobs: Sequence[Job], workers: int) -> Iterator[tuple[Job, list[R
         run_job, jobs, workers,
         remedy="Finished jobs are kept: run the same command again, with fewer --workers",
     )  # fmt: skip
-
-
-BACK_WITHIN = 120.0
-"""s: how long a scheduler that was lost may take to be there again, with workers."""
-MOST_SUBMITTED = 512
-"""Jobs that a cluster is given at once: each carries its plan, and their number has no bound."""
-
-
-def run_on_cluster(jobs: Sequence[Job], address: str) -> Iterator[tuple[Job, list[Row]]]:
-    """Run jobs on the Dask cluster whose scheduler answers at `address`.
-
-    Where the scheduler is lost, its jobs are given to the one that answers there next.
-
-    Raises:
-        InputError: distributed is not installed, nothing answers there, or the cluster has no workers.
-        GoalMissed: a job's workers died again and again, or the scheduler did, or did not come back.
-    """
-    left = {job.key: job for job in jobs}
-    for attempt in range(ATTEMPTS):
-        with _client(address, again=attempt > 0) as client, suppress(CancelledError, OSError):
-            for job, rows in _submitted(list(left.values()), client):
-                del left[job.key]
-                yield job, rows
-            return
-    raise GoalMissed(
-        f"--scheduler {address}: the scheduler was lost {ATTEMPTS} times, with {len(left)} jobs undone; finished jobs "
-        "are kept: see what ends it, and run the same command again"
-    )
-
-
-def _client(address: str, *, again: bool) -> "Client":
-    """Return a client of the cluster; again: it answered before, and is given time to come back."""
-    try:
-        from distributed import Client
-    except ImportError as error:
-        raise InputError(
-            f"--scheduler {address}: the package distributed is not installed; pip install 'dpcontrol[cluster]'"
-        ) from error
-    try:
-        client = Client(address, timeout=BACK_WITHIN if again else ANSWERS_WITHIN)
-        if again:
-            client.wait_for_workers(1, timeout=BACK_WITHIN)
-    except (OSError, TimeoutError, ValueError) as error:
-        if again:
-            raise GoalMissed(
-                f"--scheduler {address}: the scheduler was lost, and did not come back with workers; finished jobs are "
-                "kept: start it again, and run the same command again"
-            ) from error
-        raise InputError(
-            f"--scheduler {address}: no Dask scheduler answers there; start one with `dask scheduler`"
-        ) from error
-    if not client.scheduler_info()["workers"]:
-        client.close()
-        raise InputError(f"--scheduler {address}: the cluster has no workers; start one with `dask worker {address}`")
-    return client
-
-
-def _submitted(jobs: Sequence[Job], client: "Client") -> Iterator[tuple[Job, list[Row]]]:
-    """Yield jobs and their rows as the cluster finishes them.
-
-    Raises:
-        CancelledError, OSError: the scheduler was lost.
-        GoalMissed: a job's workers died again and again.
-    """
-    from distributed import KilledWorker, as_completed
-
-    waiting = iter(jobs)
-
-    def submitted(count: int) -> "dict[Future, Job]":
-        return {
-            client.submit(run_job, job, key=f"dpcontrol-{job.key}", retries=ATTEMPTS): job
-            for job in itertools.islice(waiting, count)
-        }
-
-    running = submitted(MOST_SUBMITTED)
-    finished = as_completed(running)
-    for future in finished:
-        try:
-            rows = future.result()
-        except KilledWorker as error:
-            raise GoalMissed(
-                f"the cluster's workers died again and again on one job ({error}); finished jobs are kept"
-            ) from error
-        yield running.pop(future), rows
-        more = submitted(1)
-        running |= more
-        finished.update(more)
 
 
 MOST_RUNS = 1_000_000
@@ -567,7 +473,7 @@ def run_campaign(
     if left := [job for job in jobs if job.key not in kept]:
         local = not settings.scheduler
         workers = settings.workers or processors()
-        for job, rows in run_locally(left, workers) if local else run_on_cluster(left, settings.scheduler):
+        for job, rows in run_locally(left, workers) if local else on_cluster(run_job, left, settings.scheduler):
             kept[job.key] = _table(({**row, **_numbers(job.case)} for row in rows), extra)
             if parts is not None:
                 _write(parts / f"{job.key}.parquet", kept[job.key])

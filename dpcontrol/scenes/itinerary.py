@@ -275,8 +275,9 @@ class Itinerary:
     """One scene: its parts and the settings of every stage. `loop` carries seed 0 until a run gives another.
 
     start, finish: "orbit" (on the first, last part's orbit; at the start with its exact rates, which no rig can make),
-    "rest" (hanging still) or "hold" (at the equilibrium that is its first, last part; both or neither). keeps: whether the stops of its walk are planned as stays on sustained orbits, as the file asks
-    for; runs with other controllers follow the same reference. zeros (n,) rad, or none: what a rig's hanging arms read.
+    "rest" (hanging still) or "hold" (at the equilibrium that is its first, last part; both or neither). keeps: whether
+    the stops of its walk are planned as stays on sustained orbits, as the file asks for; runs with other controllers
+    follow the same reference. zeros (n,) rad, or none: what a rig's hanging arms read.
     stored: the .npz of the plan that it was taken from, if any, and is not planned again.
     """
 
@@ -299,9 +300,8 @@ class Itinerary:
     def stay(self) -> HoldPart | OrbitPart | None:
         """The equilibrium or orbit that it stays at, if it goes nowhere."""
         only = self.parts[0]
-        if isinstance(only, OrbitPart) or (isinstance(only, HoldPart) and self.start == "hold" and len(self.parts) == 1):
-            return only
-        return None
+        stays = isinstance(only, OrbitPart) or (isinstance(only, HoldPart) and self.start == "hold")
+        return only if stays and len(self.parts) == 1 else None
 
     @property
     def walks(self) -> tuple[WalkPart, ...]:

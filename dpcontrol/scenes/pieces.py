@@ -9,14 +9,13 @@ The notes of a plan, from its pieces: what score, review and controllers need, b
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from itertools import product
+from itertools import pairwise, product
 
 import numpy as np
 from numpy.typing import NDArray
 
 import dpcontrol
 from dpcontrol.dynamics.chain import Level, equations_of
-from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria, resting_place
@@ -26,7 +25,7 @@ from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import EndConditions, Guess, ReferenceProblem
 from dpcontrol.references.reference import OrbitNote, PlanNotes, Reference, StopNote, SymbolNote, still
 from dpcontrol.scenes.itinerary import Itinerary
-from dpcontrol.scenes.transfers import kept_transfer, turned
+from dpcontrol.scenes.transfers import Transfer, find_transfers, turned
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
 
@@ -113,27 +112,42 @@ def stay_goal(itinerary: Itinerary, name: str, seconds: float) -> Goal:
 
 
 def solve_pieces(
-    itinerary: Itinerary, goals: Sequence[Goal], *, fresh: bool = False, progress: Progress = no_progress
+    itinerary: Itinerary,
+    goals: Sequence[Goal],
+    *,
+    fresh: bool = False,
+    workers: int = 1,
+    scheduler: str = "",
+    progress: Progress = no_progress,
 ) -> list[SolvedPiece]:
     """Return the pieces that do all goals in order, with the transfers between them; fresh: none of them kept ones.
 
-    A reference that did not converge ends the list: what follows starts where it should have led.
+    workers, scheduler: processes, or the Dask cluster, by which transfers are sought. A reference that did not converge
+    ends the list: what follows starts where it should have led.
 
     Raises:
         GoalMissed: no transfer between two goals.
     """
+    ways = [_way(itinerary, *pair) for pair in pairwise(goals)]
+    wanted = [way.transfer for way in ways if way is not None]
+    ready = 0.5 if wanted else 0.0
+    first = part_of(progress, 0.0, ready)
+    transfers = find_transfers(wanted, workers=workers, scheduler=scheduler, fresh=fresh, progress=first)
     pieces: list[SolvedPiece] = []
     for k, goal in enumerate(goals):
-        here = part_of(progress, k / len(goals), (k + 0.5) / len(goals))
+        begun, share = ready + (1 - ready) * k / len(goals), (1 - ready) / len(goals)
         lift = np.zeros(len(goal.first))
         if k > 0:
-            moved = _transfer(itinerary, goals[k - 1], pieces[-1].lift, goal, fresh=fresh, progress=here)
+            way, before = ways[k - 1], pieces[-1].lift
+            if way is None:
+                moved = _blended(itinerary, goals[k - 1], before, goal, part_of(progress, begun, begun + share / 2))
+            else:
+                moved = way.taken(transfers[way.transfer.key], before)
             pieces.append(moved)
             lift = moved.lift
             if not moved.reference.converged:
                 break
-        there = part_of(progress, (k + 0.5) / len(goals), (k + 1) / len(goals))
-        pieces.append(_own(itinerary, goal, lift, there))
+        pieces.append(_own(itinerary, goal, lift, part_of(progress, begun + share / 2, begun + share)))
         if not pieces[-1].reference.converged:
             break
     return pieces
@@ -180,33 +194,41 @@ def _own(itinerary: Itinerary, goal: Goal, lift: Array, progress: Progress) -> S
     return SolvedPiece(goal.text, goal, lift, find_reference(problem, settings, progress=progress))
 
 
-def _transfer(
-    itinerary: Itinerary, before: Goal, lift: Array, after: Goal, *, fresh: bool, progress: Progress
-) -> SolvedPiece:
-    """Return the piece from the end of one goal to the start of the next, and the lift of that."""
+@dataclass(frozen=True)
+class _Way:
+    """A transfer between two goals; turns (n,): whole ones that its ends go on by, one for each."""
+
+    transfer: Transfer
+    turns: list[Array]
+
+    def taken(self, found: Reference, lift: Array) -> SolvedPiece:
+        """Return it as a piece, `lift` (n,) that of the goal before it, from what was found."""
+        landed = found.state(found.duration)
+        nearest = int(np.argmin([np.abs(landed - end).max() for end in self.transfer.ends]))
+        onward = self.turns[nearest] * 2 * np.pi + lift
+        return SolvedPiece(self.transfer.text, None, onward, turned(found, lift))
+
+
+def _way(itinerary: Itinerary, before: Goal, after: Goal) -> _Way | None:
+    """Return the transfer from the end of one goal to the start of the next; None where their orbits' saddle is one."""
     rest = resting_place(itinerary.model.system)
     text = " to ".join("rest" if name == rest else name for name in (before.where[1], after.where[0]))
     apart = (before.last - after.first) / (2 * np.pi)
     if before.where[1] == after.where[0] and before.shadowing is not None and after.shadowing is not None:
-        onward = np.rint(apart) * 2 * np.pi + lift
-        found = _blend(itinerary, before, lift, after, onward, progress)
-        return SolvedPiece(f"change of energy at {after.where[0]}", None, onward, found)
+        return None
     turns = ways_round(apart)
     if before.shadowing is None and after.shadowing is None:
         # Between equilibria one way is as good as its mirror image.
         turns = [way for k, way in enumerate(turns) if not any(np.allclose(way - apart, apart - w) for w in turns[:k])]
     ends = [lifted(after.start, way * 2 * np.pi) for way in turns]
+    return _Way(Transfer.of(itinerary, text, lifted(before.end, np.zeros(len(apart))), ends), turns)
 
-    def here(_: str, done: float) -> None:
-        progress(text, done)
 
-    try:
-        found = kept_transfer(itinerary, lifted(before.end, np.zeros_like(lift)), ends, fresh=fresh, progress=here)
-    except GoalMissed as error:
-        raise GoalMissed(f"{text}: {error}") from error
-    landed = found.state(found.duration)
-    onward = turns[int(np.argmin([np.abs(landed - end).max() for end in ends]))] * 2 * np.pi + lift
-    return SolvedPiece(text, None, onward, turned(found, lift))
+def _blended(itinerary: Itinerary, before: Goal, lift: Array, after: Goal, progress: Progress) -> SolvedPiece:
+    """Return the piece from the last orbit of a walk to the first of the next, about the same saddle."""
+    onward = np.rint((before.last - after.first) / (2 * np.pi)) * 2 * np.pi + lift
+    found = _blend(itinerary, before, lift, after, onward, progress)
+    return SolvedPiece(f"change of energy at {after.where[0]}", None, onward, found)
 
 
 def ways_round(apart: Array) -> list[Array]:

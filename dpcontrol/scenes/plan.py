@@ -204,12 +204,15 @@ def make_plan(
     orbits: "Sequence[ShadowingOrbit]" = (),
     progress: Progress = no_progress,
     fresh: bool = False,
+    workers: int = 1,
+    scheduler: str = "",
     yes: bool = False,
 ) -> Plan:
     """Return the plan of an itinerary, as it is stored or from the cache unless `fresh`; yes: however long it takes.
 
-    orbits: that shadow the itinerary's walks, one for each, where they are known already. A reference that did not
-    converge is returned with its status and not kept.
+    orbits: that shadow the itinerary's walks, one for each, where they are known already. workers: processes that seek
+    its transfers (0: as many as are worth it), which are kept one by one; scheduler: address of a Dask cluster in their
+    place. A reference that did not converge is returned with its status and not kept.
 
     Raises:
         InputError: the walk asks for connections that do not exist at this energy, or the plan would take too long.
@@ -218,7 +221,10 @@ def make_plan(
     if itinerary.loop.supervisor.on_fall != "stop":
         stops = replace(itinerary.loop, supervisor=replace(itinerary.loop.supervisor, on_fall="stop"))
         whole, rest = part_of(progress, 0.0, 0.7), part_of(progress, 0.7, 1.0)
-        plan = make_plan(replace(itinerary, loop=stops), orbits=orbits, progress=whole, fresh=fresh, yes=yes)
+        plan = make_plan(
+            replace(itinerary, loop=stops), orbits=orbits, progress=whole, fresh=fresh, workers=workers,
+            scheduler=scheduler, yes=yes,
+        )  # fmt: skip
         return recoverable(replace(plan, itinerary=itinerary), fresh=fresh, progress=rest)
     if itinerary.stored is not None and not fresh:
         return replace(load_plan(itinerary.stored), itinerary=itinerary)
@@ -229,7 +235,9 @@ def make_plan(
     # A plan that is kept needs nothing of what makes plans.
     from dpcontrol.scenes.planning import planned
 
-    reference, notes, arrays = planned(itinerary, orbits, fresh=fresh, progress=progress)
+    reference, notes, arrays = planned(
+        itinerary, orbits, fresh=fresh, workers=workers, scheduler=scheduler, progress=progress
+    )
     notes["plan"], notes["made_from"]["code"] = plan_key(itinerary), code_hash(__name__)
     reference = replace(reference, notes={**reference.notes, **notes}, extra={**reference.extra, **arrays})
     plan = Plan(itinerary, reference, file, cached=False)

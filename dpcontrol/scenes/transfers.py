@@ -19,9 +19,12 @@ family shrinks to its saddle, so that is at no distance from a transfer that beg
 """
 
 import json
-from collections.abc import Sequence
-from dataclasses import asdict, replace
+import threading
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
 from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +36,13 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash
+from dpcontrol.foundation.processes import in_processes, on_cluster, processors
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.family import lyapunov_family
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibrium
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.references.find import find_transfer
+from dpcontrol.references.problem import Limits, ReferenceSettings
 from dpcontrol.references.reference import (
     ApproachNote,
     Reference,
@@ -58,6 +63,52 @@ _MET = 1e-6
 """Scaled distance from a saddle at which a transfer's end is at it."""
 
 
+@dataclass(frozen=True)
+class Transfer:
+    """A transfer that is wanted, from `start` (N,) to one of `ends` (N,), with all that it depends on.
+
+    text: how it is named; model: the name of its arms'.
+    """
+
+    text: str
+    model: str
+    arms: ArmChainParameters
+    limits: Limits
+    settings: ReferenceSettings
+    start: tuple[float, ...]
+    ends: tuple[tuple[float, ...], ...]
+
+    @classmethod
+    def of(cls, itinerary: Itinerary, text: str, start: Array, ends: Sequence[Array]) -> "Transfer":
+        """Return the transfer with an itinerary's arms, limits and reference settings."""
+        return cls(
+            text, itinerary.model.name, itinerary.model.arms, itinerary.limits, itinerary.reference,
+            tuple(start.tolist()), tuple(tuple(end.tolist()) for end in ends),
+        )  # fmt: skip
+
+    @cached_property
+    def key(self) -> str:
+        """What the motion depends on, as 16 hexadecimal digits."""
+        content = {
+            "code": [code_hash(f"dpcontrol.{name}") for name in ("references.find", "control.tracking")],
+            "parameters": asdict(self.arms),
+            "start": self.start,
+            "ends": self.ends,
+            "limits": asdict(self.limits),
+            "reference": asdict(self.settings),
+        }
+        return content_hash(json.dumps(content, sort_keys=True))
+
+    @property
+    def file(self) -> Path:
+        """Where it is kept once it is found."""
+        return cache_file("transfers", self.model, self.key)
+
+
+_SEVERAL = 4
+"""Transfers from which processes of their own are worth their start."""
+
+
 def kept_transfer(
     itinerary: Itinerary, start: Array, ends: Sequence[Array], *, fresh: bool = False, progress: Progress = no_progress
 ) -> Reference:
@@ -66,26 +117,86 @@ def kept_transfer(
     Raises:
         GoalMissed: there is none within the limits; says what stood in the way.
     """
-    arms = itinerary.model.arms
-    content = {
-        "code": [code_hash(f"dpcontrol.{name}") for name in ("references.find", "control.tracking")],
-        "parameters": asdict(arms),
-        "start": start.tolist(),
-        "ends": [end.tolist() for end in ends],
-        "limits": asdict(itinerary.limits),
-        "reference": asdict(itinerary.reference),
-    }
-    file = cache_file("transfers", itinerary.model.name, content_hash(json.dumps(content, sort_keys=True)))
-    if not fresh and (known := kept(file)) is not None:
-        return load_reference(BytesIO(known))
-    found = find_transfer(
-        equations_of(arms, Level.CART), arms.base(), start=start, ends=ends, limits=itinerary.limits,
-        settings=itinerary.reference, sensitivity=lambda motion: sensitivity(arms, motion), progress=progress,
-    )  # fmt: skip
-    archive = BytesIO()
-    save_reference(archive, found)
-    keep(file, archive.getvalue())
+    wanted = Transfer.of(itinerary, "", start, ends)
+    return find_transfers([wanted], fresh=fresh, progress=progress)[wanted.key]
+
+
+def find_transfers(
+    wanted: Sequence[Transfer],
+    *,
+    workers: int = 1,
+    scheduler: str = "",
+    fresh: bool = False,
+    progress: Progress = no_progress,
+) -> dict[str, Reference]:
+    """Return transfers by key, from the cache unless `fresh`; each that is found is kept at once.
+
+    workers: processes in which they are sought, 0 for one on each processor if there are several; scheduler: address of
+    a Dask cluster, or empty. One that there is not does not keep the others from being found.
+
+    Raises:
+        InputError: no cluster answers.
+        GoalMissed: there are none of some within the limits; says what stood in the way.
+    """
+    found: dict[str, Reference] = {}
+    left: dict[str, Transfer] = {}
+    for one in wanted:
+        if not fresh and (known := kept(one.file)) is not None:
+            found[one.key] = load_reference(BytesIO(known))
+        else:
+            left[one.key] = one
+    missed: list[str] = []
+    several = list(left.values())
+    workers = workers or (processors() if len(several) >= _SEVERAL else 1)
+    alone = workers == 1 and not scheduler
+    for k, (one, (archive, why)) in enumerate(_sought(several, workers, scheduler, progress)):
+        if not alone:
+            progress(f"{k + 1} of {len(left)} transfers: {one.text}", (k + 1) / len(left))
+        if why:
+            missed.append(f"{one.text}: {why}" if one.text else why)
+            continue
+        keep(one.file, archive)
+        found[one.key] = load_reference(BytesIO(archive))
+    if missed:
+        more = f"; nor are there {len(missed) - 1} more, the others are kept" if len(missed) > 1 else ""
+        raise GoalMissed(missed[0] + more)
     return found
+
+
+def _sought(
+    wanted: Sequence[Transfer], workers: int, scheduler: str, progress: Progress
+) -> Iterator[tuple[Transfer, tuple[bytes, str]]]:
+    if scheduler:
+        return on_cluster(search, wanted, scheduler)
+    if workers > 1 and len(wanted) > 1:
+        remedy = "Those that were found are kept: run the same command again, with fewer --workers"
+        return in_processes(search, wanted, min(workers, len(wanted)), remedy=remedy)
+    parts = (part_of(progress, k / len(wanted), (k + 1) / len(wanted)) for k in range(len(wanted)))
+    return ((one, search(one, here)) for one, here in zip(wanted, parts, strict=True))
+
+
+_ONE_AT_A_TIME = threading.Lock()
+"""The solver is not to be shared between threads, and a Dask worker may have several."""
+
+
+def search(wanted: Transfer, progress: Progress = no_progress) -> tuple[bytes, str]:
+    """Return the bytes of a transfer's .npz file, or why there is none."""
+
+    def here(_: str, done: float) -> None:
+        progress(wanted.text, done)
+
+    archive = BytesIO()
+    with _ONE_AT_A_TIME:
+        try:
+            found = find_transfer(
+                equations_of(wanted.arms, Level.CART), wanted.arms.base(), start=np.array(wanted.start),
+                ends=[np.array(end) for end in wanted.ends], limits=wanted.limits, settings=wanted.settings,
+                sensitivity=lambda motion: sensitivity(wanted.arms, motion), progress=here,
+            )  # fmt: skip
+        except GoalMissed as error:
+            return b"", str(error)
+        save_reference(archive, found)
+    return archive.getvalue(), ""
 
 
 def sensitivity(arms: ArmChainParameters, motion: Trajectory) -> float:

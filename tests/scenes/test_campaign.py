@@ -288,16 +288,16 @@ def test_jobs_left_by_a_lost_scheduler_go_to_the_one_that_answers_next(
     jobs = [campaign_jobs.Job(turn.name, archive, turn.model.arms, case, (seed,), "compiled") for seed in range(6)]
     asked: list[list[int]] = []
 
-    def submitted(given: Sequence[campaign_jobs.Job], client: Any) -> Iterator[tuple[campaign_jobs.Job, list[Any]]]:
+    def submitted(_: Any, given: Sequence[campaign_jobs.Job], client: Any) -> Iterator[Any]:
         asked.append([job.seeds[0] for job in given])
         yield given[0], []
         if len(asked) <= lost:
             raise CancelledError
         yield from ((job, []) for job in given[1:])
 
-    monkeypatch.setattr(workers, "_client", lambda address, again: nullcontext())
-    monkeypatch.setattr(workers, "_submitted", submitted)
-    done = campaign_jobs.run_on_cluster(jobs, "tcp://lab:8786")
+    monkeypatch.setattr(processes, "_client", lambda address, again: nullcontext())
+    monkeypatch.setattr(processes, "_submitted", submitted)
+    done = processes.on_cluster(campaign_jobs.run_job, jobs, "tcp://lab:8786")
     if lost < processes.ATTEMPTS:
         assert [job.seeds[0] for job, _ in done] == [0, 1, 2, 3, 4, 5]
         assert asked == [[0, 1, 2, 3, 4, 5], [1, 2, 3, 4, 5]]
@@ -403,7 +403,7 @@ def test_nobody_answers_at_the_schedulers_address(
     turn: Itinerary, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("distributed", reason="the package distributed is not installed")
-    monkeypatch.setattr(workers, "ANSWERS_WITHIN", "1s")
+    monkeypatch.setattr(processes, "ANSWERS_WITHIN", "1s")
     with pytest.raises(InputError, match="no Dask scheduler answers"):
         campaign(turn, tmp_path / "nobody.parquet", scheduler="tcp://127.0.0.1:1")
 
