@@ -82,3 +82,27 @@ def test_a_tick_takes_a_hundredth_of_its_period_and_the_first_no_longer(planned,
     assert median <= MEDIAN
     assert nearly_all <= NEARLY_ALL
     assert spent[:10].max() <= NEARLY_ALL
+
+
+def test_a_tick_of_three_arms_takes_at_most_twice_that_of_two(one_core, tmp_path):
+    scene = tmp_path / "two-arms.toml"
+    scene.write_text('model = "lab"\nstart = "rest"\nfinish = "rest"\nhold = "down-up"\nseconds = 2.0\n')
+    medians: dict[str, list[float]] = {}
+    for name in (str(scene), "third-arm"):
+        itinerary = load_itinerary(name).with_run(RunOptions(delay=1, lag=0.005))
+        plan = make_plan(itinerary)
+        arms, loop = itinerary.model.arms, itinerary.loop
+        controller = loop_controller(plan.reference, arms, loop)
+        for _ in range(5):
+            ticker = make_ticker(arms, loop, controller, limits=loop.limits(plan.reference), delay=1.0)
+            readings = [Reading(0.0, state[ticker.program.model.position_indices]) for state in ticker.references]
+            ticker.rehearse()
+            spent = np.full(len(readings), np.nan)
+            for k, reading in enumerate(readings):
+                began = time.perf_counter()
+                ticker(k, reading)
+                spent[k] = time.perf_counter() - began
+            medians.setdefault(name, []).append(float(np.median(spent)))
+    two, three = (min(found) for found in medians.values())
+    sys.stdout.write(f"\ntwo arms {1e6 * two:.1f} µs, three {1e6 * three:.1f} µs: {three / two:.2f} times\n")
+    assert three <= 2 * two
