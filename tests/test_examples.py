@@ -1,0 +1,24 @@
+"""Every example runs as it stands, and ends in its picture."""
+
+import runpy
+from pathlib import Path
+
+import pytest
+
+import dpcontrol
+
+EXAMPLES = sorted(file.stem for file in (Path(dpcontrol.__file__).parent / "examples").glob("[a-z]*.py"))
+SLOW = {"mismatch", "identify", "walk", "connections", "export", "night", "from_rest"}
+"""Those that plan, search or draw for more than some seconds."""
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=pytest.mark.slow if name in SLOW else ()) for name in EXAMPLES]
+)
+def test_an_example_runs_and_ends_in_its_picture(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("MPLBACKEND", "Agg")
+    runpy.run_module(f"dpcontrol.examples.{name}", run_name="__main__")
+    picture = tmp_path / f"{name.replace('_', '-')}.png"
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert picture.stat().st_size > 10_000
