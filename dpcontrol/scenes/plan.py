@@ -152,8 +152,8 @@ _SECONDS, _MEMORY = 0.25, 3.5e6
 """What each period of a walk takes to plan, in s and bytes, measured over 200 of them."""
 _FLIGHT = 4
 """Periods that a symbol takes."""
-_TRANSFER = 3.0
-"""Seconds that a transfer takes to plan."""
+_TRANSFER, _TRANSFER_OF_MORE = 3.0, 16.0
+"""Seconds that a transfer of one or two arms, and of more, takes to plan."""
 
 
 def _amounts(itinerary: Itinerary) -> dict[str, int]:
@@ -180,9 +180,10 @@ def plan_cost(itinerary: Itinerary) -> Cost:
     longest = max(amounts, key=lambda name: amounts[name])
     of = "symbols" if longest == "walk" else "in all"
     key = f"{itinerary.path}: {longest}, {amounts[longest]:,} {of}"
-    if _TRANSFER * transfers > _SECONDS * periods:
+    each = _TRANSFER if itinerary.model.arms.count < 3 else _TRANSFER_OF_MORE
+    if each * transfers > _SECONDS * periods:
         key = f"{itinerary.path}: parts, {len(itinerary.parts):,} in all"
-    seconds, memory = _SECONDS * periods + _TRANSFER * transfers, _MEMORY * (periods + _FLIGHT * transfers)
+    seconds, memory = _SECONDS * periods + each * transfers, _MEMORY * (periods + _FLIGHT * transfers)
     work = f"a reference of {periods:,} periods" + (f" and {transfers:,} transfers" if transfers else "")
     return Cost(work, seconds, memory, key)
 
