@@ -173,12 +173,12 @@ class Shown:
         first, both = not len(self.tail), rows if not len(self.tail) else np.concatenate([self.tail, rows])
         view, drawn = self._view(rows, events), self._view(both, ())
         if first:
-            self.recording.send_blueprint(recorded.blueprint(view, from_log=False), make_active=True)
+            self.recording.send_blueprint(recorded.blueprint(view, from_log=False, growing=True), make_active=True)
             self.recording.send_recording_name(view.title)
             recorded.record_strips(self.recording, "", strips(self.planned), self.planned)
             recorded.record_planes(self.recording, "phase_planes", replace(view, plan=self.planned.plan))
         for chart in (*motion_charts(view), *check_charts(view)):
-            recorded.record_chart(self.recording, "plots", chart, view)
+            recorded.record_chart(self.recording, "plots", replace(chart, cut=()), view)
         modes = [strip for strip in strips(view, until=float(view.time[-1])) if strip.key == "mode"]
         recorded.record_strips(self.recording, "", modes, view)
         recorded.record_places(self.recording, "phase_planes", view)
@@ -197,7 +197,12 @@ class Shown:
             start, time=time[:, 0], measured=measured, states=states, events=events,
             controls=dict(zip(start.controls, control.T, strict=True)),
         )  # fmt: skip
-        return replace(series_of(log), limits=start.limits, plan=self.planned.plan, title=f"{self.planned.title}, live")
+        view, summary = series_of(log), self.planned.summary
+        # Means of the NIS need more rows than come at once.
+        return replace(
+            view, limits=start.limits, plan=self.planned.plan, title=f"{self.planned.title}, live", nis=None,
+            energy=None if summary is None else summary.energies(view.state),
+        )  # fmt: skip
 
 
 def messages(pipe: int, viewer: "subprocess.Popen[Any] | None") -> Iterator[tuple[Array, tuple[Event, ...]]]:
@@ -245,6 +250,8 @@ def show(file: Path, address: str) -> None:
     """Show what comes on standard input; file: the pickled log before its first row, which is removed."""
     with contextlib.suppress(AttributeError, OSError):
         os.nice(10)
+        # Linux weighs sessions by this, not by their niceness.
+        Path("/proc/self/autogroup").write_text("19")
     start: RunLog = pickle.loads(file.read_bytes())
     file.unlink()
     address, viewer = _opened(address)

@@ -129,7 +129,9 @@ def record_strips(recording: rr.RecordingStream, home: str, strips: Sequence[Str
         if not changes:
             continue
         path = f"{home}/{strip.key}"
-        values = list(dict.fromkeys(name for _, name in changes))
+        # All modes, whichever have come so far: a part of a run may be recorded after another.
+        colours |= style.MODES if strip.key == "mode" else {}
+        values = list(colours) if strip.key == "mode" else list(dict.fromkeys(name for _, name in changes))
         tints = [(*style.rgb(colours[value]), 255) for value in values]
         columns = rr.StateChange.columns(state=[name for _, name in changes])
         look = rr.StateConfiguration(values=values, colors=tints)
@@ -320,10 +322,13 @@ PAPER = [250, 251, 252]
 SUMMARY = "summary"
 
 
-def blueprint(view: RunView, *, from_log: bool) -> rrb.Blueprint:
-    """Return the blueprint of a recording; one made `from_log` has the log's own bodies in its scene, and events."""
+def blueprint(view: RunView, *, from_log: bool, growing: bool = False) -> rrb.Blueprint:
+    """Return the blueprint of a recording; one made `from_log` has the log's own bodies in its scene, and events.
+
+    growing: more will come than the view has: axes follow what they show, and the viewer the latest time.
+    """
     grey = f": {view.against} grey" if view.reference is not None else ""
-    middle, checks = plots(motion_charts(view)), plots(check_charts(view))
+    middle, checks = plots(motion_charts(view), growing=growing), plots(check_charts(view), growing=growing)
     if len(checks) == 1 and len(middle) > 2:
         middle, checks = [*middle, *checks], []
     shares = [2.0] * len(middle)
@@ -347,14 +352,17 @@ def blueprint(view: RunView, *, from_log: bool) -> rrb.Blueprint:
     beside: list[rrb.Container] = [rrb.Vertical(*checks, name="Checks")] if checks else []
     if extras := plots(extra_charts(view)):
         beside = [rrb.Tabs(*beside, rrb.Vertical(*extras, name="Estimated besides the state"), active_tab=0)]
-    return page([left, rrb.Vertical(*middle, row_shares=shares), *beside], [5, 4.3, 3.7])
+    return page([left, rrb.Vertical(*middle, row_shares=shares), *beside], [5, 4.3, 3.7], growing=growing)
 
 
-def page(columns: Sequence[rrb.Container], shares: Sequence[float], *, timeline: str = TIMELINE) -> rrb.Blueprint:
+def page(
+    columns: Sequence[rrb.Container], shares: Sequence[float], *, timeline: str = TIMELINE, growing: bool = False
+) -> rrb.Blueprint:
     """Return a blueprint of columns of views, as wide as their shares, without side panels."""
+    playing: dict[str, Any] = {"play_state": "following"} if growing else {}
     return rrb.Blueprint(
         rrb.Horizontal(*columns, column_shares=shares[: len(columns)]),
-        rrb.TimePanel(state="collapsed", timeline=timeline),
+        rrb.TimePanel(state="collapsed", timeline=timeline, **playing),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         auto_views=False,
@@ -396,15 +404,15 @@ def plane_view(arm: int, home: str, box: Box, *, name: str, free: float = 0.1) -
     )
 
 
-def plots(charts: Sequence[Chart]) -> list[rrb.View]:
-    """Return the views of charts; one with named levels, or of several runs, has a legend."""
+def plots(charts: Sequence[Chart], *, growing: bool = False) -> list[rrb.View]:
+    """Return the views of charts; one with named levels, or of several runs, has a legend; growing: see `blueprint`."""
     corner = rrb.Corner2D.RightTop
     return [
         rrb.TimeSeriesView(
             name=chart.named,
             origin=f"/plots/{chart.key}",
             plot_legend=rrb.PlotLegend(visible=chart.legend, corner=corner if chart.legend else None),
-            axis_y=rrb.ScalarAxis(range=_shown(chart)),
+            axis_y=rrb.ScalarAxis(range=None if growing else _shown(chart)),
         )
         for chart in charts
         if chart.key
