@@ -299,9 +299,10 @@ class Itinerary:
     @property
     def stay(self) -> HoldPart | OrbitPart | None:
         """The equilibrium or orbit that it stays at, if it goes nowhere."""
-        only = self.parts[0]
-        stays = isinstance(only, OrbitPart) or (isinstance(only, HoldPart) and self.start == "hold")
-        return only if stays and len(self.parts) == 1 else None
+        only = self.parts[0] if len(self.parts) == 1 else None
+        if isinstance(only, OrbitPart) or (isinstance(only, HoldPart) and self.start == "hold"):
+            return only
+        return None
 
     @property
     def walks(self) -> tuple[WalkPart, ...]:

@@ -22,7 +22,6 @@ import json
 import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
-from functools import cached_property
 from io import BytesIO
 from pathlib import Path
 
@@ -86,7 +85,7 @@ class Transfer:
             tuple(start.tolist()), tuple(tuple(end.tolist()) for end in ends),
         )  # fmt: skip
 
-    @cached_property
+    @property
     def key(self) -> str:
         """What the motion depends on, as 16 hexadecimal digits."""
         content = {
