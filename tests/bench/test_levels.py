@@ -120,8 +120,8 @@ def test_evidence_reads_back_as_it_was_written(monkeypatch, tmp_path):
         known_evidence.cache_clear()
 
 
-@pytest.mark.parametrize("name", SCENES)
-def test_each_shipped_scene_has_evidence_of_its_own_motion(name):
+@pytest.mark.parametrize("name", [name for name in SCENES if load_itinerary(name).model.arms.count == 2])
+def test_each_shipped_scene_of_two_arms_has_evidence_of_its_own_motion(name):
     found = known_evidence().get(motion_key(load_itinerary(name)))
     assert found is not None, f"{name} changed: make its evidence anew, see dpcontrol/scenes/level_evidence.toml"
     assert found.scene == name

