@@ -553,7 +553,6 @@ def picture(
     """
     from dpcontrol.references.reference import summarised
     from dpcontrol.review.atlas import draw_atlas
-    from dpcontrol.review.film import write_film
     from dpcontrol.review.of_log import reference_view, run_view
     from dpcontrol.review.page import draw, save_figure
     from dpcontrol.review.walks import WalkStory, draw_walk
@@ -577,6 +576,8 @@ def picture(
     if film is not None:
         if view is None:
             raise InputError(f"{film}: an atlas does not move: give a run, a plan or a walk's orbit")
+        from dpcontrol.review.film import write_film
+
         write_film(view, film)
     if file is not None:
         save_figure(figure, file)

@@ -243,10 +243,8 @@ def _solve(
                 if out is not None:
                     file = out / f"walk-{k + 1}.npz"
                     save_walk(file, model.name, answer.orbit, refined=answer.refined)
-                if picture is not None:
-                    api.picture(answer.orbit, file=picture)
-                if film is not None:
-                    api.picture(answer.orbit, film=film)
+                if picture is not None or film is not None:
+                    api.picture(answer.orbit, file=picture, film=film)
             answers.append((answer, file))
             progress("walks", (k + 1) / len(requests))
     failed = [(k, answer.status) for k, (answer, _) in enumerate(answers, start=1) if not answer.converged]

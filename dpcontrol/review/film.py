@@ -39,10 +39,10 @@ _FINE = 2
 _HEAD, _ROW, _FOOT = 0.42, 0.2, 0.42
 _GHOST, _TRACK = "#c3c9d0", "#dfe3e7"
 _TRACE, _PIECES = 0.9, 12
-"""Seconds of the tip's path that are shown, in so many shades."""
+"""Seconds of the tip's path that are shown, and shades in which it fades."""
 _COLOURS = 96
 _SECONDS = {".gif": 0.03, ".webp": 0.05, ".mp4": 0.03}
-"""That a frame takes; of its memory a GIF holds all frames to the end."""
+"""s that a frame takes to draw and to write; a GIF also keeps every frame in memory until its end."""
 
 
 @dataclass(frozen=True, eq=False)

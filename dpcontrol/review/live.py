@@ -1,9 +1,9 @@
-"""A run as it happens, in a Rerun viewer: rows go from the loop through a pipe to a process that shows them.
+"""A run in a Rerun viewer while it happens: the loop sends rows through a pipe to a process that shows them.
 
-The loop waits for nothing: it writes a row of some 300 bytes fifty times a second to a pipe that does not block, and
-what the pipe has no room for is dropped. This module run as a program is the other end: of the file with what is known
-before the run, and the address of a viewer, it opens the viewer where that is "", and shows rows until the pipe is
-closed or the viewer is. Whatever happens to it, the run goes on.
+The loop never waits: fifty times a second it writes a row of some 300 bytes to a pipe that does not block, and what the
+pipe has no room for is dropped. Run as a program, this module is the other end. Its arguments are a file, which holds
+what is known before the run, and the address of a viewer; if that is empty it opens one. It shows rows until the pipe
+or the viewer is closed. Whatever happens to it, the run goes on.
 """
 
 import contextlib
@@ -16,6 +16,7 @@ import struct
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -36,18 +37,18 @@ Array = NDArray[np.float64]
 
 RATE = 50.0
 """Hz of the rows that are shown."""
-_MOST = 4000
-"""Bytes of a message: as many are written to a pipe at once or not at all."""
+_MOST = getattr(select, "PIPE_BUF", 512)
+"""Bytes of a message: up to so many are written to a pipe whole or not at all."""
 _ROOM = 1 << 20
-"""Bytes that the pipe may hold, where the system lets it be asked for: a minute of rows."""
+"""Bytes that the pipe may hold, on systems where its size can be set: a minute of rows."""
 _HEAD = struct.Struct("<cI")
 _ROW, _EVENT = b"R", b"E"
 _PAUSE = 0.1
 """s between two looks at what has come."""
 _TAIL = 20
-"""Rows of the last look that are drawn again, so that the tip's path has no gaps."""
+"""Rows that are drawn again with the next ones, so that the tip's path has no gaps."""
 _MEMORY = "1GB"
-"""That the viewer may take; it drops what is oldest."""
+"""What the viewer may use; beyond it the oldest data are dropped."""
 
 
 class LiveView:
@@ -64,7 +65,7 @@ class LiveView:
         from dpcontrol.review.picture import check_viewer
 
         if sys.platform == "win32":
-            raise InputError("a live view needs pipes that Windows has not; review the log after the run")
+            raise InputError("a live view needs pipes as Linux and macOS have them; review the log after the run")
         if not viewer:
             check_viewer()
         self._start, self._viewer = start, viewer
@@ -112,14 +113,19 @@ class LiveView:
 
     def event(self, time_s: float, level: str, name: str, text: str) -> None:
         """Show one event."""
-        self._send(_EVENT, json.dumps([time_s, level, name, text[:800]]).encode())
+        self._send(_EVENT, json.dumps([time_s, level, name, text], ensure_ascii=False).encode())
 
     def _send(self, kind: bytes, content: bytes) -> None:
         if self._pipe < 0:
             return
         self._sent += 1
+        message = _HEAD.pack(kind, len(content)) + content
+        if len(message) > _MOST:
+            # It might be written in part.
+            self._dropped += 1
+            return
         try:
-            os.write(self._pipe, _HEAD.pack(kind, len(content)) + content)
+            os.write(self._pipe, message)
         except BlockingIOError:
             self._dropped += 1
         except OSError:
@@ -146,7 +152,11 @@ class Sinks:
 
 @dataclass
 class Shown:
-    """What is shown of a run so far: the recording, the log before its first row, and the last rows (K, D)."""
+    """What is shown of a run so far: the recording, the log before its first row, the plan, and the last rows (K, D).
+
+    A row is the time in s, what was measured, estimate, reference, the columns of `control_fields` and, where it is
+    known, the true state; units as in `Ticks`.
+    """
 
     recording: "rr.RecordingStream"
     start: RunLog
@@ -168,15 +178,13 @@ class Shown:
         from dpcontrol.review import rerun_recording as recorded
         from dpcontrol.review.series import check_charts, motion_charts, strips
 
-        if not len(rows):
-            return
         first, both = not len(self.tail), rows if not len(self.tail) else np.concatenate([self.tail, rows])
         view, drawn = self._view(rows, events), self._view(both, ())
         if first:
             self.recording.send_blueprint(recorded.blueprint(view, from_log=False, growing=True), make_active=True)
             self.recording.send_recording_name(view.title)
             recorded.record_strips(self.recording, "", strips(self.planned), self.planned)
-            recorded.record_planes(self.recording, "phase_planes", replace(view, plan=self.planned.plan))
+            recorded.record_planes(self.recording, "phase_planes", view)
         for chart in (*motion_charts(view), *check_charts(view)):
             recorded.record_chart(self.recording, "plots", replace(chart, cut=()), view)
         modes = [strip for strip in strips(view, until=float(view.time[-1])) if strip.key == "mode"]
@@ -191,10 +199,10 @@ class Shown:
         start, n = self.start, len(self.start.arm_lengths)
         width = 2 * n + 2
         sizes = np.cumsum([1, n + 1, width, width, len(start.controls)])
-        time, measured, estimate, reference, control, truth = np.split(rows, sizes, axis=1)
+        times, measured, estimate, reference, control, truth = np.split(rows, sizes, axis=1)
         states = {"estimate": estimate, "reference": reference} | ({"truth": truth} if truth.size else {})
         log = replace(
-            start, time=time[:, 0], measured=measured, states=states, events=events,
+            start, time=times[:, 0], measured=measured, states=states, events=events,
             controls=dict(zip(start.controls, control.T, strict=True)),
         )  # fmt: skip
         view, summary = series_of(log), self.planned.summary
@@ -228,8 +236,7 @@ def messages(pipe: int, viewer: "subprocess.Popen[Any] | None") -> Iterator[tupl
         if rows or events:
             yield np.array(rows).reshape(len(rows), -1), tuple(events)
         # What comes meanwhile is shown together.
-        with contextlib.suppress(ValueError):
-            select.select([], [], [], _PAUSE)
+        time.sleep(_PAUSE)
 
 
 def _opened(address: str) -> "tuple[str, subprocess.Popen[Any] | None]":

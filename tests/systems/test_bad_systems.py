@@ -7,10 +7,10 @@ import pytest
 import dpcontrol as dp
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.examples.henon_heiles import hamiltonian, henon_heiles
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.scenes.atlas import compute_atlas
 from dpcontrol.tubes.connections import find_connections
-from tests.systems.henon_heiles import hamiltonian, henon_heiles
 from tests.systems.hill import hill
 
 TIME = ca.SX.sym("t")
