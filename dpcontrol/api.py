@@ -15,7 +15,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, overload
 
 from dpcontrol.dynamics.chain import ArmChainParameters
 from dpcontrol.dynamics.propagator import Section as Section
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from dpcontrol.scenes.plan import Plan
     from dpcontrol.scenes.run import Run
     from dpcontrol.tubes.connections import ConnectionSearch
+    from dpcontrol.tubes.symmetric import SymmetricSearch
     from dpcontrol.walks.atlas import Atlas
     from dpcontrol.walks.edges import Edges
     from dpcontrol.walks.shadowing import ShadowingOrbit
@@ -65,6 +66,7 @@ def orbit(model: Model | System, saddle: str, *, energy: float, family: int = 0)
     return lyapunov_orbit(_system(model), saddle, energy=energy, family=family)
 
 
+@overload
 def connections(
     source: "LyapunovOrbit",
     target: "LyapunovOrbit | None" = None,
@@ -74,20 +76,52 @@ def connections(
     longest: float | None = None,
     thorough: bool = False,
     progress: Reporting = None,
-) -> "ConnectionSearch":
+) -> "ConnectionSearch": ...
+@overload
+def connections(
+    source: "LyapunovOrbit",
+    *,
+    energies: tuple[float, float],
+    hits: tuple[int, int] = (1, 1),
+    progress: Reporting = None,
+) -> "SymmetricSearch": ...
+def connections(
+    source: "LyapunovOrbit",
+    target: "LyapunovOrbit | None" = None,
+    *,
+    energies: tuple[float, float] | None = None,
+    hits: tuple[int, int] = (1, 1),
+    section: str | None = None,
+    longest: float | None = None,
+    thorough: bool = False,
+    progress: Reporting = None,
+) -> "ConnectionSearch | SymmetricSearch":
     """Find every connection from one orbit to another of the same energy, or back to itself where there is no other.
 
     hits: which crossings of the section count, of the unstable and the stable tube. section: by its short name, the
     saddles' own by default. longest: time that trajectories are given to the section, in periods of their orbit.
     thorough: go on where a search says "at least", for up to a minute.
 
+    energies: of three arms, whose orbits have connections at isolated energies only, the range in J in which the
+    source's family is searched for symmetric ones.
+
     >>> len(dp.connections(orbit).connections)
     8
 
     Raises:
-        InputError: the orbits differ in energy, or there is no such section between their saddles.
+        InputError: the orbits differ in energy, or there is no such section between their saddles; three arms without
+            `energies`, or two with them.
         GoalMissed: an orbit did not converge.
     """
+    if energies is not None:
+        from dpcontrol.tubes.symmetric import find_symmetric_connections
+
+        if hits[0] != hits[1]:
+            raise InputError(f"hits = {hits}: a symmetric connection meets the section of both tubes at the same one")
+        with _reporting(progress, "symmetric connections") as report:
+            return find_symmetric_connections(
+                source.system, source.saddle, energies=energies, family=source.family, hit=hits[0], progress=report
+            )
     from dpcontrol.tubes.connections import find_connections
     from dpcontrol.tubes.intersections import search_settings
 

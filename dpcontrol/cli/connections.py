@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from dpcontrol.references.sustained import SustainedOrbit
     from dpcontrol.scenes.model import Model
     from dpcontrol.tubes.connections import Connection, ConnectionSearch
+    from dpcontrol.tubes.symmetric import SymmetricSearch
     from dpcontrol.walks.atlas import Atlas
 
 
@@ -261,7 +262,11 @@ def connect_command(
     model: str = argument(),
     source: str = LEAVING,
     target: str = JOINING,
-    energy: Decimal = ENERGY,
+    energy: Decimal | None = option(help="Energy in J, zero at the pivot's height."),
+    energies: Range | None = option(
+        metavar="LO HI", help="Of three arms, the range in J in which symmetric connections are sought."
+    ),
+    family: int = option(default=0, group=SEARCH, help="For --energies: which family of orbits, slowest first."),
     hits: tuple[int, int] | None = hits_option("1, or what --name says", group=SEARCH),
     section: str | None = option(
         metavar="NAME",
@@ -290,11 +295,27 @@ def connect_command(
 
     On another --section other connections come first: homoclinics that pass by the other saddle's side cross "aligned"
     and cross back, and so are found there at --hits 1,2.
+
+    Orbits of three arms have connections at isolated energies only. With --energies those are found that a symmetry
+    makes, from an orbit back to itself through a moment at which every arm hangs or stands.
     """
     from dpcontrol import api
     from dpcontrol.scenes.model import load_model
     from dpcontrol.tubes.connections import orbits_between, searched_at
 
+    if (energy is None) == (energies is None):
+        raise click.UsageError("give either --energy or, for three arms, --energies LO HI")
+    if energies is not None:
+        given = {"--section": section, "--longest": longest, "--thorough": thorough or None, "--name": name}
+        for option_name in (key for key, value in given.items() if value is not None):
+            raise InputError(f"{option_name} belongs to a search at one --energy: leave it out with --energies")
+        if source != target:
+            raise InputError(f"--energies: symmetric connections lead back to their orbit: give --to {source} as well")
+        orbit = _lyapunov(load_model(model), source, energies[0], family)
+        return _symmetric_connections(api.connections(orbit, energies=energies, hits=hits or (1, 1), progress=True))
+    assert energy is not None
+    if family:
+        raise InputError("--family belongs to a search with --energies: leave it out with --energy")
     if precision == "extended" and name is None:
         raise InputError("--precision extended refines one connection: give its --name as `dpcontrol connect` lists it")
     named_hits, named_section = searched_at(name or "") or ((1, 1), None)
@@ -337,6 +358,17 @@ def _connect_text(title: str, found: "tuple[Connection, ...]", search: "Connecti
         yield f"open: {tube} tube, branch {end.branch:+d}, phase {low:.6f} … {high:.6f}: {end.reason}"
     if len(search.open_ends) > SHOWN:
         yield f"… and {len(search.open_ends) - SHOWN} more open ends, which --json lists"
+
+
+def _symmetric_connections(search: "SymmetricSearch") -> Answer:
+    title = f"{search.saddle}, family {search.family}: symmetric homoclinics"
+    shown = table(title, search.connections, {
+        "name": "{.name}", "energy (J)": "{.source.energy:.12g}", "turns": lambda c: ", ".join(map(str, c.winding)),
+        "multiplier": "{.source.unstable_multiplier:.6g}", "residual": "{.residual:.0e}",
+        "time out = in (s)": "{.time_out:.4f}", "middle (rad, rad/s)": lambda c: spaced(c.state, ".6f"),
+    })  # fmt: skip
+    missed = "" if search.connections else f"no symmetric connection of {search.saddle}: {search.status}"
+    return Answer(search.document(), [shown, search.status], missed)
 
 
 def _extended(model: "Model", connection: "Connection", energy: Decimal) -> Answer:

@@ -197,7 +197,9 @@ class System:
                 raise InputError(f"{self.name} has no section {name!r}: {suggest(name, self.named_sections)}")
             return self.named_sections[name]
         if (source, target) not in self.sections:
-            raise InputError(f"{self.name} has no section between {source} and {target}")
+            isolated = "; three arms have connections at isolated energies: search a range of them (--energies LO HI)"
+            hint = isolated if self.dimension == 6 else ""
+            raise InputError(f"{self.name} has no section between {source} and {target}{hint}")
         return self.sections[source, target]
 
     def nearest_turns(self, difference: Array) -> Array:

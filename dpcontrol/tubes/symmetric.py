@@ -1,0 +1,433 @@
+"""Symmetric homoclinic connections of three arms, which exist at isolated energies of a family of Lyapunov orbits.
+
+With two degrees of freedom a Lyapunov orbit's tubes are surfaces in an energy surface of dimension three: where they
+cross, they go on crossing as the energy changes. With n = 3 the orbit's tubes still have dimension two, the energy
+surface five: in general they miss each other at every energy. What symmetry leaves is this. A reverser R carries the
+unstable tube into the stable one, so that a trajectory of the unstable tube that meets the fixed set of R, lifted by
+any whole turns, runs back along its own image: it is homoclinic. Where R turns all angles over, the fixed set has n
+equations (every arm hangs or stands), and the tube's trajectories of a whole family have as many unknowns: the phase at
+which the orbit is left, the time, and the energy. So such connections are isolated in energy, and persist when the
+model's parameters change a little.
+
+The search flies the tubes of orbits on a grid of energies to where the saddle's standing arm hangs. What is left of the
+other arms' angles is a map from (energy, phase) to the plane, whose zeros lie where a triangle of the grid is mapped
+around the origin; multiple shooting refines each, with the energy among its unknowns. It is no complete list: the grid
+may be too coarse where tubes scatter.
+
+Source: Devaney, Reversible diffeomorphisms and flows (1976); Champneys, Homoclinic orbits in reversible systems (1998).
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dpcontrol.dynamics.propagator import Section
+from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import picked
+from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.orbits.lyapunov import LyapunovOrbit, SymmetricShooting, described_orbit, lyapunov_orbit
+from dpcontrol.orbits.lyapunov import symmetric_shooting as shooting_problem
+from dpcontrol.orbits.manifold import OrbitCurve, local_manifold
+from dpcontrol.shooting.newton import ManifoldEnd, ShootingOrbit
+from dpcontrol.tubes.connections import Connection, approach
+
+Array = NDArray[np.float64]
+
+_HYPERBOLIC = 1e-4
+"""Distance of a multiplier's modulus from one above which it is counted as unstable."""
+
+
+@dataclass(frozen=True)
+class SymmetricSettings:
+    """How a family is searched and a connection refined.
+
+    energies: of the grid; phases: at which each orbit's tube is flown; farthest: radians between neighbours of the grid
+    that still count as one piece of the tube. distance: of seeds from their orbit, scaled; leaves: distance at which
+    the refined connection begins (its square is left out); segments: nodes per period; near: as for other connections;
+    accept: largest gap at a node (rad, rad/s); same: relative difference of energies between two connections.
+    """
+
+    energies: int = 24
+    phases: int = 400
+    farthest: float = 1.0
+    distance: float = 1e-4
+    leaves: float = 3e-7
+    segments: int = 8
+    near: float = 1e-3
+    iterations: int = 25
+    accept: float = 1e-10
+    same: float = 1e-7
+
+
+@dataclass(frozen=True)
+class SymmetricSearch:
+    """Symmetric homoclinic connections of one family between two energies.
+
+    searched: the energies in J between which the family could be searched. failed: zeros of the map whose refinement
+    did not converge.
+    """
+
+    saddle: str
+    family: int
+    hit: int
+    searched: tuple[float, float]
+    connections: tuple[Connection, ...]
+    failed: int
+    status: str
+
+    def __repr__(self) -> str:
+        return f"<symmetric connections of {self.saddle}: {self.status}>"
+
+    def document(self) -> dict[str, Any]:
+        """Return what `dpcontrol connect --energies --json` prints."""
+        return {
+            "count": len(self.connections),
+            "connections": [
+                {"energy": c.source.energy, "floquet_multipliers": c.source.floquet_multipliers, **c.document()}
+                for c in self.connections
+            ],
+            "from": self.saddle,
+            "to": self.saddle,
+            "hits": [self.hit, self.hit],
+            "complete": False,
+            **picked(self, "family", "searched", "failed", "status"),
+        }
+
+
+def find_symmetric_connections(
+    system: System,
+    saddle: str,
+    *,
+    energies: tuple[float, float],
+    family: int = 0,
+    hit: int = 1,
+    settings: SymmetricSettings | None = None,
+    progress: Progress = no_progress,
+) -> SymmetricSearch:
+    """Find homoclinic connections of a family that its symmetry makes, each at its own energy in J.
+
+    hit: which passage of the standing arm through its lowest position is the middle.
+
+    Raises:
+        InputError: an unknown saddle or family, energies on the wrong side of the saddle's or in no order, or a system
+            of other than three coordinates.
+    """
+    settings = settings or SymmetricSettings()
+    if system.dimension != 6:
+        raise InputError(
+            f"{system.name} has {system.dimension // 2} coordinates, and connections at every energy: give one energy, "
+            "or look for bifurcations between two"
+        )
+    low, high = (float(energy) for energy in energies)
+    if not low < high:
+        raise InputError(f"energies = {low:g} {high:g}: give the lower one first, in J")
+    search = _Search(system, saddle, family, hit, settings)
+    rows: list[_Row] = []
+    ended = ""
+    for k, energy in enumerate(np.linspace(low, high, settings.energies).tolist()):
+        progress(f"tubes of {saddle} at {energy:.4g} J", 0.8 * k / settings.energies)
+        # The first comes from its saddle, the others each from the one before.
+        orbit = (
+            search.member(rows[-1].orbit, energy)
+            if rows
+            else lyapunov_orbit(system, saddle, energy=energy, family=family)
+        )
+        ended = _unfit(orbit)
+        if ended:
+            break
+        rows.append(search.flown(orbit))
+    found: list[Connection] = []
+    failed = 0
+    zeros = list(search.zeros(rows))
+    for k, (orbit, branch, phase) in enumerate(zeros):
+        progress(f"{len(zeros)} candidates", 0.8 + 0.2 * k / len(zeros))
+        connection = search.refined(orbit, branch, phase, (high - low) / settings.energies)
+        if connection is None:
+            failed += 1
+        elif low <= connection.source.energy <= high and not any(search.same(connection, one) for one in found):
+            found.append(connection)
+    found.sort(key=lambda c: c.source.energy)
+    progress("connections", 1.0)
+    reached = (low, rows[-1].orbit.energy) if rows else (low, low)
+    status = (
+        f"at least {len(found)} between {reached[0]:g} and {reached[1]:g} J, each at an energy of its own and with a "
+        "mirror image that turns the other way"
+    )
+    if failed:
+        status += f"; {failed} candidates did not converge: search a narrower range"
+    if ended:
+        status += f"; not searched beyond: {ended}"
+    return SymmetricSearch(saddle, family, hit, reached, tuple(found), failed, status)
+
+
+def _unfit(orbit: LyapunovOrbit) -> str:
+    """Return why an orbit's tube is not searched, or ""."""
+    if not orbit.converged:
+        return orbit.status
+    unstable = int(np.sum(np.abs(orbit.floquet_multipliers) > 1 + _HYPERBOLIC))
+    return "" if unstable == 1 else f"at {orbit.energy:g} J the orbit has {unstable} unstable directions"
+
+
+@dataclass(frozen=True)
+class _Row:
+    """An orbit of the grid, and where each branch of its tube arrives: other arms' angles (B, P, n - 1)."""
+
+    orbit: LyapunovOrbit
+    branches: tuple[int, ...]
+    gaps: Array
+
+
+@dataclass(frozen=True)
+class _Search:
+    system: System
+    saddle: str
+    family: int
+    hit: int
+    settings: SymmetricSettings
+
+    @cached_property
+    def problem(self) -> SymmetricShooting:
+        return shooting_problem(self.system, self.saddle, self.family)[0]
+
+    @cached_property
+    def arm(self) -> int:
+        """The arm that stands at the saddle: the one that the unstable direction moves most."""
+        centre, n = self.system.equilibrium(self.saddle), self.system.dimension // 2
+        values, vectors = np.linalg.eig(self.system.numeric.jacobian(centre))
+        return int(np.argmax(np.abs(vectors[:n, np.argmax(np.real(values))])))
+
+    @cached_property
+    def section(self) -> Section:
+        """Where the standing arm hangs."""
+        n, period = self.system.dimension // 2, float(self.system.periods[self.arm])
+        row = tuple(float(i == self.arm) for i in range(2 * n))
+        hanging = float(self.system.equilibrium(self.saddle)[self.arm]) + period / 2
+        return Section(f"arm {self.arm + 1} hanging", row, row, row[:n], offset=hanging, period=period)
+
+    def member(self, near: LyapunovOrbit, energy: float) -> LyapunovOrbit:
+        """Return the family's orbit at an energy, from one nearby."""
+        problem = self.problem
+        guess = np.append(problem.start.T @ (near.state - problem.centre), near.period / problem.quarters)
+        found = problem.member(guess, energy, iterations=12, tolerance=1e-12)
+        converged = found.residual < 1e-12
+        return described_orbit(
+            problem,
+            found.unknowns if converged else guess,
+            saddle=self.saddle,
+            family=self.family,
+            energy=energy,
+            newton_residual=found.residual,
+            converged=converged,
+            status="converged" if converged else f"the family could be followed only to {near.energy:.6g} J",
+        )
+
+    def flown(self, orbit: LyapunovOrbit) -> _Row:
+        """Fly the orbit's tube to the section."""
+        settings, manifold = self.settings, local_manifold(orbit, self.settings.distance)
+        branches = (1,) if manifold.branches_are_mirrored else (1, -1)
+        phases, gaps = np.arange(settings.phases) / settings.phases, []
+        others = [i for i in range(self.system.dimension // 2) if i != self.arm]
+        for branch in branches:
+            met = self.system.propagator.crossings(
+                manifold.seeds(phases, branch)[0],
+                self.section,
+                longest=self.system.flight_periods * orbit.period,
+                hit=self.hit,
+            )
+            nowhere = np.full(self.system.dimension, np.nan)
+            states = np.array([nowhere if one is None else one.state for one in met])
+            gaps.append(self._off(states)[:, others])
+        return _Row(orbit, branches, np.array(gaps))
+
+    def _off(self, states: Array) -> Array:
+        """Return how far the angles (…, n) of states (…, N) are from the nearest at which their arms hang or stand."""
+        n = self.system.dimension // 2
+        half = self.system.periods[:n] / 2
+        off = states[..., :n] - self.problem.centre[:n]
+        return off - np.rint(off / half) * half
+
+    def zeros(self, rows: list[_Row]) -> Iterator[tuple[LyapunovOrbit, int, float]]:
+        """Yield (nearest orbit of the grid, branch, phase) of each triangle that is mapped around the origin."""
+        count = self.settings.phases
+        along = np.arange(count)
+        for below, above in pairwise(rows):
+            for b, branch in enumerate(below.branches):
+                here, there = below.gaps[b], above.gaps[b]
+                onward = [np.roll(gaps, -1, axis=0) for gaps in (here, there)]
+                for corners, places, row in (
+                    ((here, there, onward[0]), (0, 0, 1), below),
+                    ((onward[1], there, onward[0]), (1, 0, 1), above),
+                ):
+                    first, second, third = corners
+                    sides = np.stack([second - first, third - first], axis=-1)
+                    with np.errstate(invalid="ignore"):
+                        smooth = np.abs(sides).max(axis=(1, 2)) < self.settings.farthest
+                        area = np.linalg.det(sides)
+                        flat = ~smooth | (area == 0)
+                    sides[flat] = np.eye(2)
+                    shares = np.linalg.solve(sides, -first[..., None])[..., 0]
+                    inside = ~flat & (shares >= 0).all(axis=1) & (shares.sum(axis=1) <= 1)
+                    for p in along[inside]:
+                        weights = np.array([1 - shares[p].sum(), *shares[p]])
+                        yield row.orbit, branch, float((p + weights @ np.array(places)) / count % 1.0)
+
+    def refined(self, orbit: LyapunovOrbit, branch: int, phase: float, spacing: float) -> Connection | None:
+        """Refine a zero by multiple shooting with the energy, the phase and the time free; None where it fails."""
+        settings = self.settings
+        manifold = local_manifold(orbit, settings.distance)
+        amplitude = manifold.amplitude(phase, branch)
+        seed = ManifoldEnd(manifold, False, phase, amplitude, (0.0,) * self.system.dimension)
+        lead = float(np.log(settings.distance / settings.leaves)) / manifold.exponent * orbit.period
+        met = self.system.propagator.crossing(
+            seed.states(np.zeros(1))[0],
+            self.section,
+            longest=self.system.flight_periods * orbit.period,
+            hit=self.hit,
+        )
+        if met is None:
+            return None
+        count = int(np.ceil((lead + met.time) / orbit.period * settings.segments))
+        times = np.linspace(-lead, met.time, count + 1)
+        before = times < 0
+        states = np.vstack([
+            seed.states(times[before]), self.system.propagator.sample(seed.states(np.zeros(1))[0], times[~before])
+        ])  # fmt: skip
+        start = seed.moved(-lead)
+        target = states[-1][: self.system.dimension // 2] - self._off(states[-1])
+        shot = self._shot(_Half(start, states[:-1], lead + met.time), target, spacing)
+        return None if shot is None else self._described(*shot)
+
+    def _shot(self, half: "_Half", target: Array, spacing: float) -> "tuple[_Half, Array, float] | None":
+        """Solve from the orbit to where the angles are `target` (n,); returns the half, its middle and the gap."""
+        system, n = self.system, self.system.dimension // 2
+        best: tuple[_Half, Array, float] | None = None
+        for _ in range(self.settings.iterations):
+            nodes, count = half.states, len(half.states)
+            try:
+                start, slopes = self._start(half)
+                nodes = np.vstack([start, nodes[1:]])
+                ends, matrices = system.propagator.flows_with_stm(nodes, np.full(count, half.duration / count))
+            except (ArithmeticError, np.linalg.LinAlgError):
+                break
+            gaps = ends - np.vstack([nodes[1:], np.concatenate([target, ends[-1][n:]])])
+            worst = float(np.abs(gaps).max())
+            if best is None or worst < best[2]:
+                best = (replace(half, states=nodes), np.concatenate([target, ends[-1][n:]]), worst)
+            elif best[2] < self.settings.accept:
+                break
+            size = 2 * n * (count - 1)
+            matrix = np.zeros((size + n, 3 + size))
+            for k in range(count):
+                rows = slice(2 * n * k, 2 * n * k + (2 * n if k < count - 1 else n))
+                cut = rows.stop - rows.start
+                matrix[rows, 2] = system.numeric.rate(ends[k])[:cut] / count
+                if k == 0:
+                    matrix[rows, :2] = (matrices[0] @ slopes)[:cut]
+                else:
+                    matrix[rows, 3 + 2 * n * (k - 1) : 3 + 2 * n * k] = matrices[k][:cut]
+                if k < count - 1:
+                    matrix[rows, 3 + 2 * n * k : 3 + 2 * n * (k + 1)] -= np.eye(2 * n)
+            step = np.linalg.lstsq(matrix, -gaps.ravel()[: size + n], rcond=None)[0]
+            # The linear picture holds for about a cell of the grid.
+            step /= max(1.0, abs(step[0]) / spacing, abs(step[1]) * self.settings.phases / 4)
+            orbit = self.member(half.start.manifold.orbit, half.start.manifold.orbit.energy + step[0])
+            if not orbit.converged:
+                break
+            manifold = local_manifold(orbit, half.start.manifold.distance)
+            sign = np.sign(manifold.vector @ half.start.manifold.vector)
+            half = _Half(
+                replace(half.start, manifold=manifold, phase=half.start.phase + step[1],
+                        amplitude=sign * half.start.amplitude),
+                np.vstack([nodes[:1], nodes[1:] + step[3:].reshape(-1, 2 * n)]),
+                half.duration + step[2],
+            )  # fmt: skip
+        return best if best is not None and best[2] < self.settings.accept else None
+
+    def _start(self, half: "_Half") -> tuple[Array, Array]:
+        """Return the half's first state (N,) and its derivatives (N, 2) by energy and phase."""
+        end = half.start
+        orbit, vector = end.manifold.orbit, end.manifold.vector
+        frame = end.manifold.frame(np.array([end.phase]))
+        by_phase = frame.state_slopes[0] + end.amplitude * frame.vector_slopes[0]
+        nudge = 1e-6 * self.system.energy_scale
+        sides = []
+        for energy in (orbit.energy - nudge, orbit.energy + nudge):
+            manifold = local_manifold(self.member(orbit, energy), end.manifold.distance)
+            moved = replace(end, manifold=manifold, amplitude=np.sign(manifold.vector @ vector) * end.amplitude)
+            sides.append(moved.states(np.zeros(1))[0])
+        return end.states(np.zeros(1))[0], np.column_stack([(sides[1] - sides[0]) / (2 * nudge), by_phase])
+
+    def _described(self, half: "_Half", middle: Array, residual: float) -> Connection:
+        """Return the whole connection of a solved half, its image under the reverser about the middle."""
+        system, n = self.system, self.system.dimension // 2
+        orbit, centre = half.start.manifold.orbit, self.problem.centre
+        # Arms have two reversers: the first makes stable tubes; the last turns all angles over, and is the first after
+        # the half turn that leads the orbit half a period on.
+        reverser, half_turn = system.reversers[-1], half.start.manifold.half_turn
+        assert half_turn is not None
+        turns = np.zeros(2 * n)
+        turns[:n] = np.rint(2 * (middle[:n] - centre[:n]) / system.periods[:n])
+        before = half.states
+        after = (before[::-1] - centre) @ reverser.T + centre + turns * system.turn_lengths
+        count = len(before)
+        times = np.linspace(-half.duration, half.duration, 2 * count + 1)
+        end = replace(
+            half.start,
+            stable=True,
+            phase=half.start.phase + 0.5,
+            amplitude=half_turn[1] * half.start.amplitude,
+            turns=tuple(float(k) for k in turns),
+        )
+        whole = ShootingOrbit(
+            system=system,
+            times=times,
+            states=np.vstack([before, middle, after]),
+            ends=(half.start, end),
+            turn=None,
+            residual=residual,
+            iterations=0,
+            converged=True,
+            status="converged",
+        )
+        time_out, phase_out = approach(whole, OrbitCurve(orbit), -1, self.settings.near)
+        time_in, phase_in = approach(whole, OrbitCurve(orbit), +1, self.settings.near)
+        winding = tuple(int(k) for k in turns[:n])
+        name = f"{orbit.name}>{orbit.name}[{','.join(map(str, winding))}]h{self.hit}.{self.hit}@{orbit.energy:.6f}J"
+        return Connection(
+            name=name,
+            source=orbit,
+            target=orbit,
+            section=self.section,
+            state=middle,
+            winding=winding,
+            sense=int(np.sign(winding[self.arm])),
+            symmetric=True,
+            residual=residual,
+            transversality_angle=float("nan"),
+            hits=(self.hit, self.hit),
+            time_out=time_out,
+            time_in=time_in,
+            phase_out=phase_out,
+            phase_in=phase_in,
+            orbit=whole,
+        )
+
+    def same(self, first: Connection, second: Connection) -> bool:
+        """Tell whether two connections are one, or mirror images of one another."""
+        apart = abs(first.source.energy - second.source.energy) / self.system.energy_scale
+        return apart < self.settings.same and [abs(k) for k in first.winding] == [abs(k) for k in second.winding]
+
+
+@dataclass(frozen=True)
+class _Half:
+    """A connection's first half: where it leaves its orbit, its nodes (M, N), and the s it takes to the middle."""
+
+    start: ManifoldEnd
+    states: Array
+    duration: float

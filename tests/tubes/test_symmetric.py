@@ -1,0 +1,93 @@
+"""Symmetric connections of three arms: at isolated energies, against scipy's DOP853."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+import dpcontrol as dp
+from dpcontrol.orbits.manifold import OrbitCurve
+from dpcontrol.tubes.connections import Connection
+from dpcontrol.tubes.symmetric import SymmetricSettings, find_symmetric_connections
+
+SYSTEM = dp.load_model("triple").system
+COARSE = SymmetricSettings(energies=3, phases=120)
+SAME = 1e-9
+
+
+@pytest.fixture(scope="module")
+def turn() -> Connection:
+    """The connection on which the outermost arm turns once, on the first passage through its lowest position."""
+    search = find_symmetric_connections(SYSTEM, "down-down-up", energies=(-1.02, -0.99), settings=COARSE)
+    assert len(search.connections) == 1
+    assert search.failed == 0
+    return search.connections[0]
+
+
+def _flown(start: np.ndarray, times: np.ndarray) -> np.ndarray:
+    done = solve_ivp(
+        lambda _, x: SYSTEM.numeric.rate(x),
+        (times[0], times[-1]),
+        start,
+        method="DOP853",
+        t_eval=times,
+        rtol=3e-14,
+        atol=1e-15,
+    )
+    return done.y.T
+
+
+def test_the_outermost_arm_turns_once_between_two_moments_on_one_orbit(turn: Connection) -> None:
+    assert turn.winding == (0, 0, 1)
+    assert turn.symmetric
+    assert turn.residual < 1e-12
+    assert turn.time_out == pytest.approx(turn.time_in, abs=1e-9)
+    assert np.abs(turn.state[:3] - [0.0, 0.0, 2 * np.pi]).max() == 0.0
+
+
+def test_dop853_flies_each_segment_to_the_next_node(turn: Connection) -> None:
+    orbit = turn.orbit
+    for k, state in enumerate(orbit.states[:-1]):
+        assert np.abs(_flown(state, orbit.times[k : k + 2])[-1] - orbit.states[k + 1]).max() < SAME
+    energies = SYSTEM.numeric.hamiltonian(orbit.states)
+    assert np.abs(energies - turn.source.energy).max() < SAME
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_flown_from_the_middle_it_comes_to_its_orbit_either_way(turn: Connection, sign: float) -> None:
+    """Rounding grows on the way in as the distance shrinks: 1e-6 of a distance of 3e-7 is what is left."""
+    times = sign * np.linspace(0.0, turn.orbit.times[-1], 400)
+    _, distances = OrbitCurve(turn.source).distances(_flown(turn.state, times))
+    assert distances[0] > 0.1
+    assert distances[-1] < 1e-6
+
+
+def test_it_exists_at_its_own_energy_only(turn: Connection) -> None:
+    """Beside that energy the tube passes the middle at a distance that grows as the energy's."""
+    searches = [
+        find_symmetric_connections(SYSTEM, "down-down-up", energies=energies, settings=COARSE)
+        for energies in ((-1.02, turn.source.energy - 1e-4), (turn.source.energy + 1e-4, -0.99))
+    ]
+    assert [search.connections for search in searches] == [(), ()]
+    assert all(search.status.startswith("at least 0 between") for search in searches)
+
+
+def test_the_front_door_searches_the_orbits_family(turn: Connection) -> None:
+    orbit = dp.orbit(dp.load_model("triple"), "down-down-up", energy=-1.02)
+    with pytest.raises(dp.InputError, match="isolated energies"):
+        dp.connections(orbit)
+    with pytest.raises(dp.InputError, match="the same one"):
+        dp.connections(orbit, energies=(-1.02, -0.99), hits=(1, 2))
+    with pytest.raises(dp.InputError, match="the lower one first"):
+        dp.connections(orbit, energies=(-0.99, -1.02))
+
+
+def test_two_arms_are_told_to_give_one_energy() -> None:
+    orbit = dp.orbit(dp.load_model("lab"), "down-up", energy=-0.07)
+    with pytest.raises(dp.InputError, match="2 coordinates, and connections at every energy"):
+        dp.connections(orbit, energies=(-0.1, -0.07))
+
+
+def test_a_family_of_more_unstable_directions_is_left_with_a_sentence() -> None:
+    search = find_symmetric_connections(SYSTEM, "down-down-up", energies=(-0.85, -0.7), family=1, settings=COARSE)
+    assert search.searched[1] < -0.7
+    assert "2 unstable directions" in search.status
