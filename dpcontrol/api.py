@@ -573,17 +573,23 @@ def open_recording(
 
 
 def picture(
-    result: "Run | Plan | ShadowingOrbit | Atlas", *, file: Place | None = None, film: Place | None = None
+    result: "Run | Plan | ShadowingOrbit | Atlas",
+    *,
+    transitions: bool = False,
+    file: Place | None = None,
+    film: Place | None = None,
 ) -> "Figure":
     """Draw a run, a plan, a walk's orbit or an atlas as a figure of matplotlib.
 
-    file: the PNG or PDF to write as well, if any. film: the GIF, WebP or MP4, which shows the motion in real time.
+    transitions: of a plan, its transfers between equilibria instead, each in a picture of its own. file: the PNG or PDF
+    to write as well, if any. film: the GIF, WebP or MP4, which shows the motion in real time.
 
     >>> len(dp.picture(walk).axes) > 1
     True
 
     Raises:
-        InputError: a file cannot be written; a film is of an atlas, or of a system without arms.
+        InputError: a file cannot be written; a film is of an atlas, or of a system without arms; transitions are asked
+            of what has none.
     """
     from dpcontrol.references.reference import summarised
     from dpcontrol.review.atlas import draw_atlas
@@ -607,6 +613,12 @@ def picture(
         view = WalkStory(result, lengths).view(system.name)
     else:
         figure = draw_atlas(result)
+    if transitions:
+        if not isinstance(result, Plan):
+            raise InputError("transitions = True draws the transfers of a plan: give one")
+        from dpcontrol.review.transitions import draw_transitions
+
+        figure = draw_transitions(summarised(result.reference))
     if film is not None:
         if view is None:
             raise InputError(f"{film}: an atlas does not move: give a run, a plan or a walk's orbit")

@@ -119,7 +119,12 @@ _ORIGIN = ("program", "code", "scene_hash", "model_hash")
 
 @verb("reference", example="dpcontrol plan cross --out cross.npz; dpcontrol reference cross.npz")
 def reference_command(
-    *, file: Path = argument(), picture: Path | None = file_option(suffix=".png", help="Draw it to this PNG.")
+    *,
+    file: Path = argument(),
+    picture: Path | None = file_option(suffix=".png", help="Draw it to this PNG."),
+    transitions: Path | None = file_option(
+        suffix=".png", help="Draw its transfers between equilibria to this PNG, from each row's to each column's."
+    ),
 ) -> Answer:
     """Show a reference: what it does, its use of the cart's limits, its effort, mesh and error, what it was made from.
 
@@ -137,12 +142,17 @@ def reference_command(
             from dpcontrol.review.page import draw, save_figure
 
             save_figure(draw(reference_view(summary, file)), picture)
+        if transitions is not None:
+            from dpcontrol.review.page import save_figure
+            from dpcontrol.review.transitions import draw_transitions
+
+            save_figure(draw_transitions(summary), transitions)
     except InputError as error:
         raise InputError(f"{file}: {error}") from error
     except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
         raise InputError(f"{file} is a reference, but its notes are not those of a plan: {error}") from error
-    document = {"file": file, **document, "picture": picture}
-    return Answer(document, [*_reference_text(document), *drawn_to(picture)])
+    document = {"file": file, **document, "picture": picture, "transitions": transitions}
+    return Answer(document, [*_reference_text(document), *drawn_to(picture), *drawn_to(transitions)])
 
 
 def _reference_text(document: Mapping[str, Any]) -> Iterator[str | TextTable]:

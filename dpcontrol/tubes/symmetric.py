@@ -127,7 +127,7 @@ def find_symmetric_connections(
     low, high = (float(energy) for energy in energies)
     if not low < high:
         raise InputError(f"energies = {low:g} {high:g}: give the lower one first, in J")
-    search = _Search(system, saddle, family, hit, settings)
+    search = _FamilySearch(system, saddle, family, hit, settings)
     rows: list[_Row] = []
     ended = ""
     for k, energy in enumerate(np.linspace(low, high, settings.energies).tolist()):
@@ -184,7 +184,7 @@ class _Row:
 
 
 @dataclass(frozen=True)
-class _Search:
+class _FamilySearch:
     system: System
     saddle: str
     family: int

@@ -10,6 +10,7 @@ from command_line import dpcontrol
 from quick_rate import quick_rate
 from scipy.integrate import solve_ivp
 
+import dpcontrol as dp
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.control.tracking import TvlqrSettings, riccati_gains, terminal_cost
 from dpcontrol.dynamics.chain import Level, equations_of
@@ -231,3 +232,20 @@ def test_three_arms_are_led_between_their_equilibria_as_two_are(tmp_path: Path) 
     plan = make_plan(load_itinerary(str(scene(tmp_path, "down-down-down", "down-down-up", model="triple"))))
     assert [stop["saddle"] for stop in plan.notes["stops"]] == ["down-down-down", "down-down-up", "down-down-down"]
     assert plan.converged
+
+
+def test_transitions_fill_a_square_and_are_refused_where_there_are_none(there_and_back: Plan, tmp_path: Path) -> None:
+    file, picture = tmp_path / "tour.npz", tmp_path / "square.png"
+    file.write_bytes(there_and_back.archive)
+    answer = dpcontrol("reference", str(file), "--transitions", str(picture), "--json")
+    assert answer.document["transitions"] == str(picture)
+    assert picture.stat().st_size > 10_000
+    figure = dp.picture(there_and_back, transitions=True)
+    # Two equilibria: there and back beside the two themselves, each with its arms and its cart.
+    assert [len(axes.lines) for axes in figure.axes] == [3, 19, 19, 3]
+    assert [bool(axes.texts) for axes in figure.axes] == [False, True, True, False]
+    dpcontrol("plan", "cross", "--out", str(file))
+    refused = dpcontrol("reference", str(file), "--transitions", str(tmp_path / "none.png"))
+    assert refused.code == 2
+    assert "cross has no transfers from one equilibrium to another" in refused.stderr
+    assert not (tmp_path / "none.png").exists()
