@@ -12,6 +12,9 @@ INTERRUPTED = 130
 
 def main() -> None:
     """Run the command line and exit."""
+    # Matrices are small here: threads of a BLAS cost more than they bring, up to four times the seconds on two cores,
+    # and let the last digits depend on how many there are.
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
     # The command line's own imports take a while; nothing is begun before they are done.
     signal.signal(signal.SIGINT, _ended_at_once)
     from dpcontrol.foundation.interrupts import end_by_force_where_deaf, interrupt_taken

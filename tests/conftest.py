@@ -3,6 +3,10 @@ are kept meanwhile.
 """
 
 import os
+
+# As the command line does: threads of a BLAS only hinder one another, between workers most of all.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
 from collections.abc import Iterator
 from typing import Any
 
