@@ -419,6 +419,7 @@ def campaign(
     options: RunOptions | None = None,
     over: Mapping[str, Sequence[float | int | str]] | None = None,
     first_seed: int = 0,
+    transitions: bool = False,
     workers: int = 0,
     out: Place | None = None,
     force: bool = False,
@@ -428,8 +429,9 @@ def campaign(
     """Run a plan, or an itinerary by name, with many seeds, and count how often it is completed.
 
     mismatch, plant, options: see `run`; over: values of options that are varied by name, each combination a case of
-    `runs` seeds from `first_seed` on. workers: processes, 0 for one on each processor. out: the Parquet file to write
-    the rows to, if any; force: also where there is that of another campaign. yes: however long it takes.
+    `runs` seeds from `first_seed` on. transitions: each transfer from hold to hold alone. workers: processes, 0 for one
+    on each processor. out: the Parquet file to write the rows to, if any; force: also where there is that of another
+    campaign. yes: however long it takes.
 
     >>> dp.campaign("outer-turn", runs=4, mismatch=0.02).completed.rate
     1.0
@@ -446,8 +448,9 @@ def campaign(
         settings = CampaignSettings(runs=runs, first_seed=first_seed, workers=workers)
         file = None if out is None else Path(out)
         return run_campaign(
-            planned, cases, file, settings=settings, force=force, yes=yes, progress=part_of(report, 0.1, 1.0)
-        )
+            planned, cases, file, settings=settings, transitions=transitions, force=force, yes=yes,
+            progress=part_of(report, 0.1, 1.0),
+        )  # fmt: skip
 
 
 def swings(model: Model, *, count: int = 9, seconds: float = 2.667, seed: int = 0, yes: bool = False) -> "Recording":

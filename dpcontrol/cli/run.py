@@ -480,6 +480,7 @@ def campaign_command(
     seed_from: int = option(type=click.IntRange(min=0), default=0, help="First seed."),
     over: tuple[Any, ...] = option(type=_Values(), help="Vary a run setting: one case for each value."),
     standard: bool = option(help="The robustness score: nine kinds of trouble, 21 levels each."),
+    transitions: bool = option(help="Each transfer from hold to hold alone, instead of all in one run."),
     how: Literal["compiled", "ticks"] = option(
         "--path", default="compiled", group=WORK, help="Many seeds in lockstep, or the loop itself."
     ),
@@ -515,6 +516,8 @@ def campaign_command(
     varied = dict(over)
     if len(varied) != len(over):
         raise InputError("--over: the same setting is given twice; list its values in one, separated by commas")
+    if standard and transitions:
+        raise InputError("--transitions: the robustness score is of a whole itinerary; leave out --standard")
     if standard:
         controllers = varied.pop("controller", [fixed.controller or scene.loop.controller.kind])
         if varied:
@@ -522,13 +525,15 @@ def campaign_command(
         cases = standard_cases(scene, fixed=fixed, controllers=controllers)
     else:
         cases = cases_of(scene, fixed=fixed, over=varied)
-    file = out or Path("logs") / f"{scene.name}.parquet"
+    file = out or Path("logs") / f"{scene.name}{'-transitions' if transitions else ''}.parquet"
     # What writes the table, before the plan, which can take minutes.
     part("pyarrow")
     with progress_bar("campaign") as progress:
         plan = make_plan(scene, progress=part_of(progress, 0.0, 0.05), yes=yes)
         rest = part_of(progress, 0.05, 1.0)
-        found = run_campaign(plan, cases, file, settings=settings, force=force, yes=yes, progress=rest)
+        found = run_campaign(
+            plan, cases, file, settings=settings, transitions=transitions, force=force, yes=yes, progress=rest
+        )
     scores = standard_scores(found.results) if standard else ()
     document = {**found.document(), "standard": [score.document() for score in scores]}
     return Answer(document, _text(found, scores))
@@ -551,9 +556,16 @@ def _text(found: "Campaign", scores: Sequence["StandardScore"]) -> Iterator[str 
                 f"  same seeds: only {first!r} completed {pair.only_first}, only {second!r} {pair.only_second} "
                 f"(McNemar p = {pair.p_value:.2g})"
             )
+        if found.transitions:
+            yield table("Each alone", found.transitions, {
+                "transition": "{.name}", "case": "{.case}",
+                "completed": "{0.completed.successes} of {0.completed.runs}",
+                "cart at most (m)": "{.max_cart_position:.3f}", "rms (m/s²)": "{.rms_cart_acceleration:.2f}",
+            })  # fmt: skip
         failures = [row for r in found.results for row in r.failures]
         for failure in failures[:SHOWN]:
-            yield f"  seed {failure['seed']}: {failure['reason']}"
+            which = f"{failure['itinerary']}, " if found.transitions else ""
+            yield f"  {which}seed {failure['seed']}: {failure['reason']}"
         if len(failures) > SHOWN:
             yield f"  … and {len(failures) - SHOWN} more in the file"
     pace = found.simulated_seconds / max(found.seconds, 1e-9)

@@ -41,7 +41,7 @@ import threading
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -71,7 +71,7 @@ from dpcontrol.loop.loop import (
 from dpcontrol.loop.result import BatchRun, Ending
 from dpcontrol.references.reference import Reference, load_reference
 from dpcontrol.review.score import Flown, verdict_on
-from dpcontrol.scenes.itinerary import Itinerary
+from dpcontrol.scenes.itinerary import HoldPart, Itinerary
 from dpcontrol.scenes.plan import Plan, recoverable
 from dpcontrol.scenes.run_options import RunOptions
 
@@ -336,6 +336,24 @@ class CaseResult:
 
 
 @dataclass(frozen=True)
+class Transition:
+    """Runs of one transition in one case: how many were completed, and why the others were not. max_cart_position m,
+    rms_cart_acceleration m/s², its mean over the runs.
+    """
+
+    name: str
+    case: str
+    completed: Share
+    max_cart_position: float
+    rms_cart_acceleration: float
+    reasons: tuple[str, ...]
+
+    def document(self) -> dict[str, Any]:
+        """Return the transition in JSON's terms."""
+        return {**asdict(self), **share_document(self.completed)}
+
+
+@dataclass(frozen=True)
 class Campaign:
     """What came out. completed: of all cases; pairs: (first case, second case, comparison) for each two of a few cases.
     table: of all runs, in columns (Arrow); file: where it is kept, if it is.
@@ -365,6 +383,26 @@ class Campaign:
         """Each run by the names of `COLUMNS`, and the numbers that vary."""
         return tuple(self.table.to_pylist())
 
+    @cached_property
+    def transitions(self) -> tuple["Transition", ...]:
+        """Each transition alone, where they were run so, in their order, and case by case."""
+        rows: dict[tuple[str, str], list[Row]] = {}
+        for row in self.rows:
+            rows.setdefault((row["itinerary"], row["case"]), []).append(row)
+        if all(name == self.itinerary for name, _ in rows):
+            return ()
+        return tuple(
+            Transition(
+                name,
+                case,
+                wilson(sum(row["completed"] for row in runs), len(runs)),
+                max(row["max_cart_position"] for row in runs),
+                float(np.mean([row["rms_cart_acceleration"] for row in runs])),
+                tuple(dict.fromkeys(row["reason"] for row in runs if not row["completed"])),
+            )
+            for (name, case), runs in rows.items()
+        )
+
     def frame(self) -> "DataFrame":
         """Return a pandas table, one row for each run.
 
@@ -379,7 +417,7 @@ class Campaign:
 
     def document(self) -> dict[str, Any]:
         """Return what `dpcontrol campaign --json` prints."""
-        kept = ["seed", "symbol", "reason", "ending", "replays"]
+        kept = [*(["itinerary"] if self.transitions else []), "seed", "symbol", "reason", "ending", "replays"]
         cases = [
             {
                 "case": r.case.label,
@@ -396,6 +434,7 @@ class Campaign:
             "failures": [{**f, "case": c["case"]} for c in cases for f in c["failures"]],
             "cases": cases,
             "pairs": [{"first": a, "second": b, **asdict(pair)} for a, b, pair in self.pairs],
+            "transitions": [one.document() for one in self.transitions],
             "standard": [],
             "seconds": self.seconds,
             "simulated_seconds": self.simulated_seconds,
@@ -434,20 +473,44 @@ def cases_of(itinerary: Itinerary, *, fixed: RunOptions, over: Mapping[str, Sequ
     return tuple(cases)
 
 
+def transitions_of(plan: Plan) -> tuple[Plan, ...]:
+    """Return plans of an itinerary's transfers alone, each from the hold before it to the hold after, named by the two.
+
+    Raises:
+        InputError: no two holds at different equilibria follow one another.
+    """
+    # What is kept needs nothing of what makes plans.
+    from dpcontrol.scenes.planning import planned
+
+    scene, found = plan.itinerary, {}
+    for before, after in itertools.pairwise(scene.parts):
+        if isinstance(before, HoldPart) and isinstance(after, HoldPart) and before.hold != after.hold:
+            name = f"{before.hold} to {after.hold}"
+            alone = replace(scene, name=name, title=name, parts=(before, after), start="hold", finish="hold")
+            if name not in found:
+                reference, notes, arrays = planned(alone, taken=False)
+                reference = replace(reference, notes={**reference.notes, **notes}, extra={**reference.extra, **arrays})
+                found[name] = Plan(alone, reference, plan.file, cached=True)
+    if not found:
+        raise InputError(f"{scene.name} has no transitions: they lead from one hold straight to another; see twelve")
+    return tuple(found.values())
+
+
 def run_campaign(
     plan: Plan,
     cases: Sequence[Case],
     file: Path | None = None,
     *,
     settings: CampaignSettings,
+    transitions: bool = False,
     force: bool = False,
     progress: Progress = no_progress,
     yes: bool = False,
 ) -> Campaign:
     """Run every case on every seed; write the rows to `file`, if one is wanted, whole or not at all.
 
-    force: replace what is there, whatever it is. Interrupted, it leaves what is finished beside the file, and goes on
-    from there when it is run again.
+    transitions: of an itinerary of holds each transfer alone instead. force: replace what is there, whatever it is.
+    Interrupted, it leaves what is finished beside the file, and goes on from there when it is run again.
 
     Raises:
         InputError: the file cannot be written; no cluster answers; the settings do not fit the plan.
@@ -456,15 +519,16 @@ def run_campaign(
     pa = part("pyarrow")
     began = time.perf_counter()
     itinerary = plan.itinerary
-    announce(_cost(plan.followed(), cases, settings), yes=yes)
+    plans = transitions_of(plan) if transitions else (plan.followed(),)
+    announce(_cost(plans, cases, settings), yes=yes)
     # One plan serves all cases, those that end with a fall and those that go on.
     recovers = [case.loop for case in cases if case.loop.supervisor.on_fall != "stop"]
     if recovers:
         scene = replace(itinerary, loop=recovers[0])
         plan = replace(recoverable(replace(plan, itinerary=scene)), itinerary=itinerary)
-    jobs = _jobs(plan, cases, settings)
+    jobs = [job for one in (plans if transitions else (plan,)) for job in _jobs(one, cases, settings)]
     if file is not None and not force:
-        _check_replaced(file, _metadata(itinerary, cases, settings))
+        _check_replaced(file, _metadata(itinerary, cases, settings, transitions))
     extra = tuple(dict.fromkeys(name for case in cases for name in _numbers(case)))
     parts = None if file is None else file.with_name(file.name + ".parts")
     kept: dict[str, Any] = {}
@@ -478,7 +542,7 @@ def run_campaign(
             if parts is not None:
                 _write(parts / f"{job.key}.parquet", kept[job.key])
             progress(f"{len(kept)} of {len(jobs)} jobs", len(kept) / len(jobs))
-    metadata = _schema(extra, _metadata(itinerary, cases, settings)).metadata
+    metadata = _schema(extra, _metadata(itinerary, cases, settings, transitions)).metadata
     table = pa.concat_tables(kept[job.key] for job in jobs).replace_schema_metadata(metadata)
     if file is not None and parts is not None:
         _write(file, table)
@@ -497,7 +561,8 @@ def _check_replaced(file: Path, metadata: Mapping[str, Any]) -> None:
     if (table := _read(file)) is None:
         raise in_the_way(file, "is no table of a campaign")
     there, seeds = json.loads((table.schema.metadata or {}).get(METADATA, b"{}")), table["seed"].to_numpy()
-    same = all(there.get(key) == metadata[key] for key in ("itinerary", "model", "scene_hash", "model_hash", "cases"))
+    decisive = ("itinerary", "model", "scene_hash", "model_hash", "cases", "transitions")
+    same = all(there.get(key) == metadata.get(key) for key in decisive)
     first, runs, path = (metadata["settings"][key] for key in ("first_seed", "runs", "path"))
     covered = bool(((seeds >= first) & (seeds < first + runs)).all())
     if not same or not covered or there["settings"]["path"] != path:
@@ -509,10 +574,10 @@ _PACES = {"compiled": 100.0, "ticks": 5.0}
 _ROW_BYTES = 1000.0
 
 
-def _cost(plan: Plan, cases: Sequence[Case], settings: CampaignSettings) -> Cost:
+def _cost(plans: Sequence[Plan], cases: Sequence[Case], settings: CampaignSettings) -> Cost:
     """Return what a campaign will take, of this machine's processes or, on a cluster, of as many; all of it anew."""
-    runs = settings.runs * len(cases)
-    ticks = settings.runs * sum(case.loop.rate for case in cases) * plan.reference.duration
+    runs = settings.runs * len(cases) * len(plans)
+    ticks = settings.runs * sum(case.loop.rate for case in cases) * sum(plan.reference.duration for plan in plans)
     lasting = ticks / 1000 / _PACES[settings.path] / (settings.workers or processors())
     key = f"{runs:,} runs of {len(cases):,} case{'s' if len(cases) > 1 else ''}"
     return Cost(f"{ticks:,.2g} ticks of the loop", lasting, _ROW_BYTES * runs, key)
@@ -540,8 +605,11 @@ def _numbers(case: Case) -> dict[str, float]:
     return {name: float(value) for name, value in case.values if not isinstance(value, str) and name != "mismatch"}
 
 
-def _metadata(itinerary: Itinerary, cases: Sequence[Case], settings: CampaignSettings) -> dict[str, Any]:
+def _metadata(
+    itinerary: Itinerary, cases: Sequence[Case], settings: CampaignSettings, transitions: bool
+) -> dict[str, Any]:
     return {
+        **({"transitions": True} if transitions else {}),
         "version": dpcontrol.__version__,
         "itinerary": itinerary.name,
         "model": itinerary.model.name,

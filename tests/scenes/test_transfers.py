@@ -249,3 +249,25 @@ def test_transitions_fill_a_square_and_are_refused_where_there_are_none(there_an
     assert refused.code == 2
     assert "cross has no transfers from one equilibrium to another" in refused.stderr
     assert not (tmp_path / "none.png").exists()
+
+
+def test_each_transition_is_flown_alone_from_hold_to_hold(there_and_back: Plan, tmp_path: Path) -> None:
+    table = tmp_path / "legs.parquet"
+    found = dp.campaign(there_and_back, runs=2, over={"mismatch": (0.01, 0.5)}, transitions=True, workers=1, out=table)
+    named = [(one.name, one.case) for one in found.transitions]
+    legs = ("down-down to down-up", "down-up to down-down")
+    assert named == [(leg, case) for leg in legs for case in ("mismatch=0.01", "mismatch=0.5")]
+    assert [one.completed.runs for one in found.transitions] == [2] * 4
+    assert [result.completed.runs for result in found.results] == [4, 4]
+    # Half a second of each hold on either side of the transfer.
+    (begin, end), *_ = there_and_back.notes["transfers"]
+    assert found.rows[0]["simulated_seconds"] == pytest.approx(end - begin + 1.0, abs=0.01)
+    lost = [one for one in found.transitions if one.completed.successes < 2]
+    assert lost
+    assert all(one.reasons for one in lost)
+    assert found.document()["transitions"][0]["completed"] == found.transitions[0].completed.successes
+    # The whole itinerary's table is another one.
+    with pytest.raises(dp.InputError, match="another campaign"):
+        dp.campaign(there_and_back, runs=2, over={"mismatch": (0.01, 0.5)}, workers=1, out=table)
+    with pytest.raises(dp.InputError, match="no transitions"):
+        dp.campaign("cross", runs=1, transitions=True, workers=1)
