@@ -69,9 +69,9 @@ from dpcontrol.loop.loop import (
     run_loop,
 )
 from dpcontrol.loop.result import BatchRun, Ending
-from dpcontrol.references.reference import Reference, load_reference
+from dpcontrol.references.reference import PlanNotes, Reference, load_reference
 from dpcontrol.review.score import Flown, verdict_on
-from dpcontrol.scenes.itinerary import HoldPart, Itinerary
+from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.scenes.plan import Plan, recoverable
 from dpcontrol.scenes.run_options import RunOptions
 
@@ -474,25 +474,42 @@ def cases_of(itinerary: Itinerary, *, fixed: RunOptions, over: Mapping[str, Sequ
 
 
 def transitions_of(plan: Plan) -> tuple[Plan, ...]:
-    """Return plans of an itinerary's transfers alone, each from the hold before it to the hold after, named by the two.
+    """Return the parts of a plan that lead from one equilibrium to another, each with the rests before and after it.
+
+    Of several between the same two the first.
 
     Raises:
-        InputError: no two holds at different equilibria follow one another.
+        InputError: there is none.
     """
-    # What is kept needs nothing of what makes plans.
-    from dpcontrol.scenes.planning import planned
-
-    scene, found = plan.itinerary, {}
-    for before, after in itertools.pairwise(scene.parts):
-        if isinstance(before, HoldPart) and isinstance(after, HoldPart) and before.hold != after.hold:
-            name = f"{before.hold} to {after.hold}"
-            alone = replace(scene, name=name, title=name, parts=(before, after), start="hold", finish="hold")
-            if name not in found:
-                reference, notes, arrays = planned(alone, taken=False)
-                reference = replace(reference, notes={**reference.notes, **notes}, extra={**reference.extra, **arrays})
-                found[name] = Plan(alone, reference, plan.file, cached=True)
+    scene, reference, notes = plan.itinerary, plan.reference, plan.notes
+    # At rest nothing grows in a period; where it could, a walk is under way.
+    still = [notes["orbits"][stop["orbit"]]["multiplier"] == 1.0 for stop in notes["stops"]]
+    ends = [0.0, *(time for way in notes["transfers"] for time in way), float(reference.mesh[-1])]
+    ways = {round(sum(way) / 2, 6): k for k, way in enumerate(notes["transfers"])}
+    found: dict[str, Plan] = {}
+    for k, symbol in enumerate(notes["symbols"]):
+        name, way = f"{symbol['source']} to {symbol['target']}", ways.get(round(symbol["time"], 6))
+        if way is None or symbol["name"] is not None or not (still[k] and still[k + 1]) or name in found:
+            continue
+        begin, end = ends[2 * way], ends[2 * way + 3]
+        first, last = np.searchsorted(reference.mesh, (begin - 1e-9, end - 1e-9))
+        part: PlanNotes = {
+            **notes,
+            "itinerary": name,
+            "title": name,
+            "walk": [notes["walk"][k]],
+            "wraps": [],
+            "stops": notes["stops"][k : k + 2],
+            "symbols": [{**symbol, "time": symbol["time"] - begin}],
+            "transfers": [[time - begin for time in notes["transfers"][way]]],
+        }
+        alone = replace(
+            reference, mesh=reference.mesh[first : last + 1] - begin, states=reference.states[first:last],
+            inputs=reference.inputs[first:last], notes={**part},
+        )  # fmt: skip
+        found[name] = Plan(replace(scene, name=name, title=name), alone, plan.file, cached=True)
     if not found:
-        raise InputError(f"{scene.name} has no transitions: they lead from one hold straight to another; see twelve")
+        raise InputError(f"{scene.name} has no transitions: they lead from one equilibrium to another; see twelve")
     return tuple(found.values())
 
 

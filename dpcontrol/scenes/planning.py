@@ -59,12 +59,10 @@ def planned(
     fresh: bool = False,
     workers: int = 1,
     scheduler: str = "",
-    taken: bool = True,
     progress: Progress = no_progress,
 ) -> tuple[Reference, PlanNotes, dict[str, Array]]:
     """Return the reference of an itinerary, its notes and arrays; orbits: that shadow its walks, where they are known;
-    fresh: without transfers that were kept; workers, scheduler: by which transfers are sought; taken: note what each of
-    them takes and passes, too.
+    fresh: without transfers that were kept; workers, scheduler: by which transfers are sought.
 
     Raises:
         InputError: the walk asks for connections that do not exist at this energy.
@@ -84,7 +82,7 @@ def planned(
     reference, begins = joined([piece.reference for piece in pieces])
     notes, arrays = notes_of_pieces(itinerary, pieces, begins)
     ways = [(p.text, float(begin), p.reference) for p, begin in zip(pieces, begins, strict=False) if p.goal is None]
-    if taken and ways and reference.converged:
+    if ways and reference.converged:
         notes["taken"] = transfer_notes(itinerary.model.system, ways, progress=part_of(progress, 0.9, 1.0))
     if isinstance(itinerary.stay, HoldPart):
         notes["stay"] = {"kind": "hold", "hold": itinerary.stay.hold}
