@@ -32,6 +32,7 @@ def test_large_pulses_hold_and_small_ones_lose_the_orbit(sections: int, enough: 
     assert "runs lost" in far.says
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sections", "enough"), [(4, 20_000.0), (16, 2000.0)])
 def test_fine_encoders_hold_and_coarse_ones_lose_the_orbit(sections: int, enough: float):
     law = law_of(sections)

@@ -35,10 +35,11 @@ JOURNEYS = {
     "outer-turn": Journey("down-up", "down-up", (0, 1), -0.07, "down-up +"),
     "cross": Journey("down-up", "up-down", (0, 0), 0.2, "down-up > up-down"),
 }
-FIRST = 3
-"""Seeds of each itinerary that every test run flies; the others are slow together."""
+OTHERS = pytest.mark.slow, pytest.mark.benchmark
+FIRST, SOME = 1, 4
+"""Seeds of each itinerary that every test run flies, and that the slow tests do; the others are for benchmarks."""
 CASES = [
-    pytest.param(name, seed, id=f"{name}-{seed}", marks=[] if seed < FIRST else pytest.mark.slow)
+    pytest.param(name, seed, id=f"{name}-{seed}", marks=[] if seed < FIRST else OTHERS[seed >= SOME])
     for name in JOURNEYS
     for seed in SEEDS
 ]

@@ -30,7 +30,9 @@ def keeps_a_clock(name: str) -> bool:
 Exported = tuple[Path, ControllerSource]
 
 
-@pytest.mark.parametrize("level", ["-O0", "-O1", "-O2", "-O3"])
+@pytest.mark.parametrize(
+    "level", ["-O0", *(pytest.param(one, marks=pytest.mark.benchmark) for one in ("-O1", "-O2")), "-O3"]
+)
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 def test_every_compiler_and_level_gives_the_loops_commands(exported: Exported, compiler: str, level: str) -> None:
     program = compiled(compiler, level, folder=exported[0], out="by_level", sources=REPLAY)

@@ -130,6 +130,7 @@ def test_free_flight_in_double_reaches_both_orbits(found, key):
             assert OrbitCurve(orbit).distances(flown)[1].min() < FREE_DOUBLE
 
 
+@pytest.mark.slow
 def test_mirror_images_refined_apart_agree(lab, found):
     key = ("down-up", "down-up", -0.07)
     c = nearest(found[key].connections, CONNECTIONS[key][1][1])
@@ -198,6 +199,7 @@ def test_exact_base_parameters_round_to_the_double_ones(lab):
     assert exact == pytest.approx(lab.parameters.base(), rel=4e-16)
 
 
+@pytest.mark.slow
 def test_a_refinement_that_stays_above_its_tolerance_says_so(lab, found):
     c = found["down-up", "down-up", -0.07].connections[0]
     assert "not refined" in in_113_bits(lab, c, -0.07, settings=RefinementSettings(tolerance=5e-33)).status

@@ -45,6 +45,7 @@ def test_symmetric_connections_are_those_on_the_mirror_however_strong_the_orbit(
     assert any(c.symmetric for c in search.connections)
 
 
+@pytest.mark.slow
 def test_a_short_symbol_names_one_motion_from_energy_to_energy():
     system = load_model("printed").system
     named = []
@@ -94,6 +95,7 @@ def test_flights_whose_rounding_grows_past_any_fixed_gap_are_found():
     assert not search.failed
 
 
+@pytest.mark.slow
 def test_the_mirror_image_of_every_homoclinic_is_listed():
     system = uniform_rods((0.2, 0.1), (0.1, 0.5))
     search = find_connections(*orbits_between(system, "down-up", "down-up", 1.0791))
