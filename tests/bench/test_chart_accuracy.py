@@ -121,7 +121,7 @@ def test_a_tighter_tolerance_is_nearer_and_the_default_is_at_rounding(work):
     assert errors["Taylor, 8 at once", "rounding"] < AT_ROUNDING
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_errors_are_the_same_when_a_chart_is_drawn_again(work):
     tried = [c for c in candidates(work, batches=False, quick=True) if "scipy" not in c.method]
     first, again = (compared(tried, work, quick=True).points for _ in range(2))
@@ -146,7 +146,7 @@ def test_a_method_that_cannot_fly_is_listed_with_its_reason(work):
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_ticks_of_the_plant_are_at_rounding_and_of_the_model_below_an_encoder_count():
     alone, together = tick_panels(load_model("lab").arms, quick=True)
     plant, model = (next(p for p in alone.defaults if p.method.startswith(m)) for m in ("DOP853", "RK4"))
@@ -156,7 +156,7 @@ def test_ticks_of_the_plant_are_at_rounding_and_of_the_model_below_an_encoder_co
     assert 1e-15 < model.error < 1 / 40_000
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_refined_connections_are_at_rounding_and_two_flights_are_not(system):
     orbit = lyapunov_orbit(system, "down-up", energy=design.ENERGY)
     truths = design.true_states(orbit, count=1)
@@ -168,7 +168,7 @@ def test_refined_connections_are_at_rounding_and_two_flights_are_not(system):
     assert design.worst(orbit, [np.zeros(4)], truths) == float("inf")
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_more_points_on_the_same_intervals_are_nearer_and_cost_the_same():
     problem = design.crossing_problem()
     error = {}
@@ -188,7 +188,7 @@ def test_a_build_without_extended_reals_is_told(system, monkeypatch):
         work_of(system, START, SECONDS)
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 @pytest.mark.parametrize("name", [name for name in CHARTS if name not in GROUPS["edges"]])
 def test_no_default_of_a_quick_chart_errs_by_more_than_it_did(name, monkeypatch):
     def once(functions, *_, worth=lambda key, result: True, **__):

@@ -42,7 +42,7 @@ def test_runs_end_at_the_predicted_share_of_lost_samples_and_the_supervisor_says
     assert "no measurement for" in found.says
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_a_stuck_encoder_is_reported_after_what_must_pass_and_not_long_after():
     orbit = sustained_orbit(lyapunov_orbit(LAB.system, SADDLE, energy=-0.07), LAB.arms)
     found = stuck_border(LAB.arms, orbit, phase=0.3)

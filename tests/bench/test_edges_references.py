@@ -7,7 +7,7 @@ from dpcontrol.bench.edges import TOLERANCE, mesh_border, on_equal_intervals, pr
 APART = 0.25  # the bar
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_the_error_between_nodes_passes_the_tolerance_where_the_order_has_it():
     found = mesh_border(1.0, x=1.0)
     assert found.off is not None

@@ -21,7 +21,7 @@ def states() -> np.ndarray:
     return default_states(orbit())
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_seeds_too_near_lose_connections_and_the_search_says_so():
     assert found_all(orbit(), states(), 4e-6).works
     found = near_border(orbit(), states(), draws=3, ratio=2.0)

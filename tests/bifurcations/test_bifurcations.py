@@ -156,7 +156,7 @@ def test_energies_repeat_under_doubled_sampling_and_halved_seed_distance(system,
     assert np.abs(again.events[0].state - events[name].state)[2:].max() < 1e-5
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 @pytest.mark.parametrize("name", [UP_DOWN, BETWEEN], ids=["up-down", "between"])
 def test_energies_of_other_saddles_repeat_as_well(system, first_events, name):
     source, target = SADDLES[name]
@@ -165,7 +165,7 @@ def test_energies_of_other_saddles_repeat_as_well(system, first_events, name):
     assert max(abs(a.energy - b.energy) for a, b in zip(again, first_events[name], strict=True)) < REPEATABLE
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 @pytest.mark.parametrize(("energies", "kind"), [((-0.1637, -0.1633), "saddle-node"), ((-0.1536, -0.1532), "pitchfork")])
 def test_energies_of_other_parameters_repeat_as_well(energies, kind):
     pendulum = load_model("printed").system

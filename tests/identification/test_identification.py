@@ -50,7 +50,7 @@ def ten_runs() -> list[tuple[Identification, np.ndarray]]:
     return out
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_true_ratios_and_zeros_lie_inside_the_95_percent_region(ten_runs) -> None:
     inside = [np.abs(found.values - truth) <= TWO_SIDED_95 * found.errors for found, truth in ten_runs]
     assert np.mean(inside) >= COVERED

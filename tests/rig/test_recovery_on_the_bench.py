@@ -31,6 +31,7 @@ def falling() -> Plan:
     return make_plan(replace(scene, loop=loop))
 
 
+@pytest.mark.benchmark  # a minute of real time; the night below falls and goes on as well
 def test_a_run_on_the_example_bench_falls_and_resumes_by_itself(tmp_path) -> None:
     run = run_on_rig(falling(), tmp_path / "rig.mcap", RigLink("udp"))
     assert run.result.ending is Ending.FINISHED

@@ -136,7 +136,7 @@ def handed_over(log: RunLog) -> list[str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [0, pytest.param(10, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [0, pytest.param(10, marks=pytest.mark.benchmark)])
 def test_ogy_hands_over_to_tvlqr_and_back_with_a_plant_five_per_cent_off(
     linger: Plan, tmp_path: Path, seed: int
 ) -> None:

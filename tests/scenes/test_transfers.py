@@ -214,7 +214,7 @@ def test_twelve_goes_once_from_each_equilibrium_to_each_other() -> None:
     assert sorted(done) == sorted(permutations(SYSTEM.equilibria, 2))
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_twelve_is_planned_from_its_file_alone_within_its_limits() -> None:
     """Half a minute."""
     plan = make_plan(load_itinerary("twelve"))

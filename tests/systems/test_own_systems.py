@@ -125,6 +125,8 @@ CASES = [
 MORE = [
     turning("de-leon-berne", 1.3, 4),
     between_hill(-2.0, 2),
+]
+AT_LEISURE = [
     turning("henon-heiles", 0.17, 4),
     between_two(0.17, 0),
     between_two(0.21, 4),
@@ -169,7 +171,11 @@ def test_lyapunov_orbits_are_the_independent_ones(name, saddle, energy):
 
 @pytest.mark.parametrize(
     "case",
-    [*CASES, *(pytest.param(case, marks=pytest.mark.slow) for case in MORE)],
+    [
+        *CASES,
+        *(pytest.param(case, marks=pytest.mark.slow) for case in MORE),
+        *(pytest.param(case, marks=pytest.mark.benchmark) for case in AT_LEISURE),
+    ],
     ids=lambda c: f"{c.system}-{c.source}-{c.target}-{c.energy}",
 )
 def test_all_first_connections_are_those_that_brute_force_finds(case):

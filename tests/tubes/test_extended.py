@@ -140,7 +140,7 @@ def test_mirror_images_refined_apart_agree(lab, found):
     assert float(abs(first[0] + second[0])) < MIRROR
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_the_state_does_not_depend_on_how_far_out_the_leads_begin(lab, found):
     key = ("down-up", "up-down", 0.2)
     c = nearest(found[key].connections, CONNECTIONS[key][1][0])
