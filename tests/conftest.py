@@ -33,10 +33,12 @@ def plans_of_this_session_only(tmp_path_factory: pytest.TempPathFactory) -> Iter
 
 
 LONGEST = (
-    "test_readme", "test_fuzz", "test_run_verb", "test_bifurcations", "test_chart_accuracy", "test_figures",
-    "test_extended", "test_own_systems", "test_batch", "test_walk_verb", "test_campaign", "test_kept_walks",
+    "test_readme", "test_numbers_of_arms", "test_recovery_on_the_bench", "test_payoff", "test_compilers_and_targets",
+    "test_exported_controller", "test_fuzz", "test_run_verb", "test_bifurcations", "test_own_systems", "test_figures",
+    "test_extended", "test_batch", "test_walk_verb", "test_campaign", "test_kept_walks", "test_without_heyoka",
     "test_atlas", "test_parts", "test_demo_and_review_verbs", "test_help_and_streams", "test_identification",
     "test_hostile_packets", "test_two_turns", "test_named_symbols", "test_honest_searches", "test_replay", "test_api",
+    "test_udp_program", "test_log_verbs",
 )  # fmt: skip
 """Modules that take longest, slow tests or others: begun first, so that all workers end together."""
 
