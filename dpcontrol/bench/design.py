@@ -30,7 +30,7 @@ from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.reference import Reference
-from dpcontrol.references.trajectory import Solved, error_between_nodes, first_trajectory
+from dpcontrol.references.trajectory import Solved, error_between_nodes, even_mesh, first_trajectory
 from dpcontrol.references.transcription import solve
 from dpcontrol.scenes.model import load_model
 from dpcontrol.shooting.extended import refine, refine_orbit
@@ -252,10 +252,8 @@ def crossing_problem() -> ReferenceProblem:
 
 def transcribed(problem: ReferenceProblem, name: str, interval: float, solver: str = "ipopt") -> Solved:
     """Return the program's solution on even intervals of about `interval` s, from the problem's guess."""
-    method = method_named(name)
-    mesh = np.linspace(0.0, problem.duration, int(np.ceil(problem.duration / interval)) + 1)
     settings = ReferenceSettings(method=name, solver=solver, interval=interval)
-    first = first_trajectory(problem, method, mesh)
+    first = first_trajectory(problem, method_named(name), even_mesh(problem.duration, interval))
     return solve(problem, first, settings=settings, limits=problem.limits)
 
 

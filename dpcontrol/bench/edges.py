@@ -62,7 +62,7 @@ from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import Limits, ReferenceProblem, ReferenceSettings
 from dpcontrol.references.reference import Reference, still
 from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
-from dpcontrol.references.trajectory import first_trajectory
+from dpcontrol.references.trajectory import even_mesh, first_trajectory
 from dpcontrol.scenes.itinerary import Itinerary, load_itinerary
 from dpcontrol.scenes.model import load_model
 from dpcontrol.scenes.plan import make_plan
@@ -386,10 +386,9 @@ def problem_of(friction: float = 1.0, limits: Limits | None = None) -> Reference
 
 def on_equal_intervals(problem: ReferenceProblem, interval: float) -> Reference:
     """Return what one round gives on intervals of at most `interval` s, whatever the guess's own error."""
-    method = method_named(METHOD)
-    mesh = np.linspace(0.0, problem.duration, int(np.ceil(problem.duration / interval)) + 1)
     settings = ReferenceSettings(method=METHOD, interval=interval, tolerance=TOLERANCE, rounds=1)
-    return find_reference(problem, settings, near=first_trajectory(problem, method, mesh))
+    first = first_trajectory(problem, method_named(METHOD), even_mesh(problem.duration, interval))
+    return find_reference(problem, settings, near=first)
 
 
 def mesh_border(friction: float, *, x: float) -> Border:
@@ -457,8 +456,7 @@ class Stand:
         (run,) = run_batch(self.arms, settings=settings, seeds=[0], controller=self.controller, limits=limits)
         if run.ending is not Ending.FINISHED:
             return Attempt(False, run.reason)
-        tail, n = max(len(run.times) // 10, 1), run.references.shape[1]
-        last = float(np.abs(run.truth[-tail:, :n] - run.references[-tail:]).max())
+        last = farthest_at_last(run)
         return Attempt(last < self.near, f"finished, but {last:.2g} rad away over its last tenth")
 
     def drawn_error(self, size: float) -> Array:
@@ -472,6 +470,12 @@ class Stand:
         model = sampled_model(plant, self.settings.rate)
         a, b = model.linearised(self.controller.first_state[None, :], np.zeros(1))
         return a[0], b[0]
+
+
+def farthest_at_last(run: BatchRun) -> float:
+    """Return how far the angles were from the reference over a run's last tenth, rad."""
+    tail, n = max(len(run.times) // 10, 1), run.references.shape[1]
+    return float(np.abs(run.truth[-tail:, :n] - run.references[-tail:]).max())
 
 
 def held_at_rest(rate: float, *, saddle: str = SADDLE, seconds: float = 8.0) -> Stand:
@@ -783,11 +787,11 @@ def earliest_report(orbit: SustainedOrbit, since: float, *, sensor: int) -> floa
     return max(float(after[int(np.argmax(np.abs(joint - joint[0]) >= MOVED))]), STILL)
 
 
-def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: float, sensor: int = 1) -> Border:
+def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: float) -> Border:
     """Return the seconds for which a run that holds an orbit goes on after its encoder has stuck."""
     model = sampled_model(arms, RATE)
     at = round((math.ceil(BEFORE / orbit.period) + phase) * orbit.period, 3)
-    settings = LoopSettings(seed=0, sensors=SensorSettings(stuck_at=at, stuck_sensor=sensor))
+    settings = LoopSettings(seed=0, sensors=SensorSettings(stuck_at=at, stuck_sensor=1))
 
     def probe(after: float) -> Attempt:
         controller = orbit_controller(orbit, model, TvlqrSettings(), seconds=at + after)
@@ -795,7 +799,7 @@ def stuck_border(arms: ArmChainParameters, orbit: SustainedOrbit, *, phase: floa
         return Attempt(run.ending is Ending.FINISHED, "" if run.ending is Ending.FINISHED else run.reason)
 
     # What must pass at least: the filter's doubt comes on top.
-    least = earliest_report(orbit, at % orbit.period, sensor=sensor)
+    least = earliest_report(orbit, at % orbit.period, sensor=1)
     return find_border(probe, x=phase, line=f"{phase:g}", near=least / 2, far=8 * least, ratio=1.1, unit=1e-3)
 
 
@@ -848,8 +852,7 @@ def _astray(run: BatchRun) -> str:
         return run.reason
     if run.rms_feedback > CHATTER:
         return f"finished, but the command swings: feedback of {run.rms_feedback:.2g} m/s² rms"
-    tail, n = max(len(run.times) // 10, 1), run.references.shape[1]
-    away = float(np.abs(run.truth[-tail:, :n] - run.references[-tail:]).max())
+    away = farthest_at_last(run)
     return "" if away < ASTRAY else f"finished, but {away:.2g} rad away over its last tenth"
 
 

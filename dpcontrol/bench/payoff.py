@@ -49,11 +49,12 @@ from dpcontrol.references.method import method_named
 from dpcontrol.references.problem import EndConditions, Guess, Limits, ReferenceProblem, ReferenceSettings, state_scale
 from dpcontrol.references.reference import Reference, joined
 from dpcontrol.references.sustained import SustainedOrbit, sustained_orbit
-from dpcontrol.references.trajectory import Trajectory, first_trajectory, times_on
+from dpcontrol.references.trajectory import Trajectory, even_mesh, first_trajectory, times_on
 from dpcontrol.references.transcription import solve
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.model import load_model
 from dpcontrol.scenes.pieces import walk_goal
+from dpcontrol.scenes.planning import on_turns, period_at
 from dpcontrol.scenes.transfers import sensitivity
 from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import WalkSolver
@@ -120,13 +121,6 @@ def flight(name: str, walk: tuple[str, ...], energy: float, wraps: int = 1) -> C
         limits=LIMITS, ends=EndConditions(start=ends[0], end=ends[1]),
     )  # fmt: skip
     return ChartedFlight(name, problem, (orbits[0], orbits[1]), spent)
-
-
-def on_turns(orbit: SustainedOrbit, angles: Array) -> Array:
-    """Return a sustained orbit's state (6,) at phase 0, on the turns of these angles (2,)."""
-    state = np.array(orbit.state(0.0))
-    state[:2] += whole_turns(angles - state[:2])
-    return state
 
 
 def lasting(problem: ReferenceProblem, duration: float) -> ReferenceProblem:
@@ -234,16 +228,11 @@ def effort_of(motion: Trajectory) -> float:
     return float((motion.inputs[..., 0] ** 2 @ motion.method.weights) @ np.diff(motion.mesh))
 
 
-def even_mesh(duration: float) -> Array:
-    """Return the mesh that every search starts on."""
-    return np.linspace(0.0, duration, int(np.ceil(duration / SETTINGS.interval)) + 1)
-
-
 def searched(method: str, problem: ReferenceProblem, first: Trajectory | None = None, *, spent: float = 0.0) -> Try:
     """Return what collocation makes of a first trajectory, by default the problem's guess; spent: s on finding it."""
     began = time.process_time()
     if first is None:
-        first = first_trajectory(problem, method_named(SETTINGS.method), even_mesh(problem.duration))
+        first = first_trajectory(problem, method_named(SETTINGS.method), even_mesh(problem.duration, SETTINGS.interval))
     solved = solve(problem, first, settings=SETTINGS, limits=problem.limits)
     spent += time.process_time() - began
     return Try(method, spent, solved.trajectory if solved.succeeded else None)
@@ -300,7 +289,7 @@ def shot(arms: ArmChainParameters, start: Array, inputs: Array, step: float) -> 
 
 def flown(problem: ReferenceProblem, states: Array, inputs: Array, step: float) -> Trajectory:
     """Return what was shot, states (K + 1, 6) and held inputs (K,), as a first trajectory on the even mesh."""
-    method, mesh = method_named(SETTINGS.method), even_mesh(problem.duration)
+    method, mesh = method_named(SETTINGS.method), even_mesh(problem.duration, SETTINGS.interval)
     times, clock = times_on(mesh, method.support), step * np.arange(len(states))
     rows = np.stack([np.interp(times, clock, column) for column in states.T], axis=-1)
     places = np.minimum((times_on(mesh, method.points) / step).astype(int), len(inputs) - 1)
@@ -374,7 +363,7 @@ def resampled(motion: Trajectory, duration: float) -> Trajectory:
     states[..., 5] /= slower
     stretched = Trajectory(motion.method, slower * (motion.mesh - motion.mesh[0]), states, motion.inputs / slower**2)
     stretched.mesh[-1] = duration
-    return on_mesh(stretched, even_mesh(duration))
+    return on_mesh(stretched, even_mesh(duration, SETTINGS.interval))
 
 
 # --- Feedback.
@@ -400,9 +389,7 @@ def between_orbits(one: ChartedFlight, motion: Reference) -> Reference:
     start, end = one.ends
     pieces = [motion]
     for orbit, state, place in ((one.orbits[0], start, 0), (one.orbits[1], end, 2)):
-        states = orbit.reference.states.copy()
-        states[..., :2] += whole_turns(state[:2] - orbit.state(0.0)[:2])
-        pieces.insert(place, replace(orbit.reference, states=states))
+        pieces.insert(place, period_at(orbit, state))
     return joined(pieces)[0]
 
 
@@ -598,9 +585,7 @@ def with_wobbles(one: ChartedFlight, arms: ArmChainParameters, effort: Effort) -
     if fine is None:
         raise GoalMissed(f"{one.name}: nothing was found along the tubes")
     orbit, start = one.orbits[0], one.ends[0]
-    states = orbit.reference.states.copy()
-    states[..., :2] += whole_turns(start[:2] - orbit.state(0.0)[:2])
-    wobble, found = replace(orbit.reference, states=states), []
+    wobble, found = period_at(orbit, start), []
     most = int((max(effort.factors) - 1) * fine.duration / orbit.period)
     for more in range(most + 1):
         whole = joined([*[wobble] * more, fine])[0]

@@ -51,6 +51,7 @@ from dpcontrol.references.trajectory import (
     Trajectory,
     away_from_guess,
     error_between_nodes,
+    even_mesh,
     first_trajectory,
     largest_values,
     times_on,
@@ -480,8 +481,7 @@ def find_transfer(
         """Return one problem, and the guess on its coarse mesh."""
         guess, both = smooth_guess(start[:-2], end[:-2], duration), EndConditions(start=start, end=end)
         problem = ReferenceProblem(equations, parameters, guess, duration, limits=limits, ends=both)
-        mesh = np.linspace(0.0, duration, int(np.ceil(duration / transfer.interval)) + 1)
-        return problem, first_trajectory(problem, trying, mesh)
+        return problem, first_trajectory(problem, trying, even_mesh(duration, transfer.interval))
 
     (problem, first), outcome = sought(*tries[0]), ""
     for k, one in enumerate(tries):
@@ -499,8 +499,7 @@ def find_transfer(
                 break
     for *_, chosen, trajectory in sorted(solved, key=lambda entry: entry[:2]):
         if trying is not method:
-            finer = np.linspace(0.0, trajectory.duration, int(np.ceil(trajectory.duration / settings.interval)) + 1)
-            trajectory = on_mesh(trajectory, finer, method)
+            trajectory = on_mesh(trajectory, even_mesh(trajectory.duration, settings.interval), method)
         found = find_reference(chosen, wanted, near=trajectory)
         outcome = found.status
         if found.converged:

@@ -60,6 +60,11 @@ class Trajectory:
         return self._evaluate(times, self.method.points, self.inputs)
 
 
+def even_mesh(duration: float, interval: float) -> Array:
+    """Return the mesh (N+1,) of equal intervals of at most `interval` s over a duration, s."""
+    return np.linspace(0.0, duration, int(np.ceil(duration / interval)) + 1)
+
+
 def times_on(mesh: Array, places: Array) -> Array:
     """Return the times (N, K) of places (K,) from 0 to 1 in each interval of a mesh (N+1,)."""
     return mesh[:-1, None] + np.diff(mesh)[:, None] * places

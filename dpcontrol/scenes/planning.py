@@ -227,7 +227,7 @@ def _flown(
 ) -> SolvedPiece:
     """Return the piece of a flight, `lift` (n,) added to its angles."""
     rows = zip(goal.orbits, (goal.start, goal.end), strict=True)
-    start, end = (_on_turns(orbits[which.saddle], state[: len(lift)] + lift) for which, state in rows)
+    start, end = (on_turns(orbits[which.saddle], state[: len(lift)] + lift) for which, state in rows)
     problem = cart_problem(itinerary, lifted_guess(goal, lift), goal.seconds, EndConditions(start=start, end=end))
     found = find_reference(problem, itinerary.reference, progress=progress)
     text = ", ".join(goal.symbols)
@@ -236,11 +236,16 @@ def _flown(
     return SolvedPiece(text, goal, lift, found)
 
 
-def _on_turns(orbit: SustainedOrbit, angles: Array) -> Array:
+def on_turns(orbit: SustainedOrbit, angles: Array) -> Array:
     """Return the orbit's state (2n + 2,) at phase 0, on the turns of these angles (n,)."""
     start, n = np.array(orbit.state(0.0)), len(angles)
     start[:n] += whole_turns(angles - start[:n])
     return start
+
+
+def period_at(orbit: SustainedOrbit, state: Array) -> Reference:
+    """Return one period of the orbit, on the turns of a state (2n + 2,) of it at phase 0."""
+    return replace(orbit.reference, states=orbit.reference.states + whole_turns(state - orbit.state(0.0)))
 
 
 def _assembled(
@@ -261,11 +266,10 @@ def _assembled(
     begins: list[float] = []
     for k, (count, place, state) in enumerate(zip(counts, places, states, strict=True)):
         orbit = orbits[place.saddle]
-        turns = np.rint((state - orbit.state(0.0)) / (2 * np.pi)) * 2 * np.pi
-        one = replace(orbit.reference, states=orbit.reference.states + turns)
+        one = period_at(orbit, state)
         segments.append({
             "keep": place.saddle, "energy": place.energy, "family": place.family, "lyapunov_period": place.period,
-            "turns": turns.tolist(), "periods": count, "rows": _rows(parts, one),
+            "turns": whole_turns(state - orbit.state(0.0)).tolist(), "periods": count, "rows": _rows(parts, one),
         })  # fmt: skip
         parts += [one] * count
         if k < len(pieces):

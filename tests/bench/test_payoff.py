@@ -59,7 +59,7 @@ def problem(duration: float = 0.3) -> ReferenceProblem:
 
 def free_fall(seconds: float = 0.3) -> Trajectory:
     """A motion under a known input, from scipy at the nodes."""
-    method, mesh = method_named(SETTINGS.method), even_mesh(seconds)
+    method, mesh = method_named(SETTINGS.method), even_mesh(seconds, SETTINGS.interval)
 
     def rate(t: float, x: np.ndarray) -> np.ndarray:
         return np.array(EQUATIONS.function()(x, np.cos(5 * t), ARMS.base())).ravel()
