@@ -43,6 +43,7 @@ from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting, suggest
 from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.loop.controllers import ESTIMATORS, make_estimator
+from dpcontrol.loop.result import inside_95
 from dpcontrol.recordings.recording import (
     REPLAYED,
     SUMMARY,
@@ -517,7 +518,6 @@ def replay_recording(
     if not settled.any():
         settled[:] = True
     known = found.nis[settled & np.isfinite(found.nis)]
-    low, high = chi_square_band(n)
     progress("predicting", 0.9)
     rates_rms = None
     if recording.rates is not None:
@@ -535,7 +535,7 @@ def replay_recording(
             k: _ahead(motion, recording, found, settled, k, velocity, acceleration) for k in sorted({1, settings.ahead})
         },
         rates_rms=rates_rms,
-        nis_inside_95=float(np.mean((known >= low) & (known <= high))) if len(known) else float("nan"),
+        nis_inside_95=inside_95(known, n),
         nis_below_95=float(np.mean(known <= chi_square_band(n, share=0.9)[1])) if len(known) else float("nan"),
         nis_means=nis_means(known, n),
     )

@@ -18,9 +18,10 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.control.estimator_settings import NisMeans, chi_square_band, nis_means
+from dpcontrol.control.estimator_settings import NisMeans, nis_means
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import CATCH, LAP, RESUME, RETURN, Flight, RunLog, joined_at
+from dpcontrol.loop.result import inside_95
 from dpcontrol.references.reference import PlanNotes, Reference, StopNote, load_reference, plan_notes
 
 Array = NDArray[np.float64]
@@ -453,8 +454,6 @@ def score(log: RunLog) -> Score:
     )
     verdict = verdict_on(flown, plan)
     judged = spliced(flown, plan) if flown.flights else flown
-    low, high = chi_square_band(log.measured.shape[1])
-    nis = log.control["nis"][np.isfinite(log.control["nis"])]
     away = judged.angles - judged.reference_angles
     falls = sum(event.name == RETURN and event.level == "warn" for event in log.events)
     factor, seed = _noted(log, "real_time_factor", float), _noted(log, "seed", int)
@@ -473,7 +472,7 @@ def score(log: RunLog) -> Score:
         rms_tracking_error=float(np.sqrt(np.mean(away**2))),
         max_cart_position=float(np.abs(flown.states[:, 2 * flown.angles.shape[1]]).max()) if log.has_cart else 0.0,
         rms_cart_acceleration=float(np.sqrt(np.mean(flown.applied**2))),
-        nis_inside_95=float(np.mean((nis >= low) & (nis <= high))) if nis.size else float("nan"),
+        nis_inside_95=inside_95(log.control["nis"], log.measured.shape[1]),
         real_time_factor=factor,
         reason=reason,
         nis_means=nis_means(log.control["nis"], log.measured.shape[1]),
