@@ -28,7 +28,7 @@ from dpcontrol.bench.measure import Alternative, Judged, compare
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import Compiled, fixed_step
-from dpcontrol.dynamics.equations import Equations
+from dpcontrol.dynamics.equations import Equations, runge_kutta_4
 from dpcontrol.dynamics.propagator import ExtendedPropagator, PolynomialInputPropagator, Propagator, extended
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
@@ -43,15 +43,10 @@ Array = NDArray[np.float64]
 SUBSTITUTIONS = 10
 
 
-def runge_kutta_4(equations: Equations) -> ca.Function:
+def classical_step(equations: Equations) -> ca.Function:
     """Return (state, inputs, duration, parameters) -> following: the classical step of order 4, inputs held."""
-    f = equations.function()
-    x, u, p, h = equations.state, equations.inputs, equations.parameters, ca.SX.sym("h")
-    k1 = f(x, u, p)
-    k2 = f(x + h / 2 * k1, u, p)
-    k3 = f(x + h / 2 * k2, u, p)
-    k4 = f(x + h * k3, u, p)
-    return _step(equations, h, x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4))
+    f, u, p, h = equations.function(), equations.inputs, equations.parameters, ca.SX.sym("h")
+    return _step(equations, h, runge_kutta_4(lambda state, _: f(state, u, p), equations.state, h))
 
 
 def symplectic_gauss(equations: Equations, stages: int) -> ca.Function:
@@ -272,7 +267,7 @@ def _taylor(work: Work, *, batches: bool) -> Iterator[Alternative[Array]]:
 def _stepped(work: Work, *, batches: bool, quick: bool) -> Iterator[Alternative[Array]]:
     parameters, equations, lanes = work.system.parameters, work.system.equations, len(work.states)
     schemes = {
-        "RK4, compiled": runge_kutta_4(equations),
+        "RK4, compiled": classical_step(equations),
         "DOP853 step, compiled": fixed_step(equations),
         "implicit midpoint": symplectic_gauss(equations, 1),
         "Gauss 4, symplectic": symplectic_gauss(equations, 2),
@@ -380,7 +375,7 @@ def tick_panels(arms: ArmChainParameters, *, quick: bool) -> tuple[Panel, Panel]
         ("CVODES", "1e-10", _each(partial(_by_casadi, cvodes, u=COMMAND, p=parameters), states), False),
         ("DOP853 of scipy", "1e-10", _each(partial(_by_scipy, rate, TICK, "DOP853", 1e-10, {}), states), False),
     ]
-    steppers = [("RK4, compiled", runge_kutta_4(equations), pieces, False) for pieces in (1, 2)]
+    steppers = [("RK4, compiled", classical_step(equations), pieces, False) for pieces in (1, 2)]
     for label, function, pieces, flown in [*steppers, ("DOP853 step, compiled", fixed_step(equations), 1, True)]:
         one, many = Stepper(function, parameters), Stepper(function, parameters, lanes=LANES)
         setting, how = f"{pieces} step{'s' * (pieces > 1)}", {"step": TICK / pieces, "command": COMMAND}

@@ -153,13 +153,18 @@ class Equations:
         """
         f = self.function()
         x, u, p = self.state, self.inputs, self.parameters
-        k1 = f(x, u, p)
-        k2 = f(x + step / 2 * k1, u, p)
-        k3 = f(x + step / 2 * k2, u, p)
-        k4 = f(x + step * k3, u, p)
-        following = x + step / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        following = runge_kutta_4(lambda state, _: f(state, u, p), x, step)
         outputs = [following, ca.jacobian(following, x), ca.jacobian(following, u)]
         return ca.Function("step", [x, u, p], [ca.densify(o) for o in ca.cse(outputs)], {"cse": True})
+
+
+def runge_kutta_4(slope: Callable[[ca.SX, Any], ca.SX], x: ca.SX, h: Any) -> ca.SX:
+    """Return the state that follows x after h by the classical step of order 4; slope: of a state, a time after x."""
+    k1 = slope(x, 0)
+    k2 = slope(x + h / 2 * k1, h / 2)
+    k3 = slope(x + h / 2 * k2, h / 2)
+    k4 = slope(x + h * k3, h)
+    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
 def state_equations(parts: Mechanics, *, with_cart: bool) -> Equations:

@@ -53,6 +53,7 @@ from dpcontrol.dynamics.chain import (
     ratio_names,
 )
 from dpcontrol.dynamics.compiled import Compiled
+from dpcontrol.dynamics.equations import runge_kutta_4
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -130,14 +131,10 @@ def _compiled(arms: ArmChainParameters) -> Compiled:
     h, u, velocity = drive[0], drive[1], drive[2]
     base = ca.vertcat(*base_from_ratios(p, arms))
 
-    def slope(state: ca.SX, after: ca.SX) -> ca.SX:
+    def slope(state: ca.SX, after: Any) -> ca.SX:
         return rate(ca.vertcat(state, 0, velocity + after * u), u, base)[:n]
 
-    k1 = slope(x, ca.SX(0))
-    k2 = slope(x + h / 2 * k1, h / 2)
-    k3 = slope(x + h / 2 * k2, h / 2)
-    k4 = slope(x + h * k3, h)
-    following = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    following = runge_kutta_4(slope, x, h)
     s = ca.SX.sym("S", n, n + m)
     forward = ca.jacobian(following, x) @ s + ca.horzcat(ca.SX.zeros(n, n), ca.jacobian(following, p))
     out = ca.cse(ca.densify(ca.vertcat(following, ca.vec(forward))))

@@ -19,8 +19,8 @@ from dpcontrol.bench.propagation import (
     Stepper,
     buffered_rate,
     candidates,
+    classical_step,
     compared,
-    runge_kutta_4,
     symplectic_gauss,
     tick_panels,
     work_of,
@@ -68,7 +68,7 @@ def test_the_rate_given_to_scipy_keeps_its_parameters(system):
 @pytest.mark.parametrize(
     ("function", "order", "step"),
     [
-        (runge_kutta_4, 4, 2e-3),
+        (classical_step, 4, 2e-3),
         (fixed_step, 8, 2e-2),
         (lambda e: symplectic_gauss(e, 1), 2, 2e-3),
         (lambda e: symplectic_gauss(e, 2), 4, 4e-3),
@@ -105,7 +105,7 @@ def test_the_midpoint_rule_is_symplectic_and_rk4_is_not(system):
         j = canonical_jacobian(function)
         return np.abs(j.T @ form @ j - form).max()
 
-    midpoint, rk4 = defect(symplectic_gauss(system.equations, 1)), defect(runge_kutta_4(system.equations))
+    midpoint, rk4 = defect(symplectic_gauss(system.equations, 1)), defect(classical_step(system.equations))
     assert midpoint < 1e-7  # of differences
     assert rk4 > 10 * midpoint
 
