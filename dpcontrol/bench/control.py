@@ -24,13 +24,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from dpcontrol.bench.chart import (
-    Missing,
-    Panel,
-    Point,
-    PrecisionChart,
-)
-from dpcontrol.bench.measure import Alternative, Judged, compare, timed_in_turns
+from dpcontrol.bench.chart import Panel, PrecisionChart
+from dpcontrol.bench.measure import Alternative, Judged, compare
 from dpcontrol.control.estimator_settings import (
     AdaptiveEkfSettings,
     EkfSettings,
@@ -133,7 +128,7 @@ def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, s
     """Return error against the seconds of a tick of those that come through, and the rest with reasons."""
     start_up: dict[str, float] = {}
     judged: dict[tuple[str, str], Judged | str] = {}
-    ticks: dict[object, Callable[[], object]] = {}
+    tried: list[Alternative[None]] = []
     for (method, setting), (make, estimator) in made.items():
         settings = LoopSettings(seed=0, rate=RATE, estimator=estimator, initial_error=INITIAL_ERROR)
         model = sampled_model(task.arms, RATE)
@@ -141,19 +136,9 @@ def measured(task: ControlTask, made: Made, *, seeds: int, default: tuple[str, s
         controller = make(model)
         start_up[", ".join(filter(None, (method, setting)))] = time.process_time() - began
         judged[method, setting] = outcome(task, controller, settings, seeds=seeds)
-        ticks[method, setting] = tick_of(task, controller, settings)
-    spent = timed_in_turns(ticks)
-    points, missing = [], []
-    for key, found in judged.items():
-        if isinstance(found, str):
-            missing.append(Missing(*key, found))
-        else:
-            one = spent[key]
-            points.append(
-                Point(*key, one.seconds, found.error, default=key == default, note=found.note, others=found.others,
-                      yardstick=one.yardstick)
-            )  # fmt: skip
-    return Panel("", "", "", tuple(points), start_up, tuple(missing))
+        tick = tick_of(task, controller, settings)
+        tried.append(Alternative(method, setting, tick, default=(method, setting) == default))
+    return replace(compare(tried, lambda one, _: judged[one.method, one.setting]), start_up=start_up)
 
 
 def outcome(task: ControlTask, controller: Controller, settings: LoopSettings, *, seeds: int) -> Judged | str:

@@ -62,10 +62,8 @@ class DrawnChart:
     seconds: float
 
 
-_SECONDS, _QUICKLY = 90.0, 10.0
-"""What a chart takes on one processor, and a quick one, in s."""
-_SPREAD_SECONDS, _SPREAD_QUICKLY = 1400.0, 90.0
-"""The same of one that uses several."""
+_SECONDS = {False: (90.0, 1400.0), True: (10.0, 90.0)}
+"""What a chart takes on one processor, and one that uses several, in s, by whether they are quick."""
 _MEMORY = 4e8
 """Bytes that a process takes which draws charts."""
 
@@ -75,9 +73,8 @@ def charts_cost(names: Sequence[str], *, quick: bool) -> Cost:
     mapped = sum(name in GROUPS["edges"] for name in names)
     at_once = max(min(processors(), mapped), 1)
     spread, many = sum(name in SPREAD for name in names), min(processors(), AT_ONCE)
-    turns = len(names) - mapped - spread + mapped / at_once
-    seconds = turns * (_QUICKLY if quick else _SECONDS)
-    seconds += spread * (_SPREAD_QUICKLY if quick else _SPREAD_SECONDS) / many
+    turns, (one, several) = len(names) - mapped - spread + mapped / at_once, _SECONDS[quick]
+    seconds = turns * one + spread * several / many
     work = f"{len(names)} chart{'s' if len(names) > 1 else ''}"
     return Cost(work, seconds, (many if spread else at_once) * _MEMORY, "bench")
 

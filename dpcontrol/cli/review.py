@@ -4,6 +4,7 @@ import shutil
 import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -234,15 +235,14 @@ def report_command(
 
     # A folder may be named by "." alone.
     picture = picture or file.parent / f"{file.stem or file.resolve().name}-report.png"
-    if file.is_dir():
-        if margins:
-            raise InputError(f"{file}: --margins are those of one log's loop; give a log of the folder")
-        return _night(file, picture)
-    checked_source(file)
-    of_campaign = file.suffix.lower() == ".parquet"
-    if of_campaign and margins:
-        raise InputError(f"{file}: --margins are those of one log's loop; give a log, or use plan --margins")
-    answer = _campaign(file, picture) if of_campaign else _log(file, picture, margins=margins)
+    of_night, of_campaign = file.is_dir(), file.suffix.lower() == ".parquet"
+    if not of_night:
+        checked_source(file)
+    if margins and (of_night or of_campaign):
+        remedy = "a log of the folder" if of_night else "a log, or use plan --margins"
+        raise InputError(f"{file}: --margins are those of one log's loop; give {remedy}")
+    make = _night if of_night else _campaign if of_campaign else partial(_log, margins=margins)
+    answer = make(file, picture)
     return Answer({**answer.document, "picture": picture}, [*answer.text, f"page       {picture}"])
 
 
@@ -276,7 +276,7 @@ def _night(folder: Path, picture: Path) -> Answer:
 
     night = read_night(folder)
     save_figure(draw_night(night), picture)
-    return Answer({**night.document(), "picture": picture}, [*night.lines(), f"page       {picture}"])
+    return Answer(night.document(), night.lines())
 
 
 def _campaign(file: Path, picture: Path) -> Answer:

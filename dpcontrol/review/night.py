@@ -11,7 +11,7 @@ import math
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
@@ -284,7 +284,7 @@ def _followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], l
         nonlocal kind, cause, since
         if time > since:
             if spans and (spans[-1].kind, spans[-1].cause, spans[-1].end) == (kind, cause, since):
-                spans[-1] = NightSpan(spans[-1].first, time, kind, cause)
+                spans[-1] = replace(spans[-1], end=time)
             else:
                 spans.append(NightSpan(since, time, kind, cause))
         kind, cause, since = following, why, time
@@ -297,7 +297,7 @@ def _followed(digests: Sequence[Digest]) -> tuple[list[NightSpan], list[Fall], l
         for time, level, name, text in digest.events:
             if name in (RESUME, LAP):
                 if left is not None:
-                    falls[left] = Fall(falls[left].time, falls[left].cause, falls[left].text, time - falls[left].time)
+                    falls[left] = replace(falls[left], back=time - falls[left].time)
                     left = None
                 turn(time, ITINERARY, "")
             elif name == RETURN and level == "info":
