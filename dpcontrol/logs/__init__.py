@@ -29,33 +29,3 @@ from dpcontrol.logs.reader import (
 )
 from dpcontrol.logs.recovery import Recovery, recover
 from dpcontrol.logs.writer import LogWriter, slow_numbers
-
-__all__ = [
-    "CATCH",
-    "LAP",
-    "LEVELS",
-    "REST",
-    "RESUME",
-    "RETURN",
-    "START",
-    "Comparison",
-    "Event",
-    "Extras",
-    "Flight",
-    "LogSummary",
-    "LogWriter",
-    "Mode",
-    "Recovery",
-    "RunLog",
-    "check_replaced",
-    "compare_messages",
-    "control_fields",
-    "joined_at",
-    "joined_text",
-    "joint_names",
-    "partials_of",
-    "read_log",
-    "recover",
-    "slow_numbers",
-    "summarise",
-]

@@ -235,7 +235,8 @@ class RunView:
 def series_of(log: RunLog) -> RunView:
     """Return what a log's series say, as it can be drawn, without its plan and verdict."""
     n = len(log.arm_lengths)
-    truth, estimate, reference = (_cleaned(log.states.get(part)) for part in ("truth", "estimate", "reference"))
+    states = {part: clean(values) for part, values in log.states.items()}
+    truth, estimate, reference = (states.get(part) for part in ("truth", "estimate", "reference"))
     if estimate is not None and reference is not None and np.array_equal(estimate, reference, equal_nan=True):
         reference = None
     breaks = np.flatnonzero(np.diff(log.time) > 1.5 / log.rate_hz) + 1
@@ -298,10 +299,6 @@ def clean(values: Array) -> Array:
     with np.errstate(invalid="ignore"):
         sound = np.abs(values) < LARGEST
     return values if sound.all() else np.where(sound, values, np.nan)
-
-
-def _cleaned(values: Array | None) -> Array | None:
-    return None if values is None else clean(values)
 
 
 def _stands_in(state: Array, measured: Array, arms: int) -> bool:

@@ -68,11 +68,6 @@ class WalkStory:
     arm_lengths: tuple[float, ...] | None
 
     @cached_property
-    def saddles(self) -> tuple[str, ...]:
-        """The saddles whose orbits the walk visits, in the order of its visits."""
-        return tuple(self.curves)
-
-    @cached_property
     def curves(self) -> dict[str, OrbitCurve]:
         """The periodic orbits of the walk, by saddle, in the order of its visits."""
         chain = self.orbit.connections

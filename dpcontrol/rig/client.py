@@ -22,7 +22,6 @@ from types import TracebackType
 from urllib.parse import urlsplit
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
@@ -124,8 +123,6 @@ class Deadlines:
         """Return the statistics as text by name, for a log's result record."""
         return {f"deadlines_{name}": repr(value) for name, value in asdict(self).items()}
 
-
-Array = NDArray[np.float64]
 
 SCHEME = "udp"
 _DRIFT = 1e-4

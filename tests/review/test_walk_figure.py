@@ -95,7 +95,7 @@ def test_the_closing_stop_of_a_closed_walk_has_its_wraps() -> None:
 def test_the_coloured_stretches_are_where_the_orbit_is_near() -> None:
     orbit = found(["down-up > up-down", "up-down > down-up"], energy=HIGH)
     told = story(orbit)
-    assert told.saddles == ("down-up", "up-down")
+    assert tuple(told.curves) == ("down-up", "up-down")
     stays = told.view("lab").plan.planned
     spans = [(stay.first, stay.last, stay.saddle) for stay in stays]
     assert [saddle for _, _, saddle in spans] == ["down-up", "up-down", "down-up"]
