@@ -22,7 +22,6 @@ from itertools import cycle
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.bench.chart import Panel, PrecisionChart
 from dpcontrol.bench.measure import Alternative, Judged, compare
@@ -47,6 +46,7 @@ from dpcontrol.control.tracking import (
     tracking_controller,
 )
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.loop.bench import SensorSettings
 from dpcontrol.loop.controllers import make_estimator
@@ -68,8 +68,6 @@ from dpcontrol.review.score import Flown, verdict_on
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.model import load_model
 from dpcontrol.scenes.plan import make_plan
-
-Array = NDArray[np.float64]
 
 RATE = 1000.0
 SMALL, LARGE = 0.02, 0.10

@@ -17,11 +17,11 @@ from typing import Any, TypeVar
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.bench.chart import Panel, Point, PrecisionChart
 from dpcontrol.bench.measure import Alternative, Judged, compare, timed_in_turns
 from dpcontrol.dynamics.chain import Level, equations_of
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.progress import Progress, part_of
 from dpcontrol.orbits.lyapunov import ContinuationSettings, LyapunovOrbit, lyapunov_orbit
@@ -38,8 +38,6 @@ from dpcontrol.tubes.connections import ConnectionSearch, find_connections, orbi
 from dpcontrol.tubes.cut import CutSettings, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, intersect_cuts
 from dpcontrol.walks.shadowing import WalkSolver
-
-Array = NDArray[np.float64]
 
 ENERGY = -0.07
 THREE_BODY_ENERGY = -1.5175

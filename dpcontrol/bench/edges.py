@@ -51,6 +51,7 @@ from dpcontrol.control.tracking import TvlqrSettings, tracking_controller
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import fixed_step
 from dpcontrol.dynamics.plant import PlantParameters, longest_step
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.loop.bench import DriveSettings, SensorSettings
@@ -74,7 +75,6 @@ from dpcontrol.tubes.intersections import ConnectionSettings
 from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import ShadowingSettings, shadow
 
-Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 Step = Callable[[Array, float], Array]
 """(state (N,), length in s) -> following state (N,)."""

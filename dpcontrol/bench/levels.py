@@ -11,7 +11,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.bench.chart import Missing, Panel, Point, PrecisionChart
 from dpcontrol.bench.measure import Alternative, Judged, compare
@@ -19,6 +18,7 @@ from dpcontrol.control.tracking import AdaptiveSettings, TvlqrSettings
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import compiled_step
 from dpcontrol.dynamics.plant import PlantLevel, PlantParameters, plant_step
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.progress import Progress
 from dpcontrol.loop.loop import LoopSettings
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
@@ -37,8 +37,6 @@ from dpcontrol.scenes.evidence import (
 from dpcontrol.scenes.itinerary import HoldPart, Itinerary, OrbitPart, WalkPart, load_itinerary, overridden
 from dpcontrol.scenes.plan import Plan, make_plan
 from dpcontrol.scenes.run_options import RunOptions
-
-Array = NDArray[np.float64]
 
 WINDOW, TICK = 0.1, 1e-3
 WINDOWS = 64

@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.bench.chart import Missing, Panel, Point, PrecisionChart
 from dpcontrol.bench.measure import Alternative, Judged, compare
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.parts import Later
 from dpcontrol.foundation.progress import Progress
@@ -36,7 +36,6 @@ from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.run_options import RunOptions
 
 pa, pq = Later("pyarrow"), Later("pyarrow.parquet")
-Array = NDArray[np.float64]
 
 SURVIVES = 0.25
 """Share of a run: a format that loses more on average keeps nothing worth having."""

@@ -28,7 +28,6 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 from scipy.interpolate import BarycentricInterpolator
 
@@ -38,6 +37,7 @@ from dpcontrol.bench.control import held
 from dpcontrol.control.interface import whole_turns
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import Compiled, compiled_step
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Progress
@@ -60,8 +60,6 @@ from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import WalkSolver
 from dpcontrol.walks.symbols import parse_walk
 from dpcontrol.walks.walks import resolve
-
-Array = NDArray[np.float64]
 
 LIMITS = Limits()
 SETTINGS = ReferenceSettings(pendulum_weight=0.0, cart_weight=0.0)

@@ -20,7 +20,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy.integrate import solve_ivp
 
 from dpcontrol.bench.chart import Panel, PrecisionChart
@@ -31,14 +30,13 @@ from dpcontrol.dynamics.compiled import Compiled, fixed_step
 from dpcontrol.dynamics.equations import Equations, runge_kutta_4
 from dpcontrol.dynamics.propagator import ExtendedPropagator, PolynomialInputPropagator, Propagator, extended
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import lyapunov_orbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.references.method import gauss
 from dpcontrol.references.problem import Limits, state_scale
 from dpcontrol.scenes.model import load_model
-
-Array = NDArray[np.float64]
 
 SUBSTITUTIONS = 10
 

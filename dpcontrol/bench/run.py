@@ -25,7 +25,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, NullFormatter, NullLocator, PercentFormatter
-from numpy.typing import NDArray
 
 from dpcontrol.bench.chart import (
     ALLOWED,
@@ -41,6 +40,7 @@ from dpcontrol.bench.chart import (
     check_names,
 )
 from dpcontrol.bench.measure import one_core
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import commit
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file, write_whole
@@ -48,8 +48,6 @@ from dpcontrol.foundation.parts import versions
 from dpcontrol.foundation.processes import in_processes, processors
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
 from dpcontrol.review.style import FAINT, INK, LIMIT, REFERENCE, STABLE
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -28,10 +28,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import (
     LyapunovOrbit,
@@ -41,8 +41,6 @@ from dpcontrol.orbits.lyapunov import (
     symmetric_shooting,
 )
 from dpcontrol.orbits.manifold import UnstableManifold
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

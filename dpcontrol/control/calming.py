@@ -30,10 +30,9 @@ from dpcontrol.control.interface import MANY, ONE, ClockedSession, Lanes, Sample
 from dpcontrol.control.lqr import HoldController, HoldSettings, hold_controller
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.references.problem import Limits
-
-Array = NDArray[np.float64]
 
 SWITCH_MARGIN = 0.05
 """Share of the track that is left free at its ends: the supervisor ends what comes nearer."""

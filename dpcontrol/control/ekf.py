@@ -22,7 +22,6 @@ from math import inf
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import (
     Augment,
@@ -32,9 +31,8 @@ from dpcontrol.control.estimator_settings import (
 from dpcontrol.control.interface import Estimate, Present, SampledModel
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 def packed(matrix: Array) -> Array:

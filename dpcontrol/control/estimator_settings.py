@@ -25,11 +25,9 @@ from enum import StrEnum
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.settings import Settings, setting
-
-Array = NDArray[np.float64]
 
 
 class Augment(StrEnum):

@@ -46,10 +46,9 @@ from numpy.typing import NDArray
 import dpcontrol
 from dpcontrol.control.interface import Controller, GainSchedule, schedule_of
 from dpcontrol.control.tick import SETTLING, UNROLLED, TickEquations, TickProgram
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_source, content_hash
-
-Array = NDArray[np.float64]
 
 _TEMPLATES = Path(__file__).with_name("target")
 _VERSION = 1

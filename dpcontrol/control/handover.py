@@ -10,15 +10,13 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.control.interface import Action, Session, whole_turns
 from dpcontrol.control.ogy import OgyController, OgySession
 from dpcontrol.control.periodic import OrbitController, OrbitSession
 from dpcontrol.control.tracking import PhaseController, TrackingController
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
-
-Array = NDArray[np.float64]
 
 NEAR = 0.2
 """Scaled distance between a flight's end and the orbit that is to keep it, beyond which they do not belong together."""

@@ -19,10 +19,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.equations import Equations
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.problem import ANGLE_SCALE, RATE_SCALE
 
-Array = NDArray[np.float64]
 Present = NDArray[np.bool_] | None
 """Which of the positions (n+1,) count; None: all."""
 

@@ -13,14 +13,13 @@ Control: Linear Quadratic Methods, chapter 6, on selecting weights.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dpcontrol.control.interface import Action, GainSchedule, Mode, SampledModel, pendulum_scale, whole_turns
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.references.problem import ANGLE_SCALE, CART_VELOCITY_SCALE, RATE_SCALE
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

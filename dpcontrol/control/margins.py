@@ -38,9 +38,8 @@ from dpcontrol.control.lqr import HoldController
 from dpcontrol.control.periodic import OrbitController
 from dpcontrol.control.tick import UNROLLED, TickEquations, TickProgram
 from dpcontrol.control.tracking import PhaseController, TimedController, TrackingController
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
-
-Array = NDArray[np.float64]
 
 GROWTH = 1.5
 """By which errors may grow in a wobble of a flight."""

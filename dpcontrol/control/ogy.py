@@ -39,13 +39,13 @@ from dpcontrol.control.periodic import PhaseTable, check_orbit, periodic_gains, 
 from dpcontrol.control.tracking import riccati_gains
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import Equations
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import Settings, setting
 
 if TYPE_CHECKING:
     from dpcontrol.references.sustained import SectionMap, SustainedOrbit
 
-Array = NDArray[np.float64]
 
 ANGLE_ERROR, RATE_ERROR = 3e-4, 0.05
 """rad and rad/s: what an estimate from 40,000 counts may be off by while an arm swings."""

@@ -33,12 +33,12 @@ from dpcontrol.control.interface import (
     whole_turns,
 )
 from dpcontrol.control.tracking import TvlqrSettings, riccati_gains
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 
 if TYPE_CHECKING:
     from dpcontrol.references.sustained import SustainedOrbit
 
-Array = NDArray[np.float64]
 
 ENTRIES = 2048
 """Entries of a period: between two of them a straight line errs by 1e-5 rad at the lab's largest accelerations."""

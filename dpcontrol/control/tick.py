@@ -48,7 +48,6 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.control.ekf import (
     RESTART_RATE,
@@ -64,9 +63,8 @@ from dpcontrol.control.estimator_settings import Augment, FilterSettings
 from dpcontrol.control.interface import Mode, Present, SampledModel
 from dpcontrol.dynamics.compiled import VECTOR, Compiled
 from dpcontrol.dynamics.equations import Equations
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 class Outcome(IntEnum):

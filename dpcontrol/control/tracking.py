@@ -67,11 +67,10 @@ from dpcontrol.control.interface import (
 )
 from dpcontrol.control.lqr import ClosingWeights, QuadraticWeights
 from dpcontrol.dynamics.compiled import Compiled
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import setting
 from dpcontrol.references.reference import Reference
-
-Array = NDArray[np.float64]
 
 STANDSTILL = 0.1
 """Scaled rate per second (π rad and 10 rad/s) below which the phase of a motion counts less and less."""

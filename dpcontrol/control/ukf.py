@@ -18,15 +18,13 @@ from typing import Any
 
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter, MerweScaledSigmaPoints, UnscentedKalmanFilter
-from numpy.typing import NDArray
 
 from dpcontrol.control.ekf import KalmanFilter, unpacked
 from dpcontrol.control.estimator_settings import FilterSettings, UkfSettings
 from dpcontrol.control.interface import Estimate, Present, SampledModel
 from dpcontrol.dynamics.compiled import Compiled
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 @contextmanager

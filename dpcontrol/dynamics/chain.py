@@ -51,10 +51,9 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.equations import Energy, Equations, mechanics, state_equations
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, described_system
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.settings import Settings, bounds_of, setting
-
-Array = NDArray[np.float64]
 
 LARGEST = 1e6
 """No mass, length, inertia or friction of a bench is larger in SI units; beyond it products overflow."""

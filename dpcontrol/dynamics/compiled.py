@@ -24,9 +24,9 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.dynamics.equations import Equations
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
 from dpcontrol.foundation.files import content_hash
 from dpcontrol.foundation.parts import Later, installed
@@ -126,8 +126,6 @@ def to_heyoka(
             )
     return out
 
-
-Array = NDArray[np.float64]
 
 _HEYOKA = installed("heyoka")
 VECTOR = 8 if _HEYOKA else 1

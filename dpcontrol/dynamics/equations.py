@@ -17,7 +17,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
+
+from dpcontrol.foundation.arrays import Array
 
 
 @dataclass(frozen=True)
@@ -96,9 +97,6 @@ def mechanics(lagrangian: Energy, dissipation: Energy, *, free: int, prescribed:
         hamiltonian=ca.dot(momentum, v[:free]) - still,
         mass_matrix=mass[:, :free],
     )
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,15 +19,13 @@ from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Friction, Level, arm_chain_equations, chain_energies
 from dpcontrol.dynamics.compiled import Compiled, compiled_step
 from dpcontrol.dynamics.equations import Equations, Mechanics, mechanics, solve_symmetric
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
-
-Array = NDArray[np.float64]
 
 _SMOOTH_STEP = 2e-3
 """s: the longest step at which the arms' own motion is exact to 1e-12."""

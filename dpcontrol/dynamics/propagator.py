@@ -27,9 +27,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from dpcontrol.dynamics.compiled import hy, to_heyoka
 from dpcontrol.dynamics.equations import Equations
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed
 
-Array = NDArray[np.float64]
 Row = Sequence[float] | Array
 
 

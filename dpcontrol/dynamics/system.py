@@ -33,11 +33,11 @@ from dpcontrol.dynamics.equations import (
     state_equations,
 )
 from dpcontrol.dynamics.propagator import Propagator, Section, taylor_system
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.parts import installed
 from dpcontrol.foundation.settings import Settings, setting, suggest
 
-Array = NDArray[np.float64]
 EnergyFunction = Callable[[tuple[ca.SX, ...], tuple[ca.SX, ...], dict[str, ca.SX]], ca.SX]
 """(coordinates, their velocities or momenta, parameters by name) -> energy, casadi scalars throughout."""
 

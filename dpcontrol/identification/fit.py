@@ -54,13 +54,12 @@ from dpcontrol.dynamics.chain import (
 )
 from dpcontrol.dynamics.compiled import Compiled
 from dpcontrol.dynamics.equations import runge_kutta_4
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.recordings.recording import smoothed_derivative
-
-Array = NDArray[np.float64]
 
 LONGEST_STEP = 2e-3
 """s. Steps of 1 ms are off by 1e-7 rad at the rig's rates, most of it where Coulomb friction changes sides."""

@@ -42,14 +42,13 @@ from dpcontrol.dynamics.chain import (
     unit_name,
     with_laws,
 )
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.identification.fit import FitSettings, Swing, SwingFit, Swings, fit_swings
 from dpcontrol.recordings.recording import Recording, cart_motion
-
-Array = NDArray[np.float64]
 
 LONGEST, LONGEST_DRIVEN = 4.0, 1.0
 """s: of pieces, and of those on a moving cart. About a saddle errors grow e⁸-fold in a second; over four seconds

@@ -37,6 +37,7 @@ from dpcontrol.control.estimator_settings import EstimatorSettings, NisMeans, ch
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.compiled import compiled_step
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
@@ -53,8 +54,6 @@ from dpcontrol.recordings.recording import (
     described,
     write_samples,
 )
-
-Array = NDArray[np.float64]
 
 _DIFFERENCE = 1e-6
 """rad and rad/s: of the derivatives; errors of 1e-12 · e^(λt) leave six digits after a few Lyapunov times."""

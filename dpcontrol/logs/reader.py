@@ -30,6 +30,7 @@ from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 from numpy.typing import NDArray
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_size, checked_source, in_the_way
 from dpcontrol.logs import layout
@@ -39,7 +40,6 @@ from dpcontrol.logs.layout import TickLayout
 if TYPE_CHECKING:
     from pandas import DataFrame
 
-Array = NDArray[np.float64]
 
 _RECORD = struct.Struct("<BQH")
 """Of a record: opcode and length, and of a message its channel."""

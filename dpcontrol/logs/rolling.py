@@ -22,15 +22,13 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.logs.layout import LAP, LEVELS, REST, RESUME, RETURN, START
 from dpcontrol.logs.reader import RunLog
 from dpcontrol.logs.writer import LogWriter
-
-Array = NDArray[np.float64]
 
 NIGHT_METADATA = "night"
 """Metadata of each file, as JSON: its place in the night, see `RollingLog`."""

@@ -33,11 +33,11 @@ from numpy.typing import NDArray
 from dpcontrol.control.interface import clip_number
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
 from dpcontrol.dynamics.plant import PlantParameters
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.references.problem import Limits
 
-Array = NDArray[np.float64]
 Clip = Callable[[Any, Any, Any], Any]
 
 

@@ -12,7 +12,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import (
@@ -35,6 +34,7 @@ from dpcontrol.control.tracking import (
     tracking_controller,
 )
 from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.orbits.lyapunov import equilibria
 from dpcontrol.references.reference import Reference, plan_notes
@@ -42,7 +42,6 @@ from dpcontrol.references.reference import Reference, plan_notes
 if TYPE_CHECKING:
     from dpcontrol.references.sustained import SustainedOrbit
 
-Array = NDArray[np.float64]
 
 ESTIMATORS: dict[str, type[EstimatorSettings]] = {
     settings.kind: settings for settings in (EkfSettings, UkfSettings, FilterpyEkfSettings)

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.control.calming import CalmingSettings, calming_controller
 from dpcontrol.control.estimator_settings import EkfSettings, EstimatorSettings, FilterSettings
@@ -30,6 +29,7 @@ from dpcontrol.control.tick import Outcome, TickProgram, whole_periods
 from dpcontrol.control.tracking import TvlqrSettings, costs_to_go
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, Uncertainty, arm_chain_equations
 from dpcontrol.dynamics.compiled import VECTOR
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.foundation.settings import Settings, setting
@@ -62,8 +62,6 @@ from dpcontrol.loop.simulated import BatchBench, SimulatedRig
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
 from dpcontrol.references.reference import Reference, StartNote, joined, plan_notes, start_reference
-
-Array = NDArray[np.float64]
 
 _FLUSH_SECONDS = 0.02
 """Between two handings over of rows to the sink; a log's writer makes a chunk of as many."""

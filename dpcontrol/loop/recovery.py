@@ -26,16 +26,14 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.control.calming import CalmingController
 from dpcontrol.control.interface import Controller, GainSchedule, whole_turns
 from dpcontrol.control.tick import BRAKING, Outcome
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.logs import CATCH, LAP, REST, RESUME, RETURN, START, Flight, joined_text
 from dpcontrol.loop.ticker import Ticker
 from dpcontrol.references.problem import Limits
-
-Array = NDArray[np.float64]
 
 RETURN_SECONDS = 15.0
 """After which a return that has not come to rest begins anew: it takes 6 s at most from states that falls leave."""

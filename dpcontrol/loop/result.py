@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 from dpcontrol.control.estimator_settings import share_inside
 from dpcontrol.control.tick import Outcome
 from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.logs import Flight, LogWriter
 from dpcontrol.logs.rolling import RollingLog
-
-Array = NDArray[np.float64]
 
 
 class Reading(NamedTuple):

@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 from dpcontrol.control.interface import MANY, ONE, Lanes
 from dpcontrol.dynamics.compiled import VECTOR
 from dpcontrol.dynamics.plant import PlantParameters, after_blow, longest_step, plant_step
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.bench import BenchDraw, BenchSettings, Blow, SensorSettings
 from dpcontrol.loop.result import Reading
 from dpcontrol.references.problem import Limits
-
-Array = NDArray[np.float64]
 
 
 class Encoders:

@@ -10,15 +10,13 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.control.handover import NearestKeeper
 from dpcontrol.control.interface import Controller, Estimate, Estimator, GainSchedule, schedule_of
 from dpcontrol.control.tick import UNROLLED, Outcome, TickProgram
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.loop.result import Reading
-
-Array = NDArray[np.float64]
 
 _SCALE_SECONDS = 0.01
 """Over how long the cart's velocity is read off its scale."""

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -36,8 +37,6 @@ from dpcontrol.orbits.lyapunov import (
     described_orbit,
     symmetric_shooting,
 )
-
-Array = NDArray[np.float64]
 
 SLOPE = "slope"
 """Measure of every point: the energy's derivative along the curve, in energy scales; zero at a fold."""

@@ -22,9 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System, saddle_index
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -18,15 +18,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.spatial import KDTree
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.rotating import RotatingOrbit
-
-Array = NDArray[np.float64]
 
 _STEEPEST = 0.95  # of the vectors' growth: how much of it a change of the seeds' distance may undo
 _PROBES = 96  # phases at which the vectors' lengths are compared

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -42,8 +43,6 @@ from dpcontrol.orbits.family import (
     nearest_equilibrium,
 )
 from dpcontrol.orbits.lyapunov import SymmetricShooting, fixed_and_moved
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -24,11 +24,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import suggest
 from dpcontrol.recordings.recording import Recording, cart_motion
-
-Array = NDArray[np.float64]
 
 REPAIRS = {
     "nan": "fill up to 10 missing samples in a row, cut the segment at longer holes",

@@ -30,8 +30,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, PartMissing
 from dpcontrol.foundation.files import UNREADABLE, checked_size, checked_source
 from dpcontrol.foundation.parts import part as package
@@ -48,8 +48,6 @@ from dpcontrol.recordings.checks import (
     sound_segments,
 )
 from dpcontrol.recordings.recording import Recording
-
-Array = NDArray[np.float64]
 
 SHIPPED = Path(__file__).parent / "mappings"
 

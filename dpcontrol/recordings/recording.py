@@ -27,16 +27,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import checked_source, content_hash, picked
 from dpcontrol.foundation.progress import Cost
 from dpcontrol.logs import LogWriter, Mode, RunLog, check_replaced, control_fields, read_log
 from dpcontrol.logs.container import MAGIC
-
-Array = NDArray[np.float64]
 
 KIND, REPLAYED = "recording", "replay"
 """The metadata `kind` of a log that was imported, and of one that a model was replayed on."""

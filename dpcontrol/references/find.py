@@ -30,6 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.equations import Equations
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.references.method import Method, interpolation_matrix, method_named
@@ -58,8 +59,6 @@ from dpcontrol.references.trajectory import (
     where_largest,
 )
 from dpcontrol.references.transcription import solve
-
-Array = NDArray[np.float64]
 
 _STEP, _LEAST_STEP = 0.25, 1 / 32
 """Shares of the friction by which it is raised at first, and at least."""

@@ -28,18 +28,16 @@ from types import MappingProxyType
 from typing import IO, Any, Literal, NotRequired, TypedDict, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.equations import NumericEquations
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive, picked, plain, write_archive
 from dpcontrol.foundation.parts import installed
 from dpcontrol.references.method import Method, method_named
 from dpcontrol.references.problem import LIMIT_UNITS, Limits, ReferenceProblem, state_scale
 from dpcontrol.references.trajectory import Trajectory, error_between_nodes, largest_values, where_largest
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -35,6 +35,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.equations import Equations
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -46,7 +47,6 @@ from dpcontrol.references.problem import EndConditions, Limits, ReferenceProblem
 from dpcontrol.references.reference import Reference
 from dpcontrol.references.trajectory import times_on
 
-Array = NDArray[np.float64]
 Signal = Callable[[Array], Array]
 """From times (K,) in s to inputs (K,) in m/s²."""
 

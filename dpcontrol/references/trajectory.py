@@ -13,15 +13,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.references.method import Method, differentiation_matrix, interpolation_matrix
 from dpcontrol.references.problem import Limits, ReferenceProblem, state_scale
 
 if TYPE_CHECKING:
     from dpcontrol.dynamics.propagator import PolynomialInputPropagator
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,6 +20,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.interrupts import heeding_interrupts
 from dpcontrol.references.method import Method, differentiation_matrix, interpolation_matrix
@@ -33,7 +34,6 @@ from dpcontrol.references.problem import (
 )
 from dpcontrol.references.trajectory import Solved, Trajectory
 
-Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
 
 

@@ -17,15 +17,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.patheffects import withStroke
-from numpy.typing import NDArray
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.review import style
 from dpcontrol.review.page import DOTTED, angle_axis, key, new_figure, quiet, quiet_space, wrapped_runs
 from dpcontrol.review.rerun_recording import Box, page, reading_lines, recording_to, rr, rrb, summary_view
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, AtlasCut, AtlasKind, AtlasOrbit, section_axes
-
-Array = NDArray[np.float64]
-
 
 BRANCHES = {
     (False, 1): style.UNSTABLE,

@@ -16,8 +16,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.review import rerun_recording, style
 from dpcontrol.review.motion import RunView
@@ -179,8 +179,6 @@ def _home(k: int, run: ComparedRun) -> str:
     """Return the place of a run's strips in a recording, which the viewer shows."""
     return f"{k + 1}_{_plain(run.name)}"
 
-
-Array = NDArray[np.float64]
 
 _WIDE = 16.0
 _FRAMES = 8

@@ -19,10 +19,10 @@ from matplotlib.axes import Axes
 from matplotlib.colors import hsv_to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch
-from numpy.typing import NDArray
 
 from dpcontrol.bifurcations.bifurcations import BranchDiagram
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import write_whole
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
@@ -47,8 +47,6 @@ from dpcontrol.review.page import DOTTED, angle_axis, key, new_figure, quiet, sa
 from dpcontrol.tubes.cut import tube_cut
 from dpcontrol.tubes.intersections import InteriorSettings, Outline, Returns, TubeInterior, tube_interior
 from dpcontrol.walks.atlas import Atlas, AtlasConnection, walks
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

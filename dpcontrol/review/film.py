@@ -18,6 +18,7 @@ from matplotlib.font_manager import FontProperties, findfont
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress
@@ -26,7 +27,6 @@ from dpcontrol.review.motion import RunView
 from dpcontrol.review.page import SMALL, key, new_figure, story, story_rows
 from dpcontrol.review.series import Range, arm_points
 
-Array = NDArray[np.float64]
 Point = tuple[float, float]
 
 RATE = 25

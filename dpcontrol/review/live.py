@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, remark
 from dpcontrol.logs import Event, RunLog
 from dpcontrol.loop.result import LoopSink, Ticks
@@ -33,7 +33,6 @@ from dpcontrol.review.motion import RunView, series_of
 if TYPE_CHECKING:
     import rerun as rr
 
-Array = NDArray[np.float64]
 
 RATE = 50.0
 """Hz of the rows that are shown."""

@@ -12,12 +12,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.logs import Extras, Mode, RunLog
 from dpcontrol.logs.reader import Event
 from dpcontrol.recordings.recording import REPLAYED
 from dpcontrol.references.reference import ReferenceSummary
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

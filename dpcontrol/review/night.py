@@ -17,8 +17,8 @@ from textwrap import fill
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs.container import partials_of
 from dpcontrol.logs.layout import CATCH, LAP, REST, RESUME, RETURN, START
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 ITINERARY, CALMING, STARTING = "on the itinerary", "arms calmed", "rising"
 BETWEEN, UNKNOWN = "between repetitions", "no log"

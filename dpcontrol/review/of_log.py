@@ -16,11 +16,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.dynamics.chain import ArmChainParameters, pendulum_system
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, PartMissing, remark
 from dpcontrol.logs import RunLog
 from dpcontrol.logs.layout import SLOW_RATE
@@ -55,8 +55,6 @@ from dpcontrol.review.score import (
     spliced,
 )
 from dpcontrol.tubes.cut import CutSettings, tube_cut
-
-Array = NDArray[np.float64]
 
 STRANDS = 24
 INSTANTS = 160

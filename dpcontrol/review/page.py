@@ -22,6 +22,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, LogLocator, MaxNLocator, MultipleLocator
 from numpy.typing import NDArray
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError, printable
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.review import series, style
@@ -39,8 +40,6 @@ from dpcontrol.review.series import (
     gap_times,
     strips,
 )
-
-Array = NDArray[np.float64]
 
 SMALL = 8.5
 _DPI = 110

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import whole_file
 from dpcontrol.foundation.parts import Later
@@ -45,7 +46,6 @@ if TYPE_CHECKING:
 else:
     rr, rrb = Later("rerun"), Later("rerun.blueprint")
 
-Array = NDArray[np.float64]
 
 TIMELINE = "message_log_time"
 """The timeline of the log's own messages, a duration from the start; derived series go on the same."""

@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import NisMeans, nis_means
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.logs import CATCH, LAP, RESUME, RETURN, Flight, RunLog, joined_at
 from dpcontrol.loop.result import inside_95
 from dpcontrol.references.reference import PlanNotes, Reference, StopNote, load_reference, plan_notes
 
-Array = NDArray[np.float64]
 Number = TypeVar("Number", int, float)
 
 _SAME = 1e-4

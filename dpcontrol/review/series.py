@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from dpcontrol.control.estimator_settings import MEANS_OF, mean_band, means_of
 from dpcontrol.control.margins import Margins
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.logs import LAP, RESUME, RETURN, START, Mode
 from dpcontrol.review import style
 from dpcontrol.review.motion import ACTUAL, RunView, Stay, clean
 
-Array = NDArray[np.float64]
 Range = tuple[float, float]
 
 NIS_LOST = 10.0

@@ -7,15 +7,13 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
-from numpy.typing import NDArray
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.references.reference import ReferenceSummary, plan_notes
 from dpcontrol.review import style
 from dpcontrol.review.page import new_figure
 from dpcontrol.review.series import arm_points
-
-Array = NDArray[np.float64]
 
 _WIDE, _NAMES, _HEAD, _EDGE = 13.0, 0.65, 0.95, 0.12
 """Inches: of the page, of the names beside the pictures, of what stands above them; and the margin."""

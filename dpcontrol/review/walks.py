@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Line3DCollection
 from numpy.typing import NDArray
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.review import page, style
 from dpcontrol.review.motion import PlanView, RunView, Stay
@@ -33,8 +34,6 @@ from dpcontrol.review.page import (
 from dpcontrol.review.series import Chart, LevelLine, Line
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
-
-Array = NDArray[np.float64]
 
 NEAR = 1e-3
 """Scaled distance from a periodic orbit at which flights end and wobbles begin to be counted, as connections' times."""

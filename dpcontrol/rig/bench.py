@@ -33,10 +33,10 @@ from types import TracebackType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.control.tick import TickProgram
 from dpcontrol.dynamics.chain import ArmChainParameters, Uncertainty
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.processes import end_with_parent
 from dpcontrol.foundation.settings import Settings, setting
@@ -64,7 +64,6 @@ from dpcontrol.rig.packets import (
     checked_host,
 )
 
-Array = NDArray[np.float64]
 Say = Callable[[str], None]
 
 _STANDING = 1e-9

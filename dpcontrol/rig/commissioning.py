@@ -34,10 +34,10 @@ from itertools import permutations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg, optimize, signal
 
 from dpcontrol.dynamics.chain import ArmChainParameters
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.settings import Bounds, Settings, setting
 from dpcontrol.loop.loop import LoopSettings
@@ -45,7 +45,6 @@ from dpcontrol.loop.result import Reading, Rig
 from dpcontrol.references.problem import Limits
 from dpcontrol.rig.client import Deadlines
 
-Array = NDArray[np.float64]
 Tell = Callable[[str], None]
 
 REACH = 0.010

@@ -53,6 +53,7 @@ from dpcontrol.bifurcations.bifurcations import (
 )
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import archive, content_hash, picked, plain, write_archive
@@ -77,7 +78,6 @@ from dpcontrol.walks.atlas import (
 )
 from dpcontrol.walks.edges import PairSearch, TubeCuts, orbits_at, search_pairs
 
-Array = NDArray[np.float64]
 Arrays = dict[str, NDArray[Any]]
 Record = TypeVar("Record")
 

@@ -12,10 +12,10 @@ from dataclasses import asdict, dataclass, replace
 from itertools import pairwise, product
 
 import numpy as np
-from numpy.typing import NDArray
 
 import dpcontrol
 from dpcontrol.dynamics.chain import Level, equations_of
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, equilibria, resting_place
@@ -28,8 +28,6 @@ from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.scenes.transfers import Transfer, find_transfers, turned
 from dpcontrol.tubes.connections import Connection
 from dpcontrol.walks.shadowing import ShadowingOrbit
-
-Array = NDArray[np.float64]
 
 REST_BEFORE, REST_AFTER = 0.5, 1.0
 """Seconds for which the pendulum hangs still before it starts and after it is back."""

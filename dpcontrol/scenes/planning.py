@@ -19,9 +19,9 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.control.interface import whole_turns
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.lyapunov import lyapunov_orbit, resting_place
@@ -48,8 +48,6 @@ from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver, phase_gap
 from dpcontrol.walks.symbols import parse_walk
 from dpcontrol.walks.walks import resolve
-
-Array = NDArray[np.float64]
 
 
 def planned(

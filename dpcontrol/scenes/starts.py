@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, remark
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.references.reference import Reference, StartNote, plan_notes, start_arrays
@@ -17,8 +18,6 @@ from dpcontrol.review.score import decode_run
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.scenes.pieces import ways_round
 from dpcontrol.scenes.transfers import kept_transfer
-
-Array = NDArray[np.float64]
 
 _RATE = 100.0
 """Hz, at which a stop's places are looked at: what is joined there is a whole number of ticks away at usual rates."""

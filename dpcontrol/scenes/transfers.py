@@ -26,12 +26,12 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.control.interface import SampledModel
 from dpcontrol.control.tracking import TvlqrSettings, riccati_gains, terminal_cost
 from dpcontrol.dynamics.chain import ArmChainParameters, Level, equations_of
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import content_hash
@@ -51,8 +51,6 @@ from dpcontrol.references.reference import (
 )
 from dpcontrol.references.trajectory import Trajectory
 from dpcontrol.scenes.itinerary import Itinerary
-
-Array = NDArray[np.float64]
 
 _SAMPLING = 2e-3
 """s between the states that are held against the orbits."""

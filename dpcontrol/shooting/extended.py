@@ -18,12 +18,11 @@ from scipy.sparse.linalg import splu
 
 from dpcontrol.dynamics.propagator import Exact, Extended, ExtendedPropagator, digits, extended, pi_times
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import local_manifold
 from dpcontrol.shooting.newton import Guess, ManifoldEnd, ShootingEquations, Unknowns
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -36,10 +36,9 @@ from scipy.sparse import csc_array
 from scipy.sparse.linalg import splu
 
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import OrbitCurve, UnstableManifold
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -24,11 +24,11 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import root_scalar
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -37,8 +37,6 @@ from dpcontrol.orbits.manifold import HyperbolicOrbit, OrbitCurve, local_manifol
 from dpcontrol.shooting.newton import Guess, ManifoldEnd, ShootingOrbit, solve_shooting
 from dpcontrol.tubes.cut import Cut, OpenEnd, section_points, tube_cut
 from dpcontrol.tubes.intersections import ConnectionSettings, Intersection, balanced, intersect_cuts
-
-Array = NDArray[np.float64]
 
 _ROUNDING = 1e-13
 """What rounding leaves of a gap between two tubes, scaled: divided by their angle, it is how far it moves their

@@ -11,14 +11,11 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
+from dpcontrol.foundation.arrays import Array, Flags
 from dpcontrol.orbits.manifold import UnstableManifold
-
-Array = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 _THOROUGH = 20_000
 """Phases of a thorough cut: windows between them in which trajectories go another way are narrower than 5e-5."""

@@ -36,13 +36,12 @@ from scipy.spatial import KDTree
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
+from dpcontrol.foundation.arrays import Array, Flags
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.tubes.cut import Cut, CutSettings, Piece, longest_flight, section_points
-
-Array = NDArray[np.float64]
 
 _BLOCK = 32
 """Segments of the first curve at a time: compared only with those of the second that their box meets."""
@@ -620,7 +619,6 @@ def _add(
             known = np.vstack([known, one.states[0]])
 
 
-Flags = NDArray[np.bool_]
 Labels = NDArray[np.int8]
 
 

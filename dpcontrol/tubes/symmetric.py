@@ -24,10 +24,10 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.foundation.progress import Progress, no_progress
@@ -36,8 +36,6 @@ from dpcontrol.orbits.lyapunov import symmetric_shooting as shooting_problem
 from dpcontrol.orbits.manifold import OrbitCurve, local_manifold
 from dpcontrol.shooting.newton import ManifoldEnd, ShootingOrbit
 from dpcontrol.tubes.connections import Connection, approach
-
-Array = NDArray[np.float64]
 
 _HYPERBOLIC = 1e-4
 """Distance of a multiplier's modulus from one above which it is counted as unstable."""

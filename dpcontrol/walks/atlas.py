@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Section
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
 from dpcontrol.orbits.lyapunov import OrbitRecord
@@ -63,9 +64,6 @@ def _walks(graph: "nx.MultiDiGraph[str]", at: str, target: str | None, left: int
     for _, following, name in graph.out_edges(at, keys=True):
         for rest in _walks(graph, following, target, left - 1):
             yield (name, *rest)
-
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

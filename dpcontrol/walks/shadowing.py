@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dpcontrol.dynamics.system import System
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.shooting.newton import (
     ErrorEstimate,
@@ -32,8 +33,6 @@ from dpcontrol.shooting.newton import (
     solve_shooting,
 )
 from dpcontrol.tubes.connections import Connection
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ from numpy.typing import NDArray
 
 from dpcontrol.dynamics.propagator import Exact, Section, digits
 from dpcontrol.dynamics.system import System, momentum_scale
+from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.files import picked, plain, write_archive
 from dpcontrol.foundation.progress import Cost
@@ -39,8 +40,6 @@ from dpcontrol.walks.atlas import walks
 from dpcontrol.walks.edges import Edges, is_rotating, rotating_names
 from dpcontrol.walks.shadowing import MOST_WRAPS, ShadowingOrbit, WalkSolver, check_stops
 from dpcontrol.walks.symbols import Symbol, choose, composed, parse_walk
-
-Array = NDArray[np.float64]
 
 _FAR = 0.05  # scaled; between two stops an orbit is farther off than this, and once it has joined an orbit never again
 _MIRRORED = 1e-7  # scaled; states are good to 1e-11, and orbits that nearly mirror each other are farther apart
