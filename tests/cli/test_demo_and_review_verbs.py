@@ -181,7 +181,7 @@ def test_what_was_done_is_told_beside_what_was_asked(demo: tuple[Path, Ended]) -
     assert view.crossings[0] == pytest.approx(passed, abs=2 / log.rate_hz)
 
 
-@pytest.mark.slow(reason="the margins of the demo's flight, twice")
+@pytest.mark.benchmark(reason="the margins of the demo's flight, twice")
 def test_report_shows_the_margins_of_a_logs_loop_where_they_are_asked_for(
     demo: tuple[Path, Ended], tmp_path: Path
 ) -> None:

@@ -96,15 +96,15 @@ def test_a_cortex_m4_gives_the_loops_commands(single: Exported) -> None:
     assert "1499 ticks, commands differ by" in done.stderr
 
 
-WHOLE = {"outer-turn", "turn-from-rest", "hold-up-up"}
+WHOLE = {("outer-turn", "single"), ("turn-from-rest", "double"), ("hold-up-up", "double")}
 """One of each kind of start; the others, as long as they are, are replayed with the benchmarks."""
 
 
 @pytest.mark.parametrize(
     ("name", "precise"),
     [
-        pytest.param(name, precise, marks=() if name in WHOLE or keeps_a_clock(name) else pytest.mark.benchmark)
-        for name, precise in product(ITINERARIES, ["double", "single"])
+        pytest.param(*one, marks=() if one in WHOLE or keeps_a_clock(one[0]) else pytest.mark.benchmark)
+        for one in product(ITINERARIES, ["double", "single"])
     ],
 )
 def test_every_shipped_itinerary_leaves_as_c_or_says_why_not(

@@ -1,6 +1,6 @@
 """Whatever is typed and whatever files hold, a call ends with 0, 1 or 2 and a sentence, and leaves nothing half done.
 
-The quick tests and the slow ones try the same inputs each time. An hour of new ones, each in a child that is watched:
+The quick tests and the benchmarks try the same inputs each time. An hour of new ones, each in a child that is watched:
 
     pytest -m benchmark tests/fuzz -s
 
@@ -27,7 +27,7 @@ from dpcontrol.cli.main import VERBS
 OPTIONS, FILES = 6, 6
 """Inputs of each verb and of each kind of file in the quick tests."""
 MORE = 2
-"""How many times as many the slow ones try, but for `demo`, which plans and runs whatever else is asked of it."""
+"""How many times as many the benchmarks try, but for `demo`, which plans and runs whatever else is asked of it."""
 ROUND = 200
 """Inputs of one seed in the long test."""
 
@@ -60,8 +60,11 @@ def tried(trials: st.SearchStrategy[Trial], laboratory: Laboratory, *, count: in
     check()
 
 
-# Those whose work takes seconds are left to the slow test.
-@pytest.mark.parametrize("verb", [verb for verb in VERBS if verb not in {"demo", "atlas", "export", "identify"}])
+LONG = {"demo", "atlas", "export", "identify"}
+"""Verbs whose work takes seconds: left to the slow tests."""
+
+
+@pytest.mark.parametrize("verb", [verb for verb in VERBS if verb not in LONG])
 def test_every_option_is_taken_or_refused_in_a_sentence(verb: str, laboratory: Laboratory) -> None:
     tried(option_trials(verb, laboratory), laboratory, count=OPTIONS)
 
@@ -71,14 +74,15 @@ def test_a_spoilt_file_is_read_or_refused_in_a_sentence(kind: str, laboratory: L
     tried(file_trials(kind, laboratory), laboratory, count=FILES)
 
 
-# Slow: the rest of a minute.
-@pytest.mark.slow
-@pytest.mark.parametrize("verb", VERBS)
+# Of the others as many again with the benchmarks.
+@pytest.mark.parametrize(
+    "verb", [pytest.param(verb, marks=pytest.mark.slow if verb in LONG else pytest.mark.benchmark) for verb in VERBS]
+)
 def test_many_options_are_taken_or_refused_in_a_sentence(verb: str, laboratory: Laboratory) -> None:
     tried(option_trials(verb, laboratory), laboratory, count=OPTIONS if verb == "demo" else MORE * OPTIONS)
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 @pytest.mark.parametrize("kind", KINDS)
 def test_many_spoilt_files_are_read_or_refused_in_a_sentence(kind: str, laboratory: Laboratory) -> None:
     tried(file_trials(kind, laboratory), laboratory, count=MORE * FILES)
