@@ -220,9 +220,9 @@ def _chi_square_quantile(share: float, freedom: int) -> float:
     return math.exp(middle)
 
 
-def share_inside(values: Array, freedom: int, *, share: float = 0.95) -> float:
-    """Return the part of NIS or NEES `values` (any shape) within the band of `share`; a consistent filter gives it."""
-    low, high = chi_square_band(freedom, share=share)
+def share_inside(values: Array, freedom: int) -> float:
+    """Return the part of NIS or NEES `values` (any shape) within the band of 95 %, which a consistent filter gives."""
+    low, high = chi_square_band(freedom)
     return float(((values >= low) & (values <= high)).mean())
 
 

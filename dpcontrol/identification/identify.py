@@ -511,12 +511,10 @@ class LossProfile:
     promised: Array
 
 
-def profiles(
-    found: Identification, *, settings: FitSettings | None = None, progress: Progress = no_progress
-) -> tuple[LossProfile, ...]:
+def profiles(found: Identification, *, progress: Progress = no_progress) -> tuple[LossProfile, ...]:
     """Return the profile of each unknown within three standard errors, by fitting the others again."""
     fit = found.candidates[found.chosen].fit
-    settings = replace(settings or FitSettings(), bend=fit.bend, tolerance=1e-5)
+    settings = FitSettings(bend=fit.bend, tolerance=1e-5)
     model = Swings(found.arms)
     m, swings = model.parameters, [s for s, about in zip(found.swings, found.segments, strict=True) if about.used]
     every = np.concatenate([fit.parameters, fit.zeros.ravel()])

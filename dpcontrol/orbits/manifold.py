@@ -276,10 +276,12 @@ def local_manifold(orbit: LyapunovOrbit, distance: float = 3e-4) -> UnstableMani
     return UnstableManifold(orbit, distance)
 
 
-def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None, segments: int = 16) -> HyperbolicOrbit:
-    """Return a rotating orbit as a vertex, by default named "outer-rotating" or "inner-rotating" ("-back": clockwise).
+_FLOWN = 8
+"""Segments of a rotating orbit that are flown from the mirror line; as many are their mirror images."""
 
-    segments: nodes, of which half are flown from the mirror line and half are their mirror images.
+
+def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None) -> HyperbolicOrbit:
+    """Return a rotating orbit as a vertex, by default named "outer-rotating" or "inner-rotating" ("-back": clockwise).
 
     Raises:
         InputError: the orbit is not hyperbolic: it has no tubes.
@@ -294,10 +296,9 @@ def rotating_vertex(orbit: RotatingOrbit, *, name: str | None = None, segments: 
     rest = np.concatenate([orbit.state[:n], np.zeros(n)])
     winding = np.zeros(2 * n)
     winding[:n] = orbit.winding
-    half = max(1, segments // 2)
-    times = np.linspace(0.0, orbit.period, 2 * half + 1)
+    times = np.linspace(0.0, orbit.period, 2 * _FLOWN + 1)
     mirror = system.reversers[-1]
-    first = system.propagator.sample(orbit.state, times[: half + 1])
+    first = system.propagator.sample(orbit.state, times[: _FLOWN + 1])
     # γ(1 - φ) = R γ(φ) + a whole turn.
     second = (first[:-1][::-1] - rest) @ mirror.T + rest + winding * system.turn_lengths
     states = np.vstack([first, second])

@@ -29,7 +29,7 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
 from dpcontrol.foundation.files import picked
-from dpcontrol.foundation.progress import Progress, no_progress
+from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.family import (
     LINGERS,
     SLOPE,
@@ -413,7 +413,6 @@ def rotating_families(
     orbits: Sequence[RotatingOrbit],
     energies: tuple[float, float],
     *,
-    settings: RotatingFamilySettings | None = None,
     progress: Progress = no_progress,
 ) -> tuple[RotatingFamily, ...]:
     """Follow the families of several orbits of one energy, each family once: where it folds it holds several.
@@ -424,11 +423,8 @@ def rotating_families(
     families: list[RotatingFamily] = []
     for k, orbit in enumerate(orbits):
         if not any(_passes(family, orbit) for family in families):
-
-            def share(what: str, done: float, k: int = k) -> None:
-                progress(what, (k + done) / len(orbits))
-
-            families.append(rotating_family(orbit, energies, settings=settings, progress=share))
+            share = part_of(progress, k / len(orbits), (k + 1) / len(orbits))
+            families.append(rotating_family(orbit, energies, progress=share))
     return tuple(families)
 
 

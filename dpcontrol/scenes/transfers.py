@@ -107,15 +107,15 @@ _SEVERAL = 4
 
 
 def kept_transfer(
-    itinerary: Itinerary, start: Array, ends: Sequence[Array], *, fresh: bool = False, progress: Progress = no_progress
+    itinerary: Itinerary, start: Array, ends: Sequence[Array], *, progress: Progress = no_progress
 ) -> Reference:
-    """Return a transfer from `start` (N,) to one of `ends` (N,), from the cache unless `fresh`.
+    """Return a transfer from `start` (N,) to one of `ends` (N,), from the cache where it is kept.
 
     Raises:
         GoalMissed: there is none within the limits; says what stood in the way.
     """
     wanted = Transfer.of(itinerary, "", start, ends)
-    return find_transfers([wanted], fresh=fresh, progress=progress)[wanted.key]
+    return find_transfers([wanted], progress=progress)[wanted.key]
 
 
 def find_transfers(

@@ -631,8 +631,6 @@ def find_lap_connections(
     *,
     section: Section,
     crossings: Sequence[int] = (),
-    settings: ConnectionSettings | None = None,
-    progress: Progress = no_progress,
 ) -> ConnectionSearch:
     """Find connections between an orbit that crosses `section` itself and one that does not, either way.
 
@@ -643,7 +641,7 @@ def find_lap_connections(
         InputError: not exactly one of the orbits crosses the section, no crossing numbers above zero, or the orbits
             differ in energy.
     """
-    settings = settings or ConnectionSettings()
+    settings = ConnectionSettings()
     lapping = [orbit for orbit in (source, target) if isinstance(orbit, HyperbolicOrbit)]
     if len(lapping) != 1:
         raise InputError(
@@ -663,8 +661,7 @@ def find_lap_connections(
     )
     found: list[Connection] = []
     search, failed, resolved = None, 0, True
-    for k, crossing in enumerate(crossings):
-        progress(f"tube of {lapping[0].saddle}, crossing {crossing}", k / len(crossings))
+    for crossing in crossings:
         cut = tube_cut(manifold, section, hit=crossing, settings=settings.cut)
         hits, cuts = ((crossing, 1), (cut, other)) if lapping[0] is source else ((1, crossing), (other, cut))
         search = find_connections(source, target, hits=hits, section=section, settings=settings, cuts=cuts)
@@ -676,7 +673,6 @@ def find_lap_connections(
                 found.append(canonical)
     assert search is not None
     _sort(found)
-    progress("connections", 1.0)
     listed = ", ".join(str(c) for c in crossings)
     status = f"{len(found)} connections where {lapping[0].saddle}'s tube crosses {section.name} for the {listed}. time"
     status += "; other crossings have others"

@@ -38,7 +38,6 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System, momentum_scale
 from dpcontrol.foundation.arrays import Array, Flags
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.lyapunov import LyapunovOrbit
 from dpcontrol.orbits.manifold import UnstableManifold
 from dpcontrol.tubes.cut import Cut, CutSettings, Piece, longest_flight, section_points
@@ -729,7 +728,7 @@ SKIP = 1e-6
 
 
 _AT_ONCE = 200
-"""Points flown to a return between two reports of progress."""
+"""Points flown to a return at once."""
 
 
 @dataclass(frozen=True)
@@ -787,7 +786,6 @@ def tube_interior(
     *,
     branch: int = 1,
     settings: InteriorSettings | None = None,
-    progress: Progress = no_progress,
 ) -> TubeInterior:
     """Carry a grid of the inside of an unstable tube's cut through returns, forward and backward.
 
@@ -821,13 +819,7 @@ def tube_interior(
     if not len(points):
         raise InputError(f"the cut of branch {branch:+d} is too thin for {settings.across} points across; ask for more")
     angle, radius = _wheel(points, own[0].vertices)
-    runs = []
-    for k, sign in enumerate((1, -1)):
-
-        def report(what: str, done: float, share: float = k / 2) -> None:
-            progress(what, share + done / 2)
-
-        runs.append(_carried(orbit, section, states, sign, outlines, settings, report))
+    runs = [_carried(orbit, section, states, sign, outlines, settings) for sign in (1, -1)]
     back = [int(np.count_nonzero(run.arrived[:, -1])) for run in runs]
     status = f"{len(points)} points; {back[0]} return {settings.returns} times forward, {back[1]} backward"
     return TubeInterior(orbit, section, branch, points, states, angle, radius, runs[0], runs[1], outlines, status)
@@ -840,7 +832,6 @@ def _carried(
     sign: int,
     outlines: tuple[Outline, ...],
     settings: InteriorSettings,
-    progress: Progress,
 ) -> Returns:
     """Fly every state to its returns in one direction of time."""
     system = orbit.system
@@ -863,8 +854,6 @@ def _carried(
                 elapsed[k] += SKIP + abs(crossing.time)
                 arrived[k, r], flown[k, r], seconds[k, r] = True, crossing.state, elapsed[k]
                 following.append(k)
-            done = (r + (int(part[-1]) / len(states) if len(part) else 1.0)) / settings.returns
-            progress("forward returns" if sign > 0 else "backward returns", done)
         going = np.array(following, dtype=int)
         here = flown[:, r]
     points, direction = place_on_section(system, section, flown)

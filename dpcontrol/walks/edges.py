@@ -76,7 +76,7 @@ def rotating_named(system: System, name: str, energy: float) -> HyperbolicOrbit:
 
 
 def rotating_connections(
-    source: LyapunovOrbit, target: LyapunovOrbit, *, section: str | None = None, progress: Progress = no_progress
+    source: LyapunovOrbit, target: LyapunovOrbit, *, section: str | None = None
 ) -> ConnectionSearch:
     """Find connections between a rotating orbit and a saddle's, either way.
 
@@ -96,10 +96,10 @@ def rotating_connections(
     home = target if lapping[0] is source else source
     searched = _section(lapping[0], home, section)
     first = crossing = grown_crossing(lapping[0], searched)
-    found = find_lap_connections(source, target, section=searched, crossings=(crossing,), progress=progress)
+    found = find_lap_connections(source, target, section=searched, crossings=(crossing,))
     while not found.connections and crossing < first + _LONGER:
         crossing += 1
-        found = find_lap_connections(source, target, section=searched, crossings=(crossing,), progress=progress)
+        found = find_lap_connections(source, target, section=searched, crossings=(crossing,))
     if found.connections:
         return found
     never = f"none where {lapping[0].saddle}'s tube crosses {searched.name} for the {first}. to {crossing}. time"

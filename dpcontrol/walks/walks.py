@@ -45,15 +45,12 @@ _FAR = 0.05  # scaled; between two stops an orbit is farther off than this, and 
 _MIRRORED = 1e-7  # scaled; states are good to 1e-11, and orbits that nearly mirror each other are farther apart
 
 
-def as_connection(orbit: ShadowingOrbit, *, settings: ConnectionSettings | None = None) -> Connection:
+def as_connection(orbit: ShadowingOrbit) -> Connection:
     """Return a converged open shadowing orbit as a connection, to be an edge of other walks.
-
-    settings: `near`, the scaled distance at which it is said to have joined its orbits.
 
     Raises:
         InputError: the orbit is periodic, or has not converged.
     """
-    settings = settings or ConnectionSettings()
     if orbit.periodic:
         raise InputError("a periodic orbit connects nothing: only an open walk becomes an edge of the graph")
     if not orbit.converged:
@@ -73,10 +70,11 @@ def as_connection(orbit: ShadowingOrbit, *, settings: ConnectionSettings | None 
         < _MIRRORED
         for reverser in system.reversers
     )
-    time_out, phase_out = approach(whole, OrbitCurve(source), -1, settings.near)
+    near = ConnectionSettings().near
+    time_out, phase_out = approach(whole, OrbitCurve(source), -1, near)
     curve = OrbitCurve(target)
     since = _last_far(whole, curve)
-    time_in, phase_in = approach(replace(whole, times=whole.times - since), curve, +1, settings.near)
+    time_in, phase_in = approach(replace(whole, times=whole.times - since), curve, +1, near)
     # Beyond there an orbit that crosses the section itself would count its laps.
     since_left = -time_out if source.laps else float(whole.times[0])
     till_joined = since + time_in if target.laps else float(whole.times[-1])
