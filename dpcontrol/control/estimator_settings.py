@@ -92,13 +92,8 @@ class FilterSettings(Settings, table="estimator"):
     friction_error: float = setting(0.3, above=0, most=_MOST)
     model_error: float = setting(0.1, above=0, most=_MOST)
 
-    def __post_init__(self) -> None:
-        """Check the bounds, and that nothing is augmented twice.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        super().__post_init__()
+    def _check_together(self) -> None:
+        """Check that nothing is augmented twice."""
         if len(set(self.augment)) != len(self.augment):
             raise self.refusal("augment", "name each once")
 

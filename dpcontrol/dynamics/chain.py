@@ -90,13 +90,8 @@ class ArmChainParameters(Settings):
     quadratic: tuple[float, ...] = setting((), least=0, most=LARGEST, unit="N s²/m²")
     smoothing: float = setting(0.05, above=0, most=LARGEST, unit="rad/s")
 
-    def __post_init__(self) -> None:
-        """Check the bounds, and that each arm has its values.
-
-        Raises:
-            InputError: names the parameter, its value and what is allowed.
-        """
-        super().__post_init__()
+    def _check_together(self) -> None:
+        """Check that each arm has its values."""
         if not self.mass:
             raise InputError("mass = []: a chain has at least one arm")
         for name in ("centre_of_mass", "length", "inertia", "viscous", *self.friction):

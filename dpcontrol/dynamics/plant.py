@@ -56,13 +56,8 @@ class PlantParameters(Settings):
     cart_viscous: float = setting(0.0, least=0, most=1e6, unit="N s/m")
     tilt: float = setting(0.0, least=-np.pi / 4, most=np.pi / 4, unit="rad")
 
-    def __post_init__(self) -> None:
-        """Check the bounds, and what a cart with mass or friction needs.
-
-        Raises:
-            InputError: names the parameter, its value and what is allowed.
-        """
-        super().__post_init__()
+    def _check_together(self) -> None:
+        """Check what a cart with mass or friction needs."""
         if self.cart_mass > 0 and self.lag == 0:
             raise InputError(
                 f"cart_mass = {self.cart_mass!r} with lag = 0: a cart with a mass needs the time constant of the "

@@ -356,7 +356,7 @@ class Settings:
             cls.TABLE = table
 
     def __post_init__(self) -> None:
-        """Check every bounded field.
+        """Check every bounded field, then what they must be together.
 
         Raises:
             InputError: names table, key, value and what is allowed.
@@ -366,6 +366,10 @@ class Settings:
             for one in value if isinstance(value, tuple | list) else (value,):
                 if one is not None and (complaint := bounds.complaint(one)):
                     raise self.refusal(bounds.key or name, complaint, value=one)
+        self._check_together()
+
+    def _check_together(self) -> None:
+        """Reject values that are allowed each but not together; most settings have none."""
 
     def refusal(self, key: str, complaint: str, *, value: Any = MISSING) -> InputError:
         """Return the error of a setting's value, by default the present one."""

@@ -268,13 +268,8 @@ class IdentificationSettings(Settings, table="identify"):
     laws: tuple[tuple[Friction, ...], ...] = LAWS
     fit: FitSettings = field(default_factory=FitSettings)
 
-    def __post_init__(self) -> None:
-        """Check the bounds, and that there are laws to try.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        super().__post_init__()
+    def _check_together(self) -> None:
+        """Check that there are laws to try."""
         if not self.laws:
             raise self.refusal("laws", "must name at least one set, () for viscous friction alone")
 

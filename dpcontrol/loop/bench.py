@@ -72,13 +72,8 @@ class SensorSettings(Settings, table="sensors"):
     rate_noise: float = setting(0.0, least=0, most=1000, unit="rad/s")
     zero_drift: float = setting(0.0, least=0, most=1000, unit="rad/h")
 
-    def __post_init__(self) -> None:
-        """Check the bounds, and that an encoder which loses counts has some.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        super().__post_init__()
+    def _check_together(self) -> None:
+        """Check that an encoder which loses counts has some."""
         if self.missed_counts and not self.counts:
             raise InputError(
                 f"sensors: missed_counts = {self.missed_counts!r} with counts = 0: an encoder that does not count "

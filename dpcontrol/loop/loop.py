@@ -325,13 +325,8 @@ class LoopSettings(Settings, table="run"):
     disturbances: DisturbanceSettings = field(default_factory=DisturbanceSettings)
     supervisor: SupervisorSettings = field(default_factory=SupervisorSettings)
 
-    def __post_init__(self) -> None:
-        """Check the bounds, that what keeps the stops goes with the controller, and that a plant is drawn in one way.
-
-        Raises:
-            InputError: names the setting, its value and what is allowed.
-        """
-        super().__post_init__()
+    def _check_together(self) -> None:
+        """Check that what keeps the stops goes with the controller, and that a plant is drawn in one way."""
         if self.plant is not None and self.model_uncertainty:
             raise self.refusal(
                 "model_uncertainty", "the plant has arms of its own, not those near the model's; use a mismatch"
