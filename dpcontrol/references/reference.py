@@ -106,6 +106,22 @@ class Reference(Trajectory):
         return float(np.sqrt(square @ lengths / lengths.sum()))
 
 
+class ByReference:
+    """What stands and falls with its reference."""
+
+    reference: Reference
+
+    @property
+    def converged(self) -> bool:
+        """Whether the reference converged, so that it may be followed."""
+        return self.reference.converged
+
+    @property
+    def status(self) -> str:
+        """How the reference was found, or why not and what to try."""
+        return self.reference.status
+
+
 def still(state: Array, seconds: float, *, method: Method, limits: Limits, interval: float) -> Reference:
     """Return the reference that stays at an equilibrium (N,), without input."""
     count = max(1, int(np.ceil(seconds / interval)))

@@ -44,7 +44,7 @@ from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.method import gauss
 from dpcontrol.references.problem import EndConditions, Limits, ReferenceProblem, ReferenceSettings, state_scale
-from dpcontrol.references.reference import Reference
+from dpcontrol.references.reference import ByReference, Reference
 from dpcontrol.references.trajectory import times_on
 
 Signal = Callable[[Array], Array]
@@ -125,7 +125,7 @@ class SectionMap:
 
 
 @dataclass(frozen=True, eq=False)
-class SustainedOrbit:
+class SustainedOrbit(ByReference):
     """A periodic orbit of pendulum and cart with the input that sustains it; time 0 is its phase 0.
 
     lyapunov: the conservative orbit it grew from. arms: with friction. reference: one period.
@@ -134,16 +134,6 @@ class SustainedOrbit:
     lyapunov: LyapunovOrbit
     arms: ArmChainParameters
     reference: Reference
-
-    @property
-    def converged(self) -> bool:
-        """Whether it may be used."""
-        return self.reference.converged
-
-    @property
-    def status(self) -> str:
-        """How it was found, or why not and what to try."""
-        return self.reference.status
 
     @property
     def energy(self) -> float:

@@ -18,7 +18,7 @@ from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
 from dpcontrol.foundation.errors import GoalMissed
 from dpcontrol.foundation.files import content_hash, picked
 from dpcontrol.foundation.progress import Cost, Progress, announce, no_progress, part_of
-from dpcontrol.references.reference import PlanNotes, Reference, load_reference, plan_notes, save_reference
+from dpcontrol.references.reference import ByReference, PlanNotes, Reference, load_reference, plan_notes, save_reference
 from dpcontrol.scenes.itinerary import HoldPart, Itinerary, WalkPart, stored_itinerary
 from dpcontrol.scenes.run_options import RunOptions
 
@@ -31,7 +31,7 @@ FORMAT = 2
 
 
 @dataclass(frozen=True)
-class Plan:
+class Plan(ByReference):
     """An itinerary's reference with its notes; file: where it is kept; cached: whether it was found there.
 
     Of a reference that did not converge there is no file, nor where the cache cannot be written.
@@ -56,16 +56,6 @@ class Plan:
         file = BytesIO()
         save_reference(file, self.reference)
         return file.getvalue()
-
-    @property
-    def status(self) -> str:
-        """How the reference's search ended."""
-        return self.reference.status
-
-    @property
-    def converged(self) -> bool:
-        """Whether there is a reference to follow."""
-        return self.reference.converged
 
     def followed(self) -> "Plan":
         """Return the plan, where its reference can be followed.
