@@ -30,7 +30,7 @@ from dpcontrol.foundation.progress import Progress
 from dpcontrol.logs import LogWriter, recover
 from dpcontrol.logs.container import Messages, MessageWriter, messages_of, ticks_left
 from dpcontrol.loop.loop import run_loop
-from dpcontrol.loop.result import Ticks
+from dpcontrol.loop.result import LogSink, Ticks
 from dpcontrol.scenes.itinerary import load_itinerary
 from dpcontrol.scenes.plan import make_plan
 from dpcontrol.scenes.run_options import RunOptions
@@ -177,9 +177,7 @@ class Blocks(Format):
         self._log.__enter__()
 
     def add(self, first: int, until: int) -> None:
-        rows = self._ticks.between(first, until)
-        self._log.ticks(rows.times, measured=rows.measured, estimate=rows.estimates, reference=rows.references,
-                        truth=rows.truth, control=rows.control)  # fmt: skip
+        LogSink(self._log).ticks(self._ticks.between(first, until))
 
     def end(self) -> None:
         self._log.__exit__(None, None, None)

@@ -277,13 +277,10 @@ class StreamReader:
             self._make(self._random, min(left, _BLOCK))
             left -= min(left, _BLOCK)
 
-    def _go_on(self, count: int) -> None:
-        self._values = self._rows(self._make(self._random, count))
-        self._first, self._end = self._end, self._end + count
-
     def __getitem__(self, tick: int) -> Any:
         while tick >= self._end:
-            self._go_on(self._block)
+            self._values = self._rows(self._make(self._random, self._block))
+            self._first, self._end = self._end, self._end + self._block
         if tick < self._first:
             raise IndexError(f"tick {tick} of a stream is asked for after tick {self._first}")
         return self._values[tick - self._first]

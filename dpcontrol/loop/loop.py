@@ -658,11 +658,8 @@ def can_batch(settings: LoopSettings, controller: Controller | None = None) -> b
     hands_over = settings.keep != "none" or settings.supervisor.hold != "none" or settings.supervisor.resynchronise
     hands_over = hands_over or settings.supervisor.on_fall != "stop"
     compiled = isinstance(settings.estimator, EkfSettings)
-    return compiled and not faults and not hands_over and (controller is None or _answers_many(controller))
-
-
-def _answers_many(controller: Controller) -> bool:
-    return hasattr(controller, "schedule") or hasattr(controller, "begin_many")
+    answers_many = controller is None or hasattr(controller, "schedule") or hasattr(controller, "begin_many")
+    return compiled and not faults and not hands_over and answers_many
 
 
 def run_batch(

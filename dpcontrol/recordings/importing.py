@@ -714,7 +714,8 @@ def find(variables: dict[str, Any], name: str, *, file: Path) -> Any:
         else:
             following = _line(value, int(row or line), axis=0 if row else 1)
         if following is None:
-            there = f"; {done or 'the file'} holds {', '.join(_members(value)) or 'no fields'}"
+            members = [str(name) for name in _properties(value) or {} if not str(name).startswith("__")][:12]
+            there = f"; {done or 'the file'} holds {', '.join(members) or 'no fields'}"
             raise InputError(f"{file}: there is no {name} ({done + step.group()} is missing{there}); check the mapping")
         value, done = following, done + step.group()
     return value
@@ -747,10 +748,6 @@ def _properties(value: Any) -> dict[str, Any] | None:
         return _properties(value.reshape(-1)[0])
     inner = getattr(value, "properties", value)
     return inner if isinstance(inner, dict) else None
-
-
-def _members(value: Any) -> list[str]:
-    return [str(name) for name in _properties(value) or {} if not str(name).startswith("__")][:12]
 
 
 def _member(value: Any, name: str) -> Any:

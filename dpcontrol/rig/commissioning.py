@@ -421,8 +421,9 @@ def _look(session: _Session, options: CommissioningSettings) -> None:
     for _ in range(max(4, round(options.look / session.period))):
         session.advance(0.0)
     if session.switches[-1]:
+        side = "right" if session.switches[-1] > 0 else "left"
         raise session.halted(
-            f"the limit switch at the {_side(session.switches[-1])} answers though the cart stands free",
+            f"the limit switch at the {side} answers though the cart stands free",
             "check whether it is stuck or its contact is inverted (normally closed), and whether the cart is at the "
             "centre",
         )
@@ -430,10 +431,6 @@ def _look(session: _Session, options: CommissioningSettings) -> None:
 
 _OFF_CENTRE = 0.02
 """m."""
-
-
-def _side(switch: int) -> str:
-    return "right" if switch > 0 else "left"
 
 
 _SHIFTS = {0.0005: 0.1, 0.003: 0.7}
@@ -666,7 +663,8 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
 
     # From within its bounds, at which the search would stay.
     values, errors = fitted(np.array([total, max(lag, 5e-4) ** 2, rough(total, lag)[1]]) / unit, [0, 1, 2])
-    lag_error = _error_of_root(values[1] * unit[1], errors[1] * unit[1])
+    # Of the root of the square, which is never below zero.
+    lag_error = math.sqrt(values[1] * unit[1] + errors[1] * unit[1]) - math.sqrt(values[1] * unit[1])
     if values[1] < 3 * errors[1] or values[1] * unit[1] < _NO_LAG**2:
         # Then it is none, and need not make the delay unsure.
         lag_error = math.sqrt((values[1] + errors[1]) * unit[1])
@@ -681,11 +679,6 @@ def fit_drive(carts: Array, commands: Sequence[float], period: float, *, first: 
 
 _NO_LAG = 2e-5
 """s: shorter lags are as good as none."""
-
-
-def _error_of_root(square: float, error: float) -> float:
-    """Return the standard error of √square, which is never below zero."""
-    return math.sqrt(square + error) - math.sqrt(square)
 
 
 def _sandwich(jacobian: Array, residual: Array, weights: Array | None = None) -> Array:
