@@ -223,7 +223,7 @@ def atlas(
 
 
 def shadow(
-    found: "Edges | ConnectionSearch | Sequence[ConnectionSearch]",
+    found: "Edges | ConnectionSearch | Sequence[ConnectionSearch] | SymmetricSearch",
     walk: Sequence[str],
     *,
     wraps: Sequence[int] | None = None,
@@ -236,7 +236,7 @@ def shadow(
 
     found: the graph, or searches for connections, that the symbols choose from. wraps: wobbles at each interior stop,
     the fewest that suffice by default; lead_in, lead_out: those on the first and the last orbit. periodic: the walk
-    closes, with one more stop. yes: however long it takes.
+    closes, with one more stop. Of three arms a walk is one symbol, the connection itself. yes: however long it takes.
 
     >>> dp.shadow(found, ["down-up +"]).converged
     True
@@ -246,9 +246,13 @@ def shadow(
         GoalMissed: no number of wraps suffices.
     """
     from dpcontrol.tubes.connections import ConnectionSearch
+    from dpcontrol.tubes.symmetric import SymmetricSearch
     from dpcontrol.walks.edges import Edges
     from dpcontrol.walks.shadowing import WalkSolver
-    from dpcontrol.walks.walks import resolve, walks_cost
+    from dpcontrol.walks.walks import resolve, symmetric_walk, walks_cost
+
+    if isinstance(found, SymmetricSearch):
+        return symmetric_walk(walk, found, lead_in=lead_in, lead_out=lead_out)
 
     edges = found if isinstance(found, Edges) else _edges([found] if isinstance(found, ConnectionSearch) else found)
     solver = WalkSolver(edges.known)

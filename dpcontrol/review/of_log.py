@@ -70,7 +70,8 @@ def tubes_of(notes: PlanNotes, system: System) -> tuple[TubeCurve, ...]:
     flown: dict[tuple[Any, ...], list[TubeCurve]] = {}
     for k, symbol in enumerate(notes["symbols"]):
         name = _NAME.search(str(symbol["name"] or ""))
-        if name is None or symbol["section"] is None:
+        # Three arms have no sections on which tubes are cut.
+        if name is None or symbol["section"] is None or not system.sections:
             continue
         section = system.section_between(symbol["source"], symbol["target"], name["section"])
         height = float(symbol["section"]["value"])

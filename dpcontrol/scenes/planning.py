@@ -21,10 +21,11 @@ from itertools import pairwise
 import numpy as np
 
 from dpcontrol.control.interface import whole_turns
+from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import GoalMissed, InputError
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
-from dpcontrol.orbits.lyapunov import lyapunov_orbit, resting_place
+from dpcontrol.orbits.lyapunov import equilibrium, lyapunov_orbit, resting_place
 from dpcontrol.references.find import find_reference
 from dpcontrol.references.problem import EndConditions
 from dpcontrol.references.reference import PlanNotes, Reference, SegmentNote, joined
@@ -44,10 +45,11 @@ from dpcontrol.scenes.pieces import (
 )
 from dpcontrol.scenes.transfers import transfer_notes
 from dpcontrol.tubes.connections import Connection
+from dpcontrol.tubes.symmetric import SymmetricSettings, find_symmetric_connections
 from dpcontrol.walks.edges import find_edges
 from dpcontrol.walks.shadowing import ShadowingOrbit, WalkSolver, phase_gap
 from dpcontrol.walks.symbols import parse_walk
-from dpcontrol.walks.walks import resolve
+from dpcontrol.walks.walks import resolve, symmetric_walk
 
 
 def planned(
@@ -123,12 +125,32 @@ def shadowing_orbit(
         if not itinerary.walks:
             raise InputError(f"{itinerary.name} has no walk, only holds")
         part = itinerary.walks[0]
+    if itinerary.model.system.dimension == 6:
+        return _symmetric_walk(itinerary.model.system, part, progress)
     chain, solver = _connections(itinerary, part, part_of(progress, 0.0, 0.9))
     progress("shadowing orbit", 0.9)
     result = solver.solve(chain, part.wraps, lead_in=part.lead_in, lead_out=part.lead_out)
     if not result.converged:
         raise GoalMissed(f"the shadowing orbit: {result.status}; {solver.advice(result)}")
     return result
+
+
+_BESIDE, _BETWEEN = 0.01, 5
+"""How far from a part's energy, over the energy scale, three arms' connections are sought, and on how many energies."""
+
+
+def _symmetric_walk(system: System, part: WalkPart, progress: Progress) -> ShadowingOrbit:
+    """Return the walk of three arms whose connection exists nearest to a part's energy."""
+    (symbol, *_) = parse_walk(part.walk, system.saddles)
+    reach = _BESIDE * system.energy_scale
+    lowest = equilibrium(system, symbol.source).energy
+    energies = (max(part.energy - reach, lowest + 1e-3 * reach), part.energy + reach)
+    search = find_symmetric_connections(
+        system, symbol.source, energies=energies, hit=(symbol.hits or (1, 1))[0],
+        settings=SymmetricSettings(energies=_BETWEEN), progress=progress,
+    )  # fmt: skip
+    leads = {"lead_in": part.lead_in, "lead_out": part.lead_out}
+    return symmetric_walk(part.walk, search, energy=part.energy, **leads)
 
 
 def _connections(itinerary: Itinerary, part: WalkPart, progress: Progress) -> tuple[tuple[Connection, ...], WalkSolver]:

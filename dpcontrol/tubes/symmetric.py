@@ -35,7 +35,7 @@ from dpcontrol.orbits.lyapunov import LyapunovOrbit, SymmetricShooting, describe
 from dpcontrol.orbits.lyapunov import symmetric_shooting as shooting_problem
 from dpcontrol.orbits.manifold import OrbitCurve, local_manifold
 from dpcontrol.shooting.newton import ManifoldEnd, ShootingOrbit
-from dpcontrol.tubes.connections import Connection, approach
+from dpcontrol.tubes.connections import Connection, approach, mirrored
 
 _HYPERBOLIC = 1e-4
 """Distance of a multiplier's modulus from one above which it is counted as unstable."""
@@ -162,6 +162,18 @@ def find_symmetric_connections(
     if ended:
         status += f"; not searched beyond: {ended}"
     return SymmetricSearch(saddle, family, hit, reached, tuple(found), failed, status)
+
+
+def _name(connection: Connection) -> str:
+    """Return a name made of what a connection is, its energy to a microjoule."""
+    saddle, turns = connection.source.name, ",".join(map(str, connection.winding))
+    return f"{saddle}>{saddle}[{turns}]h{connection.hits[0]}.{connection.hits[1]}@{connection.source.energy:.6f}J"
+
+
+def mirror_image(connection: Connection) -> Connection:
+    """Return a symmetric connection's image under the half turn of all angles, which turns the other way."""
+    image = mirrored(connection)
+    return replace(image, name=_name(image))
 
 
 def _unfit(orbit: LyapunovOrbit) -> str:
@@ -396,9 +408,8 @@ class _FamilySearch:
         time_out, phase_out = approach(whole, OrbitCurve(orbit), -1, self.settings.near)
         time_in, phase_in = approach(whole, OrbitCurve(orbit), +1, self.settings.near)
         winding = tuple(int(k) for k in turns[:n])
-        name = f"{orbit.name}>{orbit.name}[{','.join(map(str, winding))}]h{self.hit}.{self.hit}@{orbit.energy:.6f}J"
-        return Connection(
-            name=name,
+        found = Connection(
+            name="",
             source=orbit,
             target=orbit,
             section=self.section,
@@ -415,6 +426,7 @@ class _FamilySearch:
             phase_in=phase_in,
             orbit=whole,
         )
+        return replace(found, name=_name(found))
 
     def same(self, first: Connection, second: Connection) -> bool:
         """Tell whether two connections are one, or mirror images of one another."""

@@ -297,6 +297,36 @@ def shadow(
     return described(shot, chain, wraps, leads=(lead_in, lead_out), rivals=rivals)
 
 
+def walk_of_one(connection: Connection, text: str, *, lead_in: int = 2, lead_out: int = 2) -> ShadowingOrbit:
+    """Return the walk of one symbol, `text`, that a connection is by itself; nothing is solved, and no error estimated.
+
+    For connections that exist at their own energy only: the equations of a walk keep the energy.
+    """
+    begin = connection.time_out + lead_in * connection.source.period
+    ends = np.zeros((2, len(connection.state)))
+    ends[1, : len(connection.winding)] = connection.winding
+    orbit = replace(
+        connection.orbit,
+        times=connection.orbit.times + begin,
+        status=f"converged: the connection itself, at {connection.source.energy:.12g} J",
+    )
+    return ShadowingOrbit(
+        walk=(text,),
+        connections=(connection,),
+        wraps=(),
+        wraps_realised=(),
+        lead_in=lead_in,
+        lead_out=lead_out,
+        symbol_times=np.array([begin]),
+        offsets=ends,
+        duration=begin + connection.time_in + lead_out * connection.target.period,
+        orbit=orbit,
+        shot=Shot(connection.solution, orbit, 0.0, None, np.nan, np.empty((0, 0, 0)), 0),
+        estimate=None,
+        fault=None,
+    )
+
+
 def described(
     shot: Shot,
     chain: tuple[Connection, ...],

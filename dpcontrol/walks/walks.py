@@ -36,9 +36,10 @@ from dpcontrol.shooting.extended import ExtendedOrbit, refine
 from dpcontrol.shooting.newton import ShootingOrbit
 from dpcontrol.tubes.connections import Connection, angle_between, approach, connection_sense
 from dpcontrol.tubes.intersections import ConnectionSettings
+from dpcontrol.tubes.symmetric import SymmetricSearch, mirror_image
 from dpcontrol.walks.atlas import walks
 from dpcontrol.walks.edges import Edges, is_rotating, rotating_names
-from dpcontrol.walks.shadowing import MOST_WRAPS, ShadowingOrbit, WalkSolver, check_stops
+from dpcontrol.walks.shadowing import MOST_WRAPS, ShadowingOrbit, WalkSolver, check_stops, walk_of_one
 from dpcontrol.walks.symbols import Symbol, choose, composed, parse_walk
 
 _FAR = 0.05  # scaled; between two stops an orbit is farther off than this, and once it has joined an orbit never again
@@ -162,6 +163,31 @@ def _on_section(system: System, section: Section, state: Array, tangent: Array) 
 
 
 Walk = tuple[Connection, ...]
+
+
+def symmetric_walk(
+    walk: Sequence[str], search: SymmetricSearch, *, energy: float | None = None, lead_in: int = 2, lead_out: int = 2
+) -> ShadowingOrbit:
+    """Return the walk of three arms that is one symbol, such as "down-down-up +" or a connection's name.
+
+    energy: of several connections that fit the one nearest to it is taken, or else the lowest.
+
+    Raises:
+        InputError: a walk of more symbols, or one that no connection fits.
+    """
+    if len(walk) != 1:
+        raise InputError(
+            f"walk = {list(walk)}: three arms' connections exist each at its own energy, and so do not follow one "
+            "another; give each symbol a walk of its own"
+        )
+    (symbol,) = parse_walk(walk, [search.saddle])
+    both = [image for one in search.connections for image in (one, mirror_image(one))]
+    fits = [one for one in both if symbol.name in (None, one.name) and symbol.sense in (None, one.sense)]
+    if not fits:
+        names = ", ".join(one.name for one in both) or "none"
+        raise InputError(f"{walk[0]!r} fits no symmetric connection ({names}): {search.status}")
+    nearest = min(fits, key=lambda one: one.source.energy if energy is None else abs(one.source.energy - energy))
+    return walk_of_one(nearest, walk[0], lead_in=lead_in, lead_out=lead_out)
 
 
 def resolve(texts: Sequence[str], edges: Edges) -> Walk:

@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 import dpcontrol as dp
 from dpcontrol.orbits.manifold import OrbitCurve
 from dpcontrol.tubes.connections import Connection
-from dpcontrol.tubes.symmetric import SymmetricSettings, find_symmetric_connections
+from dpcontrol.tubes.symmetric import SymmetricSearch, SymmetricSettings, find_symmetric_connections
 
 SYSTEM = dp.load_model("triple").system
 COARSE = SymmetricSettings(energies=3, phases=120)
@@ -91,3 +91,24 @@ def test_a_family_of_more_unstable_directions_is_left_with_a_sentence() -> None:
     search = find_symmetric_connections(SYSTEM, "down-down-up", energies=(-0.85, -0.7), family=1, settings=COARSE)
     assert search.searched[1] < -0.7
     assert "2 unstable directions" in search.status
+
+
+def test_three_arms_turn_along_the_tube_in_closed_loop_while_the_cart_moves_by_millimetres(turn: Connection) -> None:
+    search = SymmetricSearch("down-down-up", 0, 1, (-1.02, -0.99), (turn,), 0, "")
+    back = dp.shadow(search, ["down-down-up -"], lead_in=1, lead_out=1)
+    assert back.connections[0].winding == (0, 0, -1)
+    plan = dp.reference(dp.shadow(search, ["down-down-up +"], lead_in=1, lead_out=1), limits=dp.Limits(position=1.0))
+    assert plan.converged
+    assert plan.reference.max_cart_position < 0.01
+    run = dp.run(plan, mismatch=0.02, seed=1)
+    assert run.score().completed
+    assert round((run.log.truth[-1, 2] - run.log.truth[0, 2]) / (2 * np.pi)) == 1
+
+
+def test_what_is_no_walk_of_three_arms_is_refused(turn: Connection) -> None:
+    search = SymmetricSearch("down-down-up", 0, 1, (-1.02, -0.99), (turn,), 0, "at least 1")
+    assert dp.shadow(search, [turn.name]).connections == (turn,)
+    with pytest.raises(dp.InputError, match="give each symbol a walk of its own"):
+        dp.shadow(search, ["down-down-up +", "down-down-up -"])
+    with pytest.raises(dp.InputError, match="fits no symmetric connection"):
+        dp.shadow(search, ["down-down-up>down-down-up[0,0,3]h1.1@-1.0J"])
