@@ -652,10 +652,10 @@ def chart(quick: bool, progress: Progress) -> PrecisionChart:
         found[job[0], str(job[1])] = done
         progress(f"payoff: {len(found)} of {len(jobs)}", len(found) / len(jobs))
     results = {kind: [found[key] for key in keys if key[0] == kind] for kind in ("flight", "walk", "front", "rest")}
-    return page(results, effort)
+    return page(results)
 
 
-def page(results: dict[str, list[Any]], effort: Effort) -> PrecisionChart:
+def page(results: dict[str, list[Any]]) -> PrecisionChart:
     """Return the page of what was found, by kind of job."""
     flights: list[Compared] = results["flight"]
     walks: list[Compared] = results["walk"][::-1]

@@ -186,7 +186,7 @@ class ControlLoop:
                 elif not self._stopped:
                     self._tell_all(done, recovery.follow_up(k, report, ticker, period))
                 if done == ticker.began + ticker.count:
-                    following = () if self._stopped else recovery.ended(k, report, ticker)
+                    following = () if self._stopped else recovery.ended(k, ticker)
                     if not following:
                         break
                     self._tell_all(done, following)

@@ -416,7 +416,7 @@ class FallRecovery:
         why = f"the last stop was not held: over its last period the arms were up to {away:.2g} rad from its orbit"
         return self.fell(k, Outcome.TRACKING_LOST, why, ticker, ticker.program.period) or ()
 
-    def ended(self, k: int, report: Array, ticker: Ticker) -> Sequence[Choice]:
+    def ended(self, k: int, ticker: Ticker) -> Sequence[Choice]:
         """Return what is told where the reference ends with tick k and the run goes on; none: it ends."""
         if self.motion is not Motion.ITINERARY:
             return ()

@@ -667,7 +667,7 @@ def find_lap_connections(
         search = find_connections(source, target, hits=hits, section=section, settings=settings, cuts=cuts)
         failed, resolved = failed + search.failed, resolved and cut.resolved
         for connection in search.connections:
-            canonical = _canonical(connection, settings.near)
+            canonical = _canonical(connection)
             same = (float(source.system.scaled_distance(canonical.state, c.state)) < settings.same for c in found)
             if not any(same):
                 found.append(canonical)
@@ -700,7 +700,7 @@ def own_crossings(orbit: LyapunovOrbit, section: Section) -> int:
     return sum(section.admits(states[k]) for k in np.flatnonzero(np.diff(section.sheets(states))))
 
 
-def _canonical(connection: Connection, near: float) -> Connection:
+def _canonical(connection: Connection) -> Connection:
     """Return a connection with the turning orbit's phase at the section in [0, 1), and all else to match."""
     source, target, orbit = connection.source, connection.target, connection.orbit
     system = source.system
@@ -728,7 +728,7 @@ def _canonical(connection: Connection, near: float) -> Connection:
             connection,
             state=state,
             winding=tuple(int(k) for k in np.rint(end.turns)[: len(connection.winding)]),
-            hits=_hits_since(orbit, connection, near),
+            hits=_hits_since(orbit, connection),
             orbit=orbit,
         )
     )
@@ -738,10 +738,10 @@ def _sign(orbit: LyapunovOrbit) -> int:
     return int(np.sign(orbit.unstable_multiplier))
 
 
-def _hits_since(orbit: ShootingOrbit, connection: Connection, near: float) -> tuple[int, int]:
+def _hits_since(orbit: ShootingOrbit, connection: Connection) -> tuple[int, int]:
     """Return which crossings these are, counted since the first orbit was left and until the last is joined.
 
-    Left and joined mean a scaled distance of `near`; the seeds still lap with the periodic orbit.
+    Left and joined are as the connection's times have them; the seeds still lap with the periodic orbit.
     """
     section, counts = connection.section, []
     for sign, reach, orbit_end in (
