@@ -184,8 +184,11 @@ def symmetric_walk(
     both = [image for one in search.connections for image in (one, mirror_image(one))]
     fits = [one for one in both if symbol.name in (None, one.name) and symbol.sense in (None, one.sense)]
     if not fits:
-        names = ", ".join(one.name for one in both) or "none"
-        raise InputError(f"{walk[0]!r} fits no symmetric connection ({names}): {search.status}")
+        others = f" ({', '.join(one.name for one in both)})" if both else ""
+        raise InputError(
+            f"{walk[0]!r} fits no symmetric connection, {search.status}{others}; `dpcontrol connect --energies` lists "
+            "those of any range"
+        )
     nearest = min(fits, key=lambda one: one.source.energy if energy is None else abs(one.source.energy - energy))
     return walk_of_one(nearest, walk[0], lead_in=lead_in, lead_out=lead_out)
 
@@ -199,6 +202,11 @@ def resolve(texts: Sequence[str], edges: Edges) -> Walk:
         GoalMissed: the walk of a grown edge has no orbit with those wraps.
     """
     symbols = parse_walk(texts, vertex_names(edges.system))
+    if edges.system.dimension == 6:
+        raise InputError(
+            "three arms' connections exist each at its own energy: find them with `dpcontrol connect --energies`, and "
+            "fly one in an itinerary, such as third-turn"
+        )
     chain: list[Connection] = []
     for k, symbol in enumerate(symbols, start=1):
         try:

@@ -110,5 +110,7 @@ def test_what_is_no_walk_of_three_arms_is_refused(turn: Connection) -> None:
     assert dp.shadow(search, [turn.name]).connections == (turn,)
     with pytest.raises(dp.InputError, match="give each symbol a walk of its own"):
         dp.shadow(search, ["down-down-up +", "down-down-up -"])
+    with pytest.raises(dp.InputError, match="each at its own energy"):
+        dp.shadow(dp.graph(dp.load_model("triple"), energy=-1.0039), ["down-down-up +"])
     with pytest.raises(dp.InputError, match="fits no symmetric connection"):
         dp.shadow(search, ["down-down-up>down-down-up[0,0,3]h1.1@-1.0J"])
