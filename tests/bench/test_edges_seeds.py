@@ -33,6 +33,7 @@ def test_seeds_too_near_lose_connections_and_the_search_says_so():
     assert 50 * found.far < ConnectionSettings().distance < 0.2 / 100
 
 
+@pytest.mark.slow
 def test_seeds_too_far_lose_connections_and_the_search_says_so():
     assert found_all(orbit(), states(), 0.2).works
     lost = found_all(orbit(), states(), 1.2)

@@ -337,6 +337,7 @@ def test_where_cuts_scatter_counts_are_lower_bounds_and_changes_still_have_cause
     assert found.events[0].residual < RESIDUAL
 
 
+@pytest.mark.slow
 def test_runs_follow_every_connection_round_its_fold(system):
     """One of each two that the symmetry exchanges: the lower and the upper part of one parabola."""
     top = -0.1380

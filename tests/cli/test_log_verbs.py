@@ -124,6 +124,7 @@ def test_a_run_with_every_kind_of_trouble_repeats_too(tmp_path: Path, kinds: tup
     assert messages(tmp_path / "again.mcap") == messages(log)
 
 
+@pytest.mark.slow
 def test_a_recovered_log_repeats_the_run_that_it_is_a_part_of(logged: Path, tmp_path: Path) -> None:
     left = tmp_path / "cut.mcap.partial"
     left.write_bytes(logged.read_bytes()[: int(0.7 * logged.stat().st_size)])

@@ -64,6 +64,7 @@ def test_a_sustained_orbit_that_cannot_be_is_refused_in_one_sentence(words: tupl
     assert says in ended.document["status"]
 
 
+@pytest.mark.slow
 def test_friction_beyond_reach_ends_with_1_and_a_reason(tmp_path: Path) -> None:
     shipped = (Path(__file__).parents[2] / "models" / "lab.toml").read_text()
     before, rest = shipped.split("viscous =", 1)

@@ -204,6 +204,7 @@ def test_a_known_error_of_the_model_costs_less_when_foreseen(law: AdaptiveContro
     assert costs["foreseen"] < 0.5 * costs["blind"]
 
 
+@pytest.mark.slow
 def test_what_a_known_error_does_by_its_square_is_leant_against(law: AdaptiveController, model: SampledModel) -> None:
     diagonal, _ = SETTINGS.weights(2, PERIOD)
     costs = {}

@@ -44,6 +44,7 @@ def swing(ticks: int, *, seed: int = 3, root: np.ndarray = ROOT) -> tuple[list[f
     return commands, states, states @ POSITIONS.T + random.standard_normal((ticks, 3)) @ root.T
 
 
+@pytest.mark.slow
 def test_a_swing_gives_the_numbers_of_the_textbooks_filter(plain: CompiledEkf) -> None:
     estimate, expected = plain.first(STATE), TextbookFilter(MODEL, PLAIN, noise=NOISE, state=STATE)
     assert estimate.sigmas == pytest.approx(expected.sigmas)

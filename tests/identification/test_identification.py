@@ -92,6 +92,7 @@ def test_that_only_ratios_are_known_is_said_plainly(ten_runs) -> None:
     assert "only ratios" in found.undetermined[0]
 
 
+@pytest.mark.slow
 def test_laws_that_were_at_work_are_chosen_and_others_not() -> None:
     for arms, expected in (
         (replace(LAB, viscous=(1e-3, 1e-4)), ("viscous",)),

@@ -49,6 +49,7 @@ def pushed(folder: Path, *options: str) -> tuple[Ended, RunLog]:
     return ended, read_log(log)
 
 
+@pytest.mark.slow
 def test_the_nearest_orbit_is_held_to_the_end_of_the_run(tmp_path: Path) -> None:
     ended, log = pushed(tmp_path)
     assert ended.code == 1

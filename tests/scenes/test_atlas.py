@@ -188,6 +188,7 @@ def test_where_first_hits_are_empty_the_next_are_searched_and_both_are_reported(
     assert all(k.open_ends for k in found.kinds if not k.complete)
 
 
+@pytest.mark.slow
 def test_hits_asked_for_are_those_searched(model):
     found = compute_atlas(model, -0.07, settings=AtlasSettings(hits=(1, 2)))
     assert {k.hits for k in found.kinds} == {(1, 2)}

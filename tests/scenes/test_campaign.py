@@ -124,6 +124,7 @@ def test_cases_run_the_same_seeds_and_are_compared_in_pairs(turn: Itinerary, tmp
     assert asked == [True] * 4 + [None] * 4
 
 
+@pytest.mark.slow
 def test_lockstep_and_loop_come_to_the_same_outcome(turn: Itinerary, tmp_path: Path) -> None:
     compiled, ticks = tmp_path / "compiled.parquet", tmp_path / "ticks.parquet"
     campaign(turn, compiled, runs=8, batch=8)

@@ -69,6 +69,7 @@ def planned_wraps(plan: Plan) -> tuple[int | None, ...]:
     return decoded.wraps
 
 
+@pytest.mark.slow
 def test_the_reference_does_the_wraps_asked_for(linger: Plan) -> None:
     assert planned_wraps(linger) == linger.itinerary.wraps == (8, 6)
     assert len(stays(linger)) == 4

@@ -140,6 +140,7 @@ def test_an_impossible_mass_ratio_is_refused(tmp_path, ratio):
         load_model(str(tmp_path / "m.toml"))
 
 
+@pytest.mark.slow
 def test_a_second_hit_search_finds_double_turns():
     orbit = lyapunov_orbit(load_model("lab").system, "down-up", energy=-0.07)
     settings = ConnectionSettings(cut=CutSettings(longest=4.0))

@@ -59,6 +59,7 @@ def test_every_connection_of_another_section_can_stand_in_a_walk(aligned, found)
     assert orbit.wraps_realised == (2,)
 
 
+@pytest.mark.slow
 def test_what_a_name_asks_for_changes_no_other_symbol_and_no_count(edges, found):
     """The symbol "down-up +" is the most transversal of the first hits, whatever is searched beside them."""
     assert found.named
