@@ -34,7 +34,7 @@ extremum that moves across, and the equations are  off Fix R = 0, ḣ = 0  (φ, 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import groupby, pairwise
 from typing import Any, NamedTuple
 
@@ -59,7 +59,7 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
+from dpcontrol.foundation.files import fields_of, picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.lyapunov import equilibrium
 from dpcontrol.tubes.cut import section_points, tube_cut
@@ -833,7 +833,7 @@ class BranchDiagram:
 
 def branch_diagram(search: BifurcationSearch) -> BranchDiagram:
     """Return the diagram of a sweep."""
-    marks = tuple(Mark(**picked(event, *(field.name for field in fields(Mark)))) for event in search.events)
+    marks = tuple(Mark(**fields_of(Mark, event)) for event in search.events)
     counts = tuple((c.energy, c.count, c.complete) for c in search.counts)
     return BranchDiagram(
         search.source, search.target, search.section.name, search.runs, marks, counts, search.scatters_from,

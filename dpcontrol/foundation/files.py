@@ -22,6 +22,7 @@ import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import fields
 from io import BytesIO
 from pathlib import Path
 from tokenize import TokenError
@@ -336,6 +337,11 @@ def archive(
 def picked(result: Any, *names: str) -> dict[str, Any]:
     """Return attributes of a result by name."""
     return {name: getattr(result, name) for name in names}
+
+
+def fields_of(kind: type, record: Any) -> dict[str, Any]:
+    """Return what the dataclass `kind` declares of a record of that kind, by name."""
+    return picked(record, *(field.name for field in fields(kind)))
 
 
 def plain(value: Any) -> Any:

@@ -15,7 +15,7 @@ Orbits grow from equilibria, which are described here too: energy, eigenvalues a
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from dpcontrol.dynamics.system import System, saddle_index
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
+from dpcontrol.foundation.files import fields_of
 
 
 @dataclass(frozen=True)
@@ -296,7 +297,7 @@ class OrbitRecord:
 
     def document(self) -> dict[str, Any]:
         """Return the record with the keys that `dpcontrol orbit --json` prints."""
-        return {field.name: getattr(self, field.name) for field in fields(OrbitRecord)}
+        return fields_of(OrbitRecord, self)
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ Offin, Introduction to Hamiltonian Dynamical Systems and the N-Body Problem, 3rd
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -28,7 +28,7 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
+from dpcontrol.foundation.files import fields_of, picked
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.orbits.family import (
     LINGERS,
@@ -86,7 +86,7 @@ class RotatingRecord:
 
     def document(self) -> dict[str, Any]:
         """Return the record with the keys that `dpcontrol orbit --rotating --json` prints."""
-        return {field.name: getattr(self, field.name) for field in fields(RotatingRecord)}
+        return fields_of(RotatingRecord, self)
 
 
 @dataclass(frozen=True)

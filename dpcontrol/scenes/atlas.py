@@ -36,7 +36,7 @@ import json
 import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, fields, is_dataclass
+from dataclasses import asdict, dataclass, field, is_dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, TypeVar, get_args, get_origin, get_type_hints
@@ -56,7 +56,7 @@ from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.cache import cache_file, code_hash, keep, kept
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import archive, content_hash, picked, plain, write_archive
+from dpcontrol.foundation.files import archive, content_hash, fields_of, picked, plain, write_archive
 from dpcontrol.foundation.progress import Progress, no_progress, part_of
 from dpcontrol.foundation.settings import Settings, setting
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, OrbitRecord, equilibria
@@ -222,7 +222,7 @@ def compute_atlas(
         energy=energy,
         periods=system.periods,
         reverser=system.reversers[0],
-        points=tuple(AtlasPoint(**_fields(AtlasPoint, p)) for p in points.values()),
+        points=tuple(AtlasPoint(**fields_of(AtlasPoint, p)) for p in points.values()),
         orbits=samples,
         rotating_orbits=rotating,
         absent=tuple(absent),
@@ -255,20 +255,15 @@ def _compile(system: System, sections: list[Section]) -> None:
         system.propagator.flow_with_stm(state, instant)
 
 
-def _fields(kind: type, record: Any) -> dict[str, Any]:
-    """Return what `kind` declares of a record of that kind, by name."""
-    return picked(record, *(part.name for part in fields(kind)))
-
-
 def _sampled_orbit(orbit: LyapunovOrbit) -> AtlasOrbit:
     phases = np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES
-    return AtlasOrbit(**_fields(OrbitRecord, orbit), samples=UnstableManifold(orbit).frame(phases).states)
+    return AtlasOrbit(**fields_of(OrbitRecord, orbit), samples=UnstableManifold(orbit).frame(phases).states)
 
 
 def _sampled_rotating(orbit: RotatingOrbit) -> AtlasRotatingOrbit:
     times = np.arange(_ORBIT_SAMPLES) / _ORBIT_SAMPLES * orbit.period
     return AtlasRotatingOrbit(
-        **_fields(RotatingRecord, orbit), samples=orbit.system.propagator.sample(orbit.state, times)
+        **fields_of(RotatingRecord, orbit), samples=orbit.system.propagator.sample(orbit.state, times)
     )
 
 
@@ -284,7 +279,7 @@ def _sampled_connection(connection: Connection) -> AtlasConnection:
     flown = orbit.sample(dense)
     kept = np.unique(_evenly(system, dense, flown, _FLIGHT_SAMPLES))
     return AtlasConnection(
-        **_fields(ConnectionRecord, connection),
+        **fields_of(ConnectionRecord, connection),
         source=connection.source.saddle,
         target=connection.target.saddle,
         point=section_points(system, connection.section, connection.state),
@@ -303,7 +298,7 @@ def _sampled_cut(manifold: UnstableManifold, cut: Cut, settings: AtlasSettings) 
 
     def piece(one: Piece) -> AtlasPiece:
         turned = (one.states - orbit.centre) @ orbit.reverser.T + orbit.centre
-        return AtlasPiece(**_fields(Piece, one), stable_points=section_points(system, cut.section, turned))
+        return AtlasPiece(**fields_of(Piece, one), stable_points=section_points(system, cut.section, turned))
 
     return AtlasCut(
         saddle=orbit.saddle,
@@ -403,7 +398,7 @@ def _packed(record: Any, prefix: str, arrays: Arrays, sections: list[Section]) -
     Entries of a list "orbits" have the prefix "orbit_0_" and so on. One state, or point, stands in the header.
     """
     entry: dict[str, Any] = {}
-    for name, value in _fields(type(record), record).items():
+    for name, value in fields_of(type(record), record).items():
         if isinstance(value, Section):
             entry[name] = sections.index(value)
         elif isinstance(value, tuple) and value and is_dataclass(value[0]):

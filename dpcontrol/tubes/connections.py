@@ -20,7 +20,7 @@ import difflib
 import re
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -30,7 +30,7 @@ from dpcontrol.dynamics.propagator import Section
 from dpcontrol.dynamics.system import System
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.foundation.files import picked
+from dpcontrol.foundation.files import fields_of, picked
 from dpcontrol.foundation.progress import Progress, no_progress
 from dpcontrol.orbits.lyapunov import LyapunovOrbit, lyapunov_orbit
 from dpcontrol.orbits.manifold import HyperbolicOrbit, OrbitCurve, local_manifold
@@ -77,7 +77,7 @@ class ConnectionRecord:
 
     def document(self) -> dict[str, Any]:
         """Return the record with the keys that `dpcontrol connect --json` prints."""
-        values = {field.name: getattr(self, field.name) for field in fields(ConnectionRecord)}
+        values = fields_of(ConnectionRecord, self)
         angle = values.pop("transversality_angle")
         return {**values, "section": self.section.name, "transversality_angle_deg": angle}
 
