@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from dpcontrol.control.interface import Action, Session, whole_turns
+from dpcontrol.control.interface import Action, Controller, Session, whole_turns
 from dpcontrol.control.ogy import OgyController, OgySession
 from dpcontrol.control.periodic import OrbitController, OrbitSession
 from dpcontrol.control.tracking import PhaseController, TrackingController
@@ -24,18 +24,8 @@ SLOWER = 0.05
 """Share by which a stay may take longer than planned: a plant that differs from the model has a period of its own."""
 
 
-class Keeper(Protocol):
+class Keeper(Controller, Protocol):
     """A controller that can take over any state near its orbit or equilibrium."""
-
-    @property
-    def kind(self) -> str:
-        """Return the name of its kind."""
-        ...
-
-    @property
-    def first_state(self) -> Array:
-        """Return the state (N,) from which it starts."""
-        ...
 
     def join(self, tick: int, state: Array) -> Session:
         """Return a session that starts at `tick` from `state` (N,)."""
