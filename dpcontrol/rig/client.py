@@ -18,7 +18,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
-from types import TracebackType
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -235,9 +234,7 @@ class UdpRig:
     def __enter__(self) -> "UdpRig":
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.stop()
         self._say(packets.bye("the run is over"))
         self._socket.close()
