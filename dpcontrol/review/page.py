@@ -120,6 +120,10 @@ ABOVE: dict[str, Any] = {
     "handletextpad": 0.5, "borderpad": 0, "borderaxespad": 0.1,
 }  # fmt: skip
 """Where a key cannot cover a curve: above its panel, right."""
+NARROW: dict[str, Any] = {"handlelength": 0.8, "columnspacing": 0.5, "handletextpad": 0.25, "fontsize": 7}
+"""The same beside a long title, or with many entries: as narrow as can be read."""
+_BESIDE_TITLE = 62
+"""Letters of a title and a key together, with four more for each entry, that fit side by side."""
 
 
 def angle_axis(axes: Axes, which: str, *, step: float | None = None) -> None:
@@ -227,8 +231,10 @@ def draw_chart(axes: Axes, chart: Chart, view: RunView) -> None:
             _limit(axes, scale * level.value)
         elif level.kind == "named":
             _named_level(axes, level)
+    letters = len(chart.title) + sum(len(label) + 4 for label in entries)
+    where = ABOVE | (NARROW if letters > _BESIDE_TITLE else {})
     # The reference after what follows it.
-    key(axes, sorted(entries.items(), key=lambda entry: "alpha" in entry[1]), ncols=max(len(entries), 1), **ABOVE)
+    key(axes, sorted(entries.items(), key=lambda entry: "alpha" in entry[1]), ncols=max(len(entries), 1), **where)
 
 
 def _line(axes: Axes, line: Line, view: RunView, *, scale: float) -> None:
