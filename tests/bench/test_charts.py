@@ -154,7 +154,7 @@ def test_an_unknown_chart_is_refused_with_the_known_ones(tmp_path):
     assert not (tmp_path / "none").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_maps_are_drawn_at_once_and_come_back_in_the_order_they_were_asked_for(tmp_path):
     asked = ["edges-walks", "edges-propagation"]
     drawn = draw_charts(asked, tmp_path, quick=True)

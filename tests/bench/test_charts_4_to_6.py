@@ -114,6 +114,7 @@ def test_a_run_is_held_if_its_last_period_is_near_the_orbit_up_to_phase_and_turn
     assert judge(run_of(early_only))
 
 
+@pytest.mark.slow
 def test_pulses_at_few_sections_are_missing_with_their_reason_and_at_many_a_point():
     # An error grows by √534 = 23 from one of two sections to the next, by 1.5 from one of sixteen.
     orbit = sustained_orbit(lyapunov_orbit(load_model("lab").system, "down-up", energy=-0.07), ARMS)

@@ -124,6 +124,7 @@ def test_cuts_that_all_but_touch_give_every_crossing_from_a_tenth_of_a_microjoul
     assert counts == [event.count_below, *[event.count_above] * 3]
 
 
+@pytest.mark.slow
 def test_an_interval_that_ends_a_hair_beyond_a_pitchfork_holds_it(system, events):
     energy = events[PITCHFORK].energy
     found = located(system, (energy - 1e-5, energy + 1e-6))
@@ -147,7 +148,7 @@ def test_a_pitchforks_pair_leaves_the_mirror_as_the_square_root(system, events):
     assert offsets[1] / offsets[0] == pytest.approx(2.0, rel=LAW)
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 @pytest.mark.parametrize("name", [SADDLE_NODE, PITCHFORK, GRAZE], ids=["saddle-node", "pitchfork", "artefact"])
 def test_energies_repeat_under_doubled_sampling_and_halved_seed_distance(system, events, name):
     again = located(system, name, distance=5e-5, chord=0.025)

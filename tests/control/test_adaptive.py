@@ -102,6 +102,7 @@ def test_the_effect_of_a_wrong_parameter_is_that_of_other_arms(name: str, base: 
     assert kept[0] == pytest.approx(np.exp(-PERIOD / ESTIMATOR.drive_time))
 
 
+@pytest.mark.slow
 def test_on_the_state_it_has_the_gains_of_tvlqr_with_the_same_weights(
     turn: tuple[StandIn, Reference], model: SampledModel
 ) -> None:
@@ -174,6 +175,7 @@ def _deviation(law: AdaptiveController, model: SampledModel, shares: np.ndarray)
     return out / np.abs(shares).max()
 
 
+@pytest.mark.slow
 def test_small_errors_of_the_model_do_what_the_first_order_foretells(
     law: AdaptiveController, model: SampledModel
 ) -> None:

@@ -165,6 +165,7 @@ def test_sixteen_sections_hold_the_orbit_of_a_plant_with_other_parameters(seed: 
     assert not flight.events
 
 
+@pytest.mark.slow
 def test_what_is_learnt_about_the_plant_spares_most_of_the_pulses() -> None:
     efforts = []
     for controller in (ogy(16), ogy(16, parameter_error=0.0)):

@@ -31,7 +31,8 @@ def single(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     return folder, export_plan(plan, folder, single=True)
 
 
-# Slow in single precision: the same tests, after seconds of gcc.
-@pytest.fixture(scope="session", params=["double", pytest.param("single", marks=pytest.mark.slow)])
+# In single precision with the benchmarks: the same tests, after seconds of gcc. What leaves as C in single precision at
+# all is asked of a whole itinerary and of a Cortex-M4.
+@pytest.fixture(scope="session", params=["double", pytest.param("single", marks=pytest.mark.benchmark)])
 def exported(request: pytest.FixtureRequest) -> tuple[Path, ControllerSource]:
     return request.getfixturevalue(request.param)

@@ -174,6 +174,7 @@ def test_the_log_shows_measured_predicted_and_estimated_together(tmp_path: Path)
     assert again.segments == result.recording.segments
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["ekf", "ukf"])
 def test_on_the_rigs_recording_the_filters_keep_to_their_band_and_find_the_rates(kind: str) -> None:
     recording, model = import_recording(rig_file()), load_model("lab-identified")

@@ -118,6 +118,7 @@ def test_an_uncertainty_that_hardly_any_arms_fit_misses_the_goal_with_a_sentence
         _draw(100.0, 1, uncertainty=huge)
 
 
+@pytest.mark.slow
 def test_runs_in_lockstep_draw_the_plants_that_the_loop_draws(turn: tuple[StandIn, Reference]) -> None:
     reference, seeds = turn[1], [1]
     settings = LoopSettings(seed=0, model_uncertainty=2.0, initial_error=0.02)

@@ -113,7 +113,7 @@ def test_a_kept_orbit_is_lost_where_its_margins_end() -> None:
     check_borders(plan, settings, margins, law, settled=6.0, but="gain_high")
 
 
-@pytest.mark.slow(reason="windows along a long flight")
+@pytest.mark.benchmark(reason="windows along a long flight")
 def test_a_flight_has_on_an_orbit_the_margins_of_the_orbit() -> None:
     plan, arms = plan_of("turn-from-rest"), plan_of("turn-from-rest").itinerary.model.arms
     settings = LoopSettings(seed=0, controller=TvlqrSettings(closing=1.0))

@@ -314,6 +314,7 @@ def test_blows_of_a_night_come_at_random_times_to_its_end() -> None:
     assert [first[0] * PERIOD + 3600, *first[1].impulses.tolist()] == pytest.approx(night[night[:, 0] >= 3600][0])
 
 
+@pytest.mark.slow
 def test_a_run_of_any_length_is_drawn_in_blocks_as_it_would_be_at_once() -> None:
     everything = BenchSettings(
         SensorSettings(noise=1e-4, missed_counts=50.0, dropout=0.1, jitter=1e-4, rate_noise=0.1),

@@ -244,6 +244,7 @@ def inside_its_limits(turn: tuple[StandIn, Reference], controller: TrackingContr
             assert "stuck" not in run.record.reason, seed
 
 
+@pytest.mark.slow
 def test_whatever_goes_wrong_the_cart_stays_inside_its_limits(
     turn: tuple[StandIn, Reference], controller: TrackingController
 ) -> None:

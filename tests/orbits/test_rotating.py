@@ -134,6 +134,7 @@ def test_the_other_arm_may_stand_upright_on_the_mirror(system):
     assert all(o.state[1] == np.pi for o in upright)
 
 
+@pytest.mark.slow
 def test_a_family_keeps_to_one_curve_and_says_why_it_was_left(family):
     assert family.converged
     states = np.array([m.state for m in family.members])

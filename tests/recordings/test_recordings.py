@@ -173,6 +173,7 @@ def test_parquet_reads_as_csv(tmp_path: Path) -> None:
     assert np.array_equal(by_csv.time, by_parquet.time)
 
 
+@pytest.mark.slow
 def test_random_free_swings_are_all_plausible(tmp_path: Path) -> None:
     random = np.random.default_rng(9)
     for k in range(25):

@@ -43,6 +43,7 @@ def test_a_drawn_picture_shows_something_and_says_why_it_was_drawn(
     assert _share_set(made.path) > PIXELS_SET
 
 
+@pytest.mark.slow
 def test_texts_in_the_drawn_picture_do_not_overlap(run: RunView) -> None:
     steps = tuple((0.5 + 0.6 * i, f"symbol {i + 1}") for i in range(6))
     for shown in (

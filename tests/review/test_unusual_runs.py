@@ -39,6 +39,7 @@ def test_a_recovered_log_says_what_it_lacks_wherever_it_is_shown(tmp_path: Path)
     assert f"recovered and lacks {log.recovered}" in run_view(log).verdict
 
 
+@pytest.mark.slow
 def test_a_replay_is_judged_as_a_prediction_not_as_tracking(tmp_path: Path) -> None:
     run = synthetic_run(seconds=1.0)
     for kind, name in ((REPLAYED, "Prediction error"), ("run", "Tracking error")):
@@ -71,6 +72,7 @@ def test_the_film_of_a_failed_run_leaves_no_long_stretch_out(tmp_path: Path, sec
         assert np.diff(shown).max() < 1.5 * seconds / 7
 
 
+@pytest.mark.slow
 def test_what_came_before_an_estimate_was_lost_stays_visible(tmp_path: Path) -> None:
     view = view_of(tmp_path / "run.mcap", synthetic_run())
     assert view.nis is not None

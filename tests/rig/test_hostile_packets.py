@@ -375,7 +375,7 @@ def _flood(to: Address, known: list[bytes], over: threading.Event, sent: list[in
             time.sleep(0.001)
 
 
-@pytest.mark.slow  # A whole run in real time, and a hundred thousand packets beside it.
+@pytest.mark.benchmark  # A whole run in real time, and a hundred thousand packets beside it.
 def test_a_run_under_a_hundred_thousand_packets_is_the_loops_alone_and_its_log_says_so(tmp_path: Path) -> None:
     command = [PROGRAM, "rig", "outer-turn", "--runs", "1", "--real-time"]
     over, sent = threading.Event(), [0]

@@ -46,6 +46,7 @@ def test_a_written_model_loads_as_it_was_found(found: Identification, file: Path
     assert set(model.sources) == {"arms", "gravity", "friction", "encoders", "uncertainty"}
 
 
+@pytest.mark.slow
 def test_drawn_arms_spread_as_the_covariance_says_and_a_seed_repeats_them(found: Identification, file: Path) -> None:
     model = load_model(str(file))
     random = np.random.default_rng(1)

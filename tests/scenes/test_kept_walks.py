@@ -77,6 +77,7 @@ def test_the_reference_does_the_wraps_asked_for(linger: Plan) -> None:
     assert stays(linger)[2] >= 5
 
 
+@pytest.mark.slow
 def test_flights_and_stays_are_one_motion(linger: Plan) -> None:
     """Each interval, flown again on its own input, ends where the next begins."""
     reference, model = linger.reference, linger.itinerary.model
@@ -104,6 +105,7 @@ def test_a_stay_repeats_one_period_of_its_orbit(linger: Plan) -> None:
         assert np.array_equal(states[begin : begin + rows], states[first:last])
 
 
+@pytest.mark.slow
 def test_a_long_stay_costs_no_more_than_a_short_one(scene: Writer) -> None:
     short = make_plan(load_itinerary(str(scene())))
     long = make_plan(load_itinerary(str(scene(wraps="[40]"))))
@@ -169,7 +171,7 @@ def test_a_run_is_repeated_from_its_log_message_for_message(scene: Writer, tmp_p
     assert "messages are identical" in again.stdout
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_other_controllers_follow_the_same_reference(scene: Writer, tmp_path: Path) -> None:
     table = tmp_path / "c.parquet"
     shown = dpcontrol(

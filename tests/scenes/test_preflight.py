@@ -133,6 +133,7 @@ def test_a_plan_tells_it_in_python_and_runs_that_cannot_go_side_by_side_are_few(
     assert turn.preflight(RunOptions(dropout=0.01), runs=16, workers=1).borders
 
 
+@pytest.mark.slow
 def test_its_runs_are_those_of_a_campaign_and_are_kept(
     turn: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

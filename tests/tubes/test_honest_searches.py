@@ -88,6 +88,7 @@ def test_a_search_that_runs_out_of_time_says_what_it_left():
     assert "places were left" in search.status
 
 
+@pytest.mark.slow
 def test_flights_whose_rounding_grows_past_any_fixed_gap_are_found():
     system = uniform_rods((0.2, 0.1), (0.1, 0.1))
     search = find_connections(*orbits_between(system, "up-down", "up-down", 0.250155))

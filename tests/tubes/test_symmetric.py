@@ -61,6 +61,7 @@ def test_flown_from_the_middle_it_comes_to_its_orbit_either_way(turn: Connection
     assert distances[-1] < 1e-6
 
 
+@pytest.mark.slow
 def test_it_exists_at_its_own_energy_only(turn: Connection) -> None:
     """Beside that energy the tube passes the middle at a distance that grows as the energy's."""
     searches = [

@@ -53,6 +53,7 @@ def test_random_closed_walks_become_periodic_orbits(edges):
         assert logs[0] + logs[-1] == pytest.approx(0.0, abs=RECIPROCAL)
 
 
+@pytest.mark.slow
 def test_a_turn_repeated_four_times_is_one_orbit_run_four_times(edges):
     solver, classifier = WalkSolver(edges.connections), WalkClassifier(edges.system, edges.connections)
     turn = edges.between("up-down", "up-down")[0]

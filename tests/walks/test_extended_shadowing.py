@@ -67,6 +67,7 @@ def test_an_open_walk_of_four_symbols_is_refined(lab, turns):
     assert np.abs(flown - refined.states[refined.marked[2]]).max() < FREE
 
 
+@pytest.mark.slow
 def test_a_closed_walk_returns_in_one_flight(lab, refined_dance):
     refined = refined_dance
     assert refined.converged
@@ -80,6 +81,7 @@ def test_a_closed_walk_returns_in_one_flight(lab, refined_dance):
     assert abs(propagator.energy(state) - extended(-0.07)) < 1e-30
 
 
+@pytest.mark.slow
 def test_other_nodes_give_the_same_digits(turns, refined_dance):
     denser = shadow([turns["+"], turns["-"]], wraps=[1, 2], periodic=True, settings=ShadowingSettings(segments=11))
     other = refine(denser.shot.solution)
@@ -96,7 +98,7 @@ def test_a_symmetric_orbit_lies_on_its_mirror(turns):
     assert abs(state[0]) < SAME
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_connections_of_the_rotating_orbit_mirror_each_other(lab):
     """Searched and refined apart: one leaves the rotating orbit, the other joins it; λ = -2.74 at that end."""
     vertex = rotating_vertex(rotating_orbits(lab.system, 2, -0.06985)[-1])

@@ -67,6 +67,7 @@ def test_what_a_name_asks_for_changes_no_other_symbol_and_no_count(edges, found)
     assert resolve(["down-up +"], found)[0].name == resolve(["down-up +"], edges)[0].name
 
 
+@pytest.mark.slow
 def test_second_hits_are_searched_for_the_pair_that_names_them_only(system):
     pairs = [("down-up", "down-up"), ("up-down", "up-down")]
     name = "up-down>up-down[1,0]h1.2@0.0000,0.0000"

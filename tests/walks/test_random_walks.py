@@ -32,7 +32,7 @@ def solver(edges):
     return WalkSolver(edges.connections)
 
 
-@pytest.mark.slow
+@pytest.mark.benchmark
 def test_random_walks_become_the_orbits_that_were_asked_for(edges, classifier, solver):
     for asked in drawn_requests(edges, 25, lengths=(1, 16), extra=(0, 4), seed=SEED, periodic=False):
         least = solver.least(asked.chain)
