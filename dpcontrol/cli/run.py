@@ -558,7 +558,7 @@ def _text(found: "Campaign", scores: Sequence["StandardScore"]) -> Iterator[str 
             )
         if found.transitions:
             yield table("Each alone", found.transitions, {
-                "transition": "{.name}", "case": "{.case}",
+                "from": "{.source}", "to": "{.target}", "s": "{.duration:.3g}", "case": "{.case}",
                 "completed": "{0.completed.successes} of {0.completed.runs}",
                 "cart at most (m)": "{.max_cart_position:.3f}", "rms (m/s²)": "{.rms_cart_acceleration:.2f}",
             })  # fmt: skip

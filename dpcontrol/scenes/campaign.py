@@ -337,11 +337,14 @@ class CaseResult:
 
 @dataclass(frozen=True)
 class Transition:
-    """Runs of one transition in one case: how many were completed, and why the others were not. max_cart_position m,
-    rms_cart_acceleration m/s², its mean over the runs.
+    """Runs of one transition in one case: how many were completed, and why the others were not. duration s, without
+    the rests before and after it; max_cart_position m, rms_cart_acceleration m/s², its mean over the runs.
     """
 
     name: str
+    source: str
+    target: str
+    duration: float
     case: str
     completed: Share
     max_cart_position: float
@@ -356,7 +359,8 @@ class Transition:
 @dataclass(frozen=True)
 class Campaign:
     """What came out. completed: of all cases; pairs: (first case, second case, comparison) for each two of a few cases.
-    table: of all runs, in columns (Arrow); file: where it is kept, if it is.
+    table: of all runs, in columns (Arrow); file: where it is kept, if it is; alone: what was flown alone, by its name:
+    from, to and how long, s.
     """
 
     itinerary: str
@@ -367,6 +371,7 @@ class Campaign:
     simulated_seconds: float
     table: "pa.Table"
     file: Path | None
+    alone: Mapping[str, tuple[str, str, float]] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         return f"<campaign of {self.itinerary!r}: {self.status}>"
@@ -389,11 +394,12 @@ class Campaign:
         rows: dict[tuple[str, str], list[Row]] = {}
         for row in self.rows:
             rows.setdefault((row["itinerary"], row["case"]), []).append(row)
-        if all(name == self.itinerary for name, _ in rows):
+        if not self.alone:
             return ()
         return tuple(
             Transition(
                 name,
+                *self.alone[name],
                 case,
                 wilson(sum(row["completed"] for row in runs), len(runs)),
                 max(row["max_cart_position"] for row in runs),
@@ -564,7 +570,14 @@ def run_campaign(
     if file is not None and parts is not None:
         _write(file, table)
         shutil.rmtree(parts, ignore_errors=True)
-    return _summary(itinerary.name, cases, table, seconds=time.perf_counter() - began, file=file)
+    found = _summary(itinerary.name, cases, table, seconds=time.perf_counter() - began, file=file)
+    return replace(found, alone={one.itinerary.name: _ends(one) for one in plans}) if transitions else found
+
+
+def _ends(plan: Plan) -> tuple[str, str, float]:
+    """Return from where a plan of one transition leads where, and how long it takes, s."""
+    (symbol,), ((begin, end),) = plan.notes["symbols"], plan.notes["transfers"]
+    return symbol["source"], symbol["target"], end - begin
 
 
 def _check_replaced(file: Path, metadata: Mapping[str, Any]) -> None:

@@ -257,10 +257,12 @@ def test_each_transition_is_flown_alone_from_hold_to_hold(there_and_back: Plan, 
     named = [(one.name, one.case) for one in found.transitions]
     legs = ("down-down to down-up", "down-up to down-down")
     assert named == [(leg, case) for leg in legs for case in ("mismatch=0.01", "mismatch=0.5")]
+    assert [(one.source, one.target) for one in found.transitions[::2]] == [tuple(leg.split(" to ")) for leg in legs]
     assert [one.completed.runs for one in found.transitions] == [2] * 4
     assert [result.completed.runs for result in found.results] == [4, 4]
     # Half a second of each hold on either side of the transfer.
     (begin, end), *_ = there_and_back.notes["transfers"]
+    assert found.transitions[0].duration == pytest.approx(end - begin)
     assert found.rows[0]["simulated_seconds"] == pytest.approx(end - begin + 1.0, abs=0.01)
     lost = [one for one in found.transitions if one.completed.successes < 2]
     assert lost
