@@ -568,6 +568,19 @@ class PlanNotes(TypedDict):
     starts: NotRequired[list[StartNote]]
 
 
+def transitions_in(notes: PlanNotes) -> list[tuple[int, int]]:
+    """Return the numbers of symbol and transfer of each way from one equilibrium to another, the first for each two."""
+    # At rest nothing grows in a period; where it could, a walk begins or ends.
+    still = [notes["orbits"][stop["orbit"]]["multiplier"] == 1.0 for stop in notes.get("stops", [])]
+    ways = {round(sum(way) / 2, 6): k for k, way in enumerate(notes.get("transfers", []))}
+    found: dict[tuple[str, str], tuple[int, int]] = {}
+    for k, symbol in enumerate(notes.get("symbols", [])):
+        way = ways.get(round(symbol["time"], 6))
+        if way is not None and symbol["name"] is None and still[k] and still[k + 1]:
+            found.setdefault((symbol["source"], symbol["target"]), (k, way))
+    return list(found.values())
+
+
 def plan_notes(reference: Reference) -> PlanNotes:
     """Return the notes of a reference that a plan made."""
     return cast(PlanNotes, dict(reference.notes))

@@ -10,7 +10,7 @@ from matplotlib.patches import Rectangle
 
 from dpcontrol.foundation.arrays import Array
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.references.reference import ReferenceSummary, plan_notes
+from dpcontrol.references.reference import ReferenceSummary, plan_notes, transitions_in
 from dpcontrol.review import style
 from dpcontrol.review.page import new_figure
 from dpcontrol.review.series import arm_points
@@ -33,14 +33,13 @@ def draw_transitions(summary: ReferenceSummary) -> Figure:
         raise InputError("the reference does not name the arms that it was made for: plan it anew")
     notes, arm_lengths = plan_notes(reference), summary.arms.length
     n = len(arm_lengths)
-    ways = {round(sum(way) / 2, 6): way for way in notes.get("transfers", [])}
     motions: dict[tuple[str, str], tuple[float, Array]] = {}
-    for symbol in notes.get("symbols", []):
-        way, pair = ways.get(round(symbol["time"], 6)), (symbol["source"], symbol["target"])
-        if way is not None and symbol["name"] is None and pair not in motions:
-            states = reference.state(np.linspace(way[0], way[1], _TRACE))
-            # Where the cart began is the middle of its picture.
-            motions[pair] = way[1] - way[0], np.column_stack([states[:, :n], states[:, 2 * n] - states[0, 2 * n]])
+    for k, way in transitions_in(notes):
+        symbol, (begin, end) = notes["symbols"][k], notes["transfers"][way]
+        states = reference.state(np.linspace(begin, end, _TRACE))
+        # Where the cart began is the middle of its picture.
+        moved = np.column_stack([states[:, :n], states[:, 2 * n] - states[0, 2 * n]])
+        motions[symbol["source"], symbol["target"]] = end - begin, moved
     if not motions:
         raise InputError(
             f"{notes.get('itinerary') or 'this reference'} has no transfers from one equilibrium to another to draw; "

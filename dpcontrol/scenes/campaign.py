@@ -69,7 +69,7 @@ from dpcontrol.loop.loop import (
     run_loop,
 )
 from dpcontrol.loop.result import BatchRun, Ending
-from dpcontrol.references.reference import PlanNotes, Reference, load_reference
+from dpcontrol.references.reference import PlanNotes, Reference, load_reference, transitions_in
 from dpcontrol.review.score import Flown, verdict_on
 from dpcontrol.scenes.itinerary import Itinerary
 from dpcontrol.scenes.plan import Plan, recoverable
@@ -488,15 +488,11 @@ def transitions_of(plan: Plan) -> tuple[Plan, ...]:
         InputError: there is none.
     """
     scene, reference, notes = plan.itinerary, plan.reference, plan.notes
-    # At rest nothing grows in a period; where it could, a walk is under way.
-    still = [notes["orbits"][stop["orbit"]]["multiplier"] == 1.0 for stop in notes["stops"]]
     ends = [0.0, *(time for way in notes["transfers"] for time in way), float(reference.mesh[-1])]
-    ways = {round(sum(way) / 2, 6): k for k, way in enumerate(notes["transfers"])}
-    found: dict[str, Plan] = {}
-    for k, symbol in enumerate(notes["symbols"]):
-        name, way = f"{symbol['source']} to {symbol['target']}", ways.get(round(symbol["time"], 6))
-        if way is None or symbol["name"] is not None or not (still[k] and still[k + 1]) or name in found:
-            continue
+    found: list[Plan] = []
+    for k, way in transitions_in(notes):
+        symbol = notes["symbols"][k]
+        name = f"{symbol['source']} to {symbol['target']}"
         begin, end = ends[2 * way], ends[2 * way + 3]
         first, last = np.searchsorted(reference.mesh, (begin - 1e-9, end - 1e-9))
         part: PlanNotes = {
@@ -513,10 +509,10 @@ def transitions_of(plan: Plan) -> tuple[Plan, ...]:
             reference, mesh=reference.mesh[first : last + 1] - begin, states=reference.states[first:last],
             inputs=reference.inputs[first:last], notes={**part},
         )  # fmt: skip
-        found[name] = Plan(replace(scene, name=name, title=name), alone, plan.file, cached=True)
+        found.append(Plan(replace(scene, name=name, title=name), alone, plan.file, cached=True))
     if not found:
         raise InputError(f"{scene.name} has no transitions: they lead from one equilibrium to another; see twelve")
-    return tuple(found.values())
+    return tuple(found)
 
 
 def run_campaign(
@@ -546,6 +542,8 @@ def run_campaign(
     announce(_cost(plans, cases, settings), yes=yes)
     # One plan serves all cases, those that end with a fall and those that go on.
     recovers = [case.loop for case in cases if case.loop.supervisor.on_fall != "stop"]
+    if recovers and transitions:
+        raise InputError("transitions alone end with a fall: leave on_fall at stop, or run the whole itinerary")
     if recovers:
         scene = replace(itinerary, loop=recovers[0])
         plan = replace(recoverable(replace(plan, itinerary=scene)), itinerary=itinerary)
