@@ -17,7 +17,7 @@ A command acts d periods after its tick, d the delay. With d = i + f, 0 ≤ f < 
 
 and the command is computed for the state at tick k + round(d): up to half a period of wrong timing is left. At 1 kHz it
 moves the motion in time and harms nothing; at 50 Hz it takes part of the margin for delays. The limits of acceleration
-and velocity are the drive's own, applied before it is believed.
+and velocity are the drive's own, and are applied before the command enters the prediction.
 
 What is judged, tick by tick:
 
@@ -409,13 +409,14 @@ class TickEquations:
         return out
 
     def _acting(self, command: ca.SX, velocity: ca.SX, drive: ca.SX, c: Mapping[str, ca.SX]) -> tuple[ca.SX, ca.SX]:
-        """What acts of a command on a cart of this velocity and acceleration: mean of the period, and at its end.
+        """Return the cart's mean acceleration over the period and the one at its end, from its velocity and acceleration.
 
-        The drive keeps its loop's own reference below its fastest.
+        The drive keeps its own velocity reference within its limit. If that is beyond the limit already, the drive
+        brings it back no faster than its greatest acceleration allows, see `DriveLimits.acting`.
         """
         period, fastest = self.filter.period, c["velocity"]
         aims = velocity + c["lag"] * drive if self.lags else velocity
-        given = _clip(command, (-fastest - aims) / period, (fastest - aims) / period)
+        given = _within(_clip(command, (-fastest - aims) / period, (fastest - aims) / period), c["acceleration"])
         if not self.lags:
             return given, drive
         keeps = c["lag_keeps"]

@@ -9,9 +9,10 @@ from shadowing_stand_in import LAB
 
 from dpcontrol.control.ekf import CompiledEkf
 from dpcontrol.control.estimator_settings import EkfSettings
+from dpcontrol.control.interface import clip_number
 from dpcontrol.control.tick import LOST_AFTER_FALLBACK, UNROLLED, Outcome, TickProgram, whole_periods
 from dpcontrol.foundation.errors import InputError
-from dpcontrol.loop.bench import SensorSettings
+from dpcontrol.loop.bench import DriveLimits, SensorSettings
 from dpcontrol.loop.loop import sampled_model
 from dpcontrol.references.problem import Limits
 
@@ -136,6 +137,15 @@ def test_a_cart_at_its_fastest_takes_only_what_slows_it() -> None:
     for speed, command, acts in ((3.0, 10.0, 0.0), (2.995, 10.0, 5.0), (3.0, -10.0, -10.0)):
         tick = Ticked(0.0, NARROW, state=np.array([0, 0, 0, 0, 0, speed]))
         assert tick(command)["acting"] == pytest.approx(acts, abs=1e-9)
+
+
+@pytest.mark.parametrize(("speed", "command"), [(3.1, 10.0), (3.1, -5.0), (-3.4, 0.0), (3.005, 10.0), (-2.9, -20.0)])
+def test_a_cart_beyond_its_greatest_speed_is_brought_back_as_the_drive_does(speed: float, command: float) -> None:
+    drive = DriveLimits(NARROW.acceleration, NARROW.velocity, np.inf, 1.0, clip_number)
+    tick = Ticked(0.0, NARROW, state=np.array([0, 0, 0, 0, 0, speed]))
+    acting = tick(command)["acting"]
+    assert acting == pytest.approx(drive.acting(command, speed, PERIOD), abs=1e-9)
+    assert abs(acting) <= NARROW.acceleration
 
 
 @pytest.mark.parametrize("delay", [-0.5, 1000.5, float("nan"), float("inf")])
